@@ -1,0 +1,49 @@
+"""Arrays as values: checked once at birth, read-only from then on. Time is always axis 0."""
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from undrift.errors import InputError
+
+FloatArray: TypeAlias = NDArray[np.float64]
+
+
+def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray:
+    """Copy into a read-only float64 array of a stated shape.
+
+    Parameters
+    ----------
+    x : array_like
+        Anything numpy can read; the caller's array stays untouched.
+    shape : tuple of int or None
+        Wanted shape; None means any length.
+    name : str
+        What to call it in the error.
+
+    Returns
+    -------
+    array
+        C-ordered, float64, not writeable. NaN passes (a gap); infinity does not.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, not numbers, or infinite values.
+    """
+    try:
+        array = np.array(x, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: wanted numbers, got {type(x).__name__}; {error}") from error
+    if array.ndim != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
+        wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise InputError(
+            f"{name}: wanted shape {wanted}, got {array.shape}; time is axis 0", wanted=shape, got=array.shape
+        )
+    if np.isinf(array).any():
+        raise InputError(f"{name}: wanted finite numbers or NaN for a gap, got infinity; repair the file")
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,319 @@
+"""Calibration: the one object that owns the correction model, and the values it is made of.
+
+In symbols, for a reading u (3,) at temperature T::
+
+    u1 = u + rounding(u)          adc      half an LSB back for truncated codes
+    u2 = u1 - offset(T)           static   table of absolute offsets, else the constant offset
+    w  = M(T) u2                  matrix   constant, or a table over temperature
+    w  = w - G a                  g-sensitivity, gyroscopes only
+    w  = w - e(w, T)              dynamic  table over measured rate and temperature
+
+``correct.py`` is the only place that evaluates it. The maps are inverse models: raw to physical. A forward model
+(physical to raw) is S = K a + b with K = M^-1 and b = offset.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from undrift.arrays import FloatArray, frozen
+from undrift.errors import InputError
+
+Rounding = Literal["nearest", "floor", "toward_zero"]
+Status = Literal["good", "marginal", "bad"]
+
+AXES = ("x", "y", "z")
+MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
+OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
+G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verdict:
+    """What a fit is worth, in words.
+
+    Parameters
+    ----------
+    status : str
+        good, marginal or bad.
+    reasons : tuple of str
+        Why, one sentence each; also what was not observable and what recording would fix it.
+    """
+
+    status: Status = "good"
+    reasons: tuple[str, ...] = ()
+
+    def also(self, other: "Verdict") -> "Verdict":
+        """Return both verdicts as one: the worse status, all reasons.
+
+        Parameters
+        ----------
+        other : Verdict
+            Another verdict on the same device.
+
+        Returns
+        -------
+        Verdict
+            The two together.
+        """
+        order = ("good", "marginal", "bad")
+        worse = max(self.status, other.status, key=order.index)
+        return Verdict(status=worse, reasons=(*self.reasons, *(r for r in other.reasons if r not in self.reasons)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadModel:
+    """Inverse model of three sensors: corrected = matrix @ (raw - offset) - g_sensitivity @ accel.
+
+    Parameters
+    ----------
+    method : str
+        How it was found: six-face, rate-table, known-rotation, multi-position, reference; mode behind a slash.
+    unit_in, unit_out : str
+        Unit of the raw reading and of the corrected value.
+    matrix : array, shape (3, 3)
+        unit_out per unit_in; sensor axes s to case b.
+    offset : array, shape (3,)
+        Reading at zero input and reference temperature, unit_in.
+    g_sensitivity : array, shape (3, 3), or None
+        Rate that one m/s2 of specific force feigns, unit_out per m/s2; gyroscopes only.
+    parameters : tuple of str
+        Names of the parameters that ``covariance`` speaks of: m_xx..m_zz row by row, offset_x.., g_xx..
+    covariance : array, shape (P, P)
+        Of those parameters, in their units; a parameter that was held fixed has zeros.
+    rms_residual : float
+        Root-mean-square residual of the fit, unit_out.
+    count : int
+        Equations in the fit.
+    rank : int
+        Rank of the fit's normal matrix; full rank means that every parameter was observable.
+    condition : float
+        Condition number of the design after its columns were scaled to one.
+    valid_range : tuple of float
+        Least and greatest corrected value per axis that the fit has seen, unit_out.
+    """
+
+    method: str
+    unit_in: str
+    unit_out: str
+    matrix: FloatArray
+    offset: FloatArray
+    g_sensitivity: FloatArray | None = None
+    parameters: tuple[str, ...] = (*MATRIX_NAMES, *OFFSET_NAMES)
+    covariance: FloatArray
+    rms_residual: float
+    count: int
+    rank: int
+    condition: float
+    valid_range: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        p = len(self.parameters)
+        _freeze(self, matrix=(3, 3), offset=(3,), covariance=(p, p))
+        if self.g_sensitivity is not None:
+            _freeze(self, g_sensitivity=(3, 3))
+
+    @property
+    def standard_uncertainty(self) -> FloatArray:
+        """Standard uncertainty of each parameter, shape (P,), in its own unit."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def forward_matrix(self) -> FloatArray:
+        """K of the forward model raw = K w + offset, unit_in per unit_out, shape (3, 3)."""
+        return np.linalg.inv(self.matrix)
+
+    @property
+    def scale_factor(self) -> FloatArray:
+        """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K."""
+        return np.linalg.norm(self.forward_matrix, axis=1)
+
+    @property
+    def sensor_axes(self) -> FloatArray:
+        """Unit vector of each sensor's axis in b, one a row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""
+        return self.forward_matrix / self.scale_factor[:, None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StaticDrift:
+    """Tuning table of absolute offsets over temperature, linear between nodes.
+
+    Parameters
+    ----------
+    temp_c : array, shape (n,)
+        Nodes, degC, increasing.
+    gyro_offset, accel_offset : array, shape (n, 3), or None
+        Reading at zero input, raw unit.
+    """
+
+    temp_c: FloatArray
+    gyro_offset: FloatArray | None = None
+    accel_offset: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, temp_c=(None,))
+        _check_nodes(self.temp_c, "static drift temp_c")
+        for name in ("gyro_offset", "accel_offset"):
+            if getattr(self, name) is not None:
+                _freeze(self, **{name: (len(self.temp_c), 3)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScaleDrift:
+    """Matrix over temperature (thermal scale factor and cross-axis), linear between nodes.
+
+    Parameters
+    ----------
+    temp_c : array, shape (n,)
+        Nodes, degC, increasing.
+    gyro_matrix, accel_matrix : array, shape (n, 3, 3), or None
+        unit_out per unit_in.
+    """
+
+    temp_c: FloatArray
+    gyro_matrix: FloatArray | None = None
+    accel_matrix: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, temp_c=(None,))
+        _check_nodes(self.temp_c, "scale drift temp_c")
+        for name in ("gyro_matrix", "accel_matrix"):
+            if getattr(self, name) is not None:
+                _freeze(self, **{name: (len(self.temp_c), 3, 3)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DynamicDrift:
+    """Rate error left over after static and matrix correction: e(measured rate, T), bilinear.
+
+    Parameters
+    ----------
+    temp_c : array, shape (m,)
+        Nodes, degC, increasing.
+    turn_rate : array, shape (k,)
+        Nodes of the measured rate, rad/s, increasing.
+    error : array, shape (m, k, 3)
+        Measured minus true rate per axis, rad/s.
+    """
+
+    temp_c: FloatArray
+    turn_rate: FloatArray
+    error: FloatArray
+
+    def __post_init__(self) -> None:
+        _freeze(self, temp_c=(None,), turn_rate=(None,))
+        _check_nodes(self.temp_c, "dynamic drift temp_c")
+        _check_nodes(self.turn_rate, "dynamic drift turn_rate")
+        _freeze(self, error=(len(self.temp_c), len(self.turn_rate), 3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriftTables:
+    """The tuning tables of one device.
+
+    Parameters
+    ----------
+    static : StaticDrift or None
+        Offsets over temperature.
+    scale : ScaleDrift or None
+        Matrices over temperature.
+    dynamic : DynamicDrift or None
+        Rate-dependent error over temperature.
+    """
+
+    static: StaticDrift | None = None
+    scale: ScaleDrift | None = None
+    dynamic: DynamicDrift | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AdcModel:
+    """How codes were made of voltages: the step and the rounding of each triad.
+
+    Parameters
+    ----------
+    gyro_lsb, accel_lsb : array, shape (3,), or None
+        One code step, raw unit; None where it was not identified.
+    gyro_rounding, accel_rounding : str
+        nearest, floor or toward_zero.
+    """
+
+    gyro_lsb: FloatArray | None = None
+    accel_lsb: FloatArray | None = None
+    gyro_rounding: Rounding = "nearest"
+    accel_rounding: Rounding = "nearest"
+
+    def __post_init__(self) -> None:
+        for name in ("gyro_lsb", "accel_lsb"):
+            if getattr(self, name) is not None:
+                _freeze(self, **{name: (3,)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Provenance:
+    """Where a calibration came from.
+
+    Parameters
+    ----------
+    inputs : tuple of (str, str)
+        File name and sha256 of each input.
+    settings : tuple of (str, str)
+        Name and value of each choice that was made.
+    versions : tuple of (str, str)
+        Package and version.
+    created : str
+        ISO 8601 time, UTC.
+    """
+
+    inputs: tuple[tuple[str, str], ...] = ()
+    settings: tuple[tuple[str, str], ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    created: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibration:
+    """Everything that is needed to turn one device's readings into rad/s and m/s2.
+
+    Parameters
+    ----------
+    device : str
+        Serial number.
+    reference_temp_c : float
+        Temperature at which the constant offsets hold, degC; NaN when no temperature was recorded.
+    gravity_m_s2 : float
+        Local gravity that the accelerometer fit used, m/s2.
+    gyro, accel : TriadModel or None
+        None where the session did not observe it.
+    drift : DriftTables or None
+        None for constant offsets.
+    adc : AdcModel or None
+        None when the codes' rounding is not known.
+    verdict : Verdict
+        What it is worth.
+    provenance : Provenance
+        Where it came from.
+    """
+
+    device: str
+    reference_temp_c: float
+    gravity_m_s2: float
+    gyro: TriadModel | None = None
+    accel: TriadModel | None = None
+    drift: DriftTables | None = None
+    adc: AdcModel | None = None
+    verdict: Verdict = Verdict()
+    provenance: Provenance = Provenance()
+
+
+def _freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
+    for name, shape in shapes.items():
+        array: ArrayLike = getattr(value, name)
+        object.__setattr__(value, name, frozen(array, shape, f"{type(value).__name__}.{name}"))
+
+
+def _check_nodes(nodes: FloatArray, name: str) -> None:
+    if len(nodes) < 2 or not (np.diff(nodes) > 0.0).all():
+        raise InputError(f"{name}: wanted two or more increasing nodes, got {len(nodes)}; sort and merge them")

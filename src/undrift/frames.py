@@ -1,0 +1,99 @@
+"""Frame letters, and quaternions as undrift writes them.
+
+    s  sensor axes as etched            b  device case             t  rate table
+    m  optical body (markers)           n  level, z up
+
+``R_bs`` maps a vector from s to b; ``q_nb`` is its quaternion (b to n), scalar first (w, x, y, z). A gyroscope reads the
+rate of b against n, seen in b. An accelerometer reads specific force: at rest the axis that points up reads +g.
+"""
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+Frame = Literal["s", "b", "t", "m", "n"]
+
+
+def rotation(q: FloatArray) -> "Rotation":
+    """Return scipy's Rotation of scalar-first quaternions.
+
+    Parameters
+    ----------
+    q : array, shape (N, 4) or (4,)
+        Quaternions w, x, y, z, no gaps.
+
+    Returns
+    -------
+    Rotation
+        The same rotations.
+    """
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(q, scalar_first=True)
+
+
+def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the Hamilton product p q, gaps (NaN) passing through.
+
+    Parameters
+    ----------
+    p, q : array, shape (..., 4)
+        Quaternions w, x, y, z; broadcast against each other.
+
+    Returns
+    -------
+    array, shape (..., 4)
+        p q: first q acts, then p.
+    """
+    pw, px, py, pz = np.moveaxis(p, -1, 0)
+    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
+    return np.stack(
+        (
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ),
+        axis=-1,
+    )
+
+
+def quaternion_conjugate(q: FloatArray) -> FloatArray:
+    """Return the inverse of unit quaternions.
+
+    Parameters
+    ----------
+    q : array, shape (..., 4)
+        Unit quaternions w, x, y, z.
+
+    Returns
+    -------
+    array, shape (..., 4)
+        w, -x, -y, -z.
+    """
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Return vectors turned by unit quaternions, gaps (NaN) passing through.
+
+    Parameters
+    ----------
+    q : array, shape (..., 4)
+        q_nb: from b to n.
+    v : array, shape (..., 3)
+        Vectors in b.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        The same vectors in n.
+    """
+    t = 2.0 * np.cross(q[..., 1:], v)
+    turned: FloatArray = v + q[..., :1] * t + np.cross(q[..., 1:], t)
+    return turned

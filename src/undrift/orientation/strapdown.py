@@ -1,0 +1,61 @@
+"""Strapdown: integrate rate into orientation by the exact exponential of each step.
+
+::
+
+    q_nb[k] = q_nb[k-1] (x) exp(w_b[k] (t[k] - t[k-1]))
+
+The rate of sample k holds on (k-1, k]. With bounded rates the error of this rule against the true motion is one half-sample
+lag, which the lag search of validation takes up.
+"""
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+
+
+def integrate_strapdown(
+    gyro_b: FloatArray, time: FloatArray, q_nb: FloatArray, *, out: FloatArray | None = None
+) -> FloatArray:
+    """Integrate angular rate from an initial orientation.
+
+    Parameters
+    ----------
+    gyro_b : array, shape (N, 3)
+        Corrected rate, rad/s, frame b, no gaps.
+    time : array, shape (N,)
+        s, strictly increasing.
+    q_nb : array, shape (4,)
+        Orientation at the first sample, w-x-y-z.
+    out : array, shape (N, 4), optional
+        Where to write; saves a fresh array.
+
+    Returns
+    -------
+    array, shape (N, 4)
+        q_nb at every sample, unit length.
+
+    Raises
+    ------
+    InputError
+        Shapes that disagree, or gaps in the rate.
+
+    References
+    ----------
+    .. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", 1971: constant-axis case.
+    """
+    from undrift.kernels.rotation import strapdown
+
+    if gyro_b.shape != (len(time), 3) or np.shape(q_nb) != (4,):
+        raise InputError(
+            f"strapdown: wanted gyro (N, 3), time (N,), q (4,), got {gyro_b.shape}, {time.shape}, {np.shape(q_nb)}"
+        )
+    if not np.isfinite(gyro_b).all():
+        raise InputError(
+            "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
+        )
+    q = np.empty((len(time), 4)) if out is None else out
+    strapdown(
+        np.ascontiguousarray(gyro_b).reshape(-1), np.ascontiguousarray(time), np.asarray(q_nb, float), q.reshape(-1)
+    )
+    return q

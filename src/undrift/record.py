@@ -1,0 +1,276 @@
+"""Record: what a device said, sample by sample, and Reference: what the optics saw.
+
+A Record keeps the readings in the device's own unit, with the unit beside them. NaN means a gap and nothing else; time
+strictly increases; both are checked here, once. There is no default sample rate.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray, frozen
+from undrift.errors import InputError
+from undrift.frames import Frame
+from undrift.units import Quantity, canonical_unit, si_factor
+
+State = Literal["raw", "corrected"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Record:
+    """Readings of one device.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        s, strictly increasing.
+    gyro : array, shape (N, 3), or None
+        Rate readings in ``gyro_unit``; None where the file has no gyroscope.
+    accel : array, shape (N, 3), or None
+        Specific-force readings in ``accel_unit``; None where the file has no accelerometer.
+    temp_c : array, shape (N,), or None
+        Temperature at the sensor, degC.
+    mag_ut : array, shape (N, 3), or None
+        Magnetic field, uT. Carried along, not calibrated.
+    gyro_unit : str
+        rad/s, dps, count or v.
+    accel_unit : str
+        m/s2, g, mg, count or v.
+    frame : str
+        "s" for sensor axes, "b" for the device case.
+    state : str
+        "raw" or "corrected".
+    device : str
+        Serial number or name; "" when the file does not say.
+
+    Raises
+    ------
+    InputError
+        Shapes that disagree, time that does not increase, a unit that is not one.
+    """
+
+    time: FloatArray
+    gyro: FloatArray | None = None
+    accel: FloatArray | None = None
+    temp_c: FloatArray | None = None
+    mag_ut: FloatArray | None = None
+    gyro_unit: str = "rad/s"
+    accel_unit: str = "m/s2"
+    frame: Frame = "s"
+    state: State = "raw"
+    device: str = ""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "time", frozen(self.time, (None,), "time"))
+        n = len(self.time)
+        for name, width in (("gyro", 3), ("accel", 3), ("mag_ut", 3), ("temp_c", None)):
+            value = getattr(self, name)
+            if value is not None:
+                set_(self, name, frozen(value, (n,) if width is None else (n, width), name))
+        if self.gyro is None and self.accel is None:
+            raise InputError("record: wanted gyro or accel readings, got neither; map the columns that hold them")
+        set_(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
+        set_(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
+        check_time(self.time)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Samples per second, drop-outs left out of the mean."""
+        return sample_rate_of(self.time)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last sample, s."""
+        return float(self.time[-1] - self.time[0])
+
+    def part(self, start: int, stop: int) -> "Record":
+        """Return the samples [start, stop).
+
+        Parameters
+        ----------
+        start, stop : int
+            Sample numbers, half-open.
+
+        Returns
+        -------
+        Record
+            The same channels, fewer samples.
+        """
+        cut = slice(start, stop)
+        channels = {
+            name: None if value is None else value[cut]
+            for name in ("gyro", "accel", "temp_c", "mag_ut")
+            for value in (getattr(self, name),)
+        }
+        return replace(self, time=self.time[cut], **channels)
+
+    def between(self, start_s: float, stop_s: float) -> "Record":
+        """Return the samples with start_s <= time < stop_s.
+
+        Parameters
+        ----------
+        start_s, stop_s : float
+            s, on the record's own clock.
+
+        Returns
+        -------
+        Record
+            The same channels, fewer samples.
+        """
+        start, stop = np.searchsorted(self.time, (start_s, stop_s))
+        return self.part(int(start), int(stop))
+
+    def in_si(self) -> "Record":
+        """Return the record in rad/s and m/s2.
+
+        Returns
+        -------
+        Record
+            Unchanged where it is SI already.
+
+        Raises
+        ------
+        InputError
+            The readings are counts or volts.
+        """
+        return self.in_units("rad/s", "m/s2")
+
+    def in_units(self, gyro_unit: str, accel_unit: str) -> "Record":
+        """Return the record in other physical units.
+
+        Parameters
+        ----------
+        gyro_unit : str
+            Wanted unit of the gyroscope; the unit it has already may be a device unit.
+        accel_unit : str
+            Wanted unit of the accelerometer, likewise.
+
+        Returns
+        -------
+        Record
+            Unchanged where the units are the wanted ones.
+
+        Raises
+        ------
+        InputError
+            Counts or volts on one side and a physical unit on the other.
+        """
+        gyro, gyro_unit = _converted(self.gyro, self.gyro_unit, gyro_unit, "rate")
+        accel, accel_unit = _converted(self.accel, self.accel_unit, accel_unit, "accel")
+        if gyro is self.gyro and accel is self.accel:
+            return self
+        return replace(self, gyro=gyro, accel=accel, gyro_unit=gyro_unit, accel_unit=accel_unit)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reference:
+    """Poses of a rigid body as an independent instrument saw them.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        s, strictly increasing, on the reference's own clock.
+    q_nb : array, shape (N, 4)
+        Orientation, body to level frame, w-x-y-z; NaN rows are gaps.
+    position : array, shape (N, 3), or None
+        Position of the body's origin in n, m; NaN rows are gaps.
+    moving : array, shape (N,), or None
+        1 where the recording's author marked motion, else 0.
+    name : str
+        Where it came from.
+    """
+
+    time: FloatArray
+    q_nb: FloatArray
+    position: FloatArray | None = None
+    moving: FloatArray | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "time", frozen(self.time, (None,), "time"))
+        n = len(self.time)
+        q = frozen(self.q_nb, (n, 4), "q_nb")
+        norm = np.linalg.norm(q, axis=1)
+        if (np.abs(norm[np.isfinite(norm)] - 1.0) > 1e-3).any():
+            raise InputError(
+                "q_nb: wanted unit quaternions w-x-y-z, got other lengths; check the columns and their order"
+            )
+        set_(self, "q_nb", frozen(q / norm[:, None], (n, 4), "q_nb"))
+        if self.position is not None:
+            set_(self, "position", frozen(self.position, (n, 3), "position"))
+        if self.moving is not None:
+            set_(self, "moving", frozen(self.moving, (n,), "moving"))
+        check_time(self.time)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Poses per second, drop-outs left out of the mean."""
+        return sample_rate_of(self.time)
+
+    @property
+    def valid(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """True where the orientation was seen, shape (N,)."""
+        return np.isfinite(self.q_nb).all(axis=1)
+
+
+def check_time(time: FloatArray) -> None:
+    """Raise unless time strictly increases, without gaps, over two samples or more.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        s.
+
+    Raises
+    ------
+    InputError
+        Fewer than two samples, NaN, or a step that is not forward; says where.
+    """
+    if len(time) < 2:
+        raise InputError(
+            f"time: wanted two samples or more, got {len(time)}; the file holds no recording", samples=len(time)
+        )
+    if np.isnan(time).any():
+        row = int(np.flatnonzero(np.isnan(time))[0])
+        raise InputError(f"time: wanted a number in every row, got NaN first in row {row}; repair the file", row=row)
+    steps = np.diff(time)
+    if (steps <= 0.0).any():
+        row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
+        raise InputError(
+            f"time: wanted strictly increasing seconds, got {int((steps <= 0).sum())} steps back or doubled, first in row {row} "
+            f"({time[row - 1]:.6g} s then {time[row]:.6g} s); ask for a repair of time if dropping those rows is right",
+            row=row,
+        )
+
+
+def sample_rate_of(time: FloatArray) -> float:
+    """Return samples per second, drop-outs (steps over 1.5 medians) left out of the mean.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        s, strictly increasing.
+
+    Returns
+    -------
+    float
+        Hz.
+    """
+    steps = np.diff(time)
+    return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
+
+
+def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quantity) -> tuple[FloatArray | None, str]:
+    wanted = canonical_unit(wanted, quantity)
+    if unit == wanted or values is None:
+        return values, wanted
+    return values * (si_factor(unit, quantity) / si_factor(wanted, quantity)), wanted

@@ -1,0 +1,114 @@
+"""Units: one table of names, one constant of gravity, and the only conversions in the package.
+
+A quantity is one of ``rate``, ``accel``, ``temp``, ``time``, ``mag``, ``length``. Inside the package values are SI
+(rad/s, m/s2, s, m) and degC, uT; raw readings keep the device's unit. ``count`` and ``v`` are device units: they have
+no SI value until a calibration gives them one.
+"""
+
+import math
+from typing import Literal
+
+from undrift.errors import InputError
+
+Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
+
+STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
+RADIAN_PER_DEGREE = math.pi / 180.0
+
+DEVICE_UNITS = ("count", "v")
+
+# SI value = factor * value. Names are lower case.
+_TO_SI: dict[Quantity, dict[str, float]] = {
+    "rate": {"rad/s": 1.0, "dps": RADIAN_PER_DEGREE},
+    "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY * 1e-3},
+    "temp": {"degc": 1.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "mag": {"ut": 1.0, "gauss": 100.0, "mgauss": 0.1, "t": 1e6},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+}
+_SPELLINGS = {
+    "deg/s": "dps", "°/s": "dps", "degrees/s": "dps", "rad/sec": "rad/s", "deg/sec": "dps", "rps": "rad/s",
+    "m/s^2": "m/s2", "m/s²": "m/s2", "m/s/s": "m/s2", "deg c": "degc", "°c": "degc", "c": "degc", "celsius": "degc",
+    "sec": "s", "seconds": "s", "µs": "us", "µt": "ut", "counts": "count", "lsb": "count", "raw": "count",
+    "volt": "v", "volts": "v", "gs": "g", "millig": "mg", "degrees c": "degc",
+}  # fmt: skip
+SI_UNIT: dict[Quantity, str] = {
+    "rate": "rad/s",
+    "accel": "m/s2",
+    "temp": "degc",
+    "time": "s",
+    "mag": "ut",
+    "length": "m",
+}
+
+
+def canonical_unit(unit: str, quantity: Quantity) -> str:
+    """Return the one spelling of a unit.
+
+    Parameters
+    ----------
+    unit : str
+        Unit as a file or a person wrote it: "deg/s", "m/s^2", "counts", ...
+    quantity : str
+        What is measured: rate, accel, temp, time, mag or length.
+
+    Returns
+    -------
+    str
+        "rad/s", "dps", "m/s2", "g", "mg", "count", "v", "degc", ...
+
+    Raises
+    ------
+    InputError
+        The unit is not one of that quantity.
+    """
+    name = unit.strip().lower()
+    name = _SPELLINGS.get(name, name)
+    if name in _TO_SI[quantity] or (name in DEVICE_UNITS and quantity in ("rate", "accel", "temp", "mag")):
+        return name
+    known = [*_TO_SI[quantity], *(DEVICE_UNITS if quantity in ("rate", "accel", "temp", "mag") else ())]
+    raise InputError(f"unit of {quantity}: wanted one of {', '.join(known)}, got '{unit}'; name the unit of the column")
+
+
+def si_factor(unit: str, quantity: Quantity) -> float:
+    """Return the factor that turns a value in ``unit`` into SI (degC for temp, uT for mag).
+
+    Parameters
+    ----------
+    unit : str
+        Unit name, any known spelling.
+    quantity : str
+        What is measured.
+
+    Returns
+    -------
+    float
+        SI value = factor * value.
+
+    Raises
+    ------
+    InputError
+        Counts and volts have no SI value without a calibration.
+    """
+    name = canonical_unit(unit, quantity)
+    if name in DEVICE_UNITS:
+        raise InputError(
+            f"{quantity}: wanted a physical unit, got {name}; calibrate first, or give the scale of the column"
+        )
+    return _TO_SI[quantity][name]
+
+
+def is_physical(unit: str) -> bool:
+    """Tell whether a unit has an SI value by itself (counts and volts do not).
+
+    Parameters
+    ----------
+    unit : str
+        Canonical unit name.
+
+    Returns
+    -------
+    bool
+        False for "count" and "v".
+    """
+    return unit not in DEVICE_UNITS
