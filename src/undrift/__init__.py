@@ -24,7 +24,7 @@ _HOME = {
     "integrate_strapdown": "undrift.orientation.strapdown",
     "UndriftError": "undrift.errors",
 }
-__all__ = ["__version__", *_HOME]
+__all__ = ["Calibration", "Record", "Reference", "UndriftError", "__version__", "integrate_strapdown"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,13 +1,15 @@
 """Arrays as values: checked once at birth, read-only from then on. Time is always axis 0."""
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from undrift.errors import InputError
 
-FloatArray: TypeAlias = NDArray[np.float64]
+FloatArray: TypeAlias = NDArray[np.floating[Any]]  # float64 in practice: numpy's own functions promise no more
+BoolArray: TypeAlias = NDArray[np.bool_]
+IntArray: TypeAlias = NDArray[np.int64]
 
 
 def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray:

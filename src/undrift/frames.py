@@ -76,7 +76,8 @@ def quaternion_conjugate(q: FloatArray) -> FloatArray:
     array, shape (..., 4)
         w, -x, -y, -z.
     """
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse: FloatArray = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 from undrift.frames import Frame
 from undrift.units import Quantity, canonical_unit, si_factor
@@ -102,12 +102,14 @@ class Record:
             The same channels, fewer samples.
         """
         cut = slice(start, stop)
-        channels = {
-            name: None if value is None else value[cut]
-            for name in ("gyro", "accel", "temp_c", "mag_ut")
-            for value in (getattr(self, name),)
-        }
-        return replace(self, time=self.time[cut], **channels)
+        return replace(
+            self,
+            time=self.time[cut],
+            gyro=None if self.gyro is None else self.gyro[cut],
+            accel=None if self.accel is None else self.accel[cut],
+            temp_c=None if self.temp_c is None else self.temp_c[cut],
+            mag_ut=None if self.mag_ut is None else self.mag_ut[cut],
+        )
 
     def between(self, start_s: float, stop_s: float) -> "Record":
         """Return the samples with start_s <= time < stop_s.
@@ -217,9 +219,9 @@ class Reference:
         return sample_rate_of(self.time)
 
     @property
-    def valid(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def valid(self) -> BoolArray:
         """True where the orientation was seen, shape (N,)."""
-        return np.isfinite(self.q_nb).all(axis=1)
+        return np.isfinite(self.q_nb[:, 0])
 
 
 def check_time(time: FloatArray) -> None:

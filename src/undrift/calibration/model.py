@@ -123,17 +123,20 @@ class TriadModel:
     @property
     def forward_matrix(self) -> FloatArray:
         """K of the forward model raw = K w + offset, unit_in per unit_out, shape (3, 3)."""
-        return np.linalg.inv(self.matrix)
+        forward: FloatArray = np.linalg.inv(self.matrix)
+        return forward
 
     @property
     def scale_factor(self) -> FloatArray:
         """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K."""
-        return np.linalg.norm(self.forward_matrix, axis=1)
+        length: FloatArray = np.linalg.norm(self.forward_matrix, axis=1)
+        return length
 
     @property
     def sensor_axes(self) -> FloatArray:
         """Unit vector of each sensor's axis in b, one a row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""
-        return self.forward_matrix / self.scale_factor[:, None]
+        axes: FloatArray = self.forward_matrix / self.scale_factor[:, None]
+        return axes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -252,6 +255,30 @@ class AdcModel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoiseModel:
+    """Noise coefficients of both triads at rest, as IEEE Std 952 names them; NaN where the record was too short to tell.
+
+    Parameters
+    ----------
+    angle_random_walk, bias_instability, rate_random_walk : array, shape (3,)
+        Gyroscopes: rad/s/sqrt(Hz), rad/s, rad/s/sqrt(s).
+    velocity_random_walk, accel_bias_instability, accel_random_walk : array, shape (3,)
+        Accelerometers: m/s2/sqrt(Hz), m/s2, m/s2/sqrt(s).
+    """
+
+    angle_random_walk: FloatArray
+    bias_instability: FloatArray
+    rate_random_walk: FloatArray
+    velocity_random_walk: FloatArray
+    accel_bias_instability: FloatArray
+    accel_random_walk: FloatArray
+
+    def __post_init__(self) -> None:
+        _freeze(self, angle_random_walk=(3,), bias_instability=(3,), rate_random_walk=(3,))
+        _freeze(self, velocity_random_walk=(3,), accel_bias_instability=(3,), accel_random_walk=(3,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Provenance:
     """Where a calibration came from.
 
@@ -291,6 +318,8 @@ class Calibration:
         None for constant offsets.
     adc : AdcModel or None
         None when the codes' rounding is not known.
+    noise : NoiseModel or None
+        None when no noise was measured.
     verdict : Verdict
         What it is worth.
     provenance : Provenance
@@ -304,6 +333,7 @@ class Calibration:
     accel: TriadModel | None = None
     drift: DriftTables | None = None
     adc: AdcModel | None = None
+    noise: NoiseModel | None = None
     verdict: Verdict = Verdict()
     provenance: Provenance = Provenance()
 
