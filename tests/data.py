@@ -1,0 +1,23 @@
+"""Where the real recordings are, and how a test shows the figures that it asserts."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
+
+
+def data_path(*parts: str) -> Path:
+    """Return a file of the public recordings; skip the test where the folder is absent."""
+    if not DATA.is_dir():
+        pytest.skip(f"no public recordings at {DATA}: set UNDRIFT_DATA")
+    path = DATA.joinpath(*parts)
+    if not path.exists():
+        pytest.fail(f"{path} is missing from the public recordings")
+    return path
+
+
+def show(label: str, value: object, limit: object = None) -> None:
+    """Print a figure and the limit it is held to: `pytest -s` or a failing test shows it."""
+    print(f"  {label}: {value}" + ("" if limit is None else f"   (limit {limit})"))
