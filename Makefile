@@ -1,0 +1,44 @@
+# Everything here makes its own virtual environment; it needs python3 (3.11 or newer), pip and make.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+INSTALLED = $(VENV)/.installed
+
+.PHONY: demo test test-all check benchmark clean
+
+demo: $(INSTALLED)
+	$(BIN)/undrift demo --out demo
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist worksteal --durations=12
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/test_correct.py tests/orientation
+
+check: $(INSTALLED)
+	$(BIN)/ruff check src tests benchmarks
+	$(BIN)/ruff format --check src tests benchmarks
+	$(BIN)/mypy --strict
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest tests/house
+
+benchmark: $(INSTALLED)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks
+
+# The suite on every other Python that this machine has.
+test-all: test
+	@for version in 3.12 3.13; do \
+	  if command -v python$$version >/dev/null && python$$version -c '' 2>/dev/null; then \
+	    echo "== Python $$version"; \
+	    $(MAKE) --no-print-directory test PYTHON=python$$version VENV=.venv-$$version || exit 1; \
+	  else echo "== Python $$version is not on this machine"; fi; \
+	done
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "undrift wants Python 3.11 or newer, got $$($(PYTHON) --version); say make PYTHON=python3.12"; exit 2; }
+	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV) || \
+	  { rm -rf $(VENV); $(PYTHON) -m pip install --quiet virtualenv && $(PYTHON) -m virtualenv --quiet $(VENV); }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf .venv .venv-3.* .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build dist demo

@@ -1,0 +1,97 @@
+"""``undrift``: the commands, and what becomes of errors.
+
+Exit codes: 0 done; 1 done but the verdict is bad; 2 the input or the call is wrong (one line on stderr); 3 a rig or device
+failed. A command is imported only when it is called, so that ``undrift --help`` answers at once.
+"""
+
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError
+
+from undrift import __version__
+from undrift.errors import RigError, UndriftError
+
+COMMANDS = {
+    "info": "What a recording, session, calibration or reference holds.",
+    "calibrate": "Fit what a session allows, and say what was not observable.",
+    "correct": "Turn raw recordings into rad/s and m/s2.",
+    "orient": "Initial tilt and strapdown: orientation, inclination, sagittal pitch.",
+    "validate": "Compare with an optical reference, in degrees.",
+    "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
+    "demo": "The whole flow on a small simulated session, as a report page.",
+}
+
+app = App(
+    name="undrift",
+    help="Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees.",
+    version=__version__,
+    help_format="plaintext",
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+)
+for _name, _help in COMMANDS.items():
+    app.command(f"undrift.cli.{_name}:{_name}", name=_name, help=_help)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The words after ``undrift``; those of this process by default.
+
+    Raises
+    ------
+    SystemExit
+        Always, with the exit code.
+    """
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The words after ``undrift``.
+
+    Returns
+    -------
+    int
+        0, 1, 2 or 3; 130 when interrupted.
+    """
+    try:
+        code = app(arguments, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        return complain(str(error).strip().splitlines()[0] + " Say undrift --help.", code=2)
+    except RigError as error:
+        return complain(str(error), code=3)
+    except UndriftError as error:
+        return complain(str(error), code=2)
+    except OSError as error:
+        return complain(f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions", code=2)
+    except KeyboardInterrupt:
+        return complain("stopped; nothing was left half written", code=130)
+    return code if isinstance(code, int) else 0
+
+
+def complain(message: str, *, code: int) -> int:
+    """Write one line to stderr and return the exit code.
+
+    Parameters
+    ----------
+    message : str
+        What was wanted, what came, what to do.
+    code : int
+        Exit code.
+
+    Returns
+    -------
+    int
+        The same code.
+    """
+    sys.stderr.write("undrift: " + " ".join(message.split()) + "\n")
+    return code
