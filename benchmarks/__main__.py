@@ -1,0 +1,46 @@
+"""Run every benchmarks/bench_*.py and print one table; exit with 1 where a gate is broken.
+
+``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``).
+"""
+
+import importlib
+import sys
+import time
+from pathlib import Path
+
+from benchmarks.figure import Figure
+
+
+def main(names: list[str]) -> int:
+    """Print the figures of the named benchmarks, or of all.
+
+    Parameters
+    ----------
+    names : list of str
+        Module names without ``bench_``; empty for all.
+
+    Returns
+    -------
+    int
+        0, or 1 where a gate is broken.
+    """
+    found = sorted(path.stem.removeprefix("bench_") for path in Path(__file__).parent.glob("bench_*.py"))
+    unknown = sorted(set(names) - set(found))
+    if unknown:
+        print(f"no benchmark named {', '.join(unknown)}; there are {', '.join(found)}", file=sys.stderr)
+        return 2
+    broken: list[str] = []
+    for name in names or found:
+        start = time.perf_counter()
+        figures: list[Figure] = importlib.import_module(f"benchmarks.bench_{name}").run()
+        print(f"\n{name}   ({time.perf_counter() - start:.0f} s)")
+        for figure in figures:
+            mark = "" if not figure.gate else "ok" if figure.passed else "BROKEN"
+            print(f"  {figure.label:<84} {figure.value:>10.4g} {figure.unit:<10} {figure.gate:<9} {mark}")
+        broken += [f"{name}: {figure.label}" for figure in figures if not figure.passed]
+    print(f"\n{len(broken)} gates broken" + "".join(f"\n  {line}" for line in broken))
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
