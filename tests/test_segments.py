@@ -1,0 +1,264 @@
+"""Still phases, plateaus, rotations and faces: on simulated records and on every kind of real one."""
+
+import gzip
+
+import numpy as np
+import pytest
+
+from data import data_path, show
+from undrift.errors import InputError
+from undrift.record import Record
+from undrift.segments import StillSettings, find_still, find_turns, label_faces, sliding_moments, still_means
+from undrift.session import Still
+
+FS = 100.0
+DPS = np.pi / 180.0
+
+
+def table(path, skip=0, delimiter=","):
+    with gzip.open(path, "rt") as file:
+        return np.genfromtxt(file, delimiter=delimiter, skip_header=skip)
+
+
+def xsens():
+    accel = table(data_path("multipos_xsens", "xsens_acc.txt.gz"), delimiter=None)
+    gyro = table(data_path("multipos_xsens", "xsens_gyro.txt.gz"), delimiter=None)
+    return Record(time=accel[:, 0], gyro=gyro[:, 1:], accel=accel[:, 1:], gyro_unit="count", accel_unit="count")
+
+
+def nilspod():
+    d = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
+    return Record(time=np.arange(len(d)) / 102.4, gyro=d[:, 1:4], accel=d[:, 4:7], gyro_unit="dps")
+
+
+def jig(name):
+    d = np.load(data_path("ratetable_jig", f"{name}.npz"))
+    return Record(time=d["t_imu"], gyro=d["gyro_bno_dps"], accel=d["acc_bno_g"], gyro_unit="dps", accel_unit="g")
+
+
+def worn(**change):
+    d = table(data_path("worn_lowback", "HA_001_Test11.csv.gz"), skip=1)
+    values = {"gyro": d[:, 4:7], "accel": d[:, 1:4], "gyro_unit": "dps", "accel_unit": "g", **change}
+    return Record(time=np.arange(len(d)) / 100.0, **values)
+
+
+def poses(rng, directions, noise=0.02, still_s=5.0, move_s=2.0):
+    """Hold each direction of gravity, then move to the next one at a rate of two rad/s about x."""
+    accel, gyro = [], []
+    for k, direction in enumerate(directions):
+        n = int(still_s * FS)
+        accel.append(np.tile(np.asarray(direction, float) * 9.81, (n, 1)))
+        gyro.append(np.zeros((n, 3)))
+        if k + 1 < len(directions):
+            m = int(move_s * FS)
+            phase = np.sin(np.linspace(0.0, np.pi, m))[:, None]
+            accel.append(np.linspace(direction, directions[k + 1], m) * 9.81 + 2.0 * phase)
+            gyro.append(np.array([[2.0, 0.0, 0.0]]) * phase)
+    accel, gyro = np.concatenate(accel), np.concatenate(gyro)
+    return Record(
+        time=np.arange(len(accel)) / FS,
+        accel=accel + noise * rng.standard_normal(accel.shape),
+        gyro=gyro + 0.1 * noise * rng.standard_normal(gyro.shape) + 0.05,
+    )
+
+
+def test_sliding_moments_equal_a_slow_loop():
+    values = np.random.default_rng(0).normal(5.0, 2.0, (60, 3))
+    mean, spread = sliding_moments(values, 10, 3)
+    smooth = np.array([values[k : k + 3].mean(axis=0) for k in range(58)])
+    windows = [smooth[k : k + 10] for k in range(49)]
+    np.testing.assert_allclose(mean, [w.mean(axis=0) for w in windows], atol=1e-12)
+    np.testing.assert_allclose(spread, [np.sqrt(w.var(axis=0).sum()) for w in windows], atol=1e-10)
+
+
+def test_a_window_that_touches_a_gap_is_never_still():
+    values = np.zeros((50, 3))
+    values[25, 1] = np.nan
+    _, spread = sliding_moments(values, 10, 1)
+    assert np.isinf(spread[16:26]).all()
+    assert np.isfinite(spread[:16]).all()
+    assert np.isfinite(spread[26:]).all()
+
+
+def test_held_poses_are_found_where_they_are_and_the_motion_between_is_not():
+    record = poses(np.random.default_rng(1), [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1)])
+    found = find_still(record)
+    assert len(found.stills) == 6
+    assert found.reason == ""
+    for k, still in enumerate(found.stills):
+        start, stop = 700 * k, 700 * k + 500
+        assert start <= still.start <= start + 70
+        assert stop - 70 <= still.stop <= stop
+
+
+def test_a_record_that_never_moves_is_one_still_phase():
+    rng = np.random.default_rng(2)
+    record = Record(time=np.arange(6000) / FS, gyro=rng.normal(3.0, 0.5, (6000, 3)), gyro_unit="count")
+    found = find_still(record)
+    assert [(s.start, s.stop) for s in found.stills] == [(0, 6000)]
+    assert found.thresholds[0].basis == "all still"
+
+
+def test_a_threshold_can_be_given_and_is_reported_with_its_unit():
+    record = poses(np.random.default_rng(3), [(1, 0, 0), (0, 1, 0)])
+    found = find_still(record, StillSettings(gyro_threshold=0.01, accel_threshold=0.1))
+    assert [(t.channel, t.value, t.unit, t.basis) for t in found.thresholds] == [
+        ("gyro", 0.01, "rad/s", "given"),
+        ("accel", 0.1, "m/s2", "given"),
+    ]
+    assert len(found.stills) == 2
+    nothing = find_still(record, StillSettings(gyro_threshold=1e-9, accel_threshold=0.1))
+    assert nothing.stills == ()
+    assert "no stretch below the thresholds lasts 1 s" in nothing.reason
+
+
+def test_a_record_shorter_than_a_window_says_so():
+    record = Record(time=np.arange(50) / FS, gyro=np.zeros((50, 3)))
+    with pytest.raises(
+        InputError, match=r"wanted a record longer than one window of 1 s, got 0\.49 s; shorten window_s"
+    ):
+        find_still(record)
+
+
+def test_a_plain_steady_turn_about_the_vertical_is_a_plateau_and_not_a_still_phase():
+    rng = np.random.default_rng(4)
+    rate = np.concatenate(
+        [np.zeros(800), np.full(800, 20.0), np.zeros(800), np.full(800, 25.0), np.full(800, 26.5), np.zeros(800)]
+    )
+    gyro = np.column_stack((np.zeros_like(rate), np.zeros_like(rate), rate)) + rng.normal(1.0, 0.05, (len(rate), 3))
+    record = Record(time=np.arange(len(rate)) / FS, gyro=gyro, gyro_unit="dps")
+    found = find_still(record)
+    assert len(found.stills) == 3
+    assert all(np.abs(rate[s.start : s.stop]).max() == 0.0 for s in found.stills)
+    turns = find_turns(record, found.stills)
+    assert [t.axis for t in turns.plateaus] == ["z", "z", "z"]
+    # 800 samples of 0.05 deg/s noise, smoothed: means are good to 0.002 deg/s; 0.01 is five sigma
+    np.testing.assert_allclose(turns.plateau_rate[:, 2], [20.0, 25.0, 26.5], atol=0.01)
+
+
+def test_rotations_between_stills_carry_their_angle():
+    record = poses(np.random.default_rng(5), [(1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    turns = find_turns(record, find_still(record).stills)
+    assert [t.axis for t in turns.rotations] == ["x", "x"]
+    # half a sine of 2 rad/s over 2 s: 2 * 2 / (pi / 2) rad
+    np.testing.assert_allclose(turns.rotation_angle[:, 0], 8.0 / np.pi, rtol=0.01)
+
+
+def test_turns_need_a_gyroscope_and_faces_an_accelerometer():
+    time = np.arange(500) / FS
+    with pytest.raises(InputError, match="wanted a gyroscope, got a record without; map the gyro columns"):
+        find_turns(Record(time=time, accel=np.zeros((500, 3))), ())
+    with pytest.raises(InputError, match="wanted an accelerometer, got a record without; map the accel columns"):
+        label_faces(Record(time=time, gyro=np.zeros((500, 3))), (Still(start=0, stop=100),))
+
+
+def test_faces_are_named_after_the_axis_that_points_up_and_free_poses_are_not():
+    directions = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (0.6, 0.8, 0.0)]
+    record = poses(np.random.default_rng(6), directions)
+    named = label_faces(record, find_still(record).stills)
+    assert [s.face for s in named] == ["+x", "-x", "+y", "-y", "+z", "-z", None]
+    counts = Record(time=record.time, accel=record.accel * 400.0 + 32768.0, accel_unit="count")
+    assert [s.face for s in label_faces(counts, named)] == ["+x", "-x", "+y", "-y", "+z", "-z", None]
+    with pytest.raises(InputError, match="wanted five poses or more to find the zero of readings in counts, got 2"):
+        label_faces(counts, named[:2])
+
+
+def test_a_phase_that_is_all_gap_has_no_mean():
+    values = np.full((10, 3), np.nan)
+    with pytest.raises(InputError, match=r"still \[0, 10\): wanted readings, got nothing but gaps"):
+        still_means(values, (Still(start=0, stop=10),))
+
+
+def test_the_xsens_session_opens_with_its_long_standstill_and_holds_38_phases():
+    record = xsens()
+    found = find_still(record)
+    show("xsens still phases", len(found.stills), "38, +- 1")
+    show("xsens first phase ends, s", record.time[found.stills[0].stop - 1], "51.5 +- 1")
+    assert 37 <= len(found.stills) <= 39
+    assert found.stills[0].start == 0
+    assert record.time[found.stills[0].stop - 1] == pytest.approx(51.5, abs=1.0)
+    assert {t.unit for t in found.thresholds} == {"count"}
+
+
+@pytest.mark.parametrize("unit", [0, 1, 2])
+def test_the_hand_held_mpu9150_sessions_hold_17_to_22_phases(unit):
+    d = table(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), delimiter=None)
+    found = find_still(Record(time=np.arange(len(d)) / FS, accel=d[:, :3], gyro=d[:, 3:6]))
+    show(f"imu{unit} still phases", len(found.stills), "17..22")
+    assert 17 <= len(found.stills) <= 22
+
+
+@pytest.mark.parametrize("missing", ["", "gyro", "accel"])
+def test_the_hand_held_ferraris_session_shows_six_faces_and_three_full_turns(missing):
+    record = nilspod()
+    if missing:
+        record = Record(
+            time=record.time,
+            gyro=None if missing == "gyro" else record.gyro,
+            accel=None if missing == "accel" else record.accel,
+            gyro_unit="dps",
+        )
+    found = find_still(record)
+    show(f"ferraris still phases without {missing or 'nothing'}", len(found.stills), 13)
+    assert len(found.stills) == 13
+    if missing != "gyro":
+        turns = find_turns(record, found.stills)
+        full = np.abs(turns.rotation_angle).max(axis=1) > 300.0
+        assert [t.axis for t, is_full in zip(turns.rotations, full, strict=True) if is_full] == ["x", "y", "z"]
+        largest = np.sort(np.abs(turns.rotation_angle).max(axis=1))[-3:]
+        show("integrals of the three turns, deg", largest, "353.7 359.4 370.0 +- 0.5")
+        np.testing.assert_allclose(largest, [353.7, 359.4, 370.0], atol=0.5)
+    if missing != "accel":
+        assert {s.face for s in label_faces(record, found.stills)} == {"+x", "-x", "+y", "-y", "+z", "-z"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["02_undisturbed_slow_rotation_B", "03_undisturbed_slow_rotation_C", "32_disturbed_attached_magnet_1cm"],
+)
+def test_the_broad_trials_rest_before_and_after_the_motion(name):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(data_path("broad", f"{name}.hdf5")) as file:
+        gyro, accel, moving = file["imu_gyr"][:], file["imu_acc"][:], file["movement"][:]
+    record = Record(time=np.arange(len(gyro)) / 285.714, gyro=gyro, accel=accel)
+    stills = find_still(record).stills
+    lengths = [record.time[s.stop - 1] - record.time[s.start] for s in stills]
+    show(f"{name[:2]} rests, s", np.round(lengths, 1), "26..48 before, 21..46 after")
+    assert len(stills) == 2
+    assert 26.0 <= lengths[0] <= 48.0
+    assert 21.0 <= lengths[1] <= 46.0
+    assert not any(moving[s.start : s.stop].any() for s in stills)
+
+
+@pytest.mark.parametrize("name", ["giro_test_filt", "giro_test_non_filt"])
+def test_the_rate_table_steps_are_seven_plateaus_about_y_and_none_is_still(name):
+    record = jig(name)
+    stills = find_still(record).stills
+    turns = find_turns(record, stills)
+    show(f"{name} plateaus, deg/s", np.round(turns.plateau_rate[:, 1], 1), "60 120 180 240 360 540 720 within 1 %")
+    assert all(np.abs(record.gyro[s.start : s.stop]).max() < 5.0 for s in stills)
+    assert [t.axis for t in turns.plateaus] == ["y"] * 7
+    np.testing.assert_allclose(turns.plateau_rate[:, 1], [60, 120, 180, 240, 360, 540, 720], rtol=0.01)
+
+
+def test_the_warm_up_and_the_static_log_are_one_long_still_phase_each():
+    d = table(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), skip=1)
+    time = d[:, -1] / 1000.0
+    forward = np.concatenate(([True], np.diff(time) > 0.0))
+    warm = Record(time=time[forward], gyro=d[forward, 3:6], accel=d[forward, :3], gyro_unit="count", accel_unit="count")
+    d = table(data_path("static_mpu6050", "example_data_tinit_calc.csv.gz"), skip=5)
+    static = Record(time=np.arange(len(d)) / FS, gyro=d[:, 3:], accel=d[:, :3], gyro_unit="count", accel_unit="count")
+    for record in (warm, static):
+        assert [(s.start, s.stop) for s in find_still(record).stills] == [(0, len(record))]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{}, {"gyro": None}, {"accel": None}, {"gyro_unit": "count", "accel_unit": "count"}],
+    ids=["all", "accel alone", "gyro alone", "units unknown"],
+)
+def test_a_worn_sensor_has_no_still_phase_and_none_is_invented(change):
+    found = find_still(worn(**change))
+    show("worn", found.reason)
+    assert found.stills == ()
+    assert found.reason.startswith("no still phase: the quietest 1 s windows wander by")
