@@ -1,0 +1,315 @@
+"""From a table and a map to a Record: units, time, and every check that a reader owes.
+
+Limits below are what no wearable sensor reads; they catch a broken cell, not a wrong scale (that is for ``describe``).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import QUANTITY, Channel, ColumnMap, Scale
+from undrift.io.table import Table
+from undrift.record import Record, sample_rate_of
+from undrift.units import Quantity, si_factor
+
+# Largest believable size of a reading, in its own unit.
+_LARGEST: dict[tuple[Quantity, str], float] = {
+    ("rate", "rad/s"): 500.0,
+    ("rate", "dps"): 30_000.0,
+    ("accel", "m/s2"): 20_000.0,
+    ("accel", "g"): 2_000.0,
+    ("accel", "mg"): 2_000_000.0,
+    ("temp", "degc"): 300.0,
+    ("mag", "ut"): 100_000.0,
+}
+_DEVICE_LARGEST = {"count": 2.0**24, "v": 1000.0}
+_RATE_AGREES = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Built:
+    """A record and what was left out to make it.
+
+    Parameters
+    ----------
+    record : Record
+        The readings.
+    dropped_rows : int
+        Rows that did not parse.
+    repaired_rows : int
+        Rows whose time did not go forward.
+    """
+
+    record: Record
+    dropped_rows: int = 0
+    repaired_rows: int = 0
+
+
+def build_record(table: Table, columns: ColumnMap) -> Record:
+    """Return the record that a table holds.
+
+    Parameters
+    ----------
+    table : Table
+        Columns as in the file.
+    columns : ColumnMap
+        Which is which.
+
+    Returns
+    -------
+    Record
+        Time in s, temp_c in degC, mag_ut in uT, gyro and accel in the unit of the map.
+
+    Raises
+    ------
+    InputError
+        A column that is not there, NaN where gaps are refused, time that does not go forward, a stated rate that the time
+        column denies, two rates in one file.
+    FileFormatError
+        Text or infinity in a number column, values no sensor reads, fewer than two rows.
+    """
+    return build(table, columns).record
+
+
+def build(table: Table, columns: ColumnMap) -> Built:
+    """Return the record that a table holds, and the count of rows left out.
+
+    Parameters
+    ----------
+    table : Table
+        Columns as in the file.
+    columns : ColumnMap
+        Which is which.
+
+    Returns
+    -------
+    Built
+        Record and counts.
+
+    Raises
+    ------
+    InputError
+        As :func:`build_record`.
+    """
+    if len(table) < 2:
+        raise FileFormatError(f"{table.source}: wanted two rows or more, got {len(table)}; the file holds no recording")
+    time = _time(table, columns)
+    keep = _forward(table, time, columns)
+    values = {channel: _channel(table, columns, channel) for channel in columns.mapped() if channel != "time"}
+    repaired = 0
+    if keep is not None:
+        repaired = int((~keep).sum())
+        time = time[keep]
+        values = {channel: value[keep] for channel, value in values.items()}
+    _check_rate(table, time, columns)
+    temp = values.get("temp")
+    record = Record(
+        time=time,
+        gyro=values.get("gyro"),
+        accel=values.get("accel"),
+        temp_c=None if temp is None else temp[:, 0],
+        mag_ut=values.get("mag"),
+        gyro_unit=columns.unit_of("gyro") if columns.gyro else "rad/s",
+        accel_unit=columns.unit_of("accel") if columns.accel else "m/s2",
+        frame=columns.frame,
+        state=columns.state,
+        device=columns.device,
+    )
+    return Built(record=record, dropped_rows=table.dropped, repaired_rows=repaired)
+
+
+def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
+    """Return the record with a temperature that was sampled on its own clock rate.
+
+    Linear between its samples, held at the first and last value outside them.
+
+    Parameters
+    ----------
+    record : Record
+        Any record.
+    time : array, shape (M,)
+        s, on the record's clock, increasing.
+    temp_c : array, shape (M,)
+        degC; NaN left out.
+
+    Returns
+    -------
+    Record
+        With temp_c of the record's length.
+
+    Raises
+    ------
+    InputError
+        No temperature at all.
+    """
+    known = np.isfinite(time) & np.isfinite(temp_c)
+    if not known.any():
+        raise InputError("temperature: wanted one reading or more, got none; leave the temperature file out")
+    order = np.argsort(time[known], kind="stable")
+    return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
+
+
+def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
+    """Return the scaled values of one channel, shape (N, 1 or 3), in the unit Record wants."""
+    wanted = columns.columns_of(channel)
+    if len(wanted) == 1 and channel not in ("time", "temp"):
+        wanted = _axes_of(table, str(wanted[0]))
+    scale = columns.scale_of(channel)
+    unit = columns.unit_of(channel)
+    factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
+    limit = _DEVICE_LARGEST.get(unit) or _LARGEST[QUANTITY[channel], "ut" if channel == "mag" else unit]
+    out = np.empty((len(table), len(wanted)))
+    for k, column in enumerate(wanted):
+        values = table.numbers(column)
+        if scale is not None or factor != 1.0:
+            values = _scaled(values, scale, k) * factor
+        _check_values(table, table.names[table.position(column)], values, limit, unit, columns)
+        out[:, k] = values
+    return out
+
+
+def _axes_of(table: Table, name: str) -> tuple[str, ...]:
+    """Return the three columns of a two-dimensional array of an npz or mat file."""
+    axes = tuple(f"{name}[{k}]" for k in range(3))
+    if axes[2] not in table.names or f"{name}[3]" in table.names:
+        raise InputError(
+            f"{table.source}: wanted an array {name!r} of shape (N, 3), got none; it holds {', '.join(table.names[:16])}"
+        )
+    return axes
+
+
+def _scaled(values: FloatArray, scale: Scale | None, axis: int) -> FloatArray:
+    if scale is None:
+        return values
+    gain = scale.gain[axis] if isinstance(scale.gain, tuple) else scale.gain
+    offset = scale.offset[axis] if isinstance(scale.offset, tuple) else scale.offset
+    return gain * values + offset
+
+
+def _check_values(table: Table, name: str, values: FloatArray, limit: float, unit: str, columns: ColumnMap) -> None:
+    low, high = float(values.min()), float(values.max())  # NaN passes through both
+    if low >= -limit and high <= limit:
+        return
+    gap = np.isnan(values)
+    if gap.any() and columns.gaps == "raise":
+        row = table.row(int(np.flatnonzero(gap)[0]))
+        raise InputError(
+            f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
+            f'data row {row}{_period(gap)}; set gaps = "keep" to keep them as gaps',
+            row=row,
+        )
+    if gap.all():
+        raise FileFormatError(
+            f"{table.source}: column {name!r}: wanted numbers, got only empty cells; check the mapping"
+        )
+    wild = np.flatnonzero(np.abs(np.where(gap, 0.0, values)) > limit)
+    if len(wild):
+        row = table.row(int(wild[0]))
+        raise FileFormatError(
+            f"{table.source}: column {name!r}: wanted readings up to {limit:g} {unit}, got {values[wild[0]]:g} in data row {row} "
+            f"({len(wild)} such); repair the row or check unit and scale",
+            row=row,
+        )
+
+
+def _period(gap: BoolArray) -> str:
+    """Name a channel that is empty in a regular pattern: it runs at a lower rate."""
+    filled = np.flatnonzero(~gap)
+    if len(filled) > 2 and len(np.unique(steps := np.diff(filled))) == 1 and steps[0] > 1:
+        return f" (filled in every {steps[0]}th row only: two rates in one file; export each rate to its own file)"
+    return ""
+
+
+def _time(table: Table, columns: ColumnMap) -> FloatArray:
+    if columns.time is None:
+        rows = np.arange(len(table)) if table.rows is None else table.rows - table.rows[0]
+        return rows / (columns.sample_rate_hz or np.nan)  # ColumnMap has seen to it that the rate is there
+    time = table.numbers(columns.time)
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        row = table.row(int(bad[0]))
+        raise InputError(
+            f"{table.source}: time column {columns.time!r}: wanted a number in every row, got {len(bad)} empty or NaN cells, "
+            f"first in data row {row}; repair the file",
+            row=row,
+        )
+    factor = si_factor(columns.unit_of("time"), "time")
+    return time if factor == 1.0 else time * factor
+
+
+def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | None:
+    """Return the rows whose time goes forward, None when all do."""
+    steps = np.diff(time)
+    if (steps > 0.0).all():
+        return None
+    row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
+    if columns.repair_time:
+        latest = np.maximum.accumulate(time)
+        keep = np.concatenate(([True], time[1:] > latest[:-1]))
+        if keep.sum() >= 0.5 * len(time):
+            return keep
+        raise InputError(
+            f"{table.source}: time column {columns.time!r}: wanted time that mostly goes forward, got {int((~keep).sum())} of "
+            f"{len(time)} rows to drop; check that this is the time column"
+        )
+    kind = "doubled" if steps[row - 1] == 0.0 else "backward"
+    raise InputError(
+        f"{table.source}: time column {columns.time!r}: wanted strictly increasing time, got {int((steps <= 0).sum())} steps back "
+        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); set repair_time "
+        "to drop such rows",
+        row=table.row(row),
+    )
+
+
+def _check_rate(table: Table, time: FloatArray, columns: ColumnMap) -> None:
+    if columns.time is None or len(time) < 2:
+        return
+    stated, held = columns.sample_rate_hz, sample_rate_of(time)
+    mean = (len(time) - 1) / float(time[-1] - time[0])
+    if stated is not None and min(abs(held / stated - 1.0), abs(mean / stated - 1.0)) > _RATE_AGREES:
+        raise InputError(
+            f"{table.source}: wanted {stated:g} Hz as stated, got {held:.4g} Hz from time column {columns.time!r}; correct "
+            "sample_rate_hz or units.time"
+        )
+    rates = two_rates(time)
+    if rates is not None:
+        raise InputError(
+            f"{table.source}: wanted one sample rate, got {rates[0]:.4g} Hz and then {rates[1]:.4g} Hz from {rates[2]:.6g} s on; "
+            "cut the file there and read each part by itself"
+        )
+
+
+def two_rates(time: FloatArray) -> tuple[float, float, float] | None:
+    """Find a lasting change of the sample rate.
+
+    Steps are taken in blocks; a file has two rates when steady blocks (quartiles within 10 % of their median) have medians
+    that differ by more than 10 % . Jitter and drop-outs alone make no such blocks.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        s, increasing.
+
+    Returns
+    -------
+    tuple of float, or None
+        First rate Hz, other rate Hz, and the time s where the other begins.
+    """
+    size = max(16, (len(time) - 1) // 64)
+    count = (len(time) - 1) // size
+    every = np.diff(time)
+    if count < 4 or every.max() < 1.1 * every.min():
+        return None
+    steps = every[: count * size].reshape(count, size)
+    low, middle, high = np.quantile(steps, (0.25, 0.5, 0.75), axis=1)
+    steady = np.flatnonzero((high - low) < 0.1 * middle)
+    if len(steady) < 4:
+        return None
+    medians = middle[steady]
+    other = np.abs(medians / medians[0] - 1.0) > 0.1
+    if other.sum() < 2 or (~other).sum() < 2:
+        return None
+    first = steady[int(np.flatnonzero(other)[0])]
+    return 1.0 / float(medians[0]), 1.0 / float(middle[first]), float(time[first * size])
