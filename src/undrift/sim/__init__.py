@@ -7,6 +7,7 @@ each effect draws from a stream of its own.
 from undrift.sim.device.device import SimulatedDevice, SimulatedThermometer, SimulatedTriad
 from undrift.sim.device.random import Grade, TriadGrade, random_device
 from undrift.sim.device.read import Reading, read
+from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.library import draw_task
 from undrift.sim.optics import OpticsSettings, see
@@ -31,4 +32,5 @@ __all__ = [
     "see",
     "simulate_session",
     "simulate_trial",
+    "true_calibration",
 ]

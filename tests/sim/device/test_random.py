@@ -1,0 +1,44 @@
+"""Random devices spread as their grade says, and one property's draw does not move another's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from undrift.errors import InputError
+from undrift.sim import random_device
+from undrift.sim.device.random import grade_named
+
+
+def test_the_same_seed_gives_the_same_device() -> None:
+    one, two = random_device(np.random.default_rng(5)), random_device(np.random.default_rng(5))
+    assert one.serial == two.serial
+    np.testing.assert_array_equal(one.gyro.forward_matrix, two.gyro.forward_matrix)
+
+
+@pytest.mark.parametrize("name", ["consumer", "industrial", "wearable"])
+def test_units_spread_as_the_grade_says(name: str) -> None:
+    grade = grade_named(name).gyro  # type: ignore[arg-type]
+    rng = np.random.default_rng(6)
+    units = [random_device(rng, grade=name).gyro for _ in range(400)]  # type: ignore[arg-type]
+    offsets = np.concatenate([unit.offset for unit in units])
+    gains = np.concatenate([unit.sensitivity for unit in units]) / grade.sensitivity - 1.0
+    error = 4.0 / np.sqrt(2.0 * 1200)  # four standard errors of a standard deviation
+    assert np.std(offsets) == pytest.approx(grade.offset_sd, rel=error)
+    assert np.std(gains) == pytest.approx(grade.sensitivity_sd, rel=error)
+    leans = np.concatenate([(unit.axes / np.diag(unit.axes)[:, None])[~np.eye(3, dtype=bool)] for unit in units])
+    assert np.std(leans) == pytest.approx(grade.misalignment_sd, rel=4.0 / np.sqrt(2.0 * 2400))
+
+
+def test_a_wider_tolerance_of_one_property_leaves_the_others_as_they_were() -> None:
+    grade = grade_named("consumer")
+    wide = replace(grade, gyro=replace(grade.gyro, misalignment_sd=0.1))
+    one, two = (random_device(np.random.default_rng(7), grade=g) for g in (grade, wide))
+    np.testing.assert_array_equal(one.gyro.offset, two.gyro.offset)
+    np.testing.assert_array_equal(one.accel.axes, two.accel.axes)
+    assert not np.array_equal(one.gyro.axes, two.gyro.axes)
+
+
+def test_a_grade_that_is_not_one_is_refused() -> None:
+    with pytest.raises(InputError, match="wanted consumer, industrial or wearable, got 'gold'"):
+        random_device(np.random.default_rng(1), grade="gold")  # type: ignore[arg-type]

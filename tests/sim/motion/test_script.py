@@ -1,0 +1,128 @@
+"""Bench motions are exact: rate, force and orientation belong to one another."""
+
+import math
+
+import numpy as np
+import pytest
+
+from undrift.errors import InputError
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.orientation.strapdown import integrate_strapdown
+from undrift.session import FACES
+from undrift.sim import BenchSettings, bench_motion
+from undrift.sim.motion.script import facing, unit_vector
+
+KINDS = ("six_face", "rate_table", "bench", "ferraris", "multi_position")
+FEW_RATES = (0.2, 1.0)
+
+
+def short(kind: str, **changes: object) -> BenchSettings:
+    return BenchSettings(**{"still_s": 1.0, "first_still_s": 2.0, "poses": 6, "turn_rates": FEW_RATES, **changes})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_integrating_the_mean_rate_gives_back_the_orientation(kind: str) -> None:
+    motion = bench_motion(kind, rng=np.random.default_rng(3), settings=short(kind))  # type: ignore[arg-type]
+    q = integrate_strapdown(motion.mean_rate_b, motion.time, motion.q_nb[0])
+    sine = np.linalg.norm(quaternion_product(quaternion_conjugate(motion.q_nb), q)[:, 1:], axis=1)
+    assert sine.max() < 1e-12  # rounding of some thousand products
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_rate_is_the_derivative_of_the_orientation(kind: str) -> None:
+    worst = []
+    for sample_rate_hz in (100.0, 200.0):
+        settings = short(kind, sample_rate_hz=sample_rate_hz)
+        motion = bench_motion(kind, rng=np.random.default_rng(3), settings=settings)  # type: ignore[arg-type]
+        slope = (motion.q_nb[2:] - motion.q_nb[:-2]) * (0.5 * sample_rate_hz)
+        numeric = 2.0 * quaternion_product(quaternion_conjugate(motion.q_nb[1:-1]), slope)[:, 1:]
+        worst.append(np.abs(numeric - motion.rate_b[1:-1]).max())
+    assert worst[0] < 2e-3
+    assert worst[1] < 0.35 * worst[0]  # a central difference errs by the square of its step: 1/4
+
+
+def test_force_turns_with_the_case_and_swings_with_the_lever_arm() -> None:
+    arm = np.array([0.10, -0.05, 0.02])
+    worst = []
+    for sample_rate_hz in (200.0, 400.0):
+        settings = short("rate_table", sample_rate_hz=sample_rate_hz, lever_arm_b=tuple(arm))
+        motion = bench_motion("rate_table", rng=np.random.default_rng(3), settings=settings)
+        position = rotate(motion.q_nb, np.broadcast_to(arm, (len(motion), 3)))
+        push = (position[2:] - 2.0 * position[1:-1] + position[:-2]) * sample_rate_hz**2
+        wanted = rotate(quaternion_conjugate(motion.q_nb[1:-1]), push + np.array([0.0, 0.0, motion.gravity_m_s2]))
+        worst.append(np.abs(wanted - motion.force_b[1:-1]).max())
+    assert worst[0] < 2e-3  # second difference of a quintic: jerk jumps at piece ends
+    assert worst[1] < 0.6 * worst[0]
+
+
+def test_each_face_reads_plus_g_on_the_axis_that_points_up() -> None:
+    motion = bench_motion("six_face", rng=np.random.default_rng(4), settings=short("six_face"))
+    assert tuple(still.face for still in motion.stills) == FACES
+    for still in motion.stills:
+        force = motion.force_b[still.start : still.stop]
+        np.testing.assert_allclose(
+            force, np.tile(motion.gravity_m_s2 * unit_vector(still.face), (len(force), 1)), atol=1e-12
+        )  # type: ignore[arg-type]
+
+
+def test_tilted_faces_keep_the_length_of_gravity_and_spread_as_asked() -> None:
+    tilt = math.radians(0.5)
+    across = []
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        motion = bench_motion("six_face", rng=rng, settings=short("six_face", tilt_sd=tilt, sample_rate_hz=10.0))
+        for still in motion.stills:
+            force = motion.force_b[still.start]
+            assert abs(np.linalg.norm(force) - motion.gravity_m_s2) < 1e-12
+            across.extend(force[np.abs(unit_vector(still.face)) < 0.5] / motion.gravity_m_s2)  # type: ignore[arg-type]
+    assert len(across) == 1200
+    assert abs(np.std(across) / tilt - 1.0) < 4.0 / math.sqrt(2400.0)  # four standard errors of a standard deviation
+
+
+def test_table_dwells_hold_their_achieved_rate_about_the_axis_that_points_up() -> None:
+    motion = bench_motion("rate_table", rng=np.random.default_rng(6), settings=short("rate_table"))
+    assert [turn.turn_rate for turn in motion.turns] == [0.2, -0.2, 1.0, -1.0] * 3
+    for turn in motion.turns:
+        cut = slice(turn.start, turn.stop)
+        wanted = turn.turn_rate * unit_vector(turn.axis)  # type: ignore[arg-type,operator]
+        np.testing.assert_allclose(motion.rate_b[cut], np.tile(wanted, (turn.stop - turn.start, 1)), atol=1e-13)
+        up = motion.force_b[cut] @ unit_vector(turn.axis)  # type: ignore[arg-type]
+        np.testing.assert_allclose(up, motion.gravity_m_s2, rtol=1e-12)
+
+
+def test_the_table_in_rome_feels_the_earth_turn() -> None:
+    settings = short("rate_table", latitude_deg=41.9)
+    motion = bench_motion("rate_table", rng=np.random.default_rng(6), settings=settings)
+    for turn in motion.turns:
+        about = motion.rate_b[turn.start : turn.stop] @ unit_vector(turn.axis) - turn.turn_rate  # type: ignore[arg-type]
+        np.testing.assert_allclose(about, 7.292115e-5 * math.sin(math.radians(41.9)), rtol=1e-9)
+
+
+def test_hand_turns_sum_to_the_angle_and_are_anything_but_steady() -> None:
+    motion = bench_motion("ferraris", rng=np.random.default_rng(7), settings=short("ferraris"))
+    assert len(motion.turns) == 3
+    for turn in motion.turns:
+        rate = motion.rate_b[turn.start : turn.stop] @ unit_vector(turn.axis)  # type: ignore[arg-type]
+        assert abs(rate.sum() / 100.0 - 2.0 * math.pi) < 1e-8  # rectangle rule, flat at both ends: h^4 is left
+        assert rate.max() > 1.3 * rate.mean()
+        assert rate.min() >= 0.0
+
+
+def test_poses_of_a_hand_held_session_reach_all_round() -> None:
+    motion = bench_motion("multi_position", rng=np.random.default_rng(8), settings=BenchSettings(poses=40, still_s=0.5))
+    up = np.array([motion.force_b[still.start] for still in motion.stills]) / motion.gravity_m_s2
+    assert len(up) == 40
+    assert np.linalg.eigvalsh(up.T @ up / 40)[0] > 0.15  # 1/3 for an even spread
+    assert motion.stills[0].stop - motion.stills[0].start == 2000
+
+
+def test_facing_turns_upside_down_and_leaves_alone_what_is_right() -> None:
+    q = np.array([1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(facing(q, np.array([0.0, 0.0, 2.0])), q, atol=1e-15)
+    turned = facing(q, np.array([0.0, 0.0, -1.0]))
+    np.testing.assert_allclose(rotate(quaternion_conjugate(turned), np.array([0.0, 0.0, 1.0])), [0, 0, -1], atol=1e-15)
+
+
+def test_a_bench_that_is_not_one_is_refused() -> None:
+    with pytest.raises(InputError, match="wanted one of six_face, rate_table"):
+        bench_motion("tumble", rng=np.random.default_rng(0))  # type: ignore[arg-type]
