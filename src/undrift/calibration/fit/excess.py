@@ -1,0 +1,52 @@
+"""Excess variance: what the residuals show beyond the noise that was put in.
+
+::
+
+    sum r_k^2 / (v_k + s2) = degrees of freedom,   s2 >= 0
+
+The stated variances v_k know the noise within a still. Hands that sway, a table that is not quite still, a nonlinearity:
+these move whole poses and show only in the residuals. s2 is what makes the weighted sum of squares equal its expectation [1]_.
+
+References
+----------
+.. [1] R. C. Paule and J. Mandel, "Consensus values and weighting factors", J. Res. NBS 87, 1982, 377-385.
+"""
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+
+
+def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: int) -> float:
+    """Return the common variance to add so that residuals and variances agree.
+
+    Parameters
+    ----------
+    residuals : array, shape (E,)
+        Residuals of a fit, uncorrelated.
+    variances : array, shape (E,)
+        Variances they should have, square of their unit; zeros where nothing is known.
+    freedom : int
+        Equations less parameters.
+
+    Returns
+    -------
+    float
+        s2, square of the residuals' unit; 0 where the residuals are no larger than stated, or where none are to spare.
+    """
+    square = residuals**2
+    if freedom <= 0 or not square.any():
+        return 0.0
+    high = float(square.sum()) / freedom  # there the weighted sum is at most the degrees of freedom
+    low = 0.0
+    if (variances > 0.0).all() and float((square / variances).sum()) <= freedom:
+        return 0.0
+    if float(np.ptp(variances)) == 0.0:
+        return high - float(variances[0])
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if float((square / np.maximum(variances + middle, 1e-300)).sum()) > freedom:
+            low = middle
+        else:
+            high = middle
+    return high
