@@ -12,14 +12,15 @@ UPPER = np.triu_indices(3)
 SEEN = [0, 1, 2, 4, 5, 8, 9, 10, 11]  # of m_xx .. m_zz, offsets
 
 
-def pose_means(device: SimulatedDevice, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return mean readings and true directions (K, 3) of the poses of one session, and samples in each mean."""
+def pose_means(device: SimulatedDevice, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mean readings and true directions (K, 3) of the poses of one session, and samples in each (K, 1)."""
     motion = bench_motion("multi_position", rng=rng, settings=SETTINGS)
     reading = read(device, motion, rng=rng).record.accel
     assert reading is not None
     means = np.array([reading[s.start : s.stop].mean(axis=0) for s in motion.stills])
     up = np.array([motion.force_b[s.start] for s in motion.stills]) / STANDARD_GRAVITY
-    return means, up, motion.stills[0].stop - motion.stills[0].start
+    samples = np.array([[s.stop - s.start] for s in motion.stills])
+    return means, up, samples
 
 
 def triangular_truth(device: SimulatedDevice) -> tuple[np.ndarray, np.ndarray]:
@@ -43,7 +44,7 @@ def bound(p: np.ndarray, up: np.ndarray, sd: np.ndarray) -> np.ndarray:
     theta = np.concatenate((p, np.arctan2(up[:, 1], up[:, 0]), np.arcsin(up[:, 2])))
     steps = np.concatenate((np.full(6, 1e-4 * p[0]), np.full(3, 1e-2), np.full(2 * poses, 1e-5)))
     design = jacobian(lambda t: forward(t, poses), theta, steps)
-    fisher = information(design, np.tile(sd**2, poses))
+    fisher = information(design, (sd**2).ravel())
     return carried(lambda x: x, p, 1.0, cramer_rao(fisher, 9))
 
 
@@ -66,7 +67,7 @@ def test_error_of_a_thousand_devices_reaches_the_bound_and_its_intervals_hold() 
         means, up, samples = pose_means(device, rng)
         sd = device.accel.sensitivity * device.accel.random_walk * np.sqrt(SETTINGS.sample_rate_hz / samples)
         p, turn = triangular_truth(device)
-        fit = fit_poses(means, gravity=STANDARD_GRAVITY, standard_errors=np.tile(sd, (len(means), 1))).model
+        fit = fit_poses(means, gravity=STANDARD_GRAVITY, standard_errors=sd).model
         error = np.concatenate((fit.matrix[UPPER], fit.offset)) - p
         tally.add(error, bound(p, up @ turn.T, sd), fit.standard_uncertainty[SEEN])
     tally.check()

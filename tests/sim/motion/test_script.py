@@ -85,7 +85,8 @@ def test_table_dwells_hold_their_achieved_rate_about_the_axis_that_points_up() -
     for turn in motion.turns:
         cut = slice(turn.start, turn.stop)
         wanted = turn.turn_rate * unit_vector(turn.axis)  # type: ignore[arg-type,operator]
-        np.testing.assert_allclose(motion.rate_b[cut], np.tile(wanted, (turn.stop - turn.start, 1)), atol=1e-13)
+        for rate in (motion.rate_b, motion.mean_rate_b):
+            np.testing.assert_allclose(rate[cut], np.tile(wanted, (turn.stop - turn.start, 1)), atol=1e-12)
         up = motion.force_b[cut] @ unit_vector(turn.axis)  # type: ignore[arg-type]
         np.testing.assert_allclose(up, motion.gravity_m_s2, rtol=1e-12)
 
@@ -102,6 +103,8 @@ def test_hand_turns_sum_to_the_angle_and_are_anything_but_steady() -> None:
     motion = bench_motion("ferraris", rng=np.random.default_rng(7), settings=short("ferraris"))
     assert len(motion.turns) == 3
     for turn in motion.turns:
+        mean = motion.mean_rate_b[turn.start : turn.stop] @ unit_vector(turn.axis)  # type: ignore[arg-type]
+        assert abs(mean.sum() / 100.0 - 2.0 * math.pi) < 1e-12
         rate = motion.rate_b[turn.start : turn.stop] @ unit_vector(turn.axis)  # type: ignore[arg-type]
         assert abs(rate.sum() / 100.0 - 2.0 * math.pi) < 1e-8  # rectangle rule, flat at both ends: h^4 is left
         assert rate.max() > 1.3 * rate.mean()
@@ -114,6 +117,8 @@ def test_poses_of_a_hand_held_session_reach_all_round() -> None:
     assert len(up) == 40
     assert np.linalg.eigvalsh(up.T @ up / 40)[0] > 0.15  # 1/3 for an even spread
     assert motion.stills[0].stop - motion.stills[0].start == 2000
+    for still in motion.stills:
+        assert np.abs(motion.mean_rate_b[still.start : still.stop]).max() < 1e-12  # rounding of unit quaternions
 
 
 def test_facing_turns_upside_down_and_leaves_alone_what_is_right() -> None:

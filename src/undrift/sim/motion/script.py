@@ -6,7 +6,8 @@ the piece began. Everything follows in closed form::
     q_nb = q_p (x) exp(u theta)      w_b = u theta'      f_b = R_nb^T g z + w' x r + w x (w x r)
 
 with r the lever arm of the accelerometers from the turning axis. A still has theta = 0; a hand turn has the quintic
-A (10 s^3 - 15 s^4 + 6 s^5); the ramp of a rate table has a rate that rises by that quintic.
+A (10 s^3 - 15 s^4 + 6 s^5); the ramp of a rate table has a rate that rises by that quintic. A label leaves out its first
+sample, whose mean rate still belongs to the step before; the label of a hand turn takes in the sample that ends it.
 """
 
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ class Script:
             Axis that points up, for the label.
         """
         start, stop = self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
-        self.stills.append(Still(start=start, stop=stop, face=face))
+        self.stills.append(Still(start=start + (start > 0), stop=stop, face=face))
 
     def turn_to(self, q: FloatArray, duration_s: float) -> None:
         """Turn smoothly, by the shortest way, to an orientation.
@@ -117,7 +118,7 @@ class Script:
             Angle that the label states, rad.
         """
         start, stop = self._turn(duration_s, axis_b, (SMOOTH + UNEVEN) * angle)
-        self.turns.append(Turn(start=start, stop=stop, axis=axis, angle=label))
+        self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=label))
 
     def spin(self, axis: Axis, turn_rate: float, ramp_s: float, dwell_s: float) -> None:
         """Ramp up, hold a steady rate, ramp down; the dwell is labelled.
@@ -135,7 +136,7 @@ class Script:
         ramp, dwell = self._whole(ramp_s), self._whole(dwell_s)
         self._turn(ramp_s, unit, RAMP * (turn_rate * ramp))
         start, stop = self._turn(dwell_s, unit, Polynomial([0.0, turn_rate * dwell]))
-        self.turns.append(Turn(start=start, stop=stop, axis=axis, turn_rate=turn_rate))
+        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=turn_rate))
         self._turn(ramp_s, unit, (Polynomial([0.0, 1.0]) - RAMP) * (turn_rate * ramp))
 
     def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
