@@ -26,9 +26,11 @@ benchmark: $(INSTALLED)
 # The suite on every other Python that this machine has.
 test-all: test
 	@for version in 3.12 3.13; do \
-	  if command -v python$$version >/dev/null && python$$version -c '' 2>/dev/null; then \
+	  python=$$(command -v python$$version) && $$python -c '' 2>/dev/null || \
+	    python=$$(ls -d "$$(pyenv root 2>/dev/null)"/versions/$$version*/bin/python$$version 2>/dev/null | tail -n 1); \
+	  if [ -n "$$python" ]; then \
 	    echo "== Python $$version"; \
-	    $(MAKE) --no-print-directory test PYTHON=python$$version VENV=.venv-$$version || exit 1; \
+	    $(MAKE) --no-print-directory test PYTHON=$$python VENV=.venv-$$version || exit 1; \
 	  else echo "== Python $$version is not on this machine"; fi; \
 	done
 
