@@ -58,7 +58,7 @@ def rotations_between(
     rotation: FloatArray,
     sums: FloatArray,
 ) -> None:
-    # Moves j: integrate w = M (u - o) over samples first[j] .. last[j], the mean of two neighbours holding on each step.
+    # Moves j: integrate w = M (u - o) from sample first[j] to last[j]; the rate of sample k holds on (k-1, k].
     # rotation (9 J,): R of the end body frame seen in the start body frame, row by row.
     # sums (36 J,): per move, sum of R dt times d for d = (1, u_x - o_x, u_y - o_y, u_z - o_z), nine numbers each,
     # from which the derivative by matrix and offset follows: the small rotation in the start frame is sum R dw dt.
@@ -73,9 +73,9 @@ def rotations_between(
         qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
         for k in range(first[j] + 1, last[j] + 1):
             dt = time[k] - time[k - 1]
-            dx = 0.5 * (gyro[3 * k] + gyro[3 * k - 3]) - ox
-            dy = 0.5 * (gyro[3 * k + 1] + gyro[3 * k - 2]) - oy
-            dz = 0.5 * (gyro[3 * k + 2] + gyro[3 * k - 1]) - oz
+            dx = gyro[3 * k] - ox
+            dy = gyro[3 * k + 1] - oy
+            dz = gyro[3 * k + 2] - oz
             half = 0.5 * dt
             ax = (m0 * dx + m1 * dy + m2 * dz) * half
             ay = (m3 * dx + m4 * dy + m5 * dz) * half

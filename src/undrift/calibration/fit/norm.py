@@ -82,7 +82,7 @@ class NormFit:
         """Standard uncertainty of a corrected reading of gravity, root mean square over all directions, m/s2."""
         variance = np.diag(self.covariance)
         total = float(self.gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum())
-        return np.sqrt(total) if np.isfinite(total) else np.inf
+        return float(np.sqrt(total)) if np.isfinite(total) else np.inf
 
     def corrected(self, reading: FloatArray) -> FloatArray:
         """Return readings in m/s2.

@@ -1,0 +1,342 @@
+"""Gyroscopes from hand turns between still poses: integrate from one gravity direction to the next.
+
+::
+
+    C_j(M, o) n_j = n_(j+1)        C_j turns the body frame at the end of still j into that at the start of still j+1,
+                                   integrated from w = M (u - o); n_j direction of gravity in still j, from the accelerometer
+
+M is a full 3x3 matrix in the accelerometer's axes [1]_. A turn shows two angles; the one about the vertical stays unseen.
+Two ways to weigh them:
+
+- ``noise``: by the covariance of the missed angles, with the noise of both still phases (a still between two turns ties
+  them together), the uncertainty of the accelerometer's calibration, the gyroscopes' white noise over the turn, the wander
+  of their offset between stills, and an excess that the residuals tell. The offset is a parameter; the stills' readings are
+  observations of it.
+- ``equal``: every turn alike and the offset fixed at the mean of the opening rest, as published in [1]_.
+
+References
+----------
+.. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
+   equipments", ICRA 2014, eqs. 11-15.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.fit.excess import excess_variance
+from undrift.calibration.fit.multi_position_turns import (
+    Directions,
+    Moves,
+    OffsetPrior,
+    cross_matrix,
+    cut_moves,
+    gravity_directions,
+    offset_prior,
+    rough_matrix,
+)
+from undrift.calibration.fit.result import TriadFit, scaled_condition
+from undrift.calibration.model import MATRIX_NAMES, Status, TriadModel, Verdict
+from undrift.errors import Implausible, NotObservable, PoorFit
+from undrift.record import Record
+from undrift.session import Still
+from undrift.units import RADIAN_PER_DEGREE
+
+WEAKEST = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
+Weights = Literal["noise", "equal"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Problem:
+    """Parameters p: M times ``unit`` row by row, then (o - prior mean) / ``unit``; ``free`` of them are fitted."""
+
+    moves: Moves
+    directions: Directions
+    prior: OffsetPrior
+    unit: float
+    free: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Missed:
+    """Missed angles (2 J,), their Jacobian (2 J, 12), rotations C (J, 3, 3) and tangents at the later direction (J, 3, 2)."""
+
+    angle: FloatArray
+    jacobian: FloatArray
+    turn: FloatArray
+    tangent: FloatArray
+
+
+def fit_gyro_between_stills(
+    records: Sequence[Record],
+    stills: Sequence[Still],
+    accel: TriadModel,
+    *,
+    weights: Weights = "noise",
+    rest_s: float | None = None,
+) -> TriadFit:
+    """Fit gyroscopes to the moves between still poses.
+
+    Model and weights: module docstring. The start comes from a linear fit of the slow change of the gravity direction,
+    so no nominal sensitivity is needed.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With gyro and accel; a still's ``recording`` numbers them.
+    stills : sequence of Still
+        Still poses; moves never cross from one record to the next.
+    accel : TriadModel
+        The accelerometer of the same device, raw to m/s2.
+    weights : str
+        noise or equal.
+    rest_s : float, optional
+        With ``equal``: length of the opening rest whose mean is the offset, s; None for the first still.
+
+    Returns
+    -------
+    TriadFit
+        Maps the record's gyro unit in s to rad/s in b, the accelerometer's axes. Residuals (J, 2): angle missed by each
+        move over its duration, rad/s.
+
+    Raises
+    ------
+    InputError
+        A record without gyro or accel readings, or units that differ between records.
+    NotObservable
+        Too few moves, or moves that leave part of the matrix unseen.
+    Implausible
+        The matrix mirrors space: an axis is reversed or two are swapped.
+    PoorFit
+        No solution, or moves missed by tens of degrees.
+    """
+    moves = cut_moves(records, stills)
+    if len(moves.first) < 5:
+        raise NotObservable(
+            f"multi-position gyro: wanted 5 moves or more between stills for {', '.join(MATRIX_NAMES)}, got {len(moves.first)}; "
+            "turn the device by 90 deg or more about another axis between still poses of one recording",
+            moves=len(moves.first),
+        )
+    prior = offset_prior(moves)
+    if weights == "equal":
+        rest = (
+            records[0].gyro
+            if rest_s is None
+            else records[0].between(records[0].time[0], records[0].time[0] + rest_s).gyro
+        )
+        opening = moves.gyro[moves.start[0] : moves.stop[0]] if rest_s is None or rest is None else rest
+        prior = OffsetPrior(mean=opening.mean(axis=0), variance=prior.variance, wander=prior.wander, noise=prior.noise)
+    inside = _inside(moves)
+    unit = float(np.sqrt(np.mean((moves.gyro[inside] - prior.mean) ** 2))) or 1.0
+    problem = _Problem(
+        moves=moves,
+        directions=gravity_directions(moves, accel),
+        prior=prior,
+        unit=unit,
+        free=12 if weights == "noise" else 9,
+    )
+    start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
+    p, covariance = _solve(problem, start)
+    _check_seen(problem, p)
+    return _as_triad(problem, p, covariance, records[0].gyro_unit)
+
+
+def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return parameters and their covariance; the covariance of the angles is renewed until it settles."""
+    import scipy.linalg as linalg
+
+    count = 2 * len(problem.moves.first)
+    whitener = np.eye(count)
+    p = _descend(problem, p, whitener)
+    for _ in range(4 if problem.free == 12 else 1):
+        missed = _missed(problem, p)
+        if problem.free == 9:
+            excess = float(missed.angle @ missed.angle) / max(1, count - 9)
+            whitener = np.eye(count) / np.sqrt(max(excess, 1e-30))
+            break
+        stated = _covariance_of_angles(problem, missed, p)
+        values, vectors = np.linalg.eigh(stated)
+        excess = excess_variance(vectors.T @ missed.angle, np.maximum(values, 0.0), count - 9)
+        root = np.linalg.cholesky(stated + (excess + 1e-24) * np.eye(count))
+        whitener = linalg.solve_triangular(root, np.eye(count), lower=True)
+        before, p = p, _descend(problem, p, whitener)
+        if float(np.abs(p - before).max()) < 1e-9:
+            break
+    _, design = _weighted(problem, _missed(problem, p), p, whitener)
+    covariance = np.zeros((12, 12))
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0.0] = 1.0
+    covariance[: problem.free, : problem.free] = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(
+        size, size
+    )
+    return p, covariance
+
+
+def _descend(problem: _Problem, p: FloatArray, whitener: FloatArray) -> FloatArray:
+    """Levenberg-Marquardt with a fixed weight."""
+    residual, design = _weighted(problem, _missed(problem, p), p, whitener)
+    cost, damping = float(residual @ residual), 1e-9
+    for _ in range(60):
+        size = np.linalg.norm(design, axis=0)
+        size[size == 0.0] = 1.0
+        scaled = design / size
+        step = np.zeros(12)
+        step[: problem.free] = (
+            np.linalg.solve(scaled.T @ scaled + damping * np.eye(problem.free), -(scaled.T @ residual)) / size
+        )
+        trial = p + step
+        trial_residual, trial_design = _weighted(problem, _missed(problem, trial), trial, whitener)
+        trial_cost = float(trial_residual @ trial_residual)
+        settled = float(np.abs(step).max()) < 1e-9
+        if trial_cost <= cost:
+            p, cost, residual, design = trial, trial_cost, trial_residual, trial_design
+            damping = max(0.1 * damping, 1e-12)
+        else:
+            damping = max(10.0 * damping, 1e-6)
+        if settled or damping > 1e6:
+            return p
+    raise PoorFit(
+        f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no convergence; "
+        "check the gyroscope's columns and the time column",
+        moves=len(problem.moves.first),
+    )
+
+
+def _missed(problem: _Problem, p: FloatArray) -> _Missed:
+    from undrift.kernels.multi_position import rotations_between
+
+    moves, n = problem.moves, problem.directions.unit
+    j = len(moves.first)
+    matrix, offset = p[:9] / problem.unit, problem.prior.mean + p[9:] * problem.unit
+    rotation, sums = np.empty(9 * j), np.empty(36 * j)
+    rotations_between(moves.gyro.reshape(-1), moves.time, moves.first, moves.last, matrix, offset, rotation, sums)
+    turn = rotation.reshape(j, 3, 3).transpose(0, 2, 1)
+    arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
+    tangent = _tangent(n[moves.after])
+    part = sums.reshape(j, 4, 3, 3)
+    by_matrix = part[:, 1:].transpose(0, 2, 3, 1).reshape(j, 3, 9) / problem.unit  # column 3 a + b: sum of R e_a d_b dt
+    by_offset = -part[:, 0] @ matrix.reshape(3, 3) * problem.unit
+    small_turn = turn @ np.concatenate((by_matrix, by_offset), axis=2)  # in the end frame; d(C n) = C n x small turn
+    jacobian = tangent.transpose(0, 2, 1) @ cross_matrix(arrived) @ small_turn
+    angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.after])[:, :, None]).reshape(-1)
+    return _Missed(angle=angle, jacobian=jacobian.reshape(-1, 12), turn=turn, tangent=tangent)
+
+
+def _weighted(problem: _Problem, missed: _Missed, p: FloatArray, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return whitened residuals and design, the stills' word on the offset below where it is fitted."""
+    residual, design = whitener @ missed.angle, whitener @ missed.jacobian[:, : problem.free]
+    if problem.free == 9:
+        return residual, design
+    weight = problem.unit / np.sqrt(np.maximum(problem.prior.variance, 1e-30))
+    below = np.hstack((np.zeros((3, 9)), np.diag(weight)))
+    return np.concatenate((residual, weight * p[9:])), np.vstack((design, below))
+
+
+def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> FloatArray:
+    moves, directions, prior = problem.moves, problem.directions, problem.prior
+    across = missed.tangent.transpose(0, 2, 1)
+    leaving = across @ missed.turn
+    by_accel = (leaving @ directions.jacobian[moves.before] - across @ directions.jacobian[moves.after]).reshape(-1, 12)
+    by_still = np.zeros((len(moves.first), 2, len(directions.unit), 3))
+    each = np.arange(len(moves.first))
+    by_still[each, :, moves.before] += leaving
+    by_still[each, :, moves.after] -= across
+    spread = np.einsum("ejka,kab->ejkb", by_still, directions.covariance).reshape(2 * len(each), -1)
+    total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ directions.model_covariance @ by_accel.T
+    matrix = p[:9].reshape(3, 3) / problem.unit
+    noise, wander = (float((matrix**2 @ v).mean()) for v in (prior.noise, prior.wander))  # (rad/s)^2, mean of the axes
+    samples = (moves.last - moves.first).astype(float)
+    own = noise * moves.duration_s**2 / samples + wander * moves.duration_s**2
+    covariance: FloatArray = total + np.diag(np.repeat(own, 2))
+    return covariance
+
+
+def _tangent(n: FloatArray) -> FloatArray:
+    """Return two unit vectors across each direction, shape (J, 3, 2)."""
+    helper = np.eye(3)[np.abs(n).argmin(axis=1)]
+    first = np.cross(n, helper)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack((first, np.cross(n, first)), axis=2)
+
+
+def _inside(moves: Moves) -> FloatArray:
+    """Return the numbers of the samples inside moves."""
+    return np.concatenate([np.arange(a + 1, b + 1) for a, b in zip(moves.first, moves.last, strict=True)])
+
+
+def _check_seen(problem: _Problem, p: FloatArray) -> None:
+    matrix = p[:9].reshape(3, 3)
+    by_matrix = _missed(problem, p).jacobian[:, :9].reshape(-1, 3, 3)
+    gain = (by_matrix @ matrix.T).reshape(-1, 9)  # derivative by E of M = (1 + E) M: rad per unit of relative gain
+    _, singular, right = np.linalg.svd(gain, full_matrices=False)
+    singular = singular / np.sqrt(len(gain))
+    weak = np.append(np.flatnonzero(singular < WEAKEST), 8)
+    share = np.linalg.norm(right[weak], axis=0)
+    names = tuple(name for name, s in zip(MATRIX_NAMES, share, strict=True) if s > 0.3 * share.max())
+    if singular[-1] < WEAKEST:
+        raise NotObservable(
+            f"multi-position gyro: wanted moves that turn gravity by {WEAKEST:g} rad or more per unit of every parameter, got "
+            f"{singular[-1]:.2g} for {', '.join(names)}; turn the device by 90 deg or more about each axis in turn while that "
+            "axis lies level",
+            weakest=float(singular[-1]),
+            parameters=names,
+        )
+    if np.linalg.det(matrix) < 0.0:
+        signs = ", ".join(
+            f"{name} {value:+.2g}" for name, value in zip(MATRIX_NAMES[::4], np.diag(matrix), strict=True)
+        )
+        raise Implausible(
+            f"multi-position gyro: wanted right-handed axes, got a matrix that mirrors space ({signs}, in units of the rms "
+            "rate); a gyroscope axis is reversed or two columns are swapped",
+            determinant=float(np.linalg.det(matrix)),
+        )
+
+
+def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, unit_in: str) -> TriadFit:
+    moves, missed = problem.moves, _missed(problem, p)
+    rms_angle = float(np.sqrt(np.mean(missed.angle**2))) / RADIAN_PER_DEGREE
+    if rms_angle > 20.0:
+        raise PoorFit(
+            f"multi-position gyro: wanted moves that end within 20 deg rms of gravity, got {rms_angle:.0f} deg; check that gyro "
+            "and accel share one clock, that the sample rate is right and that no rate was beyond full scale",
+            rms_angle_deg=rms_angle,
+        )
+    matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
+    carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
+    rate = (moves.gyro[_inside(moves)] - offset) @ matrix.T
+    residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
+    model = TriadModel(
+        method="multi-position",
+        unit_in=unit_in,
+        unit_out="rad/s",
+        matrix=matrix,
+        offset=offset,
+        covariance=covariance * np.outer(carry, carry),
+        rms_residual=float(np.sqrt(np.mean(residuals**2))),
+        count=2 * len(moves.first),
+        rank=problem.free,
+        condition=scaled_condition(missed.jacobian[:, :9])[1],
+        valid_range=(float(rate.min()), float(rate.max())),
+    )
+    return TriadFit(model=model, residuals=residuals, verdict=_verdict(rms_angle, covariance, p))
+
+
+def _verdict(rms_angle: float, covariance: FloatArray, p: FloatArray) -> Verdict:
+    reasons: list[str] = []
+    status: Status = "good"
+    if rms_angle > 2.0:
+        status = "bad" if rms_angle > 8.0 else "marginal"
+        reasons.append(
+            f"moves miss gravity by {rms_angle:.2g} deg rms (wanted 2): turn more slowly, rest longer between turns"
+        )
+    size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
+    doubt = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
+    if doubt > 0.5:
+        status = "bad" if doubt > 5.0 else "marginal" if status == "good" else status
+        reasons.append(
+            f"an element of the gyroscope matrix is uncertain by {doubt:.2g} % (wanted 0.5): make more and larger turns"
+        )
+    return Verdict(status=status, reasons=tuple(reasons))

@@ -1,0 +1,298 @@
+"""What the gyroscope fit of the multi-position method works on: moves between stills, and what the stills say.
+
+The direction of gravity in still k is n = a / |a|, a = M (u - o) of the mean reading, with::
+
+    dn = (1 - n n^T) / |a| da        da = dM (u - o) - M do + M du
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.fit.excess import excess_variance
+from undrift.calibration.model import TriadModel
+from undrift.errors import InputError
+from undrift.record import Record
+from undrift.session import Still
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Directions:
+    """Direction of the specific force in each still.
+
+    Parameters
+    ----------
+    unit : array, shape (K, 3)
+        Unit vectors in b.
+    jacobian : array, shape (K, 3, 12)
+        Derivative by the accelerometer's m_xx .. m_zz and offset.
+    covariance : array, shape (K, 3, 3)
+        From the noise of the still itself.
+    model_covariance : array, shape (12, 12)
+        Of the accelerometer's parameters.
+    """
+
+    unit: FloatArray
+    jacobian: FloatArray
+    covariance: FloatArray
+    model_covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OffsetPrior:
+    """What the device at rest says of the gyroscopes' offset and noise.
+
+    Parameters
+    ----------
+    mean : array, shape (3,)
+        Raw unit.
+    variance : array, shape (3,)
+        Of the mean, raw unit squared.
+    wander : array, shape (3,)
+        Variance of the offset from one still to another, raw unit squared.
+    noise : array, shape (3,)
+        Variance of one sample at rest, raw unit squared.
+    """
+
+    mean: FloatArray
+    variance: FloatArray
+    wander: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Moves:
+    """Readings of all records after one another, and the moves between stills in them.
+
+    Parameters
+    ----------
+    gyro, accel : array, shape (N, 3)
+        Raw units.
+    time : array, shape (N,)
+        s, each record on its own clock.
+    first, last : array, shape (J,)
+        Last sample of the still before, first sample of the still after.
+    before, after : array, shape (J,)
+        Numbers of those stills.
+    start, stop : array, shape (K,)
+        Samples [start, stop) of the stills.
+    """
+
+    gyro: FloatArray
+    accel: FloatArray
+    time: FloatArray
+    first: IntArray
+    last: IntArray
+    before: IntArray
+    after: IntArray
+    start: IntArray
+    stop: IntArray
+
+    @property
+    def duration_s(self) -> FloatArray:
+        """Length of each move, s, shape (J,)."""
+        length: FloatArray = self.time[self.last] - self.time[self.first]
+        return length
+
+
+def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
+    """Return the moves between neighbouring stills of a record; moves with gaps or drop-outs are left out.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With gyro and accel.
+    stills : sequence of Still
+        Their ``recording`` numbers the records.
+
+    Returns
+    -------
+    Moves
+        Readings in one row of samples.
+
+    Raises
+    ------
+    InputError
+        A record without gyro or accel readings, or units that differ between records.
+    """
+    pairs = [(r.gyro, r.accel) for r in records]
+    if (
+        any(gyro is None or accel is None for gyro, accel in pairs)
+        or len({(r.gyro_unit, r.accel_unit) for r in records}) > 1
+    ):
+        raise InputError(
+            "multi-position gyro: wanted gyro and accel readings in the same units in every recording, got recordings that "
+            "differ; fit the recordings that have both"
+        )
+    base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
+    ordered = sorted(stills, key=lambda s: (s.recording, s.start))
+    start = np.array([base[s.recording] + s.start for s in ordered], np.int64)
+    stop = np.array([base[s.recording] + s.stop for s in ordered], np.int64)
+    gyro = np.concatenate([gyro for gyro, _ in pairs if gyro is not None])
+    time = np.concatenate([r.time for r in records])
+    longest = 1.5 / np.array([r.sample_rate_hz for r in records])
+    broken = np.isnan(gyro).any(axis=1) | (np.diff(time, prepend=time[0]) > np.repeat(longest, np.diff(base)))
+    lost = np.concatenate(([0], np.cumsum(broken)))
+    kept = [
+        k
+        for k in range(len(ordered) - 1)
+        if ordered[k].recording == ordered[k + 1].recording and lost[start[k + 1] + 1] == lost[stop[k]]
+    ]
+    before = np.array(kept, np.int64)
+    return Moves(
+        gyro=gyro,
+        accel=np.concatenate([accel for _, accel in pairs if accel is not None]),
+        time=time,
+        first=stop[before] - 1,
+        last=start[before + 1],
+        before=before,
+        after=before + 1,
+        start=start,
+        stop=stop,
+    )
+
+
+def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
+    """Return the direction of gravity in each still with its derivatives and covariance.
+
+    Parameters
+    ----------
+    moves : Moves
+        Stills and readings.
+    accel : TriadModel
+        Raw to m/s2, m_xx .. m_zz and offset first among its parameters.
+
+    Returns
+    -------
+    Directions
+        Unit vectors in b.
+    """
+    mean, variance, count = still_moments(moves.accel, moves.start, moves.stop)
+    d = mean - accel.offset
+    a = d @ accel.matrix.T
+    length = np.linalg.norm(a, axis=1)
+    n = a / length[:, None]
+    across = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
+    by_matrix = (across[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)  # column 3 i + j: across e_i d_j
+    turned = across @ accel.matrix
+    return Directions(
+        unit=n,
+        jacobian=np.concatenate((by_matrix, -turned), axis=2),
+        covariance=(turned * variance / count[:, None, None]) @ turned.transpose(0, 2, 1),
+        model_covariance=accel.covariance[:12, :12],
+    )
+
+
+def offset_prior(moves: Moves) -> OffsetPrior:
+    """Return offset, wander and noise of the gyroscopes from all stills.
+
+    Parameters
+    ----------
+    moves : Moves
+        Stills and readings.
+
+    Returns
+    -------
+    OffsetPrior
+        Weighted mean of the stills; the wander is what their means show beyond the noise within.
+    """
+    mean, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
+    stated = noise / count[:, None]
+    wander, offset = np.zeros(3), mean.mean(axis=0)
+    for _ in range(4):
+        for axis in range(3):
+            wander[axis] = excess_variance(mean[:, axis] - offset[axis], stated[:, axis], len(mean) - 1)
+        weight = 1.0 / np.maximum(stated + wander, 1e-30)
+        offset = (weight * mean).sum(axis=0) / weight.sum(axis=0)
+    return OffsetPrior(mean=offset, variance=1.0 / weight.sum(axis=0), wander=wander, noise=noise)
+
+
+def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
+    """Return a first gyroscope matrix from the slow change of the gravity direction.
+
+    dn/dt = n x w with w = M (u - o), over blocks of 0.2 s while the device is moved: linear in M. The hand's own
+    accelerations make it rough, some per cent.
+
+    Parameters
+    ----------
+    moves : Moves
+        Moves and readings.
+    accel : TriadModel
+        Raw to m/s2.
+    offset : array, shape (3,)
+        Gyroscope offset, raw unit.
+
+    Returns
+    -------
+    array, shape (3, 3)
+        rad/s per raw unit; singular where the moves do not show it.
+    """
+    normal, right = np.zeros((9, 9)), np.zeros(9)
+    for first, last in zip(moves.first, moves.last, strict=True):
+        step = (moves.time[last] - moves.time[first]) / max(1, last - first)
+        block = max(2, round(0.2 / step))
+        low, high = max(0, first - block), last + block  # into the stills, where the direction is sure
+        blocks = (min(high, len(moves.time)) - low) // block
+        if blocks < 3:
+            continue
+        cut = slice(low, low + blocks * block)
+        force = (moves.accel[cut] - accel.offset).reshape(blocks, block, 3).mean(axis=1) @ accel.matrix.T
+        rate = (moves.gyro[cut] - offset).reshape(blocks, block, 3).mean(axis=1)[1:-1]
+        n = force / np.linalg.norm(force, axis=1)[:, None]
+        turn = (n[2:] - n[:-2]) / (2.0 * block * step)
+        design = (cross_matrix(n[1:-1])[:, :, :, None] * rate[:, None, None, :]).reshape(-1, 9)
+        good = np.isfinite(design).all(axis=1) & np.isfinite(turn.reshape(-1))
+        design, turn_flat = design[good], turn.reshape(-1)[good]
+        normal += design.T @ design
+        right += design.T @ turn_flat
+    matrix: FloatArray = np.linalg.lstsq(normal, right, rcond=1e-10)[0].reshape(3, 3)
+    return matrix
+
+
+def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return the mean of each still, the variance of one sample pooled over all, and the counts.
+
+    Parameters
+    ----------
+    values : array, shape (N, 3)
+        Readings, gaps left out.
+    start, stop : array, shape (K,)
+        Samples [start, stop).
+
+    Returns
+    -------
+    mean : array, shape (K, 3)
+        Unit of the readings.
+    variance : array, shape (3,)
+        Unit squared.
+    count : array, shape (K,)
+        Samples without gaps.
+    """
+    mean, square, count = np.zeros((len(start), 3)), np.zeros(3), np.zeros(len(start), np.int64)
+    for k, (low, high) in enumerate(zip(start, stop, strict=True)):
+        piece = values[low:high]
+        piece = piece[np.isfinite(piece).all(axis=1)]
+        mean[k], count[k] = piece.mean(axis=0), len(piece)
+        square += ((piece - mean[k]) ** 2).sum(axis=0)
+    return mean, square / max(1, int(count.sum()) - len(start)), count
+
+
+def cross_matrix(n: FloatArray) -> FloatArray:
+    """Return the matrices of the cross product.
+
+    Parameters
+    ----------
+    n : array, shape (K, 3)
+        Vectors.
+
+    Returns
+    -------
+    array, shape (K, 3, 3)
+        [n]x with [n]x w = n x w.
+    """
+    matrix = np.zeros((len(n), 3, 3))
+    matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -n[:, 2], n[:, 1], -n[:, 0]
+    matrix[:, 1, 0], matrix[:, 2, 0], matrix[:, 2, 1] = n[:, 2], -n[:, 1], n[:, 0]
+    return matrix
