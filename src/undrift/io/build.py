@@ -151,6 +151,49 @@ def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Re
     return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
 
 
+def join_records(records: tuple[Record, ...], sources: tuple[str, ...]) -> Record:
+    """Return the channels of several files with one time base, side by side.
+
+    Parameters
+    ----------
+    records : tuple of Record
+        One for each file, each with channels the others lack.
+    sources : tuple of str
+        File names, for the errors.
+
+    Returns
+    -------
+    Record
+        All channels on the time of the first.
+
+    Raises
+    ------
+    InputError
+        Lengths or times that differ by more than a tenth of a sample, or a channel that two files have.
+    """
+    first = records[0]
+    joined = first
+    for record, source in zip(records[1:], sources[1:], strict=True):
+        if len(record) != len(first) or np.abs(record.time - first.time).max() > 0.1 / first.sample_rate_hz:
+            raise InputError(
+                f"{source}: wanted the {len(first)} samples and times of {sources[0]}, got {len(record)} samples or other times; "
+                "files side by side need one time base"
+            )
+        for channel in ("gyro", "accel", "temp_c", "mag_ut"):
+            if getattr(record, channel) is not None and getattr(joined, channel) is not None:
+                raise InputError(f"{source}: wanted channels that {sources[0]} lacks, got {channel} again; map it once")
+        joined = replace(
+            joined,
+            gyro=joined.gyro if record.gyro is None else record.gyro,
+            gyro_unit=joined.gyro_unit if record.gyro is None else record.gyro_unit,
+            accel=joined.accel if record.accel is None else record.accel,
+            accel_unit=joined.accel_unit if record.accel is None else record.accel_unit,
+            temp_c=joined.temp_c if record.temp_c is None else record.temp_c,
+            mag_ut=joined.mag_ut if record.mag_ut is None else record.mag_ut,
+        )
+    return joined
+
+
 def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
     """Return the scaled values of one channel, shape (N, 1 or 3), in the unit Record wants."""
     wanted = columns.columns_of(channel)

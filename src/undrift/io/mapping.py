@@ -1,0 +1,164 @@
+"""Column maps as TOML: the keys of a ``[[recording]]`` without its file, and the same in a file of their own.
+
+sample_rate_hz = 102.4
+columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }     # names, or positions from 0
+units = { time = "s", gyro = "dps", accel = "m/s2", temp = "degC" }
+scale = { temp = { gain = 0.00294117647, offset = 36.53 } }     # value = gain * cell + offset
+delimiter = ","      # " " for any number of blanks          header = true     skip_rows = 0     decimal = "."
+gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
+"""
+
+from pathlib import Path
+from typing import Literal
+
+from undrift.errors import InputError
+from undrift.io.columns import Column, ColumnMap, Gaps, Scale, TextLayout
+from undrift.io.toml import Entry, read_toml
+
+
+class ColumnsEntry(Entry):
+    """Which column is which channel."""
+
+    time: str | int | None = None
+    gyro: list[str | int] | str | None = None
+    accel: list[str | int] | str | None = None
+    temp: str | int | None = None
+    mag: list[str | int] | str | None = None
+
+
+class UnitsEntry(Entry):
+    """The unit of each mapped channel."""
+
+    time: str = ""
+    gyro: str = ""
+    accel: str = ""
+    temp: str = ""
+    mag: str = ""
+
+
+class LinearEntry(Entry):
+    """A linear conversion."""
+
+    gain: float | list[float] = 1.0
+    offset: float | list[float] = 0.0
+
+
+class ScaleEntry(Entry):
+    """Conversions by channel."""
+
+    gyro: LinearEntry | None = None
+    accel: LinearEntry | None = None
+    temp: LinearEntry | None = None
+    mag: LinearEntry | None = None
+
+
+class MapEntry(Entry):
+    """All that a reader needs to know about a foreign file."""
+
+    sample_rate_hz: float | None = None
+    columns: ColumnsEntry | list[ColumnsEntry] | None = None
+    units: UnitsEntry = UnitsEntry()
+    scale: ScaleEntry = ScaleEntry()
+    delimiter: str = ","
+    header: bool = True
+    skip_rows: int = 0
+    decimal: str = "."
+    drop_bad_rows: bool = False
+    gaps: Gaps = "raise"
+    repair_time: bool = False
+    frame: Literal["s", "b"] = "s"
+    device: str = ""
+
+    def maps(self) -> tuple[ColumnMap, ...]:
+        """Return one column map for each table of columns.
+
+        Returns
+        -------
+        tuple of ColumnMap
+            Empty where no columns are named.
+
+        Raises
+        ------
+        InputError
+            A map that is not complete.
+        """
+        if self.columns is None:
+            return ()
+        entries = self.columns if isinstance(self.columns, list) else [self.columns]
+        return tuple(self._map(entry) for entry in entries)
+
+    def _map(self, columns: ColumnsEntry) -> ColumnMap:
+        return ColumnMap(
+            time=columns.time,
+            gyro=_columns(columns.gyro),
+            accel=_columns(columns.accel),
+            temp=columns.temp,
+            mag=_columns(columns.mag),
+            time_unit=self.units.time,
+            gyro_unit=self.units.gyro,
+            accel_unit=self.units.accel,
+            temp_unit=self.units.temp,
+            mag_unit=self.units.mag,
+            gyro_scale=_scale(self.scale.gyro, "gyro"),
+            accel_scale=_scale(self.scale.accel, "accel"),
+            temp_scale=_scale(self.scale.temp, "temp"),
+            mag_scale=_scale(self.scale.mag, "mag"),
+            sample_rate_hz=self.sample_rate_hz,
+            layout=TextLayout(
+                delimiter=self.delimiter,
+                header=self.header,
+                skip_rows=self.skip_rows,
+                decimal=self.decimal,
+                drop_bad_rows=self.drop_bad_rows,
+            ),
+            gaps=self.gaps,
+            repair_time=self.repair_time,
+            frame=self.frame,
+            device=self.device,
+        )
+
+
+def read_column_map(path: str | Path) -> ColumnMap:
+    """Read a column map from a TOML file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; keys as in the module's first lines.
+
+    Returns
+    -------
+    ColumnMap
+        Ready for :func:`undrift.io.recording.read_record`.
+
+    Raises
+    ------
+    InputError
+        No such file, no columns, or a map that is not complete.
+    FileFormatError
+        Not TOML, or an unknown key; names the line.
+    """
+    maps = read_toml(path, MapEntry).maps()
+    if len(maps) != 1:
+        raise InputError(f"{path}: wanted one table of columns, got {len(maps)}; add columns = {{ ... }}")
+    return maps[0]
+
+
+def _columns(entry: list[str | int] | str | None) -> tuple[Column, ...] | None:
+    if entry is None:
+        return None
+    return (entry,) if isinstance(entry, str) else tuple(entry)
+
+
+def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
+    if entry is None:
+        return None
+    return Scale(gain=_one_or_three(entry.gain, channel), offset=_one_or_three(entry.offset, channel))
+
+
+def _one_or_three(value: float | list[float], channel: str) -> float | tuple[float, float, float]:
+    if not isinstance(value, list):
+        return float(value)
+    if len(value) != 3 or channel == "temp":
+        raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
+    return (float(value[0]), float(value[1]), float(value[2]))
