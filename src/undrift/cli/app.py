@@ -72,7 +72,9 @@ def run(arguments: Sequence[str]) -> int:
     except UndriftError as error:
         return complain(str(error), code=2)
     except OSError as error:
-        return complain(f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions", code=2)
+        return complain(
+            f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions", code=2
+        )
     except KeyboardInterrupt:
         return complain("stopped; nothing was left half written", code=130)
     return code if isinstance(code, int) else 0

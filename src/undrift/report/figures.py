@@ -1,0 +1,246 @@
+"""Pictures: each function draws one result as a matplotlib Figure; :func:`svg_of` turns it into text for a page or a file.
+
+Colours keep one meaning throughout: the device in blue, the optics in black, errors in orange, limits in grey.
+"""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
+AXIS_COLOURS = ("#c23b3b", "#2f8f4e", "#2b62b3")  # x, y, z
+_STYLE = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.1,
+    "legend.frameon": False,
+    "svg.hashsalt": "undrift",
+    "svg.fonttype": "none",
+}
+
+
+def new_figure(
+    rows: int, *, height: float = 2.3, columns: int = 1, share_x: bool = True
+) -> tuple["Figure", list["Axes"]]:
+    """Return an empty figure in the house style.
+
+    Parameters
+    ----------
+    rows, height : int, float
+        Panels one above the other, and the height of each in inches.
+    columns : int
+        Panels beside each other.
+    share_x : bool
+        One time axis for all.
+
+    Returns
+    -------
+    figure : Figure
+        8.2 inches wide.
+    axes : list of Axes
+        Row by row.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(8.2, 0.4 + height * rows), layout="constrained")
+        made = np.asarray(figure.subplots(rows, columns, sharex="col" if share_x else False, squeeze=False))
+    return figure, list(made.ravel())
+
+
+def svg_of(figure: "Figure") -> str:
+    """Return a figure as SVG text, the same bytes for the same figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to draw.
+
+    Returns
+    -------
+    str
+        An <svg> element.
+    """
+    import matplotlib as mpl
+
+    buffer = io.StringIO()
+    with mpl.rc_context(_STYLE):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "undrift"})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def save_figure(figure: "Figure", path: Path) -> None:
+    """Write a figure as SVG, PNG or PDF, by the ending of the name.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to draw.
+    path : Path
+        Where to.
+    """
+    import matplotlib as mpl
+
+    with mpl.rc_context(_STYLE):
+        figure.savefig(path, dpi=130)
+
+
+def draw_comparison(
+    time: FloatArray,
+    device_deg: FloatArray,
+    optics_deg: FloatArray,
+    errors_deg: Sequence[tuple[str, FloatArray]],
+    *,
+    title: str,
+) -> "Figure":
+    """Draw an angle as the device and as the optics saw it, and the errors under it.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        s.
+    device_deg, optics_deg : array, shape (N,)
+        The angle, deg; NaN where the optics saw nothing.
+    errors_deg : sequence of (str, array of shape (N,))
+        Name and course of each error, deg.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    Figure
+        Two panels.
+    """
+    figure, (angle, error) = new_figure(2)
+    angle.plot(time, optics_deg, color=OPTICS, label="optics")
+    angle.plot(time, device_deg, color=DEVICE, label="device", alpha=0.85)
+    angle.set_ylabel("pitch (deg)")
+    angle.set_title(title, loc="left", fontsize=10)
+    angle.legend(loc="upper right", ncols=2)
+    colours = (ERROR, DEVICE, LIMIT, OPTICS)
+    for (name, course), colour in zip(errors_deg, colours, strict=False):
+        error.plot(time, course, color=colour, label=name)
+    error.axhline(0.0, color=OPTICS, linewidth=0.6)
+    error.set_ylabel("error (deg)")
+    error.set_xlabel("time (s)")
+    error.legend(loc="upper left", ncols=len(errors_deg))
+    return figure
+
+
+def draw_agreement(
+    level_deg: FloatArray, difference_deg: FloatArray, bias_deg: float, limits_deg: tuple[float, float], *, unit: str
+) -> "Figure":
+    """Draw a Bland-Altman plot: difference against level, with the bias and its 95 % limits of agreement.
+
+    Parameters
+    ----------
+    level_deg, difference_deg : array, shape (n,)
+        One point a trial, deg.
+    bias_deg : float
+        Mean difference, deg.
+    limits_deg : (float, float)
+        Lower and upper limit, deg.
+    unit : str
+        What one point stands for.
+
+    Returns
+    -------
+    Figure
+        One panel.
+    """
+    figure, (axes,) = new_figure(1, height=3.0)
+    axes.scatter(level_deg, difference_deg, color=DEVICE, s=28)
+    axes.axhline(bias_deg, color=ERROR)
+    for limit in limits_deg:
+        axes.axhline(limit, color=LIMIT, linestyle="--")
+    axes.annotate(
+        f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), xycoords=("axes fraction", "data"), ha="right", va="bottom"
+    )
+    axes.set_xlabel(f"mean of device and optics (deg), one point a {unit}")
+    axes.set_ylabel("device - optics (deg)")
+    return figure
+
+
+def draw_allan(taus_s: FloatArray, deviation: FloatArray, names: Sequence[str], *, unit: str, title: str) -> "Figure":
+    """Draw Allan deviation over averaging time, with the slopes of white noise and of a random walk as a guide.
+
+    Parameters
+    ----------
+    taus_s : array, shape (n,)
+        Averaging time, s.
+    deviation : array, shape (n, k)
+        One column a sensor; NaN where there is none.
+    names : sequence of str
+        One a column.
+    unit : str
+        Of the deviation.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    Figure
+        One panel, both axes logarithmic.
+    """
+    figure, (axes,) = new_figure(1, height=3.4)
+    for column, name, colour in zip(deviation.T, names, AXIS_COLOURS * 2, strict=False):
+        axes.loglog(taus_s, column, color=colour, marker="o", markersize=2.5, label=name)
+    anchor = float(np.nanmedian(deviation[0]))
+    axes.loglog(
+        taus_s, anchor * np.sqrt(taus_s[0] / taus_s), color=LIMIT, linestyle=":", label="white noise, slope -1/2"
+    )
+    axes.set_xlabel("averaging time (s)")
+    axes.set_ylabel(f"Allan deviation ({unit})")
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.legend(loc="best")
+    return figure
+
+
+def draw_residuals(residuals: FloatArray, *, unit: str, title: str) -> "Figure":
+    """Draw the residual of every equation of a fit, and how they are spread.
+
+    Parameters
+    ----------
+    residuals : array, shape (E,) or (E, 3)
+        In ``unit``; three columns are drawn in the colours of x, y, z.
+    unit : str
+        Of the residuals.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    Figure
+        Two panels side by side.
+    """
+    figure, (course, spread) = new_figure(1, columns=2, height=2.6, share_x=False)
+    columns = residuals.reshape(len(residuals), -1)
+    for k, column in enumerate(columns.T):
+        colour = AXIS_COLOURS[k % 3] if columns.shape[1] == 3 else DEVICE
+        course.plot(column, ".", color=colour, markersize=4, label="xyz"[k] if columns.shape[1] == 3 else None)
+    course.axhline(0.0, color=OPTICS, linewidth=0.6)
+    course.set_xlabel("pose, dwell or window")
+    course.set_ylabel(f"residual ({unit})")
+    course.set_title(title, loc="left", fontsize=10)
+    if columns.shape[1] == 3:
+        course.legend(loc="best", ncols=3)
+    finite = columns[np.isfinite(columns)]
+    spread.hist(finite, bins=min(40, max(8, len(finite) // 6)), color=DEVICE)
+    spread.set_xlabel(f"residual ({unit})")
+    spread.set_ylabel("count")
+    return figure
