@@ -60,13 +60,13 @@ def inverse_model(theta: Array) -> Array:
     return np.concatenate((np.linalg.inv(theta[:9].reshape(3, 3)).ravel(), theta[9:12], theta[12:]))
 
 
-def white_device(rng: np.random.Generator) -> SimulatedDevice:
+def white_device(rng: np.random.Generator, *, g_sensitivity: bool = False) -> SimulatedDevice:
     """Return a consumer-grade device whose noise is white: the noise of the bound."""
     device = random_device(rng)
-    still = np.zeros(3)
+    still, feigned = np.zeros(3), device.gyro.g_sensitivity if g_sensitivity else np.zeros((3, 3))
     return replace(
         device,
-        gyro=replace(device.gyro, lsb=0.0, bias_walk=still, full_scale=np.inf),
+        gyro=replace(device.gyro, lsb=0.0, bias_walk=still, full_scale=np.inf, g_sensitivity=feigned),
         accel=replace(device.accel, lsb=0.0, bias_walk=still, full_scale=np.inf),
     )
 
