@@ -55,20 +55,21 @@ def rotations_between(
     last: IntArray,
     matrix: FloatArray,
     offset: FloatArray,
+    drift: FloatArray,
     rotation: FloatArray,
     sums: FloatArray,
 ) -> None:
-    # Moves j: integrate w = M (u - o) from sample first[j] to last[j]; the rate of sample k holds on (k-1, k].
+    # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j]; the rate of sample k holds on (k-1, k].
     # rotation (9 J,): R of the end body frame seen in the start body frame, row by row.
     # sums (36 J,): per move, sum of R dt times d for d = (1, u_x - o_x, u_y - o_y, u_z - o_z), nine numbers each,
     # from which the derivative by matrix and offset follows: the small rotation in the start frame is sum R dw dt.
     m0, m1, m2, m3, m4 = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4]
     m5, m6, m7, m8 = matrix[5], matrix[6], matrix[7], matrix[8]
-    ox, oy, oz = offset[0], offset[1], offset[2]
     for i in range(sums.size):
         sums[i] = 0.0
     for j in range(first.size):
         out = sums[36 * j : 36 * j + 36]
+        ox, oy, oz = offset[0] + drift[3 * j], offset[1] + drift[3 * j + 1], offset[2] + drift[3 * j + 2]
         r0, r1, r2, r3, r4, r5, r6, r7, r8 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
         qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
         for k in range(first[j] + 1, last[j] + 1):

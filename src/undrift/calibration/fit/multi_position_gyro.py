@@ -9,8 +9,8 @@ M is a full 3x3 matrix in the accelerometer's axes [1]_. A turn shows two angles
 Two ways to weigh them:
 
 - ``noise``: by the covariance of the missed angles, with the noise of both still phases (a still between two turns ties
-  them together), the uncertainty of the accelerometer's calibration, the gyroscopes' white noise over the turn, the wander
-  of their offset between stills, and an excess that the residuals tell. The offset is a parameter; the stills' readings are
+  them together), the uncertainty of the accelerometer's calibration, the gyroscopes' white noise over the turn, the
+  drift of their offset between stills, and an excess that the residuals tell. The offset is a parameter; the stills' readings are
   observations of it.
 - ``equal``: every turn alike and the offset fixed at the mean of the opening rest, as published in [1]_.
 
@@ -21,7 +21,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -128,7 +128,7 @@ def fit_gyro_between_stills(
             else records[0].between(records[0].time[0], records[0].time[0] + rest_s).gyro
         )
         opening = moves.gyro[moves.start[0] : moves.stop[0]] if rest_s is None or rest is None else rest
-        prior = OffsetPrior(mean=opening.mean(axis=0), variance=prior.variance, wander=prior.wander, noise=prior.noise)
+        prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
     inside = _inside(moves)
     unit = float(np.sqrt(np.mean((moves.gyro[inside] - prior.mean) ** 2))) or 1.0
     problem = _Problem(
@@ -211,8 +211,10 @@ def _missed(problem: _Problem, p: FloatArray) -> _Missed:
     moves, n = problem.moves, problem.directions.unit
     j = len(moves.first)
     matrix, offset = p[:9] / problem.unit, problem.prior.mean + p[9:] * problem.unit
-    rotation, sums = np.empty(9 * j), np.empty(36 * j)
-    rotations_between(moves.gyro.reshape(-1), moves.time, moves.first, moves.last, matrix, offset, rotation, sums)
+    rotation, sums, drift = np.empty(9 * j), np.empty(36 * j), np.ascontiguousarray(problem.prior.drift).reshape(-1)
+    rotations_between(
+        moves.gyro.reshape(-1), moves.time, moves.first, moves.last, matrix, offset, drift, rotation, sums
+    )
     turn = rotation.reshape(j, 3, 3).transpose(0, 2, 1)
     arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
     tangent = _tangent(n[moves.after])
@@ -246,11 +248,14 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
     by_still[each, :, moves.after] -= across
     spread = np.einsum("ejka,kab->ejkb", by_still, directions.covariance).reshape(2 * len(each), -1)
     total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ directions.model_covariance @ by_accel.T
+    by_offset = missed.jacobian[:, 9:] / problem.unit
+    for axis in range(3):
+        total += np.outer(by_offset[:, axis], by_offset[:, axis]) * np.kron(
+            prior.drift_covariance[axis], np.ones((2, 2))
+        )
     matrix = p[:9].reshape(3, 3) / problem.unit
-    noise, wander = (float((matrix**2 @ v).mean()) for v in (prior.noise, prior.wander))  # (rad/s)^2, mean of the axes
-    samples = (moves.last - moves.first).astype(float)
-    own = noise * moves.duration_s**2 / samples + wander * moves.duration_s**2
-    covariance: FloatArray = total + np.diag(np.repeat(own, 2))
+    noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
+    covariance: FloatArray = total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2))
     return covariance
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.fit.excess import excess_variance
 from undrift.calibration.model import TriadModel
 from undrift.errors import InputError
@@ -47,18 +47,21 @@ class OffsetPrior:
     Parameters
     ----------
     mean : array, shape (3,)
-        Raw unit.
+        Mean offset over the stills, raw unit.
     variance : array, shape (3,)
         Of the mean, raw unit squared.
-    wander : array, shape (3,)
-        Variance of the offset from one still to another, raw unit squared.
+    drift : array, shape (J, 3)
+        Offset of each move less the mean, raw unit; zeros where the stills do not show a drift.
+    drift_covariance : array, shape (3, J, J)
+        Of the drift, per axis, raw unit squared.
     noise : array, shape (3,)
         Variance of one sample at rest, raw unit squared.
     """
 
     mean: FloatArray
     variance: FloatArray
-    wander: FloatArray
+    drift: FloatArray
+    drift_covariance: FloatArray
     noise: FloatArray
 
 
@@ -186,7 +189,13 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
 
 
 def offset_prior(moves: Moves) -> OffsetPrior:
-    """Return offset, wander and noise of the gyroscopes from all stills.
+    """Return offset, drift and noise of the gyroscopes from all stills.
+
+    The mean reading of still k is b_k plus jitter plus the noise within; the offset b_(k+1) = b_k + N(0, q) is a random
+    walk. A hand that sways makes jitter, a sensor that warms up walks: the two are told apart by whether neighbours are
+    alike (von Neumann's ratio [1]_); where they are not, q = 0 and the offset is one constant. A move has the mean offset of
+    its two stills, uncertain by q / 12 more. Stills that turn about the vertical, which an accelerometer cannot see, are
+    left out.
 
     Parameters
     ----------
@@ -196,17 +205,61 @@ def offset_prior(moves: Moves) -> OffsetPrior:
     Returns
     -------
     OffsetPrior
-        Weighted mean of the stills; the wander is what their means show beyond the noise within.
+        Per axis.
+
+    References
+    ----------
+    .. [1] J. von Neumann, "Distribution of the ratio of the mean square successive difference to the variance", Ann. Math.
+       Stat. 12, 1941, 367-395.
     """
-    mean, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
-    stated = noise / count[:, None]
-    wander, offset = np.zeros(3), mean.mean(axis=0)
+    reading, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
+    rest = _at_rest(reading)
+    stills, each = len(reading), np.arange(len(moves.first))
+    to_move = np.zeros((len(each), stills))
+    to_move[each, moves.before], to_move[each, moves.after] = 0.5, 0.5
+    mean, variance = np.zeros(3), np.zeros(3)
+    drift, drift_covariance = np.zeros((len(each), 3)), np.zeros((3, len(each), len(each)))
+    for axis in range(3):
+        stated = np.maximum(noise[axis] / count, 1e-30)
+        walk, jitter = _walk_and_jitter(reading[rest, axis], stated[rest])
+        weight = rest / (stated + jitter)
+        if walk == 0.0:
+            variance[axis] = 1.0 / weight.sum()
+            mean[axis] = variance[axis] * (reading[:, axis] * weight).sum()
+            continue
+        step = np.diff(np.eye(stills), axis=0)
+        posterior = np.linalg.inv(step.T @ step / walk + np.diag(weight))
+        offset = posterior @ (reading[:, axis] * weight)
+        away = to_move - 1.0 / stills
+        mean[axis], variance[axis] = offset.mean(), posterior.mean()
+        drift[:, axis] = away @ offset
+        drift_covariance[axis] = away @ posterior @ away.T + walk / 12.0 * np.eye(len(each))
+    return OffsetPrior(mean=mean, variance=variance, drift=drift, drift_covariance=drift_covariance, noise=noise)
+
+
+def _at_rest(reading: FloatArray) -> BoolArray:
+    """Tell the stills whose mean rate is like the others' from those that turn, shape (K,)."""
+    away = np.abs(reading - np.median(reading, axis=0))
+    return (away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12)).all(axis=1)
+
+
+def _walk_and_jitter(reading: FloatArray, stated: FloatArray) -> tuple[float, float]:
+    """Return q and the variance of the jitter."""
+    count = len(reading)
+    freedom = count - 1
+    jitter = 0.0
+    mean = float(np.mean(reading))
     for _ in range(4):
-        for axis in range(3):
-            wander[axis] = excess_variance(mean[:, axis] - offset[axis], stated[:, axis], len(mean) - 1)
-        weight = 1.0 / np.maximum(stated + wander, 1e-30)
-        offset = (weight * mean).sum(axis=0) / weight.sum(axis=0)
-    return OffsetPrior(mean=offset, variance=1.0 / weight.sum(axis=0), wander=wander, noise=noise)
+        jitter = excess_variance(reading - mean, stated, freedom)
+        weight = 1.0 / (stated + jitter)
+        mean = float((weight * reading).sum() / weight.sum())
+    first = float(np.mean(np.diff(reading) ** 2)) if count > 1 else 0.0
+    ratio = first / max(float(np.mean((reading - reading.mean()) ** 2)), 1e-300)
+    if jitter == 0.0 or count < 6 or ratio > 2.0 - 2.0 * 2.0 / np.sqrt(count):  # white: 2 with deviation 2 / sqrt(K)
+        return 0.0, jitter
+    lag = min(5, count // 2)
+    walk = max((float(np.mean((reading[lag:] - reading[:-lag]) ** 2)) - first) / (lag - 1), 0.0)
+    return walk, max(0.5 * (first - walk) - float(np.median(stated)), 0.0)
 
 
 def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
