@@ -14,6 +14,7 @@ Format = Literal[
     "json", "toml", "text", "cwa", "nilspod", "binary",
 ]  # fmt: skip
 _HEAD = 8192
+_XIO: tuple[tuple[str, Format], ...] = (("Time (s)", "ngimu"), ("Timestamp (us)", "ximu3"), ("Packet number", "ximu"))
 _PROSE = {".md", ".rst", ".pdf", ".html"}
 
 
@@ -104,6 +105,8 @@ def _text(path: Path, head: bytes) -> Format:
         return "actigraph"
     if len(lines) > 2 and lines[2].startswith("Time,") and "/Acceleration/X" in lines[2]:
         return "apdm"
+    if "Gyroscope X (deg/s)" in lines[0]:
+        return next((kind for first, kind in _XIO if lines[0].startswith(first)), "csv")
     if suffix == ".json" or (lines[0].lstrip()[:1] in ("{", "[") and _is_json(path)):
         return "json"
     if suffix == ".toml":

@@ -28,7 +28,7 @@ def read_ngimu(path: str | Path) -> Record:
     Parameters
     ----------
     path : str or Path
-        The folder, or sensors.csv in it.
+        The folder, or its sensors.csv.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def read_ngimu(path: str | Path) -> Record:
     FileFormatError
         Not NGIMU files.
     """
-    folder = _folder(path, "sensors.csv")
+    path = _main_file(path, "sensors.csv")
     columns = ColumnMap(
         time="Time (s)",
         time_unit="s",
@@ -53,8 +53,8 @@ def read_ngimu(path: str | Path) -> Record:
         mag=tuple(f"Magnetometer {axis} (uT)" for axis in "XYZ"),
         mag_unit="uT",
     )
-    record = _read(folder / "sensors.csv", columns)
-    beside = folder / "temperature.csv"
+    record = _read(path, columns)
+    beside = path.parent / "temperature.csv"
     if not beside.is_file():
         return record
     time, temp_c = _two(beside, "Time (s)", "Gyroscope And Accelerometer (degC)")
@@ -67,7 +67,7 @@ def read_ximu3(path: str | Path) -> Record:
     Parameters
     ----------
     path : str or Path
-        The folder, or Inertial.csv in it.
+        The folder, or its Inertial.csv.
 
     Returns
     -------
@@ -81,11 +81,11 @@ def read_ximu3(path: str | Path) -> Record:
     FileFormatError
         Not x-IMU3 files.
     """
-    folder = _folder(path, "Inertial.csv")
+    path = _main_file(path, "Inertial.csv")
     clock = "Timestamp (us)"
     columns = ColumnMap(time=clock, time_unit="us", gyro=_GYRO, gyro_unit="dps", accel=_ACCEL, accel_unit="g")
-    record = _read(folder / "Inertial.csv", columns)
-    beside = folder / "Temperature.csv"
+    record = _read(path, columns)
+    beside = path.parent / "Temperature.csv"
     if not beside.is_file():
         return record
     time, temp_c = _two(beside, clock, "Temperature (degC)")
@@ -139,12 +139,11 @@ def read_ximu(path: str | Path, *, sample_rate_hz: float) -> Record:
     return with_temperature(record, np.interp(packet, mine, record.time), temp_c)
 
 
-def _folder(path: str | Path, name: str) -> Path:
+def _main_file(path: str | Path, name: str) -> Path:
     path = Path(path)
-    folder = path.parent if path.name == name else path
-    if not (folder / name).is_file():
+    if path.is_dir() and not (path / name).is_file():
         raise InputError(f"{path}: wanted a folder with {name}, got none there; check the path")
-    return folder
+    return path / name if path.is_dir() else path
 
 
 def _read(path: Path, columns: ColumnMap) -> Record:
