@@ -1,0 +1,94 @@
+"""Six faces give back the accelerometer; the error is the least that noise and levelling allow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recover.bound import DEVICES, Array, Tally, carried, information, inverse_model, jacobian, white_device
+from undrift.calibration.fit.six_face import FaceMeans, SixFaceMode, SixFaceSettings, face_means, fit_six_face
+from undrift.calibration.model import TriadModel
+from undrift.session import FACES
+from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read
+from undrift.sim.motion.script import unit_vector
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+BENCH = BenchSettings(sample_rate_hz=50.0, still_s=6.0, move_s=0.2)
+UP = STANDARD_GRAVITY * np.array([unit_vector(face) for face in FACES])
+TILT = 0.1 * RADIAN_PER_DEGREE
+
+
+LEVEL = bench_motion("six_face", rng=np.random.default_rng(0), settings=BENCH)
+
+
+def poses_of(device: SimulatedDevice, rng: np.random.Generator, tilt: float = 0.0) -> FaceMeans:
+    motion = bench_motion("six_face", rng=rng, settings=replace(BENCH, tilt_sd=tilt)) if tilt else LEVEL
+    return face_means((read(device, motion, rng=rng).record,), motion.stills)
+
+
+def fitted(poses: FaceMeans, mode: SixFaceMode) -> TriadModel:
+    return fit_six_face(poses, gravity=STANDARD_GRAVITY, settings=SixFaceSettings(mode=mode)).model
+
+
+def truth(device: SimulatedDevice) -> Array:
+    return np.concatenate((device.accel.forward_matrix.ravel(), device.accel.raw_offset))
+
+
+def bound(device: SimulatedDevice, tilt: float, free: int = 12) -> Array:
+    """Return the bound of matrix and offset: tilts are marginalised as noise across gravity, seen through K."""
+    theta = truth(device)
+    gain = device.accel.forward_matrix
+
+    def mean(x: Array) -> Array:
+        return UP @ x[:9].reshape(3, 3).T + np.append(x, np.zeros(12 - len(x)))[9:12]
+
+    samples = np.array([300] + [299] * 5)
+    noise = np.diag((device.accel.sensitivity * device.accel.random_walk) ** 2 * BENCH.sample_rate_hz)
+    across = tilt**2 * (STANDARD_GRAVITY**2 * np.eye(3) - UP[:, :, None] * UP[:, None, :])
+    covariance = noise / samples[:, None, None] + gain @ across @ gain.T
+    design = jacobian(mean, theta[:free], 1.0)  # linear: any step is exact
+    inverse = np.linalg.inv(information(design, covariance))
+    step = 1e-4 * gain[0, 0]
+    return carried(
+        inverse_model if free == 12 else lambda k: np.linalg.inv(k.reshape(3, 3)).ravel(), theta[:free], step, inverse
+    )
+
+
+def error_of(model: TriadModel, device: SimulatedDevice) -> Array:
+    return np.concatenate((model.matrix.ravel(), model.offset)) - inverse_model(truth(device))
+
+
+@pytest.mark.parametrize("mode", ["paper", "affine", "levelled"])
+def test_six_faces_give_back_the_device_without_noise(mode: SixFaceMode) -> None:
+    rng = np.random.default_rng(1)
+    device = white_device(rng).without_noise()
+    if mode == "paper":
+        device = replace(device, accel=replace(device.accel, offset=np.zeros(3)))
+    model = fitted(poses_of(device, rng), mode)
+    np.testing.assert_allclose(model.forward_matrix, device.accel.forward_matrix, atol=1e-9 * 418)  # rounding
+    np.testing.assert_allclose(model.offset, device.accel.raw_offset, atol=1e-8)
+
+
+def test_error_of_a_thousand_devices_on_level_faces_reaches_the_bound_and_its_intervals_hold() -> None:
+    rng = np.random.default_rng(2)
+    paper, affine, levelled = (Tally.of(f"six-face {mode}, level") for mode in ("paper", "affine", "levelled"))
+    for _ in range(DEVICES):
+        device = white_device(rng)
+        poses, limit = poses_of(device, rng), bound(device, 0.0)
+        for tally, mode in ((affine, "affine"), (levelled, "levelled")):
+            model = fitted(poses, mode)  # type: ignore[arg-type]
+            tally.add(error_of(model, device), limit, model.standard_uncertainty)
+        model = fitted(replace(poses, reading=poses.reading - device.accel.raw_offset), "paper")  # the note's premise
+        paper.add(error_of(model, device)[:9], bound(device, 0.0, 9), model.standard_uncertainty[:9])
+    for tally in (paper, affine, levelled):
+        tally.check()
+
+
+def test_error_of_a_thousand_devices_on_tilted_faces_reaches_the_bound_and_its_intervals_hold() -> None:
+    rng = np.random.default_rng(3)
+    tally = Tally.of("six-face levelled, tilt 0.1 deg")
+    for _ in range(DEVICES):
+        device = white_device(rng)
+        model = fitted(poses_of(device, rng, TILT), "levelled")
+        tally.add(error_of(model, device), bound(device, TILT), model.standard_uncertainty)
+    tally.check()
