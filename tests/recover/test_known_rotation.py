@@ -1,0 +1,95 @@
+"""Six faces and three turns by hand give back the gyroscope with its g-sensitivity, at the bound of the data it keeps.
+
+A turn by hand is known by its angle alone: the hand wobbles on the way. So the bound is that of the sum of readings over
+each turn and of the mean reading on each face.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recover.bound import DEVICES, Array, Tally, carried, information, jacobian, white_device
+from undrift.calibration.fit.known_rotation import (
+    KnownRotationMode,
+    KnownRotationSettings,
+    fit_known_rotation,
+    rotation_data,
+)
+from undrift.calibration.model import TriadModel
+from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read
+from undrift.sim.motion.script import unit_vector
+from undrift.units import STANDARD_GRAVITY
+
+BENCH = BenchSettings(sample_rate_hz=50.0, still_s=2.0, move_s=1.0)
+MOTION = bench_motion("ferraris", rng=np.random.default_rng(0), settings=BENCH)
+# The same length for all: mode paper takes the offset from all samples at rest, right for even faces only.
+FACES = [replace(still, start=still.stop - 99) for still in MOTION.stills if still.face is not None]
+
+
+def fitted(device: SimulatedDevice, rng: np.random.Generator, mode: KnownRotationMode = "affine") -> TriadModel:
+    record = read(device, MOTION, rng=rng).record
+    matrix, offset = np.linalg.inv(device.accel.forward_matrix), device.accel.raw_offset
+    data = rotation_data((record,), FACES, MOTION.turns, matrix=matrix, offset=offset)
+    return fit_known_rotation(data, gravity=STANDARD_GRAVITY, settings=KnownRotationSettings(mode=mode)).model
+
+
+def truth(device: SimulatedDevice) -> Array:
+    gyro = device.gyro
+    return np.concatenate(
+        (gyro.forward_matrix.ravel(), gyro.raw_offset, (gyro.sensitivity[:, None] * gyro.g_sensitivity).ravel())
+    )
+
+
+def reported(theta: Array) -> Array:
+    """Return matrix, offset and g-sensitivity of the correction for K, b, G (21)."""
+    matrix = np.linalg.inv(theta[:9].reshape(3, 3))
+    return np.concatenate((matrix.ravel(), theta[9:12], (matrix @ theta[12:].reshape(3, 3)).ravel()))
+
+
+def statistics(theta: Array) -> Array:
+    """Return means on the faces, then sums over the turns, (9, 3)."""
+    k, b, g = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3)
+    faces = [b + g @ (STANDARD_GRAVITY * unit_vector(still.face)) for still in FACES]  # type: ignore[arg-type]
+    turns = []
+    for turn in MOTION.turns:
+        axis, duration = unit_vector(turn.axis), (turn.stop - turn.start) / BENCH.sample_rate_hz  # type: ignore[arg-type]
+        turns.append(k @ axis * 2.0 * math.pi + duration * (b + g @ (STANDARD_GRAVITY * axis)))
+    return np.array(faces + turns)
+
+
+def bound(device: SimulatedDevice) -> Array:
+    theta = truth(device)
+    variance = (device.gyro.sensitivity * device.gyro.random_walk) ** 2 * BENCH.sample_rate_hz
+    faces = np.array([1.0 / (s.stop - s.start) for s in FACES])
+    turns = np.array([(t.stop - t.start) / BENCH.sample_rate_hz**2 for t in MOTION.turns])
+    spread = np.concatenate((faces, turns))[:, None] * variance
+    inverse = np.linalg.inv(information(jacobian(statistics, theta, 1.0), spread.ravel()))
+    steps = np.concatenate((np.full(9, 1e-4 * theta[0]), np.full(3, 1.0), np.full(9, 1e-2)))
+    return carried(reported, theta, steps, inverse)
+
+
+def parameters(model: TriadModel) -> Array:
+    assert model.g_sensitivity is not None
+    return np.concatenate((model.matrix.ravel(), model.offset, model.g_sensitivity.ravel()))
+
+
+@pytest.mark.parametrize("mode", ["paper", "affine"])
+def test_faces_and_turns_give_back_the_device_without_noise(mode: KnownRotationMode) -> None:
+    rng = np.random.default_rng(1)
+    device = white_device(rng, g_sensitivity=True).without_noise()
+    found, wanted = parameters(fitted(device, rng, mode)), reported(truth(device))
+    np.testing.assert_allclose(found[:9], wanted[:9], atol=1e-11 * wanted[0])  # rounding of a sum of 200 readings
+    np.testing.assert_allclose(found[9:12], wanted[9:12], atol=1e-9)
+    np.testing.assert_allclose(found[12:], wanted[12:], atol=1e-12)
+
+
+def test_error_of_a_thousand_devices_reaches_the_bound_and_its_intervals_hold() -> None:
+    rng = np.random.default_rng(2)
+    tally = Tally.of("known rotation")
+    for _ in range(DEVICES):
+        device = white_device(rng, g_sensitivity=True)
+        model = fitted(device, rng)
+        tally.add(parameters(model) - reported(truth(device)), bound(device), model.standard_uncertainty)
+    tally.check()
