@@ -1,0 +1,1 @@
+"""Tuning tables: how they are read at run time."""
