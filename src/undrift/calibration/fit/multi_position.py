@@ -241,7 +241,9 @@ def _fit(
             "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
         )
     accel = judged(chosen.fit, chosen.reading, records[0].accel_unit)
-    gyro, missing = _gyro(records, chosen.stills, accel, settings)
+    found = stated is None and settings.rule == "coverage"
+    cores = _cores(levels, chosen.stills, shortest) if found else chosen.stills
+    gyro, missing = _gyro(records, chosen.stills, accel, settings, cores)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
     return MultiPositionFit(
         accel=accel,
@@ -259,6 +261,15 @@ def _stills(levels: list[StillVariance], multiple: float, shortest: list[int]) -
         for number, (level, least) in enumerate(zip(levels, shortest, strict=True))
         for start, stop in level.below(multiple * level.at_rest, least)
     )
+
+
+def _cores(levels: list[StillVariance], stills: tuple[Still, ...], shortest: list[int]) -> tuple[Still, ...]:
+    """Return the part of each still in which the gyroscopes are quiet, in the same order."""
+    cores: list[Still] = []
+    for number, (level, least) in enumerate(zip(levels, shortest, strict=True)):
+        own = [(s.start, s.stop) for s in stills if s.recording == number]
+        cores += [Still(start=start, stop=stop, recording=number) for start, stop in level.cores(own, least)]
+    return tuple(cores)
 
 
 def _attempt(
@@ -333,7 +344,11 @@ def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attem
 
 
 def _gyro(
-    records: tuple[Record, ...], stills: tuple[Still, ...], accel: TriadFit, settings: MultiPositionSettings
+    records: tuple[Record, ...],
+    stills: tuple[Still, ...],
+    accel: TriadFit,
+    settings: MultiPositionSettings,
+    cores: tuple[Still, ...],
 ) -> tuple[TriadFit | None, str]:
     if settings.gyro == "none" or (settings.gyro == "if_observable" and any(r.gyro is None for r in records)):
         return None, ""
@@ -343,6 +358,7 @@ def _gyro(
             records,
             stills,
             accel.model,
+            cores=cores,
             weights="equal" if published else "noise",
             rest_s=settings.rest_s if published else None,
         )

@@ -75,6 +75,7 @@ def fit_gyro_between_stills(
     stills: Sequence[Still],
     accel: TriadModel,
     *,
+    cores: Sequence[Still] | None = None,
     weights: Weights = "noise",
     rest_s: float | None = None,
 ) -> TriadFit:
@@ -91,6 +92,8 @@ def fit_gyro_between_stills(
         Still poses; moves never cross from one record to the next.
     accel : TriadModel
         The accelerometer of the same device, raw to m/s2.
+    cores : sequence of Still, optional
+        The part of each still in which the gyroscopes are quiet; None for the whole of each.
     weights : str
         noise or equal.
     rest_s : float, optional
@@ -113,7 +116,7 @@ def fit_gyro_between_stills(
     PoorFit
         No solution, or moves missed by tens of degrees.
     """
-    moves = cut_moves(records, stills)
+    moves = cut_moves(records, stills, stills if cores is None else cores)
     if len(moves.first) < 5:
         raise NotObservable(
             f"multi-position gyro: wanted 5 moves or more between stills for {', '.join(MATRIX_NAMES)}, got {len(moves.first)}; "
@@ -127,7 +130,7 @@ def fit_gyro_between_stills(
             if rest_s is None
             else records[0].between(records[0].time[0], records[0].time[0] + rest_s).gyro
         )
-        opening = moves.gyro[moves.start[0] : moves.stop[0]] if rest_s is None or rest is None else rest
+        opening = moves.gyro[moves.core_start[0] : moves.core_stop[0]] if rest_s is None or rest is None else rest
         prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
     inside = _inside(moves)
     unit = float(np.sqrt(np.mean((moves.gyro[inside] - prior.mean) ** 2))) or 1.0

@@ -76,11 +76,13 @@ class Moves:
     time : array, shape (N,)
         s, each record on its own clock.
     first, last : array, shape (J,)
-        Last sample of the still before, first sample of the still after.
+        Last sample of the core before, first sample of the core after.
     before, after : array, shape (J,)
         Numbers of those stills.
     start, stop : array, shape (K,)
-        Samples [start, stop) of the stills.
+        Samples [start, stop) of the stills: where the accelerometer is quiet.
+    core_start, core_stop : array, shape (K,)
+        Samples of their cores: where the gyroscopes are quiet too.
     """
 
     gyro: FloatArray
@@ -92,6 +94,8 @@ class Moves:
     after: IntArray
     start: IntArray
     stop: IntArray
+    core_start: IntArray
+    core_stop: IntArray
 
     @property
     def duration_s(self) -> FloatArray:
@@ -100,7 +104,7 @@ class Moves:
         return length
 
 
-def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
+def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequence[Still]) -> Moves:
     """Return the moves between neighbouring stills of a record; moves with gaps or drop-outs are left out.
 
     Parameters
@@ -109,6 +113,8 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
         With gyro and accel.
     stills : sequence of Still
         Their ``recording`` numbers the records.
+    cores : sequence of Still
+        The core of each; moves run from core to core.
 
     Returns
     -------
@@ -130,9 +136,10 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
             "differ; fit the recordings that have both"
         )
     base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
-    ordered = sorted(stills, key=lambda s: (s.recording, s.start))
-    start = np.array([base[s.recording] + s.start for s in ordered], np.int64)
-    stop = np.array([base[s.recording] + s.stop for s in ordered], np.int64)
+    ordered = sorted(zip(stills, cores, strict=True), key=lambda pair: (pair[0].recording, pair[0].start))
+    first = base[[still.recording for still, _ in ordered]]
+    start, stop = (first + np.array([getattr(still, end) for still, _ in ordered]) for end in ("start", "stop"))
+    core_start, core_stop = (first + np.array([getattr(core, end) for _, core in ordered]) for end in ("start", "stop"))
     gyro = np.concatenate([gyro for gyro, _ in pairs if gyro is not None])
     time = np.concatenate([r.time for r in records])
     longest = 1.5 / np.array([r.sample_rate_hz for r in records])
@@ -141,19 +148,21 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
     kept = [
         k
         for k in range(len(ordered) - 1)
-        if ordered[k].recording == ordered[k + 1].recording and lost[start[k + 1] + 1] == lost[stop[k]]
+        if first[k] == first[k + 1] and lost[core_start[k + 1] + 1] == lost[core_stop[k]]
     ]
     before = np.array(kept, np.int64)
     return Moves(
         gyro=gyro,
         accel=np.concatenate([accel for _, accel in pairs if accel is not None]),
         time=time,
-        first=stop[before] - 1,
-        last=start[before + 1],
+        first=core_stop[before] - 1,
+        last=core_start[before + 1],
         before=before,
         after=before + 1,
         start=start,
         stop=stop,
+        core_start=core_start,
+        core_stop=core_stop,
     )
 
 
@@ -212,7 +221,7 @@ def offset_prior(moves: Moves) -> OffsetPrior:
     .. [1] J. von Neumann, "Distribution of the ratio of the mean square successive difference to the variance", Ann. Math.
        Stat. 12, 1941, 367-395.
     """
-    reading, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
+    reading, noise, count = still_moments(moves.gyro, moves.core_start, moves.core_stop)
     rest = _at_rest(reading)
     stills, each = len(reading), np.arange(len(moves.first))
     to_move = np.zeros((len(each), stills))

@@ -4,6 +4,9 @@
 
     s2_k = |(var u_x, var u_y, var u_z)| over the window centred at k        sample variances, raw unit squared
 
+A turn about the vertical does not show in an accelerometer: where there are gyroscopes, a still is cut down to its core, in
+which they are as quiet as they are in most of the stills.
+
 Running sums make window, mean and variance of any stretch cost the same whatever its length.
 """
 
@@ -19,6 +22,7 @@ from undrift.segments.still import runs
 from undrift.session import Still
 
 QUIETEST = 0.05  # share of all windows that tells the level at rest
+CORE = 4.0  # variance of the gyroscopes in the core of a still, in units of their median variance in all stills
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,8 +36,10 @@ class StillVariance:
     level : array, shape (N,)
         Length of the variance vector over the window centred at each sample, raw unit squared; infinite at the ends and
         beside gaps.
+    gyro_level : array, shape (N,), or None
+        The same of the gyroscopes, their unit squared; None without gyroscopes.
     at_rest : float
-        Its value at rest, raw unit squared.
+        Value of ``level`` at rest, raw unit squared.
     sums, squares : array, shape (N + 1, 3)
         Running sums of the readings less ``centre``, and of their squares.
     centre : array, shape (3,)
@@ -42,6 +48,7 @@ class StillVariance:
 
     values: FloatArray
     level: FloatArray
+    gyro_level: FloatArray | None
     at_rest: float
     sums: FloatArray
     squares: FloatArray
@@ -64,6 +71,31 @@ class StillVariance:
         """
         found = runs(self.level < threshold)
         return [(int(a), int(b)) for a, b in found[found[:, 1] - found[:, 0] >= least]]
+
+    def cores(self, stretches: list[tuple[int, int]], least: int) -> list[tuple[int, int]]:
+        """Return stills cut down to the part in which the gyroscopes are quiet too.
+
+        Parameters
+        ----------
+        stretches : list of (int, int)
+            Stills [start, stop).
+        least : int
+            Shortest core, samples; a still without one stays as it is.
+
+        Returns
+        -------
+        list of (int, int)
+            As many, each within its own.
+        """
+        if self.gyro_level is None or not stretches:
+            return stretches
+        limit = CORE * float(np.median(np.concatenate([self.gyro_level[a:b] for a, b in stretches])))
+        kept: list[tuple[int, int]] = []
+        for start, stop in stretches:
+            quiet = runs(self.gyro_level[start:stop] <= limit)
+            first, last = max(quiet, key=lambda run: run[1] - run[0], default=(0, 0))
+            kept.append((start + int(first), start + int(last)) if last - first >= least else (start, stop))
+        return kept
 
     def moments(self, stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
         """Return the mean reading of each still and its variance, the noise pooled over all.
@@ -120,9 +152,29 @@ def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> 
             + ("" if rest_s is None else f" and its opening rest of {rest_s:g} s")
             + f", got {record.duration_s:.2f} s; shorten them"
         )
-    gap = np.isnan(record.accel).any(axis=1)
-    centre = record.accel[~gap].mean(axis=0) if not gap.all() else np.zeros(3)
-    u = np.where(gap[:, None], 0.0, record.accel - centre)
+    level, sums, squares, centre = _windowed(record.accel, half)
+    if rest_s is None:
+        finite = level[np.isfinite(level)]
+        at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
+    else:
+        at_rest = float(np.linalg.norm(np.nanvar(record.accel[:rest], axis=0, ddof=1)))
+    return StillVariance(
+        values=record.accel,
+        level=level,
+        gyro_level=None if record.gyro is None else _windowed(record.gyro, half)[0],
+        at_rest=at_rest,
+        sums=sums,
+        squares=squares,
+        centre=centre,
+    )
+
+
+def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the level over windows of 2 half + 1 samples, running sums, running sums of squares, and their centre."""
+    width = 2 * half + 1
+    gap = np.isnan(values).any(axis=1)
+    centre = values[~gap].mean(axis=0) if not gap.all() else np.zeros(3)
+    u = np.where(gap[:, None], 0.0, values - centre)
     sums, squares = np.zeros((len(u) + 1, 3)), np.zeros((len(u) + 1, 3))
     np.cumsum(u, axis=0, out=sums[1:])
     np.cumsum(u * u, axis=0, out=squares[1:])
@@ -132,9 +184,4 @@ def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> 
     if gap.any():
         lost = np.concatenate(([0], np.cumsum(gap)))
         level[half:-half][lost[width:] > lost[:-width]] = np.inf
-    if rest_s is None:
-        finite = level[np.isfinite(level)]
-        at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
-    else:
-        at_rest = float(np.linalg.norm(np.nanvar(record.accel[:rest], axis=0, ddof=1)))
-    return StillVariance(values=record.accel, level=level, at_rest=at_rest, sums=sums, squares=squares, centre=centre)
+    return level, sums, squares, centre
