@@ -207,7 +207,7 @@ def fit_paper(
         )
     gram = np.linalg.inv(readings.T @ readings)
     matrix = inputs.T @ readings @ gram  # eq. 3, eq. 6
-    residuals = inputs - readings @ matrix.T
+    residuals = readings @ matrix.T - inputs
     if sigma is None:
         noise = np.eye(3) * student_variance(residuals, residuals.size - 9)
     else:

@@ -25,6 +25,7 @@ from undrift.calibration.fit.linear import (
     offset_warning,
     triad_from_forward,
 )
+from undrift.calibration.fit.noise import block_size, noise_of_means
 from undrift.calibration.fit.result import TriadFit
 from undrift.calibration.fit.tilt import estimate_tilt, tilted_sigma
 from undrift.calibration.model import Verdict
@@ -190,7 +191,8 @@ def face_means(
         Saturated samples.
     """
     means: list[FloatArray] = []
-    blocks: list[FloatArray] = []
+    windows: list[FloatArray] = []
+    sizes: list[int] = []
     faces: list[Face] = []
     unit = records[stills[0].recording].accel_unit if stills else "m/s2"
     for still in stills:
@@ -206,10 +208,11 @@ def face_means(
         check_saturation(window, f"accelerometer on face {still.face}")
         filtered, wander = polynomial_filter(window, settings.polynomial_degree)
         means.append(filtered.mean(axis=0))
-        blocks.append(_block_means(wander, max(1, round(0.5 * record.sample_rate_hz))))
+        windows.append(wander)
+        sizes.append(block_size(record.sample_rate_hz))
         faces.append(still.face)
     return FaceMeans(
-        reading=np.array(means).reshape(-1, 3), faces=tuple(faces), noise=_noise_of_means(blocks), unit=unit
+        reading=np.array(means).reshape(-1, 3), faces=tuple(faces), noise=noise_of_means(windows, sizes), unit=unit
     )
 
 
@@ -320,16 +323,3 @@ def _middle(record: Record, still: Still, window_s: float) -> FloatArray:
     skip = max(0, (len(window) - wanted) // 2)
     window = window[skip : skip + wanted]
     return window[~np.isnan(window).any(axis=1)]
-
-
-def _block_means(values: FloatArray, size: int) -> FloatArray:
-    count = len(values) // size
-    return np.asarray(values[: count * size].reshape(count, size, 3).mean(axis=1))
-
-
-def _noise_of_means(blocks: list[FloatArray]) -> FloatArray | None:
-    spare = sum(max(0, len(b) - 1) for b in blocks)
-    if spare < 6:
-        return None
-    square = sum((((b - b.mean(axis=0)) ** 2).sum(axis=0) for b in blocks if len(b) > 1), np.zeros(3)) / spare
-    return np.array([np.sqrt(square / max(1, len(b))) for b in blocks]).reshape(-1, 3)
