@@ -1,0 +1,109 @@
+"""``undrift info``: what a file holds."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from undrift.cli.opening import Opening
+
+if TYPE_CHECKING:
+    from undrift.io.describe import Description
+
+
+def info(
+    file: Path, /, *, opening: Opening = Opening(), up: Literal["y", "z"] | None = None, json: bool = False
+) -> int:
+    """Say what a recording, session, calibration or reference holds: rates, units, spans, gaps, stills found.
+
+    Parameters
+    ----------
+    file : Path
+        Any file or folder.
+    opening : Opening
+        How to read a foreign recording.
+    up : str or None
+        Laboratory axis that points up, for markers in TRC or C3D.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.cli.output import write_json
+    from undrift.io.describe import describe
+
+    found = describe(file, opening.columns(), settings=opening.settings(), up=up)
+    stills, reason = _stills(file, found, opening)
+    if json:
+        write_json(
+            {
+                "kind": found.kind,
+                "format": found.format,
+                "rows": found.rows,
+                "sample_rate_hz": found.sample_rate_hz,
+                "duration_s": found.duration_s,
+                "columns": found.columns,
+                "units": dict(found.units),
+                "gaps": found.gaps,
+                "temp_c": found.temp_c,
+                "stills": stills,
+                "problems": found.problems,
+                "summary": found.summary,
+                "no_still_because": reason,
+            }
+        )
+        return 0
+    _show(found, stills, reason)
+    return 0
+
+
+def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[list[float]], str]:
+    """Return [start_s, stop_s] of every still phase, and why there is none."""
+    from undrift.io.recording import read_record
+    from undrift.io.session import read_session
+    from undrift.segments import find_still
+
+    if found.kind == "session":
+        session = read_session(file)
+        stills = session.stills or tuple(
+            still for k, record in enumerate(session.records) for still in find_still(record, recording=k).stills
+        )
+        clocks = [record.time for record in session.records]
+        return [[float(clocks[s.recording][s.start]), float(clocks[s.recording][s.stop - 1])] for s in stills], ""
+    if found.kind != "recording":
+        return [], ""
+    record = read_record(file, opening.columns(), settings=opening.settings())
+    search = find_still(record)
+    return [[float(record.time[s.start]), float(record.time[s.stop - 1])] for s in search.stills], search.reason
+
+
+def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
+    from undrift.cli.output import console
+
+    out = console()
+    out.print(f"[bold]{found.path}[/bold]: {found.kind} ({found.format})", soft_wrap=True)
+    out.print(f"  {found.summary}", markup=False)
+    for name, unit in found.units:
+        out.print(f"  {name}: {unit}", markup=False)
+    if found.columns and found.kind != "recording":
+        shown = ", ".join(found.columns[:12]) + (
+            f", ... {len(found.columns)} in all" if len(found.columns) > 12 else ""
+        )
+        out.print(f"  columns: {shown}", markup=False)
+    if found.temp_c:
+        out.print(f"  temperature: {found.temp_c[0]:.2f} to {found.temp_c[1]:.2f} degC")
+    if found.gaps:
+        out.print(f"  gaps: {found.gaps} samples")
+    if stills:
+        spans = ", ".join(f"{start:.1f}-{stop:.1f}" for start, stop in stills[:8])
+        out.print(f"  still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
+    elif reason:
+        out.print(f"  no still phase: {reason}", markup=False)
+    for problem in found.problems:
+        if problem != found.summary:
+            out.print(f"  problem: {problem}", markup=False)
+    if found.kind == "table" and "columns = {" in found.summary:
+        out.print(
+            "  write that into map.toml, one entry a line, and say: undrift info FILE --map map.toml", markup=False
+        )

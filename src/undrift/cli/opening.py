@@ -1,0 +1,91 @@
+"""What a command may be told about a recording that does not say it itself."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from undrift.io.columns import ColumnMap
+    from undrift.io.recording import ReadSettings
+    from undrift.record import Record
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Opening:
+    """How to read a foreign recording.
+
+    Parameters
+    ----------
+    column_map : Path or None
+        TOML file with columns, units and what else a foreign table needs: the keys of a [[recording]] in session.toml.
+    sample_rate_hz : float or None
+        Samples per second, for a file without time.
+    sensor : str or None
+        Which sensor, in a file of several (APDM).
+    gaps : str or None
+        "keep" takes NaN as a gap; it is refused otherwise.
+    """
+
+    column_map: Annotated[Path | None, Parameter(name="--map")] = None
+    sample_rate_hz: float | None = None
+    sensor: str | None = None
+    gaps: Literal["raise", "keep"] | None = None
+
+    def columns(self) -> "ColumnMap | None":
+        """Return the column map, None where none was named.
+
+        Returns
+        -------
+        ColumnMap or None
+            Read from the file.
+        """
+        from undrift.io.mapping import read_column_map
+
+        return None if self.column_map is None else read_column_map(self.column_map)
+
+    def settings(self) -> "ReadSettings":
+        """Return what else the reader is told.
+
+        Returns
+        -------
+        ReadSettings
+            Rate, sensor, gaps.
+        """
+        from undrift.io.recording import ReadSettings
+
+        return ReadSettings(sample_rate_hz=self.sample_rate_hz, sensor=self.sensor, gaps=self.gaps)
+
+    def read(self, path: Path) -> "Record":
+        """Read a recording; a session folder gives its only recording.
+
+        Parameters
+        ----------
+        path : Path
+            File or folder.
+
+        Returns
+        -------
+        Record
+            The readings.
+
+        Raises
+        ------
+        InputError
+            As the reader says, or a session of several recordings.
+        """
+        from undrift.errors import InputError
+        from undrift.io.detect import detect
+        from undrift.io.recording import read_record
+        from undrift.io.session import read_session
+
+        if detect(path) != "session":
+            return read_record(path, self.columns(), settings=self.settings())
+        records = read_session(path).records
+        if len(records) > 1:
+            raise InputError(
+                f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"
+            )
+        return records[0]
