@@ -264,7 +264,9 @@ def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
         position = stacked * si_factor(columns.position_unit, "length")
         position[np.isnan(position).any(axis=1)] = np.nan
     if columns.time is None:
-        time = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)  # the map has seen to it that one is there
+        time: FloatArray = np.arange(len(table)) / (
+            columns.sample_rate_hz or np.nan
+        )  # the map has seen to it that one is there
     else:
         time = table.numbers(columns.time) * si_factor(columns.time_unit, "time")
     try:
