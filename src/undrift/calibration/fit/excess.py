@@ -12,8 +12,6 @@ References
 .. [1] R. C. Paule and J. Mandel, "Consensus values and weighting factors", J. Res. NBS 87, 1982, 377-385.
 """
 
-import numpy as np
-
 from undrift.arrays import FloatArray
 
 
@@ -38,15 +36,14 @@ def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: int) 
     if freedom <= 0 or not square.any():
         return 0.0
     high = float(square.sum()) / freedom  # there the weighted sum is at most the degrees of freedom
-    low = 0.0
     if (variances > 0.0).all() and float((square / variances).sum()) <= freedom:
         return 0.0
-    if float(np.ptp(variances)) == 0.0:
-        return high - float(variances[0])
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if float((square / np.maximum(variances + middle, 1e-300)).sum()) > freedom:
-            low = middle
-        else:
-            high = middle
-    return high
+    excess = max(high - float(variances.mean()), 1e-9 * high)
+    for _ in range(50):  # Newton's method on 1 / sum, which is nearly linear in s2
+        weight = 1.0 / (variances + excess)
+        total = float((square * weight).sum())
+        step = (total * total / freedom - total) / float((square * weight * weight).sum())
+        before, excess = excess, min(max(excess + step, 0.01 * excess), high)
+        if abs(excess - before) <= 1e-9 * high:
+            break
+    return excess

@@ -184,7 +184,8 @@ def fit_multi_position(
     NotObservable
         Too few poses, or poses or moves that leave a parameter unseen.
     Implausible
-        Gyroscope axes that mirror space.
+        Readings that are not of the size of gravity, gyroscope axes that mirror space, a gain that speaks of a wrong unit,
+        range or sample rate.
     PoorFit
         No solution.
     """

@@ -23,10 +23,12 @@ from undrift.arrays import FloatArray, frozen
 from undrift.calibration.fit.norm import NAMES, WEAKEST, NormFit, fit_norm
 from undrift.calibration.fit.result import TriadFit
 from undrift.calibration.model import AXES, Status, TriadModel, Verdict
+from undrift.calibration.plausibility import check_gravity, check_scale_factor
 from undrift.errors import InputError, NotObservable
-from undrift.units import STANDARD_GRAVITY, canonical_unit
+from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
 SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # of m_xx .. m_zz, offset_x ..: those that the length of gravity shows
+TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
 MG = STANDARD_GRAVITY * 1e-3
 
 
@@ -68,6 +70,8 @@ def fit_poses(
         Gaps, or standard errors that are negative or of another shape.
     NotObservable
         Too few poses, or poses that leave a parameter unseen.
+    Implausible
+        The readings are in a physical unit and are not of the size of gravity.
     PoorFit
         No solution was found.
     """
@@ -132,7 +136,12 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     ------
     NotObservable
         Names the parameters, and the poses that would show them.
+    Implausible
+        The readings are in a physical unit and are not of the size of gravity.
     """
+    unit = canonical_unit(unit_in, "accel")
+    if is_physical(unit):
+        check_gravity(reading * si_factor(unit, "accel"), fit.gravity)
     corrected = fit.corrected(reading)
     if fit.weakest < WEAKEST:
         raise NotObservable(
@@ -145,7 +154,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
     model = TriadModel(
         method="multi-position",
-        unit_in=canonical_unit(unit_in, "accel"),
+        unit_in=unit,
         unit_out="m/s2",
         matrix=fit.matrix,
         offset=fit.offset,
@@ -156,6 +165,8 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
     )
+    if is_physical(unit):
+        check_scale_factor(model.scale_factor * si_factor(unit, "accel"), 1.0, TOLERANCE, "accel")
     return TriadFit(model=model, residuals=fit.residuals, verdict=_verdict(fit))
 
 

@@ -40,12 +40,14 @@ from undrift.calibration.fit.multi_position_turns import (
 )
 from undrift.calibration.fit.result import TriadFit, scaled_condition
 from undrift.calibration.model import MATRIX_NAMES, Status, TriadModel, Verdict
-from undrift.errors import Implausible, NotObservable, PoorFit
+from undrift.calibration.plausibility import check_handedness, check_scale_factor
+from undrift.errors import NotObservable, PoorFit
 from undrift.record import Record
 from undrift.session import Still
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 WEAKEST = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
+TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate shows as a factor
 Weights = Literal["noise", "equal"]
 
 
@@ -112,7 +114,8 @@ def fit_gyro_between_stills(
     NotObservable
         Too few moves, or moves that leave part of the matrix unseen.
     Implausible
-        The matrix mirrors space: an axis is reversed or two are swapped.
+        The matrix mirrors space (an axis is reversed or two are swapped), or the readings are in a physical unit and the
+        gain is not near one: wrong unit, range or sample rate.
     PoorFit
         No solution, or moves missed by tens of degrees.
     """
@@ -142,45 +145,43 @@ def fit_gyro_between_stills(
         free=12 if weights == "noise" else 9,
     )
     start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
-    p, covariance = _solve(problem, start)
-    _check_seen(problem, p)
-    return _as_triad(problem, p, covariance, records[0].gyro_unit)
+    p, covariance, missed = _solve(problem, start)
+    _check_seen(missed, p)
+    return _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
 
 
-def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return parameters and their covariance; the covariance of the angles is renewed until it settles."""
-    import scipy.linalg as linalg
-
+def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _Missed]:
+    """Return parameters, their covariance and the missed angles; the angles' covariance is renewed until it settles."""
     count = 2 * len(problem.moves.first)
+    equal = problem.free == 9
     whitener = np.eye(count)
-    p = _descend(problem, p, whitener)
-    for _ in range(4 if problem.free == 12 else 1):
-        missed = _missed(problem, p)
-        if problem.free == 9:
-            excess = float(missed.angle @ missed.angle) / max(1, count - 9)
-            whitener = np.eye(count) / np.sqrt(max(excess, 1e-30))
+    p, missed = _descend(problem, p, _missed(problem, p), whitener, 1e-8 if equal else 1e-3)
+    if equal:
+        whitener /= np.sqrt(max(float(missed.angle @ missed.angle) / (count - 9), 1e-30))
+    for _ in range(0 if equal else 4):
+        values, vectors = np.linalg.eigh(_covariance_of_angles(problem, missed, p))
+        turned = vectors.T @ missed.angle
+        variance = np.maximum(values, 0.0) + 1e-24
+        variance += excess_variance(turned, variance, count - 9)
+        whitener = vectors.T / np.sqrt(variance)[:, None]
+        before = p
+        p, missed = _descend(problem, p, missed, whitener, 1e-8)
+        if float(np.abs(p - before).max()) < 1e-5:
             break
-        stated = _covariance_of_angles(problem, missed, p)
-        values, vectors = np.linalg.eigh(stated)
-        excess = excess_variance(vectors.T @ missed.angle, np.maximum(values, 0.0), count - 9)
-        root = np.linalg.cholesky(stated + (excess + 1e-24) * np.eye(count))
-        whitener = linalg.solve_triangular(root, np.eye(count), lower=True)
-        before, p = p, _descend(problem, p, whitener)
-        if float(np.abs(p - before).max()) < 1e-9:
-            break
-    _, design = _weighted(problem, _missed(problem, p), p, whitener)
+    _, design = _weighted(problem, missed, p, whitener)
     covariance = np.zeros((12, 12))
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0
-    covariance[: problem.free, : problem.free] = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(
-        size, size
-    )
-    return p, covariance
+    inverse = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(size, size)
+    covariance[: problem.free, : problem.free] = inverse
+    return p, covariance, missed
 
 
-def _descend(problem: _Problem, p: FloatArray, whitener: FloatArray) -> FloatArray:
-    """Levenberg-Marquardt with a fixed weight."""
-    residual, design = _weighted(problem, _missed(problem, p), p, whitener)
+def _descend(
+    problem: _Problem, p: FloatArray, missed: _Missed, whitener: FloatArray, tolerance: float
+) -> tuple[FloatArray, _Missed]:
+    """Levenberg-Marquardt with fixed weights, from p and what it misses."""
+    residual, design = _weighted(problem, missed, p, whitener)
     cost, damping = float(residual @ residual), 1e-9
     for _ in range(60):
         size = np.linalg.norm(design, axis=0)
@@ -190,17 +191,19 @@ def _descend(problem: _Problem, p: FloatArray, whitener: FloatArray) -> FloatArr
         step[: problem.free] = (
             np.linalg.solve(scaled.T @ scaled + damping * np.eye(problem.free), -(scaled.T @ residual)) / size
         )
+        if float(np.abs(step).max()) < tolerance:
+            return p, missed
         trial = p + step
-        trial_residual, trial_design = _weighted(problem, _missed(problem, trial), trial, whitener)
+        trial_missed = _missed(problem, trial)
+        trial_residual, trial_design = _weighted(problem, trial_missed, trial, whitener)
         trial_cost = float(trial_residual @ trial_residual)
-        settled = float(np.abs(step).max()) < 1e-9
         if trial_cost <= cost:
-            p, cost, residual, design = trial, trial_cost, trial_residual, trial_design
+            p, missed, cost, residual, design = trial, trial_missed, trial_cost, trial_residual, trial_design
             damping = max(0.1 * damping, 1e-12)
         else:
             damping = max(10.0 * damping, 1e-6)
-        if settled or damping > 1e6:
-            return p
+        if damping > 1e6:
+            return p, missed
     raise PoorFit(
         f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no convergence; "
         "check the gyroscope's columns and the time column",
@@ -275,9 +278,9 @@ def _inside(moves: Moves) -> FloatArray:
     return np.concatenate([np.arange(a + 1, b + 1) for a, b in zip(moves.first, moves.last, strict=True)])
 
 
-def _check_seen(problem: _Problem, p: FloatArray) -> None:
+def _check_seen(missed: _Missed, p: FloatArray) -> None:
     matrix = p[:9].reshape(3, 3)
-    by_matrix = _missed(problem, p).jacobian[:, :9].reshape(-1, 3, 3)
+    by_matrix = missed.jacobian[:, :9].reshape(-1, 3, 3)
     gain = (by_matrix @ matrix.T).reshape(-1, 9)  # derivative by E of M = (1 + E) M: rad per unit of relative gain
     _, singular, right = np.linalg.svd(gain, full_matrices=False)
     singular = singular / np.sqrt(len(gain))
@@ -292,19 +295,10 @@ def _check_seen(problem: _Problem, p: FloatArray) -> None:
             weakest=float(singular[-1]),
             parameters=names,
         )
-    if np.linalg.det(matrix) < 0.0:
-        signs = ", ".join(
-            f"{name} {value:+.2g}" for name, value in zip(MATRIX_NAMES[::4], np.diag(matrix), strict=True)
-        )
-        raise Implausible(
-            f"multi-position gyro: wanted right-handed axes, got a matrix that mirrors space ({signs}, in units of the rms "
-            "rate); a gyroscope axis is reversed or two columns are swapped",
-            determinant=float(np.linalg.det(matrix)),
-        )
 
 
-def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, unit_in: str) -> TriadFit:
-    moves, missed = problem.moves, _missed(problem, p)
+def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: _Missed, unit_in: str) -> TriadFit:
+    moves = problem.moves
     rms_angle = float(np.sqrt(np.mean(missed.angle**2))) / RADIAN_PER_DEGREE
     if rms_angle > 20.0:
         raise PoorFit(
@@ -316,6 +310,7 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, unit_in:
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
     rate = (moves.gyro[_inside(moves)] - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
+    check_handedness(np.linalg.inv(matrix), "gyro against accel")
     model = TriadModel(
         method="multi-position",
         unit_in=unit_in,
@@ -329,6 +324,8 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, unit_in:
         condition=scaled_condition(missed.jacobian[:, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
+    if is_physical(unit_in):
+        check_scale_factor(model.scale_factor * si_factor(unit_in, "rate"), 1.0, TOLERANCE, "gyro")
     return TriadFit(model=model, residuals=residuals, verdict=_verdict(rms_angle, covariance, p))
 
 
