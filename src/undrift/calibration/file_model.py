@@ -1,0 +1,141 @@
+"""The calibration file in pydantic models: every key, its type and its shape. The JSON Schema is made from them.
+
+null stands for NaN; infinity, which JSON does not know, is "inf" or "-inf" where it can occur.
+"""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from undrift.calibration.model import Rounding, Status
+
+KIND = "undrift.calibration"
+FORMAT = 1
+
+
+def _finite(x: float) -> float:
+    if not math.isfinite(x):
+        raise ValueError("wanted a finite number, null or 'inf'")
+    return x
+
+
+Finite = Annotated[float, AfterValidator(_finite)]
+Number = Finite | None | Literal["inf", "-inf"]
+Vector = Annotated[list[Finite | None], Field(min_length=3, max_length=3)]
+Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
+Nodes = Annotated[list[Finite], Field(min_length=2)]
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class TriadFile(_File):
+    """One triad: corrected = matrix @ (raw - offset) - g_sensitivity @ accel; matrix in unit_out per unit_in."""
+
+    method: str
+    unit_in: str
+    unit_out: str
+    matrix: Matrix
+    offset: Vector
+    g_sensitivity: Matrix | None
+    parameters: list[str]
+    covariance: list[list[Finite | None]]
+    rms_residual: Number
+    count: int
+    rank: int
+    condition: Number
+    valid_range: Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class StaticFile(_File):
+    """Absolute offsets over temperature, raw unit; temperatures in degC."""
+
+    temp_c: Nodes
+    gyro_offset: list[Vector] | None = None
+    accel_offset: list[Vector] | None = None
+
+
+class ScaleFile(_File):
+    """Matrices over temperature, unit_out per unit_in; temperatures in degC."""
+
+    temp_c: Nodes
+    gyro_matrix: list[Matrix] | None = None
+    accel_matrix: list[Matrix] | None = None
+
+
+class DynamicFile(_File):
+    """Rate error over temperature and measured rate, rad/s; temperatures in degC."""
+
+    temp_c: Nodes
+    turn_rate: Nodes
+    error: list[list[Vector]]
+
+
+class DriftFile(_File):
+    """Tuning tables; null where there is none."""
+
+    static: StaticFile | None = None
+    scale: ScaleFile | None = None
+    dynamic: DynamicFile | None = None
+
+
+class AdcFile(_File):
+    """Code step in the raw unit and rounding: lsb and rounding of the gyroscopes, accel_ the same of the accelerometers."""
+
+    lsb: Vector | None
+    rounding: Rounding
+    accel_lsb: Vector | None
+    accel_rounding: Rounding
+
+
+class NoiseFile(_File):
+    """Noise coefficients per axis, SI; null where the record was too short to tell."""
+
+    angle_random_walk: Vector
+    bias_instability: Vector
+    rate_random_walk: Vector
+    velocity_random_walk: Vector
+    accel_bias_instability: Vector
+    accel_random_walk: Vector
+
+
+class VerdictFile(_File):
+    """What the calibration is worth."""
+
+    status: Status
+    reasons: list[str]
+
+
+class InputFile(_File):
+    """A file that the calibration was made from."""
+
+    file: str
+    sha256: str
+
+
+class ProvenanceFile(_File):
+    """Where the calibration came from; time is ISO 8601, UTC."""
+
+    inputs: list[InputFile]
+    settings: dict[str, str]
+    versions: dict[str, str]
+    time: str
+
+
+class CalibrationFile(_File):
+    """A device's calibration as undrift writes it."""
+
+    kind: Literal["undrift.calibration"]
+    format: Literal[1]
+    device: str
+    reference_temp_c: Finite | None
+    gravity_m_s2: Finite
+    gyro: TriadFile | None
+    accel: TriadFile | None
+    drift: DriftFile | None
+    adc: AdcFile | None
+    noise: NoiseFile | None
+    verdict: VerdictFile
+    provenance: ProvenanceFile

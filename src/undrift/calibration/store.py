@@ -1,0 +1,312 @@
+"""Calibration files: calibration.json, one object, kind "undrift.calibration", format 1.
+
+Numbers are written so that they read back to the last bit. NaN is null; infinity, which JSON does not know, is "inf" or "-inf".
+A file is written whole or not at all: into a temporary neighbour first, which then takes its name.
+"""
+
+import json
+import math
+import os
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from undrift.arrays import FloatArray
+from undrift.calibration.file_model import FORMAT, KIND, AdcFile, CalibrationFile, DriftFile, TriadFile
+from undrift.calibration.model import (
+    AdcModel,
+    Calibration,
+    DriftTables,
+    DynamicDrift,
+    NoiseModel,
+    Provenance,
+    ScaleDrift,
+    StaticDrift,
+    TriadModel,
+    Verdict,
+)
+from undrift.errors import FileFormatError, InputError
+
+
+def write_calibration(calibration: Calibration, path: Path | str) -> None:
+    """Write a calibration to a file, whole or not at all.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The device's model.
+    path : path
+        calibration.json; an existing file is replaced.
+
+    Raises
+    ------
+    InputError
+        A folder that cannot be written to, or a value that could not be read back; no file is left behind.
+    """
+    path = Path(path)
+    content = calibration_json(calibration)
+    try:
+        CalibrationFile.model_validate(content)
+    except ValidationError as error:
+        raise InputError(
+            f"{path}: wanted a calibration that reads back, got {_first(error)}; mend the value"
+        ) from error
+    text = _compact(json.dumps(content, indent=2, allow_nan=False)) + "\n"
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as error:
+        raise InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another") from error
+    part = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.chmod(0o644)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(
+            f"{path}: wanted to write the file, got {error.strerror}; free the name or the disk"
+        ) from error
+
+
+def read_calibration(path: Path | str) -> Calibration:
+    """Read a calibration file.
+
+    Parameters
+    ----------
+    path : path
+        calibration.json.
+
+    Returns
+    -------
+    Calibration
+        As it was written, to the last bit.
+
+    Raises
+    ------
+    FileFormatError
+        No such file, not JSON, another kind or version, a key that is missing, unknown, or of another shape.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except OSError as error:
+        raise FileFormatError(f"{path}: wanted a calibration file, got {error.strerror}; check the path") from error
+    except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
+        raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
+    kind, version = (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
+    if kind != KIND:
+        raise FileFormatError(f"{path}: wanted kind {KIND!r}, got {kind!r}; give a file that `undrift calibrate` wrote")
+    if version != FORMAT or isinstance(version, bool):
+        raise FileFormatError(
+            f"{path}: wanted format {FORMAT}, got {version!r}; read it with the undrift that wrote it"
+        )
+    try:
+        return _value(CalibrationFile.model_validate(content))
+    except ValidationError as error:
+        raise FileFormatError(
+            f"{path}: wanted a calibration of format {FORMAT}, got {_first(error)}; repair the file"
+        ) from error
+    except (InputError, ValueError, OverflowError) as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def calibration_json(calibration: Calibration) -> dict[str, Any]:
+    """Return a calibration as the object that its file holds.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The device's model.
+
+    Returns
+    -------
+    dict
+        Plain numbers, strings, lists and None, ready for ``json.dumps``.
+
+    Raises
+    ------
+    InputError
+        A setting or version that is named twice.
+    """
+    drift, adc, noise = calibration.drift, calibration.adc, calibration.noise
+    p = calibration.provenance
+    return {
+        "kind": KIND,
+        "format": FORMAT,
+        "device": calibration.device,
+        "reference_temp_c": _number(calibration.reference_temp_c),
+        "gravity_m_s2": _number(calibration.gravity_m_s2),
+        "gyro": _plain(calibration.gyro),
+        "accel": _plain(calibration.accel),
+        "drift": None if drift is None else {name: _plain(getattr(drift, name)) for name in drift.__slots__},
+        "adc": None
+        if adc is None
+        else {
+            "lsb": _plain(adc.gyro_lsb),
+            "rounding": adc.gyro_rounding,
+            "accel_lsb": _plain(adc.accel_lsb),
+            "accel_rounding": adc.accel_rounding,
+        },
+        "noise": _plain(noise),
+        "verdict": _plain(calibration.verdict),
+        "provenance": {
+            "inputs": [{"file": name, "sha256": digest} for name, digest in p.inputs],
+            "settings": _by_name(p.settings, "settings"),
+            "versions": _by_name(p.versions, "versions"),
+            "time": p.created,
+        },
+    }
+
+
+def calibration_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a calibration file, made from the models that read it.
+
+    Returns
+    -------
+    dict
+        JSON Schema, draft 2020-12.
+    """
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **CalibrationFile.model_json_schema(mode="validation"),
+    }
+
+
+def _first(error: ValidationError) -> str:
+    """The first thing that pydantic found wrong, on one line."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"at {where}: {first['msg'].removeprefix('Value error, ')}"
+
+
+def _by_name(pairs: tuple[tuple[str, str], ...], what: str) -> dict[str, str]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise InputError(f"provenance: wanted each of the {what} once, got a name twice; name them apart")
+    return found
+
+
+def _number(x: float) -> float | str | None:
+    x = float(x)
+    return x if math.isfinite(x) else None if math.isnan(x) else "inf" if x > 0.0 else "-inf"
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON knows it: dataclasses by field, arrays and tuples as lists."""
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return _number(float(value))
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return {name: _plain(getattr(value, name)) for name in value.__slots__}
+
+
+def _compact(text: str) -> str:
+    """Put lists of plain values on one line: raw line breaks never stand inside a JSON string."""
+    return re.sub(r"\[\n\s*([^\[\]{}]*?)\n\s*\]", lambda found: "[" + re.sub(r"\n\s*", " ", found.group(1)) + "]", text)
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name}, which is no JSON number")
+
+
+def _array(values: Any) -> FloatArray:
+    return np.array(values, dtype=np.float64)  # None becomes NaN
+
+
+def _maybe(values: Any) -> FloatArray | None:
+    return None if values is None else _array(values)
+
+
+def _scalar(x: float | str | None) -> float:
+    return math.nan if x is None else float(x)
+
+
+def _triad(file: TriadFile | None) -> TriadModel | None:
+    if file is None:
+        return None
+    p = len(file.parameters)
+    return TriadModel(
+        method=file.method,
+        unit_in=file.unit_in,
+        unit_out=file.unit_out,
+        matrix=_array(file.matrix),
+        offset=_array(file.offset),
+        g_sensitivity=_maybe(file.g_sensitivity),
+        parameters=tuple(file.parameters),
+        covariance=_array(file.covariance).reshape(p, p) if p == 0 else _array(file.covariance),
+        rms_residual=_scalar(file.rms_residual),
+        count=file.count,
+        rank=file.rank,
+        condition=_scalar(file.condition),
+        valid_range=(_scalar(file.valid_range[0]), _scalar(file.valid_range[1])),
+    )
+
+
+def _drift(file: DriftFile | None) -> DriftTables | None:
+    if file is None:
+        return None
+    static, scale, dynamic = file.static, file.scale, file.dynamic
+    return DriftTables(
+        static=None
+        if static is None
+        else StaticDrift(
+            temp_c=_array(static.temp_c),
+            gyro_offset=_maybe(static.gyro_offset),
+            accel_offset=_maybe(static.accel_offset),
+        ),
+        scale=None
+        if scale is None
+        else ScaleDrift(
+            temp_c=_array(scale.temp_c), gyro_matrix=_maybe(scale.gyro_matrix), accel_matrix=_maybe(scale.accel_matrix)
+        ),
+        dynamic=None
+        if dynamic is None
+        else DynamicDrift(
+            temp_c=_array(dynamic.temp_c), turn_rate=_array(dynamic.turn_rate), error=_array(dynamic.error)
+        ),
+    )
+
+
+def _adc(file: AdcFile | None) -> AdcModel | None:
+    if file is None:
+        return None
+    return AdcModel(
+        gyro_lsb=_maybe(file.lsb),
+        accel_lsb=_maybe(file.accel_lsb),
+        gyro_rounding=file.rounding,
+        accel_rounding=file.accel_rounding,
+    )
+
+
+def _value(file: CalibrationFile) -> Calibration:
+    p = file.provenance
+    return Calibration(
+        device=file.device,
+        reference_temp_c=_scalar(file.reference_temp_c),
+        gravity_m_s2=file.gravity_m_s2,
+        gyro=_triad(file.gyro),
+        accel=_triad(file.accel),
+        drift=_drift(file.drift),
+        adc=_adc(file.adc),
+        noise=None if file.noise is None else NoiseModel(**{k: _array(v) for k, v in file.noise}),
+        verdict=Verdict(status=file.verdict.status, reasons=tuple(file.verdict.reasons)),
+        provenance=Provenance(
+            inputs=tuple((i.file, i.sha256) for i in p.inputs),
+            settings=tuple(p.settings.items()),
+            versions=tuple(p.versions.items()),
+            created=p.time,
+        ),
+    )
