@@ -98,3 +98,41 @@ def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     t = 2.0 * np.cross(q[..., 1:], v)
     turned: FloatArray = v + q[..., :1] * t + np.cross(q[..., 1:], t)
     return turned
+
+
+def rotation_vector(q: FloatArray) -> FloatArray:
+    """Return the rotation vector of unit quaternions, gaps (NaN) passing through.
+
+    Parameters
+    ----------
+    q : array, shape (..., 4)
+        Unit quaternions w, x, y, z.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        Axis times angle, rad, angle at most pi.
+    """
+    w, v = q[..., :1], q[..., 1:]
+    sine = np.linalg.norm(v, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, np.abs(w))
+    per_sine = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
+    vector: FloatArray = np.where(w < 0.0, -per_sine, per_sine) * v
+    return vector
+
+
+def quaternion_of(vector: FloatArray) -> FloatArray:
+    """Return the unit quaternion of rotation vectors, gaps (NaN) passing through.
+
+    Parameters
+    ----------
+    vector : array, shape (..., 3)
+        Axis times angle, rad.
+
+    Returns
+    -------
+    array, shape (..., 4)
+        w, x, y, z.
+    """
+    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.concatenate((np.cos(half), 0.5 * np.sinc(half / np.pi) * vector), axis=-1)
