@@ -1,0 +1,200 @@
+"""ADC identification: the step of the codes and how they were rounded, from the readings themselves.
+
+The step q is the common divisor of the differences between readings; readings in rad/s that went through a float are the
+same codes with rounding dust on them. The rounding shows at code 0: truncation toward zero maps (-q, q) to 0, a bin twice as
+wide as its neighbours. So with n(k) samples at code k, expected(0) the mean of n over codes +-1..+-8::
+
+    ratio = n(0) / expected(0)          1 for nearest and floor, 2 for toward zero
+
+Nearest and floor differ by half a step everywhere, which an offset takes up: codes alone cannot tell them apart, and need
+not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.model import AdcModel, Rounding
+from undrift.record import Record
+
+_MOST_CODES = 200_000  # distinct readings looked at when the step is sought
+_GRID_MISS = 0.15  # of a step: how far readings may be off the grid; files round to a tenth of a step
+_DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: float rounding, not a step
+_SIDE = 8  # codes on either side of zero that tell its expected count
+_HALF, _TRAVEL = 5, 20  # a sample is in motion when the readings 5 before and 5 after differ by 20 codes
+_LEAST_COUNT = 100  # samples in motion near code 0
+_SURE = 4.0  # standard deviations by which the other ratio must be excluded
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AdcFinding:
+    """What the codes of one triad say.
+
+    Parameters
+    ----------
+    lsb : array, shape (3,), or None
+        Step of each axis, unit of the readings; None where the readings lie on no grid.
+    rounding : str or None
+        toward_zero; nearest (which stands for floor too); None where it cannot be told.
+    ratio : array, shape (3,)
+        Count at code 0 over the expected one; NaN where too few samples are near zero.
+    ratio_uncertainty : array, shape (3,)
+        Scatter that ``ratio`` would have if it were 1.
+    reason : str
+        How it was told, or why not.
+    """
+
+    lsb: FloatArray | None
+    rounding: Rounding | None
+    ratio: FloatArray
+    ratio_uncertainty: FloatArray
+    reason: str
+
+
+def identify_adc(values: FloatArray) -> AdcFinding:
+    """Find the step and the rounding of a triad.
+
+    Parameters
+    ----------
+    values : array, shape (N, 3)
+        Uncorrected readings: codes, or codes times a scale factor. Gaps are left out.
+
+    Returns
+    -------
+    AdcFinding
+        With evidence; "unknown" is an answer.
+    """
+    grids = [code_grid(column) for column in values.T]
+    steps, phases = np.array([g[0] for g in grids]), np.array([g[1] for g in grids])
+    nothing = np.full(3, np.nan)
+    if np.isnan(steps).any():
+        reason = "the readings lie on no grid: they were filtered, resampled or calibrated before they were written"
+        return AdcFinding(lsb=None, rounding=None, ratio=nothing, ratio_uncertainty=nothing, reason=reason)
+    counts = [
+        _sweeping(column, step) if abs(phase) < 0.05 else np.zeros(2 * _SIDE + 1)
+        for column, step, phase in zip(values.T, steps, phases, strict=True)
+    ]
+    evidence = np.array([_zero_ratio(c) for c in counts])
+    rounding, reason = _judge(*_zero_ratio(np.sum(counts, axis=0)), bool((np.abs(phases) >= 0.05).any()))
+    return AdcFinding(
+        lsb=steps, rounding=rounding, ratio=evidence[:, 0], ratio_uncertainty=evidence[:, 1], reason=reason
+    )
+
+
+def identify_record_adc(record: Record) -> AdcModel | None:
+    """Find the ADC of both triads of a raw record.
+
+    Parameters
+    ----------
+    record : Record
+        Uncorrected.
+
+    Returns
+    -------
+    AdcModel or None
+        Triads whose rounding was told; None where neither was.
+    """
+    gyro = None if record.gyro is None else identify_adc(record.gyro)
+    accel = None if record.accel is None else identify_adc(record.accel)
+    return adc_model(gyro, accel)
+
+
+def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | None:
+    """Keep what was told for certain.
+
+    Parameters
+    ----------
+    gyro, accel : AdcFinding or None
+        Findings.
+
+    Returns
+    -------
+    AdcModel or None
+        A triad whose rounding is unknown has no step; None where neither triad is known.
+    """
+    known_gyro = gyro if gyro is not None and gyro.rounding is not None else None
+    known_accel = accel if accel is not None and accel.rounding is not None else None
+    if known_gyro is None and known_accel is None:
+        return None
+    return AdcModel(
+        gyro_lsb=None if known_gyro is None else known_gyro.lsb,
+        accel_lsb=None if known_accel is None else known_accel.lsb,
+        gyro_rounding=known_gyro.rounding if known_gyro is not None and known_gyro.rounding else "nearest",
+        accel_rounding=known_accel.rounding if known_accel is not None and known_accel.rounding else "nearest",
+    )
+
+
+def code_grid(column: FloatArray) -> tuple[float, float]:
+    """Return the step between neighbouring codes of one axis, and where the grid lies.
+
+    Parameters
+    ----------
+    column : array, shape (N,)
+        Readings.
+
+    Returns
+    -------
+    step : float
+        Same unit; NaN where the readings lie on no grid.
+    phase : float
+        Reading of the code nearest zero, in steps, -0.5..0.5; 0 where readings are codes times a factor.
+    """
+    distinct = np.unique(column[np.isfinite(column)])
+    if not 4 <= len(distinct) <= _MOST_CODES:
+        return float("nan"), float("nan")
+    largest = float(np.abs(distinct).max())
+    nodes = distinct[np.concatenate(([True], np.diff(distinct) > _DUST * largest))]
+    if len(nodes) < 4:
+        return float("nan"), float("nan")
+    gaps = np.diff(nodes)
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    origin = float(nodes[np.argmin(np.abs(nodes - np.median(nodes)))])
+    for reach in (8.0, 30.0, 120.0, 500.0, 2000.0, 8000.0, np.inf):  # a wider span tells the step more finely
+        near = nodes[np.abs(nodes - origin) <= reach * step]
+        codes = np.round((near - origin) / step)
+        if len(near) > 3 and np.ptp(codes) > 0.0:
+            step, shift = np.polyfit(codes, near - origin, 1)
+            origin += float(shift)
+    places = (nodes - origin) / step
+    miss = float(np.quantile(np.abs(places - np.round(places)), 0.99))
+    if step < 20.0 * _DUST * largest or miss > _GRID_MISS:
+        return float("nan"), float("nan")
+    phase = origin / step - float(np.round(origin / step))
+    if abs(phase) < 0.05:
+        codes = np.round(nodes / step)
+        step = float(nodes @ codes / (codes @ codes))
+    return float(step), phase
+
+
+def _sweeping(column: FloatArray, step: float) -> FloatArray:
+    # How often each code from -_SIDE to _SIDE occurs while the reading sweeps through.
+    codes = np.round(np.nan_to_num(column, nan=1e9) / step).astype(np.int64)
+    flag = np.zeros(len(codes), bool)
+    flag[_HALF:-_HALF] = np.abs(codes[2 * _HALF :] - codes[: -2 * _HALF]) >= _TRAVEL
+    near = codes[flag & (np.abs(codes) <= _SIDE)] + _SIDE
+    return np.bincount(near, minlength=2 * _SIDE + 1).astype(float)
+
+
+def _zero_ratio(counts: FloatArray) -> tuple[float, float]:
+    beside = float(counts.sum() - counts[_SIDE])
+    if beside < _LEAST_COUNT:
+        return float("nan"), float("nan")
+    others = np.delete(counts, _SIDE)
+    expected = float(others.mean())
+    uneven = max(1.0, float(others.var(ddof=1)) / expected)  # a motion in step with the sampling beats Poisson's law
+    return float(counts[_SIDE]) / expected, float(np.sqrt(uneven / expected))
+
+
+def _judge(ratio: float, sigma: float, shifted: bool) -> tuple[Rounding | None, str]:
+    if np.isnan(ratio):
+        why = "an offset was taken off the codes" if shifted else "too few samples sweep through code 0"
+        return None, f"{why}: a raw recording of the device in brisk motion would tell the rounding"
+    figures = f"code 0 occurs {ratio:.2f} +- {sigma:.2f} times as often as its neighbours"
+    sure_1 = _SURE * sigma * np.sqrt(1.0 + 1.0 / (2 * _SIDE))  # scatter of the ratio if it were 1, and if it were 2
+    sure_2 = _SURE * sigma * np.sqrt(2.0 + 4.0 / (2 * _SIDE))
+    if abs(ratio - 2.0) < max(0.3, sure_2) and ratio - 1.0 > sure_1:
+        return "toward_zero", f"{figures}: truncated toward zero"
+    if abs(ratio - 1.0) < max(0.3, sure_1) and 2.0 - ratio > sure_2:
+        return "nearest", f"{figures}: nearest or floor, which differ by half a step that the offset takes up"
+    return None, f"{figures}: neither 1 nor 2 for certain"
