@@ -76,7 +76,7 @@ def identify_adc(values: FloatArray) -> AdcFinding:
         for column, step, phase in zip(values.T, steps, phases, strict=True)
     ]
     evidence = np.array([_zero_ratio(c) for c in counts])
-    rounding, reason = _judge(*_zero_ratio(np.sum(counts, axis=0)), bool((np.abs(phases) >= 0.05).any()))
+    rounding, reason = _judge(*_zero_ratio(np.sum(counts, axis=0)), _obstacle(phases, evidence[:, 0]))
     return AdcFinding(
         lsb=steps, rounding=rounding, ratio=evidence[:, 0], ratio_uncertainty=evidence[:, 1], reason=reason
     )
@@ -186,9 +186,15 @@ def _zero_ratio(counts: FloatArray) -> tuple[float, float]:
     return float(counts[_SIDE]) / expected, float(np.sqrt(uneven / expected))
 
 
-def _judge(ratio: float, sigma: float, shifted: bool) -> tuple[Rounding | None, str]:
-    if np.isnan(ratio):
-        why = "an offset was taken off the codes" if shifted else "too few samples sweep through code 0"
+def _obstacle(phases: FloatArray, ratio: FloatArray) -> str:
+    if (np.abs(phases) >= 0.05).any():
+        return "an offset was taken off the codes"
+    return "fewer than two axes sweep through code 0" if np.isfinite(ratio).sum() < 2 else ""
+
+
+def _judge(ratio: float, sigma: float, obstacle: str) -> tuple[Rounding | None, str]:
+    if obstacle or np.isnan(ratio):
+        why = obstacle or "too few samples sweep through code 0"
         return None, f"{why}: a raw recording of the device in brisk motion would tell the rounding"
     figures = f"code 0 occurs {ratio:.2f} +- {sigma:.2f} times as often as its neighbours"
     sure_1 = _SURE * sigma * np.sqrt(1.0 + 1.0 / (2 * _SIDE))  # scatter of the ratio if it were 1, and if it were 2
