@@ -121,7 +121,7 @@ def even_nodes(nodes: FloatArray) -> FloatArray | None:
     span = nodes[-1] - nodes[0]
     cells = span / np.diff(nodes).min()
     for parts in (1, 2, 3):  # the smallest gap may itself be two or three steps
-        count = round(float(cells)) * parts
+        count = round(float(cells) * parts)
         if count + 1 > MOST_NODES:
             return None
         places = (nodes - nodes[0]) * (count / span)

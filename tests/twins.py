@@ -1,0 +1,65 @@
+"""Slow plain-numpy twins of the kernels: the same equations, written for reading."""
+
+import numpy as np
+
+from undrift.calibration.model import Calibration, TriadModel
+from undrift.units import si_factor
+
+
+def table(nodes, values, x):
+    """Linear between nodes, held at the ends."""
+    values = np.asarray(values)
+    flat = values.reshape(len(nodes), -1)
+    return np.column_stack([np.interp(x, nodes, column) for column in flat.T]).reshape(len(x), *values.shape[1:])
+
+
+def rounded(u, lsb, mode):
+    if lsb is None or mode == "nearest":
+        return u
+    return u + 0.5 * lsb * (np.sign(u) if mode == "toward_zero" else 1.0)
+
+
+def triad(u, temp, model: TriadModel, offsets, matrices):
+    """Steps 2 and 3: offsets and matrices are (nodes, values) or None."""
+    offset = model.offset if offsets is None else table(*offsets, temp)
+    matrix = model.matrix[None] if matrices is None else table(*matrices, temp)
+    return np.einsum("nij,nj->ni", np.broadcast_to(matrix, (len(u), 3, 3)), u - offset)
+
+
+def corrected(calibration: Calibration, gyro, accel, temp):
+    """The five steps of undrift.correct for readings in the calibration's own units: (rate, specific force)."""
+    c, drift, adc = calibration, calibration.drift, calibration.adc
+    static, scale, dynamic = (drift.static, drift.scale, drift.dynamic) if drift else (None, None, None)
+
+    def of(table_, name):
+        return None if table_ is None or getattr(table_, name) is None else (table_.temp_c, getattr(table_, name))
+
+    a = None
+    if accel is not None:
+        u = accel if adc is None else rounded(accel, adc.accel_lsb, adc.accel_rounding)
+        a = triad(u, temp, c.accel, of(static, "accel_offset"), of(scale, "accel_matrix"))
+        a = a * si_factor(c.accel.unit_out, "accel")
+    u = gyro if adc is None else rounded(gyro, adc.gyro_lsb, adc.gyro_rounding)
+    w = triad(u, temp, c.gyro, of(static, "gyro_offset"), of(scale, "gyro_matrix"))
+    if c.gyro.g_sensitivity is not None:
+        w = w - a @ c.gyro.g_sensitivity.T
+    if dynamic is not None:
+        from scipy.interpolate import RegularGridInterpolator
+
+        t = np.clip(temp, dynamic.temp_c[0], dynamic.temp_c[-1])
+        error = np.empty_like(w)
+        for axis in range(3):
+            at = np.column_stack((t, np.clip(w[:, axis], dynamic.turn_rate[0], dynamic.turn_rate[-1])))
+            error[:, axis] = RegularGridInterpolator((dynamic.temp_c, dynamic.turn_rate), dynamic.error[..., axis])(at)
+        w = w - error
+    return w, a
+
+
+def strapdown(gyro, time, q):
+    """One scipy rotation after the other."""
+    from scipy.spatial.transform import Rotation
+
+    turned = [Rotation.from_quat(q, scalar_first=True)]
+    for k in range(1, len(time)):
+        turned.append(turned[-1] * Rotation.from_rotvec(gyro[k] * (time[k] - time[k - 1])))
+    return np.array([r.as_quat(scalar_first=True) for r in turned])
