@@ -243,10 +243,6 @@ def _check_values(table: Table, name: str, values: FloatArray, limit: float, uni
             f'data row {row}{_period(gap)}; set gaps = "keep" to keep them as gaps',
             row=row,
         )
-    if gap.all():
-        raise FileFormatError(
-            f"{table.source}: column {name!r}: wanted numbers, got only empty cells; check the mapping"
-        )
     wild = np.flatnonzero(np.abs(np.where(gap, 0.0, values)) > limit)
     if len(wild):
         row = table.row(int(wild[0]))

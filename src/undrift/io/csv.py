@@ -49,7 +49,7 @@ def read_csv(
     FileFormatError
         Empty, cut, binary, not UTF-8, ragged rows, text in a number column, values no sensor reads.
     """
-    return build_csv(path, columns, sample_rate_hz=sample_rate_hz).record
+    return build_csv(path, columns, sample_rate_hz=sample_rate_hz, gaps=gaps).record
 
 
 def build_csv(
@@ -109,8 +109,8 @@ def write_csv(record: Record, path: str | Path) -> None:
     try:
         with pa.OSFile(str(path), "wb") as raw:
             sink = pa.CompressedOutputStream(raw, "gzip") if path.suffix == ".gz" else raw
-            sink.write(_mark(record))
-            arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(quoting_style="none"))
+            sink.write(_mark(record) + ",".join(names).encode() + b"\n")
+            arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
             if sink is not raw:
                 sink.close()
     except OSError as error:

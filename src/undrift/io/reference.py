@@ -201,7 +201,9 @@ def write_reference(reference: Reference, path: str | Path) -> None:
         raise InputError(f"{path}: wanted a name ending in .parquet or .csv, got another; name the format so")
     try:
         if suffix == ".csv":
-            arrow_csv.write_csv(table, str(path), arrow_csv.WriteOptions(quoting_style="none"))
+            with pa.OSFile(str(path), "wb") as sink:
+                sink.write(",".join(names).encode() + b"\n")
+                arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
         else:
             pq.write_table(table, str(path), use_dictionary=False)
     except OSError as error:

@@ -1,0 +1,229 @@
+"""CSV: what was written comes back to the bit, and each kind of bad input is one clear line."""
+
+import gzip
+
+import numpy as np
+import pytest
+from hypothesis import given
+from made import assert_same, few, one_line, records
+
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ColumnMap, Scale, TextLayout
+from undrift.io.csv import build_csv, read_csv, write_csv
+from undrift.record import Record
+
+XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
+
+
+def put(tmp_path, text, name="r.csv"):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def rows(n=8, step=0.01):
+    return [f"{k * step:.3f},0.1,{0.01 * k:.2f},1.0" for k in range(n)]
+
+
+def table(lines, header="t,x,y,z"):
+    return "\n".join([header, *lines]) + "\n"
+
+
+@few
+@given(record=records(gaps=True))
+def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
+    path = tmp_path_factory.mktemp("csv") / "r.csv"
+    write_csv(record, path)
+    assert_same(read_csv(path, gaps="keep"), record)
+
+
+def test_a_packed_file_reads_as_its_plain_one(tmp_path):
+    record = Record(time=np.arange(50) / 100, gyro=np.random.default_rng(1).normal(size=(50, 3)), gyro_unit="dps")
+    write_csv(record, tmp_path / "r.csv.gz")
+    assert_same(read_csv(tmp_path / "r.csv.gz"), record)
+    assert gzip.decompress((tmp_path / "r.csv.gz").read_bytes()).startswith(b"time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n")
+
+
+def test_a_corrected_file_says_so_in_its_first_line(tmp_path):
+    record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)), state="corrected", frame="b", device="A;\n1")
+    write_csv(record, tmp_path / "r.csv")
+    assert (tmp_path / "r.csv").read_text().splitlines()[0] == "# undrift record; frame=b; state=corrected; device=A, 1"
+    back = read_csv(tmp_path / "r.csv")
+    assert (back.state, back.frame, back.device) == ("corrected", "b", "A, 1")
+
+
+def test_a_first_line_of_undrift_that_is_damaged_is_refused(tmp_path):
+    path = put(tmp_path, "# undrift record; state=cooked\ntime_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n1,1,2,3\n")
+    with pytest.raises(FileFormatError, match="wanted '# undrift record; frame="):
+        read_csv(path)
+
+
+def test_units_and_scales_are_applied_as_the_map_says(tmp_path):
+    path = put(tmp_path, "ms,a,b,c,T\n1000,16384,0,-16384,-8884\n1010,0,0,0,-2614\n")
+    columns = ColumnMap(
+        time="ms",
+        time_unit="ms",
+        accel=("a", "b", "c"),
+        accel_unit="g",
+        accel_scale=Scale((1 / 16384, 1 / 16384, -1 / 16384), (0.0, 0.5, 0.0)),
+        temp="T",
+        temp_unit="degC",
+        temp_scale=Scale(1 / 340, 36.53),
+    )
+    record = read_csv(path, columns)
+    np.testing.assert_allclose(record.time, [1.0, 1.01])
+    np.testing.assert_allclose(record.accel, [[1.0, 0.5, 1.0], [0.0, 0.5, 0.0]])
+    np.testing.assert_allclose(record.temp_c, [10.40058824, 28.84176471])
+
+
+def test_positions_blanks_tabs_and_decimal_commas_are_read(tmp_path):
+    blanks = put(tmp_path, "  0.00   1e0  2 \t 3 \r\n  0.01   4.  5   6\r\n", "b.txt")
+    record = read_csv(
+        blanks,
+        ColumnMap(time=0, time_unit="s", gyro=(1, 2, 3), gyro_unit="dps", layout=TextLayout(delimiter=" ", header=False)),
+    )
+    np.testing.assert_array_equal(record.gyro, [[1, 2, 3], [4, 5, 6]])
+    commas = put(tmp_path, "t;x;y;z\n0,0;1,5;2,5;3,5\n0,1;1;2;3\n", "c.csv")
+    layout = TextLayout(delimiter=";", decimal=",")
+    record = read_csv(commas, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", layout=layout))
+    np.testing.assert_array_equal(record.accel, [[1.5, 2.5, 3.5], [1, 2, 3]])
+
+
+def test_without_a_time_column_the_stated_rate_makes_the_time(tmp_path):
+    path = put(tmp_path, "x,y,z\n1,2,3\n4,5,6\n7,8,9\n")
+    record = read_csv(path, ColumnMap(gyro=("x", "y", "z"), gyro_unit="count", sample_rate_hz=102.4))
+    np.testing.assert_allclose(record.time, np.arange(3) / 102.4)
+
+
+def test_blanks_around_a_name_do_not_count_and_a_byte_order_mark_is_skipped(tmp_path):
+    path = put(tmp_path, b"\xef\xbb\xbft, x ,y,z\n0,1,2,3\n1,4,5,6\n")
+    np.testing.assert_array_equal(read_csv(path, XYZ).accel[:, 0], [1, 4])
+
+
+def test_broken_rows_are_dropped_on_request_and_counted_and_their_time_is_kept(tmp_path):
+    text = "log started\n0,0,1\n0,0,1,5\n0,0,bad,5\n0,0,1,5\n0,0\n"
+    path = put(tmp_path, text)
+    layout = TextLayout(header=False, drop_bad_rows=True)
+    columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", temp=3, temp_unit="degC", sample_rate_hz=10.0, layout=layout)
+    built = build_csv(put(tmp_path, text + "0,0,1,5\n" * 9), columns)
+    assert built.dropped_rows == 4
+    assert len(built.record) == 11
+    # rows 3 and 5 of the file are good, row 4 is not: their distance is two samples
+    assert built.record.time[:2].tolist() == pytest.approx([0.0, 0.2])
+    with pytest.raises(FileFormatError, match="wanted 4 columns in every row, got 1 in data row 1"):
+        read_csv(path, ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, layout=TextLayout(header=False)))
+
+
+def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
+    lines = rows(40)
+    lines[7] = "0.000" + lines[7][5:]
+    lines[20] = lines[19]
+    path = put(tmp_path, table(lines))
+    with pytest.raises(InputError, match="2 steps back or doubled, first in data row 8 \\(backward: 0.06 s then 0 s\\)") as caught:
+        read_csv(path, XYZ)
+    one_line(caught)
+    repaired = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", repair_time=True)
+    built = build_csv(path, repaired)
+    assert built.repaired_rows == 2
+    assert len(built.record) == 38
+    assert (np.diff(built.record.time) > 0).all()
+
+
+def test_gaps_are_kept_only_on_request(tmp_path):
+    path = put(tmp_path, table(["0,1,2,3", "1,,2,3", "2,1,nan,3"]))
+    with pytest.raises(InputError, match="column 'x': .* got 1 empty or NaN cells, first in data row 2; set gaps"):
+        read_csv(path, XYZ)
+    kept = read_csv(path, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gaps="keep"))
+    assert np.isnan(kept.accel).sum() == 2
+
+
+BAD = [
+    ("text", table([*rows(), "0.080,0.1,abc,1.0"]), FileFormatError, "column 'y': wanted numbers, got 'abc' in data row 9"),
+    ("short row", table([*rows(), "0.080,0.1"]), FileFormatError, "wanted 4 columns in every row, got 2 in data row 9"),
+    ("long row", table([rows()[0], "0.01,1,2,3,4,5"]), FileFormatError, "wanted 4 columns in every row, got 6 in data row 2"),
+    ("wild value", table([*rows(), "0.080,1e9,0,1"]), FileFormatError, "wanted readings up to 2000 g, got 1e\\+09 in data row 9"),
+    ("infinity", table([*rows(), "0.080,inf,0,1"]), FileFormatError, "got inf in data row 9"),
+    ("wrong column", table(rows(), "t,x,y,q"), InputError, "wanted column 'z', got 't', 'x', 'y', 'q'"),
+    ("two of a name", table(rows(), "t,x,z,z"), InputError, "wanted column 'y'"),
+    ("doubled name", table([f"{r},1" for r in rows()], "t,x,y,z,z"), InputError, "wanted one column 'z', got 2"),
+    ("empty file", "", FileFormatError, "got an empty file"),
+    ("header only", "t,x,y,z\n", FileFormatError, "wanted two rows or more, got 0"),
+    ("one row", table(rows(1)), FileFormatError, "wanted two rows or more, got 1"),
+    ("no time", table(["0,1,2,3", ",1,2,3", "2,1,2,3"]), InputError, "time column 't': .* got 1 empty or NaN cells"),
+    ("text time", table(["0,1,2,3", "noon,1,2,3"]), FileFormatError, "column 't': wanted numbers, got 'noon' in data row 2"),
+    ("empty column", table(["0,1,,3", "1,1,,3"]), InputError, "column 'y': .* got 2 empty"),
+    ("not utf-8", "t,x,y,z\xb0\n0,1,2,3\n".encode("latin-1"), FileFormatError, "wanted UTF-8 text, got byte 0xb0 in the header"),
+    ("utf-16", table(rows()).encode("utf-16"), FileFormatError, "got binary data or UTF-16"),
+    ("bytes in a cell", b"t,x,y,z\n0,1,\xb0,3\n1,1,2,3\n", FileFormatError, "column 'y': wanted numbers"),
+]
+
+
+@pytest.mark.parametrize(("text", "kind", "words"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])
+def test_bad_input_is_one_clear_line_that_names_file_column_and_row(tmp_path, text, kind, words):
+    path = put(tmp_path, text)
+    with pytest.raises(kind, match=words) as caught:
+        read_csv(path, XYZ)
+    assert str(path) in one_line(caught)
+
+
+def test_a_cut_or_damaged_gzip_is_refused(tmp_path):
+    packed = gzip.compress(table(rows(500)).encode())
+    with pytest.raises(FileFormatError, match="wanted a whole gzip file, got one that is cut off"):
+        read_csv(put(tmp_path, packed[:-20], "cut.csv.gz"), XYZ)
+    broken = bytearray(packed)
+    broken[len(packed) // 2] ^= 0xFF
+    with pytest.raises(FileFormatError, match="wanted a sound gzip file"):
+        read_csv(put(tmp_path, bytes(broken), "broken.csv.gz"), XYZ)
+    with pytest.raises(FileFormatError, match="empty file inside the gzip"):
+        read_csv(put(tmp_path, gzip.compress(b""), "empty.csv.gz"), XYZ)
+
+
+def test_two_rates_in_one_file_are_refused_however_they_show(tmp_path):
+    time = np.concatenate((np.arange(200) * 0.01, 2.0 + np.arange(200) * 0.02))
+    path = put(tmp_path, table([f"{t:.3f},0,0,1" for t in time]))
+    with pytest.raises(InputError, match="wanted one sample rate, got 100 Hz and then 50 Hz from 2"):
+        read_csv(path, XYZ)
+    half = put(tmp_path, table([f"{0.01 * k:.3f},{k if k % 2 == 0 else ''},0,1" for k in range(40)]), "h.csv")
+    with pytest.raises(InputError, match="filled in every 2th row only: two rates in one file"):
+        read_csv(half, XYZ)
+
+
+def test_jitter_and_drop_outs_are_not_two_rates(tmp_path):
+    rng = np.random.default_rng(3)
+    time = np.cumsum(0.017 + 0.001 * rng.integers(-1, 2, 600) + 2.8 * (np.arange(600) % 170 == 169))
+    record = read_csv(put(tmp_path, table([f"{t:.4f},0,0,1" for t in time])), XYZ)
+    assert len(record) == 600
+
+
+def test_a_stated_rate_that_the_time_column_denies_is_refused(tmp_path):
+    columns = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", sample_rate_hz=204.8)
+    with pytest.raises(InputError, match="wanted 204.8 Hz as stated, got 100 Hz from time column 't'"):
+        read_csv(put(tmp_path, table(rows())), columns)
+
+
+def test_a_file_with_foreign_names_says_which_map_it_needs(tmp_path):
+    with pytest.raises(InputError, match=r"r.csv: columns: wanted names such as gyro_x_dps.*map them: columns = \{"):
+        read_csv(put(tmp_path, table(rows())))
+
+
+def test_too_much_repair_is_refused(tmp_path):
+    columns = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", repair_time=True)
+    path = put(tmp_path, table([f"{10 - k},0,0,1" for k in range(10)]))
+    with pytest.raises(InputError, match="wanted time that mostly goes forward, got 9 of 10 rows to drop"):
+        read_csv(path, columns)
+
+
+def test_skipping_past_the_end_and_positions_outside_are_refused(tmp_path):
+    path = put(tmp_path, table(rows()))
+    columns = ColumnMap(gyro=(0, 1, 9), gyro_unit="dps", sample_rate_hz=1.0)
+    with pytest.raises(InputError, match=r"wanted column 9 \(from 0\), got 4 columns"):
+        read_csv(path, columns)
+    columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=1.0, layout=TextLayout(skip_rows=99))
+    with pytest.raises(FileFormatError, match="wanted rows after 99 skipped lines, got none"):
+        read_csv(path, columns)
+
+
+def test_a_folder_that_is_not_there_cannot_be_written_to(tmp_path):
+    record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)))
+    with pytest.raises(InputError, match="cannot be written"):
+        write_csv(record, tmp_path / "none" / "r.csv")
