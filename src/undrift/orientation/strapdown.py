@@ -28,7 +28,7 @@ def integrate_strapdown(
     q_nb : array, shape (4,)
         Orientation at the first sample, w-x-y-z.
     out : array, shape (N, 4), optional
-        Where to write; saves a fresh array.
+        Where to write, float64 in C order; saves a fresh array.
 
     Returns
     -------
@@ -50,12 +50,16 @@ def integrate_strapdown(
         raise InputError(
             f"strapdown: wanted gyro (N, 3), time (N,), q (4,), got {gyro_b.shape}, {time.shape}, {np.shape(q_nb)}"
         )
-    if not np.isfinite(gyro_b).all():
+    q = np.empty((len(time), 4)) if out is None else out
+    if q.shape != (len(time), 4) or q.dtype != np.float64 or not q.flags.c_contiguous:
+        raise InputError(
+            f"strapdown: wanted a float64 buffer of shape ({len(time)}, 4) in C order, got {q.dtype} {q.shape}; make it "
+            "with numpy.empty"
+        )
+    gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
+    strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))
+    if not np.isfinite(q[-1]).all():  # a gap never leaves the product, so the last sample tells of all
         raise InputError(
             "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
         )
-    q = np.empty((len(time), 4)) if out is None else out
-    strapdown(
-        np.ascontiguousarray(gyro_b).reshape(-1), np.ascontiguousarray(time), np.asarray(q_nb, float), q.reshape(-1)
-    )
     return q
