@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
 
-Json: TypeAlias = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
+    from undrift.calibration.model import Verdict
+
+Json: TypeAlias = bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"] | None
 
 
 def console() -> "Console":
@@ -113,3 +117,39 @@ def plain(value: object) -> Json:
     if isinstance(value, Sequence | set | frozenset):
         return [plain(item) for item in value]
     return str(value)
+
+
+def waiting(what: str) -> "AbstractContextManager[object]":
+    """Return a context that shows on a terminal's stderr that something is being worked on.
+
+    Parameters
+    ----------
+    what : str
+        What is being done.
+
+    Returns
+    -------
+    context manager
+        Silent where stderr is not a terminal.
+    """
+    from contextlib import nullcontext
+
+    from rich.console import Console
+
+    stderr = Console(stderr=True)
+    return stderr.status(what) if stderr.is_terminal else nullcontext()
+
+
+def show_verdict(verdict: "Verdict") -> None:
+    """Show a verdict and its reasons, one a line.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        What a fit is worth.
+    """
+    colour = {"good": "green", "marginal": "yellow", "bad": "red"}[verdict.status]
+    out = console()
+    out.print(f"[bold {colour}]verdict: {verdict.status}[/bold {colour}]")
+    for reason in verdict.reasons:
+        out.print(f"  - {reason}", markup=False)

@@ -1,0 +1,138 @@
+"""``undrift correct``: many recordings, any size, constant memory."""
+
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from undrift.cli.opening import Opening
+from undrift.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from undrift.calibration.model import Calibration
+    from undrift.correct import CorrectorState
+
+
+def correct(
+    *records: Path,
+    calibration: Path,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    policy: Literal["raise", "hold", "nan"] = "raise",
+    opening: Opening = Opening(),
+    json: bool = False,
+) -> int:
+    """Turn raw recordings into rad/s and m/s2. Parquet streams in constant memory.
+
+    Parameters
+    ----------
+    records : Path
+        One or more recordings of the calibrated device.
+    calibration : Path
+        calibration.json of the device.
+    output : Path
+        File (.parquet, .csv, .csv.gz) for one recording, folder for several.
+    policy : str
+        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan).
+    opening : Opening
+        How to read a foreign recording.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.calibration.store import read_calibration
+    from undrift.cli.output import console, progress, write_json
+
+    if not records:
+        raise InputError("correct: wanted one recording or more, got none; name them before --calibration")
+    model = read_calibration(calibration)
+    targets = _targets(records, output)
+    results: list[dict[str, object]] = []
+    folder = targets[0].parent
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".undrift-") as held, progress() as shown:
+        parts = [Path(held) / target.name for target in targets]
+        for record, part, target in zip(records, parts, targets, strict=True):
+            task = shown.add_task(record.name, total=_rows(record))
+            state, said = _correct_one(record, part, model, policy, opening, partial(shown.advance, task))
+            results.append(
+                {
+                    "recording": str(record),
+                    "output": str(target),
+                    "samples": state.samples,
+                    "samples_outside": state.samples_outside,
+                    "warnings": said,
+                }
+            )
+        for part, target in zip(parts, targets, strict=True):  # all are whole by now: a bad recording writes nothing
+            part.replace(target)
+    if json:
+        write_json({"calibration": str(calibration), "recordings": results})
+        return 0
+    out = console()
+    for result in results:
+        out.print(f"{result['recording']} -> {result['output']}: {result['samples']} samples", markup=False)
+        for text in result["warnings"]:  # type: ignore[attr-defined]
+            out.print(f"  warning: {text}", markup=False)
+    return 0
+
+
+def _targets(records: tuple[Path, ...], output: Path) -> list[Path]:
+    """Return the file that each recording is written to."""
+    if len(records) == 1 and output.name.lower().endswith((".parquet", ".csv", ".csv.gz")):
+        targets = [output]
+    else:
+        if output.suffix and not output.is_dir():
+            wanted = (
+                "a folder for several recordings" if len(records) > 1 else "a name ending in .parquet, .csv or .csv.gz"
+            )
+            raise InputError(f"output: wanted {wanted}, got {output}; name it so")
+        targets = [output / (record.name.split(".")[0] + ".parquet") for record in records]
+    doubled = sorted({t.name for t in targets if targets.count(t) > 1})
+    if doubled:
+        raise InputError(
+            f"output: wanted another name for each recording, got {', '.join(doubled)} twice; correct them apart"
+        )
+    sources = {record.resolve() for record in records}
+    if any(target.resolve() in sources for target in targets):
+        raise InputError(f"output: wanted another file than the recording itself, got {output}; raw readings are kept")
+    return targets
+
+
+def _correct_one(
+    record: Path,
+    part: Path,
+    model: "Calibration",
+    policy: Literal["raise", "hold", "nan"],
+    opening: Opening,
+    advance: "Callable[[float], None]",
+) -> tuple["CorrectorState", list[str]]:
+    from undrift.correct import Corrector
+    from undrift.io.parquet import ParquetWriter
+    from undrift.io.recording import iter_record, write_record
+
+    corrector, said = Corrector(model, policy), dict[str, None]()
+    if not part.name.endswith(".parquet"):
+        done = corrector.push_checked(opening.read(record))
+        write_record(done.record, part)
+        return corrector.state, [*done.warnings, *done.notes]
+    with ParquetWriter(part) as writer:
+        for chunk in iter_record(record, opening.columns(), settings=opening.settings()):
+            done = corrector.push_checked(chunk)
+            writer.write(done.record)
+            said.update(dict.fromkeys((*done.warnings, *done.notes)))
+            advance(len(chunk))
+    return corrector.state, list(said)
+
+
+def _rows(record: Path) -> int | None:
+    from undrift.io.parquet import parquet_rows
+
+    return parquet_rows(record) if record.suffix == ".parquet" and record.is_file() else None
