@@ -1,0 +1,396 @@
+"""Noise of a device at rest: coefficients of the Allan variance, each with its interval, or the reason why there is none.
+
+::
+
+    sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3          [1]_, annex C
+
+N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. The overlapping
+Allan variances at octaves of tau are fitted by generalised least squares, linear in Q^2, N^2, B^2, K^2 >= 0: their variances
+from the equivalent degrees of freedom, their correlations from the spectrum of the model itself (neighbouring octaves share
+half their samples). A term that is not two standard deviations above zero is dropped and reported as not observable,
+with an upper limit: a short record does not show the rise at long tau, and no number is then better than a number.
+
+References
+----------
+.. [1] IEEE Std 952-1997, "Specification format guide and test procedure for single-axis interferometric fiber optic gyros".
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.allan import AllanDeviation, allan_deviation
+from undrift.calibration.model import AXES, NoiseModel, Status, Verdict
+from undrift.errors import InputError
+from undrift.record import Record
+from undrift.units import Quantity, is_physical, si_factor
+
+FLICKER = 2.0 * np.log(2.0) / np.pi
+SIGNIFICANT = 2.0  # standard deviations above zero
+SHORTEST = 64  # samples
+_MODEL_ERRORS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # of the variance at each tau, tried in turn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseCoefficient:
+    """One coefficient and its confidence interval.
+
+    Parameters
+    ----------
+    value : float
+        NaN where the record does not show it.
+    interval : tuple of float
+        Lower and upper limit; (0, upper limit) where it is not shown.
+    unit : str
+        Unit of all three.
+    reason : str
+        Why it is not shown; "" when it is.
+    """
+
+    value: float
+    interval: tuple[float, float]
+    unit: str
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisNoise:
+    """Noise of one axis.
+
+    Parameters
+    ----------
+    axis : str
+        x, y or z.
+    angle_random_walk : NoiseCoefficient
+        N; velocity random walk for an accelerometer.
+    bias_instability : NoiseCoefficient
+        B.
+    rate_random_walk : NoiseCoefficient
+        K; acceleration random walk for an accelerometer.
+    quantization : NoiseCoefficient
+        Q, of the angle (velocity).
+    model_error : float
+        Share of the Allan variance by which the curve departs from the model.
+    """
+
+    axis: str
+    angle_random_walk: NoiseCoefficient
+    bias_instability: NoiseCoefficient
+    rate_random_walk: NoiseCoefficient
+    quantization: NoiseCoefficient
+    model_error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoiseFit:
+    """Noise of a device at rest.
+
+    Parameters
+    ----------
+    gyro, accel : tuple of AxisNoise
+        Three axes, or none where the record has no such triad.
+    gyro_unit, accel_unit : str
+        rad/s and m/s2, or the device's unit where it is not a physical one.
+    taus_s : array, shape (M,)
+        Averaging times, s.
+    gyro_adev, accel_adev : array, shape (M, 3)
+        Overlapping Allan deviation; no columns where the record has no such triad.
+    duration_s : float
+        Length of the record, s.
+    confidence : float
+        Probability of the intervals.
+    verdict : Verdict
+        What was not observable, and how long to record.
+    """
+
+    gyro: tuple[AxisNoise, ...]
+    accel: tuple[AxisNoise, ...]
+    gyro_unit: str
+    accel_unit: str
+    taus_s: FloatArray
+    gyro_adev: FloatArray
+    accel_adev: FloatArray
+    duration_s: float
+    confidence: float
+    verdict: Verdict
+
+    def model(self) -> NoiseModel:
+        """Return the coefficients as a calibration keeps them.
+
+        Returns
+        -------
+        NoiseModel
+            SI; NaN where not observable or not recorded.
+
+        Raises
+        ------
+        InputError
+            The readings are counts or volts.
+        """
+        for axes, unit in ((self.gyro, self.gyro_unit), (self.accel, self.accel_unit)):
+            if axes and not is_physical(unit):
+                raise InputError(
+                    f"noise model: wanted rad/s and m/s2, got {unit}; correct the record with its calibration first"
+                )
+        nothing = (np.nan,) * 3
+        gyro = [(a.angle_random_walk.value, a.bias_instability.value, a.rate_random_walk.value) for a in self.gyro]
+        accel = [(a.angle_random_walk.value, a.bias_instability.value, a.rate_random_walk.value) for a in self.accel]
+        n, b, k = zip(*gyro, strict=True) if gyro else (nothing,) * 3
+        na, ba, ka = zip(*accel, strict=True) if accel else (nothing,) * 3
+        return NoiseModel(
+            angle_random_walk=np.array(n),
+            bias_instability=np.array(b),
+            rate_random_walk=np.array(k),
+            velocity_random_walk=np.array(na),
+            accel_bias_instability=np.array(ba),
+            accel_random_walk=np.array(ka),
+        )
+
+
+def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
+    """Fit noise coefficients to a device at rest.
+
+    Model and weights: module docstring.
+
+    Parameters
+    ----------
+    record : Record
+        At rest throughout, without gaps.
+    confidence : float
+        Probability of the intervals, between 0 and 1.
+
+    Returns
+    -------
+    NoiseFit
+        SI where the record's unit is physical, else in the device's unit.
+
+    Raises
+    ------
+    InputError
+        Gaps, drop-outs, fewer than 64 samples, a channel that never changes, or motion; says where.
+    """
+    rate = record.sample_rate_hz
+    if len(record) < SHORTEST or (np.diff(record.time) > 1.5 / rate).any():
+        raise InputError(
+            f"noise: wanted {SHORTEST} evenly spaced samples or more, got {len(record)} with "
+            f"{int((np.diff(record.time) > 1.5 / rate).sum())} drop-outs; cut out a stretch without drop-outs"
+        )
+    gyro, gyro_unit, gyro_curves = _triad(record.gyro, record.gyro_unit, "rate", record, confidence)
+    accel, accel_unit, accel_curves = _triad(record.accel, record.accel_unit, "accel", record, confidence)
+    curves = gyro_curves or accel_curves
+    return NoiseFit(
+        gyro=gyro,
+        accel=accel,
+        gyro_unit=gyro_unit,
+        accel_unit=accel_unit,
+        taus_s=curves[0].taus_s,
+        gyro_adev=_columns(gyro_curves, curves[0]),
+        accel_adev=_columns(accel_curves, curves[0]),
+        duration_s=record.duration_s,
+        confidence=confidence,
+        verdict=_verdict(gyro, accel, record.duration_s),
+    )
+
+
+def _triad(
+    values: FloatArray | None, unit: str, quantity: Quantity, record: Record, confidence: float
+) -> tuple[tuple[AxisNoise, ...], str, list[AllanDeviation]]:
+    si = "rad/s" if quantity == "rate" else "m/s2"
+    if values is None:
+        return (), si, []
+    factor, unit = (si_factor(unit, quantity), si) if is_physical(unit) else (1.0, unit)
+    what = "gyro" if quantity == "rate" else "accel"
+    if np.isnan(values).any():
+        raise InputError(
+            f"noise: wanted {what} readings without gaps, got {int(np.isnan(values).any(axis=1).sum())} rows of NaN; "
+            "cut out a stretch without gaps"
+        )
+    _check_rest(values, record, what)
+    curves = [allan_deviation(values[:, k] * factor, record.sample_rate_hz, confidence=confidence) for k in range(3)]
+    axes = tuple(_axis(curve, axis, unit, record, confidence) for curve, axis in zip(curves, AXES, strict=True))
+    return axes, unit, curves
+
+
+def _check_rest(values: FloatArray, record: Record, what: str) -> None:
+    """Raise where the spread within one-second windows is ten times the usual, or where a channel is stuck."""
+    width = min(max(16, round(record.sample_rate_hz)), len(values) // 4)
+    count = len(values) // width
+    spread = values[: count * width].reshape(count, width, 3).std(axis=1)
+    usual = np.median(spread, axis=0)
+    if (values.std(axis=0) == 0.0).any():
+        axis = AXES[int(np.flatnonzero(values.std(axis=0) == 0.0)[0])]
+        raise InputError(
+            f"noise: wanted readings that vary, got one value throughout in {what} {axis}; check the column"
+        )
+    moved = np.flatnonzero((spread > 10.0 * np.maximum(usual, values.std(axis=0) * 1e-3)).any(axis=1))
+    if len(moved):
+        at = float(record.time[int(moved[0]) * width])
+        raise InputError(
+            f"noise: wanted a device at rest, got {what} motion in {len(moved)} of {count} windows, first at {at:.6g} s; "
+            "cut out a stretch at rest",
+            first_s=at,
+        )
+
+
+def _columns(curves: list[AllanDeviation], like: AllanDeviation) -> FloatArray:
+    return np.column_stack([c.deviation for c in curves]) if curves else np.empty((len(like.taus_s), 0))
+
+
+def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidence: float) -> AxisNoise:
+    from scipy.special import ndtri
+
+    tau = curve.taus_s
+    design = np.column_stack((3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER), tau / 3.0))
+    kept, squares, errors, misfit = _fit(curve, design, record)
+    wide = float(ndtri(0.5 + 0.5 * confidence))
+    roots = f"{unit}/sqrt(Hz)", unit, f"{unit}/sqrt(s)", f"{unit} s"
+    why = (
+        "no part of the curve falls with the square root of the averaging time",
+        "no flat part of the curve stands out: record longer",
+        f"no certain rise of the curve up to {tau[-1]:.3g} s: record longer",
+        "no part of the curve falls with the averaging time itself",
+    )
+    found: dict[int, NoiseCoefficient] = {}
+    for term, name, reason in zip((1, 2, 3, 0), roots, why, strict=True):
+        high = float(np.sqrt(max(squares[term], 0.0) + wide * errors[term]))
+        if term in kept:
+            value = float(np.sqrt(squares[term]))
+            relative = 0.5 * wide * errors[term] / squares[term]  # of the root; limits by the logarithm stay positive
+            interval = (value * float(np.exp(-relative)), value * float(np.exp(relative)))
+            found[term] = NoiseCoefficient(value=value, interval=interval, unit=name)
+        else:
+            found[term] = NoiseCoefficient(
+                value=np.nan, interval=(0.0, high), unit=name, reason=f"not observable: {reason}"
+            )
+    return AxisNoise(
+        axis=axis,
+        angle_random_walk=found[1],
+        bias_instability=found[2],
+        rate_random_walk=found[3],
+        quantization=found[0],
+        model_error=misfit,
+    )
+
+
+def _fit(
+    curve: AllanDeviation, design: FloatArray, record: Record
+) -> tuple[tuple[int, ...], FloatArray, FloatArray, float]:
+    """Return the terms kept, the squares of the coefficients, their standard errors, and the model error."""
+    measured = curve.deviation**2
+    model: FloatArray = measured.copy()
+    spectra, squared_gain = _spectra(curve.taus_s, record)
+    covariance: FloatArray = np.diag(2.0 * model**2 / curve.edf)
+    total, misfit, kept, squares = _stretched(measured, design, covariance, model)
+    for _ in range(5):
+        model = np.maximum(design @ squares, 1e-3 * measured)
+        covariance = _covariance(squares, model, curve.edf, spectra, squared_gain)
+        total, misfit, kept, squares = _stretched(measured, design, covariance, model)
+    errors = np.zeros(4)
+    for term in range(4):  # a dropped term's limit comes from a fit with it added
+        chosen = kept if term in kept else tuple(sorted((*kept, term)))
+        value, cov, _ = _weighted(measured, design[:, chosen], total)
+        at = chosen.index(term)
+        errors[term] = float(np.sqrt(cov[at, at]))
+        if term not in kept:
+            squares[term] = float(value[at])
+    return kept, squares, errors, misfit
+
+
+def _stretched(
+    measured: FloatArray, design: FloatArray, covariance: FloatArray, model: FloatArray
+) -> tuple[FloatArray, float, tuple[int, ...], FloatArray]:
+    """Return the covariance with the least model error that the residuals bear, that error, and the fit under it."""
+    for misfit in _MODEL_ERRORS:
+        total: FloatArray = covariance + np.diag((misfit * model) ** 2)
+        kept, squares, chi = _significant(measured, design, total)
+        freedom = len(measured) - len(kept)
+        if chi <= freedom + np.sqrt(2.0 * max(freedom, 1)):
+            break
+    return total, misfit, kept, squares
+
+
+def _significant(
+    measured: FloatArray, design: FloatArray, covariance: FloatArray
+) -> tuple[tuple[int, ...], FloatArray, float]:
+    """Return the best set of terms that all stand out from zero: least chi-square plus four for each term."""
+    best: tuple[float, tuple[int, ...], FloatArray, float] | None = None
+    for size in range(1, 5):
+        for terms in itertools.combinations(range(4), size):
+            if size > len(measured):
+                continue
+            value, cov, chi = _weighted(measured, design[:, terms], covariance)
+            if (value <= SIGNIFICANT * np.sqrt(np.diag(cov))).any():
+                continue
+            score = chi + SIGNIFICANT**2 * size
+            if best is None or score < best[0]:
+                squares = np.zeros(4)
+                squares[list(terms)] = value
+                best = (score, terms, squares, chi)
+    if best is None:  # nothing stands out: the white term is what there is
+        value, _, chi = _weighted(measured, design[:, (1,)], covariance)
+        squares = np.zeros(4)
+        squares[1] = float(value[0])
+        return (), squares, chi
+    return best[1], best[2], best[3]
+
+
+def _weighted(measured: FloatArray, design: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, np.column_stack((design, measured)))
+    a, b = white[:, :-1], white[:, -1]
+    size = np.linalg.norm(a, axis=0)
+    inverse = np.linalg.pinv((a / size).T @ (a / size)) / np.outer(size, size)
+    value = inverse @ (a.T @ b)
+    residual = b - a @ value
+    return value, inverse, float(residual @ residual)
+
+
+def _spectra(tau: FloatArray, record: Record) -> tuple[FloatArray, FloatArray]:
+    """Return one-sided spectra of the four terms (F, 4), and the squared gain of each Allan variance times root df (M, F)."""
+    top = 0.5 * record.sample_rate_hz
+    edges = np.geomspace(0.2 / record.duration_s, top, 3001)
+    f = np.sqrt(edges[1:] * edges[:-1])
+    spectra = np.column_stack(
+        (
+            8.0 * np.pi**2 * f**2 / (2.0 * top),
+            np.full(len(f), 2.0),
+            1.0 / (np.pi * f),
+            1.0 / (2.0 * np.pi**2 * f**2),
+        )
+    )
+    x = np.pi * np.outer(tau, f)
+    gain = 2.0 * np.sin(x) ** 4 / x**2
+    return spectra, gain * np.sqrt(np.diff(edges))
+
+
+def _covariance(
+    squares: FloatArray, model: FloatArray, edf: FloatArray, spectra: FloatArray, squared_gain: FloatArray
+) -> FloatArray:
+    """Return the covariance of the Allan variances: correlations of the model's spectrum, variances 2 sigma^4 / edf."""
+    root = squared_gain * (spectra @ np.maximum(squares, 0.0))
+    gram = root @ root.T
+    size = np.sqrt(np.diag(gram))
+    correlation = 0.999 * gram / np.outer(size, size) + 0.001 * np.eye(len(size))
+    spread = model * np.sqrt(2.0 / edf)
+    covariance: FloatArray = correlation * np.outer(spread, spread)
+    return covariance
+
+
+def _verdict(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration_s: float) -> Verdict:
+    reasons: list[str] = []
+    status: Status = "good"
+    for what, axes in (("gyro", gyro), ("accel", accel)):
+        for name in ("angle_random_walk", "bias_instability", "rate_random_walk"):
+            lost = [a.axis for a in axes if getattr(a, name).reason]
+            if lost:
+                reasons.append(f"{what} {', '.join(lost)}: {name} not observable in {duration_s:.0f} s")
+                status = "marginal" if name == "angle_random_walk" else status
+        worst = max((a.model_error for a in axes), default=0.0)
+        if worst >= 0.1:
+            status = "marginal"
+            reasons.append(
+                f"{what}: the Allan curve departs from the model by {100.0 * worst:.0f} %: filtered or disturbed readings"
+            )
+    return Verdict(status=status, reasons=tuple(reasons))
