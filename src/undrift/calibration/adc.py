@@ -204,3 +204,26 @@ def _judge(ratio: float, sigma: float, obstacle: str) -> tuple[Rounding | None, 
     if abs(ratio - 1.0) < max(0.3, sure_1) and 2.0 - ratio > sure_2:
         return "nearest", f"{figures}: nearest or floor, which differ by half a step that the offset takes up"
     return None, f"{figures}: neither 1 nor 2 for certain"
+
+
+def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) -> FloatArray:
+    """Return readings with the half step that the rounding took away put back.
+
+    Parameters
+    ----------
+    values : array, shape (N, 3)
+        Codes, or codes times a scale factor.
+    lsb : array, shape (3,)
+        Step of each axis, same unit.
+    rounding : str
+        nearest (nothing to do), floor, or toward_zero.
+
+    Returns
+    -------
+    array, shape (N, 3)
+        u + lsb / 2 * sign(u) for toward_zero, u + lsb / 2 for floor.
+    """
+    if rounding == "nearest":
+        return values
+    direction = np.sign(values) if rounding == "toward_zero" else 1.0
+    return np.asarray(values + 0.5 * lsb * direction)

@@ -3,7 +3,7 @@
 ``find_still`` -> Still, ``find_turns`` -> Turn, ``label_faces`` names the axis that points up. Ranges are [start, stop).
 """
 
-from undrift.segments.faces import label_faces, still_means
+from undrift.segments.faces import faces_of, label_faces, still_means
 from undrift.segments.still import StillSearch, StillSettings, StillThreshold, find_still, sliding_moments
 from undrift.segments.turns import TurnSearch, TurnSettings, find_turns
 
@@ -17,5 +17,6 @@ __all__ = [
     "TurnSearch",
     "TurnSettings",
     "label_faces",
+    "faces_of",
     "still_means",
 ]

@@ -69,17 +69,39 @@ def label_faces(record: Record, stills: Sequence[Still], *, margin_deg: float = 
         raise InputError("label_faces: wanted an accelerometer, got a record without; map the accel columns")
     if not stills:
         return ()
-    means = still_means(record.accel, stills)
-    centre = np.zeros(3) if is_physical(record.accel_unit) else _sphere_centre(means)
-    up = means - centre
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    faces: list[Still] = []
-    for still, direction in zip(stills, up, strict=True):
+    faces = faces_of(still_means(record.accel, stills), centred=is_physical(record.accel_unit), margin_deg=margin_deg)
+    return tuple(replace(still, face=face) for still, face in zip(stills, faces, strict=True))
+
+
+def faces_of(means: FloatArray, *, centred: bool, margin_deg: float = 15.0) -> tuple[Face | None, ...]:
+    """Name the axis that points up for each mean reading.
+
+    Parameters
+    ----------
+    means : array, shape (P, 3)
+        Mean accelerometer reading of each pose.
+    centred : bool
+        True where zero reading is zero force, within a third of gravity; else the centre of a sphere through the poses is taken.
+    margin_deg : float
+        Largest angle between gravity and the axis, deg.
+
+    Returns
+    -------
+    tuple of (str or None)
+        Faces.
+
+    Raises
+    ------
+    InputError
+        Fewer than five poses to find the centre from.
+    """
+    up = means if centred else means - _sphere_centre(means)
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    faces: list[Face | None] = []
+    for direction in up:
         axis = int(np.argmax(np.abs(direction)))
-        face: Face | None = None
-        if abs(direction[axis]) >= np.cos(margin_deg * RADIAN_PER_DEGREE):
-            face = FACES[2 * axis + (0 if direction[axis] > 0.0 else 1)]
-        faces.append(replace(still, face=face))
+        near = abs(direction[axis]) >= np.cos(margin_deg * RADIAN_PER_DEGREE)
+        faces.append(FACES[2 * axis + (0 if direction[axis] > 0.0 else 1)] if near else None)
     return tuple(faces)
 
 

@@ -4,7 +4,7 @@ A plateau is a stretch where the smoothed rate r, less the offset at rest, is fa
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)        d as in ``still.py``
 
-and where a window before and a window after any sample agree; where they differ the stretch is cut in two.
+where no window is four times as unsteady as the quiet quarter of the stretch: a ramp is trimmed off, a step cuts it in two.
 """
 
 import itertools
@@ -95,8 +95,7 @@ def find_turns(record: Record, stills: Sequence[Still], settings: TurnSettings =
     window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
     mean, spread = sliding_moments(record.gyro, window, smooth)
     offset, floor = _rest(record.gyro, stills, mean, spread)
-    recording = stills[0].recording if stills else 0
-    plateaus, rates = _plateaus(record.gyro, mean - offset, spread, offset, floor, settings, fs, recording)
+    plateaus, rates = _plateaus(record.gyro, mean - offset, spread, (offset, floor), stills, settings, fs)
     rotations, angles = _rotations(record, stills, offset, settings.least_floors * floor)
     return TurnSearch(plateaus=plateaus, plateau_rate=rates, rotations=rotations, rotation_angle=angles)
 
@@ -113,42 +112,32 @@ def _plateaus(
     gyro: FloatArray,
     rate: FloatArray,
     spread: FloatArray,
-    offset: FloatArray,
-    floor: float,
+    rest: tuple[FloatArray, float],
+    stills: Sequence[Still],
     settings: TurnSettings,
     fs: float,
-    recording: int,
 ) -> tuple[tuple[Turn, ...], FloatArray]:
-    window = sample_count(settings.window_s, fs)
-    edge = (window + max(1, round(settings.smooth_s * fs)) - 1) // 2
+    offset, floor = rest
+    edge = (len(gyro) - len(rate)) // 2
     size = np.linalg.norm(rate, axis=1)
     steady = (size > settings.least_floors * floor) & (spread <= np.maximum(settings.steadiness * size, 4.0 * floor))
+    for still in stills:
+        steady[max(0, still.start - edge) : max(0, still.stop - edge)] = False
     turns: list[Turn] = []
     rates: list[FloatArray] = []
     for first, last in runs(steady):
-        for start, stop in _split_at_steps(rate[first:last], spread[first:last], window, floor):
+        # A ramp at an end, or a step between two rates, stands out from the run's own quiet windows.
+        own = spread[first:last]
+        for start, stop in runs(own <= max(4.0 * float(np.quantile(own, 0.25)), 4.0 * floor)):
             begin = int(first + start) + edge if first + start else 0
             end = int(first + stop) + edge if first + stop < len(rate) else len(gyro)
             if end - begin < sample_count(settings.min_duration_s, fs):
                 continue
             reading = np.nanmean(gyro[begin:end], axis=0) - offset
             axis: Axis = ("x", "y", "z")[int(np.argmax(np.abs(reading)))]
-            turns.append(Turn(start=begin, stop=end, axis=axis, recording=recording))
+            turns.append(Turn(start=begin, stop=end, axis=axis, recording=stills[0].recording if stills else 0))
             rates.append(reading)
     return tuple(turns), np.array(rates).reshape(-1, 3)
-
-
-def _split_at_steps(rate: FloatArray, spread: FloatArray, window: int, floor: float) -> list[tuple[int, int]]:
-    # Two plateaus whose rates differ by less than the steadiness share one run: cut it where a window before and one after differ.
-    if len(rate) <= 2 * window:
-        return [(0, len(rate))]
-    jump = np.linalg.norm(rate[window:] - rate[:-window], axis=1)
-    step = jump > np.maximum(6.0 * np.median(spread), 8.0 * floor)
-    cuts = [int(first + np.argmax(jump[first:last])) + window // 2 for first, last in runs(step)]
-    bounds = [0, *cuts, len(rate)]
-    half = window // 2
-    pairs = [(a, b) for a, b in itertools.pairwise(bounds) if b - a > 2 * half]
-    return [(a + (half if a else 0), b - (half if b < len(rate) else 0)) for a, b in pairs]
 
 
 def _rotations(

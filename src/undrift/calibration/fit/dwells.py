@@ -7,7 +7,7 @@ shows slow wobble, the mean is what calibrates.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -71,6 +71,21 @@ class DwellMeans:
             raise InputError(
                 f"dwells: wanted readings (N, 3) and rates (N,) for {n} axes, got {self.reading.shape} and {self.turn_rate.shape}"
             )
+
+    def less(self, offset: FloatArray) -> "DwellMeans":
+        """Return the same dwells with an offset taken off the readings.
+
+        Parameters
+        ----------
+        offset : array, shape (3,)
+            Unit of the readings.
+
+        Returns
+        -------
+        DwellMeans
+            Readings less offset.
+        """
+        return replace(self, reading=self.reading - offset)
 
 
 def dwell_means(

@@ -261,7 +261,7 @@ def offset_warning(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigm
     unit = fit.model.unit_out
     values = ", ".join(f"{v:.4g}" for v in left)
     return Verdict(
-        status="bad" if loss > 0.01 else "marginal",
+        status="bad" if loss > 0.01 else "marginal" if loss > 1e-4 else "good",
         reasons=(
             f"mode paper has no offset column and an offset of ({values}) {unit} is left in the readings: the gain along it is "
             f"{100 * loss:.2g} % too small; remove the offset first, or use mode affine",

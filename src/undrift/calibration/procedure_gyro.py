@@ -1,0 +1,184 @@
+"""Which gyroscope fit a session allows, in this order.
+
+rate-table       turns with an achieved rate about x, y and z
+known-rotation   turns with an angle, or three full turns found between rests
+multi-position   moves between nine still phases or more
+rest             the offset alone, where the unit is physical
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from undrift.calibration.fit.dwells import DwellSettings, dwell_means
+from undrift.calibration.fit.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
+from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_table
+from undrift.calibration.fit.result import TriadFit
+from undrift.calibration.model import TriadModel, Verdict
+from undrift.calibration.observed import Observed
+from undrift.calibration.outcome import Outcome, with_offset
+from undrift.errors import NotObservable
+from undrift.session import Turn
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+
+_LEAST_STILLS = 9
+
+GyroMethod = Literal["rate-table", "known-rotation", "multi-position", "rest"]
+
+
+def calibrate_gyro(seen: Observed, method: GyroMethod | None, *, paper: bool, accel: TriadFit | None) -> Outcome:
+    """Fit the gyroscopes by the method asked for, or by the best that the session allows.
+
+    Parameters
+    ----------
+    seen : Observed
+        Session, stills and turns.
+    method : str or None
+        rate-table, known-rotation, multi-position or rest; None chooses.
+    paper : bool
+        True for the note's equations and the closed form.
+    accel : TriadFit or None
+        Accelerometer of the same session; turns by hand need it.
+
+    Returns
+    -------
+    Outcome
+        Fit, or the reasons why there is none.
+
+    Raises
+    ------
+    NotObservable
+        A method that was asked for lacks its recordings.
+    """
+    if all(r.gyro is None for r in seen.session.records):
+        if method is not None:
+            raise NotObservable(f"gyroscope by {method}: wanted gyroscope readings, got none; map their columns")
+        return Outcome()
+    if method is not None:
+        outcome = _by(method, seen, paper, accel)
+        if outcome.fit is None:
+            raise NotObservable(f"gyroscope by {method}: " + "; ".join(outcome.reasons))
+        return outcome
+    return _chosen(seen, paper, accel)
+
+
+def _by(method: GyroMethod, seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
+    if method == "rate-table":
+        return _rate_table(seen, paper)
+    if method == "known-rotation":
+        return _known_rotation(seen, paper, accel)
+    return _multi_position(seen) if method == "multi-position" else _rest(seen)
+
+
+def _chosen(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
+    rated = sorted({t.axis or "?" for t in seen.session.turns if t.turn_rate is not None})
+    angled = any(t.angle is not None for t in seen.session.turns)
+    said: list[str] = []
+    if rated:
+        if {"x", "y", "z"} <= set(rated):
+            return _rate_table(seen, paper)
+        said.append(
+            f"gyroscope: turns at known rates about {' and '.join(rated)} alone do not show the other axes: mount the device on "
+            "each axis in turn"
+        )
+    elif angled or seen.full_turns():
+        outcome = _known_rotation(seen, paper, accel)
+        if outcome.fit is not None:
+            return outcome
+        said.extend(outcome.reasons)
+    elif plateaus := seen.plateaus():
+        said.append(
+            f"gyroscope: {plateaus} steady turns were found; state the turn_rate_dps and axis of each to use them"
+        )
+    elif len(seen.stills) >= 9:
+        outcome = _multi_position(seen)
+        if outcome.fit is not None:
+            return outcome
+        said.extend(outcome.reasons)
+    return _rest(seen).after(*said)
+
+
+def _rate_table(seen: Observed, paper: bool) -> Outcome:
+    settings = RateTableSettings(
+        mode="paper" if paper else "affine",
+        latitude_deg=seen.settings.latitude_deg,
+        scale_tolerance=seen.settings.scale_tolerance,
+    )
+    dwells = dwell_means(seen.session.records, seen.session.turns, DwellSettings(settle_s=seen.settings.settle_s))
+    if not (paper and seen.settings.remove_offset):
+        return Outcome(fit=fit_rate_table(dwells, settings), method="rate-table")
+    offset, variance = seen.rest_rate()
+    if np.isnan(offset).any():
+        offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
+        variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
+    fit = fit_rate_table(dwells.less(offset), settings)
+    return Outcome(fit=with_offset(fit, offset, variance), method="rate-table")
+
+
+def _known_rotation(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
+    if accel is None or len({s.face for s in seen.faced}) < 6:
+        return Outcome(reasons=("gyroscope: turns by known angles need rests on all six faces too: record them",))
+    turns = tuple(t for t in seen.session.turns if t.angle is not None)
+    said: tuple[str, ...] = ()
+    if not turns:
+        turns = seen.full_turns()
+        if not turns:
+            return Outcome(
+                reasons=(
+                    "gyroscope: wanted one turn by a known angle about each axis, got none; turn the device once about x, y and z "
+                    "between two rests and state angle_deg",
+                )
+            )
+        said = (f"gyroscope: three full turns were found and taken as {_told(turns)}; state angle_deg to be sure",)
+    data = rotation_data(seen.session.records, seen.stills, turns, matrix=accel.model.matrix, offset=accel.model.offset)
+    settings = KnownRotationSettings(
+        mode="paper" if paper else "affine",
+        angle_uncertainty=seen.settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
+        scale_tolerance=seen.settings.scale_tolerance,
+    )
+    fit = fit_known_rotation(data, gravity=seen.session.gravity_m_s2, settings=settings)
+    return Outcome(fit=fit, method="known-rotation", reasons=said)
+
+
+def _told(turns: tuple[Turn, ...]) -> str:
+    return ", ".join(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
+
+
+def _multi_position(seen: Observed) -> Outcome:
+    from undrift.calibration.fit.multi_position import fit_multi_position_session
+
+    try:
+        fit = fit_multi_position_session(seen.session)
+    except NotObservable as error:
+        return Outcome(reasons=(f"gyroscope by {error}",))
+    if fit.gyro is None:
+        own = fit.accel.verdict.reasons
+        return Outcome(reasons=tuple(r for r in fit.verdict.reasons if r not in own))
+    return Outcome(fit=fit.gyro, method="multi-position")
+
+
+def _rest(seen: Observed) -> Outcome:
+    offset, variance = seen.rest_rate()
+    unit = seen.session.records[0].gyro_unit
+    if np.isnan(offset).any() or not is_physical(unit):
+        return Outcome(reasons=("gyroscope not observable: record turns by known rates or angles",))
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = np.diag(variance)
+    factor = si_factor(unit, "rate")
+    residuals = (seen.rest_means() - offset) * factor
+    model = TriadModel(
+        method="rest",
+        unit_in=unit,
+        unit_out="rad/s",
+        matrix=factor * np.eye(3),
+        offset=offset,
+        covariance=covariance,
+        rms_residual=float(np.sqrt((residuals**2).mean())),
+        count=residuals.size,
+        rank=3,
+        condition=1.0,
+        valid_range=(0.0, 0.0),
+    )
+    reason = "offset alone: the scale is the unit's own and was not checked; record turns by known rates or angles"
+    fit = TriadFit(model=model, residuals=residuals, verdict=Verdict(status="marginal", reasons=(reason,)))
+    return Outcome(fit=fit, method="rest")
