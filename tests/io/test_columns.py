@@ -9,7 +9,16 @@ GYRO = {"gyro": ("a", "b", "c"), "gyro_unit": "dps"}
 
 
 def test_native_names_need_no_map():
-    names = ("time_s", "gyro_x_dps", "gyro_y_dps", "gyro_z_dps", "accel_x_m_s2", "accel_y_m_s2", "accel_z_m_s2", "temp_c")
+    names = (
+        "time_s",
+        "gyro_x_dps",
+        "gyro_y_dps",
+        "gyro_z_dps",
+        "accel_x_m_s2",
+        "accel_y_m_s2",
+        "accel_z_m_s2",
+        "temp_c",
+    )
     found = native_map(names)
     assert found.time == "time_s"
     assert found.gyro == names[1:4]
@@ -18,9 +27,7 @@ def test_native_names_need_no_map():
     assert found.mapped() == ("time", "gyro", "accel", "temp")
 
 
-@pytest.mark.parametrize(
-    ("suffix", "unit"), [("rad_s", "rad/s"), ("dps", "dps"), ("count", "count"), ("v", "v")]
-)
+@pytest.mark.parametrize(("suffix", "unit"), [("rad_s", "rad/s"), ("dps", "dps"), ("count", "count"), ("v", "v")])
 def test_every_native_gyro_unit_is_recognised(suffix, unit):
     names = ("time_s", *(f"gyro_{axis}_{suffix}" for axis in "xyz"))
     assert native_map(names).unit_of("gyro") == unit
@@ -36,8 +43,14 @@ def test_names_that_only_look_native_are_not_guessed():
     ("names", "words"),
     [
         (("time_s", "gyro_x_dps", "gyro_y_dps"), "got only gyro_x_dps, gyro_y_dps; add the missing axes"),
-        (("time_s", *(f"gyro_{a}_{u}" for u in ("dps", "rad_s") for a in "xyz")), "wanted gyro in one unit, got rad/s and dps"),
-        (("time_s", *(f"gyro_{a}_dps" for a in "xyz"), "temp_c", "temp_v"), "wanted one temperature, got temp_c and temp_v"),
+        (
+            ("time_s", *(f"gyro_{a}_{u}" for u in ("dps", "rad_s") for a in "xyz")),
+            "wanted gyro in one unit, got rad/s and dps",
+        ),
+        (
+            ("time_s", *(f"gyro_{a}_dps" for a in "xyz"), "temp_c", "temp_v"),
+            "wanted one temperature, got temp_c and temp_v",
+        ),
         (("time_s", *(f"gyro_{a}_dps" for a in "xyz"), "temp_count"), "wanted degC, got count; give scale.temp"),
         (tuple(f"gyro_{a}_dps" for a in "xyz"), "wanted a time column or sample_rate_hz, got neither"),
         (tuple(f"c{k}" for k in range(20)), r"... \(20 columns\)"),

@@ -5,8 +5,8 @@ import gzip
 import numpy as np
 import pytest
 from hypothesis import given
-from made import assert_same, few, one_line, records
 
+from made import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, Scale, TextLayout
 from undrift.io.csv import build_csv, read_csv, write_csv
@@ -41,7 +41,9 @@ def test_a_packed_file_reads_as_its_plain_one(tmp_path):
     record = Record(time=np.arange(50) / 100, gyro=np.random.default_rng(1).normal(size=(50, 3)), gyro_unit="dps")
     write_csv(record, tmp_path / "r.csv.gz")
     assert_same(read_csv(tmp_path / "r.csv.gz"), record)
-    assert gzip.decompress((tmp_path / "r.csv.gz").read_bytes()).startswith(b"time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n")
+    assert gzip.decompress((tmp_path / "r.csv.gz").read_bytes()).startswith(
+        b"time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n"
+    )
 
 
 def test_a_corrected_file_says_so_in_its_first_line(tmp_path):
@@ -80,7 +82,9 @@ def test_positions_blanks_tabs_and_decimal_commas_are_read(tmp_path):
     blanks = put(tmp_path, "  0.00   1e0  2 \t 3 \r\n  0.01   4.  5   6\r\n", "b.txt")
     record = read_csv(
         blanks,
-        ColumnMap(time=0, time_unit="s", gyro=(1, 2, 3), gyro_unit="dps", layout=TextLayout(delimiter=" ", header=False)),
+        ColumnMap(
+            time=0, time_unit="s", gyro=(1, 2, 3), gyro_unit="dps", layout=TextLayout(delimiter=" ", header=False)
+        ),
     )
     np.testing.assert_array_equal(record.gyro, [[1, 2, 3], [4, 5, 6]])
     commas = put(tmp_path, "t;x;y;z\n0,0;1,5;2,5;3,5\n0,1;1;2;3\n", "c.csv")
@@ -119,7 +123,9 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
     lines[7] = "0.000" + lines[7][5:]
     lines[20] = lines[19]
     path = put(tmp_path, table(lines))
-    with pytest.raises(InputError, match="2 steps back or doubled, first in data row 8 \\(backward: 0.06 s then 0 s\\)") as caught:
+    with pytest.raises(
+        InputError, match="2 steps back or doubled, first in data row 8 \\(backward: 0.06 s then 0 s\\)"
+    ) as caught:
         read_csv(path, XYZ)
     one_line(caught)
     repaired = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", repair_time=True)
@@ -138,10 +144,25 @@ def test_gaps_are_kept_only_on_request(tmp_path):
 
 
 BAD = [
-    ("text", table([*rows(), "0.080,0.1,abc,1.0"]), FileFormatError, "column 'y': wanted numbers, got 'abc' in data row 9"),
+    (
+        "text",
+        table([*rows(), "0.080,0.1,abc,1.0"]),
+        FileFormatError,
+        "column 'y': wanted numbers, got 'abc' in data row 9",
+    ),
     ("short row", table([*rows(), "0.080,0.1"]), FileFormatError, "wanted 4 columns in every row, got 2 in data row 9"),
-    ("long row", table([rows()[0], "0.01,1,2,3,4,5"]), FileFormatError, "wanted 4 columns in every row, got 6 in data row 2"),
-    ("wild value", table([*rows(), "0.080,1e9,0,1"]), FileFormatError, "wanted readings up to 2000 g, got 1e\\+09 in data row 9"),
+    (
+        "long row",
+        table([rows()[0], "0.01,1,2,3,4,5"]),
+        FileFormatError,
+        "wanted 4 columns in every row, got 6 in data row 2",
+    ),
+    (
+        "wild value",
+        table([*rows(), "0.080,1e9,0,1"]),
+        FileFormatError,
+        "wanted readings up to 2000 g, got 1e\\+09 in data row 9",
+    ),
     ("infinity", table([*rows(), "0.080,inf,0,1"]), FileFormatError, "got inf in data row 9"),
     ("wrong column", table(rows(), "t,x,y,q"), InputError, "wanted column 'z', got 't', 'x', 'y', 'q'"),
     ("two of a name", table(rows(), "t,x,z,z"), InputError, "wanted column 'y'"),
@@ -150,9 +171,19 @@ BAD = [
     ("header only", "t,x,y,z\n", FileFormatError, "wanted two rows or more, got 0"),
     ("one row", table(rows(1)), FileFormatError, "wanted two rows or more, got 1"),
     ("no time", table(["0,1,2,3", ",1,2,3", "2,1,2,3"]), InputError, "time column 't': .* got 1 empty or NaN cells"),
-    ("text time", table(["0,1,2,3", "noon,1,2,3"]), FileFormatError, "column 't': wanted numbers, got 'noon' in data row 2"),
+    (
+        "text time",
+        table(["0,1,2,3", "noon,1,2,3"]),
+        FileFormatError,
+        "column 't': wanted numbers, got 'noon' in data row 2",
+    ),
     ("empty column", table(["0,1,,3", "1,1,,3"]), InputError, "column 'y': .* got 2 empty"),
-    ("not utf-8", "t,x,y,z\xb0\n0,1,2,3\n".encode("latin-1"), FileFormatError, "wanted UTF-8 text, got byte 0xb0 in the header"),
+    (
+        "not utf-8",
+        "t,x,y,z\xb0\n0,1,2,3\n".encode("latin-1"),
+        FileFormatError,
+        "wanted UTF-8 text, got byte 0xb0 in the header",
+    ),
     ("utf-16", table(rows()).encode("utf-16"), FileFormatError, "got binary data or UTF-16"),
     ("bytes in a cell", b"t,x,y,z\n0,1,\xb0,3\n1,1,2,3\n", FileFormatError, "column 'y': wanted numbers"),
 ]

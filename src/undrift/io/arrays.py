@@ -5,6 +5,7 @@ struct are ``struct.field``. Arrays of other lengths (a second clock, settings) 
 """
 
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -103,16 +104,13 @@ def npz_arrays(path: str | Path) -> Arrays:
     """
     path = checked_file(path)
     try:
-        with np.load(path, allow_pickle=False) as held:
-            if not isinstance(held, np.lib.npyio.NpzFile):
-                raise FileFormatError(
-                    f"{path}: wanted an npz file of named arrays, got a single array; save with np.savez"
-                )
-            return tuple((name, held[name]) for name in held.files)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
-        if isinstance(error, InputError):
-            raise
+        with path.open("rb") as raw:
+            held = np.load(raw, allow_pickle=False)
+            if isinstance(held, np.lib.npyio.NpzFile):
+                return tuple((name, held[name]) for name in held.files)
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise FileFormatError(f"{path}: wanted a sound npz file of plain arrays, got {_first(error)}") from error
+    raise FileFormatError(f"{path}: wanted an npz file of named arrays, got a single array; save with np.savez")
 
 
 def mat_arrays(path: str | Path) -> Arrays:

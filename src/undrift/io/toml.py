@@ -73,19 +73,20 @@ def line_of(text: str, place: tuple[Any, ...]) -> int:
     int
         Line from 1: of the key, else of its table, else 1.
     """
-    lines, start = text.splitlines(), 0
-    if place and isinstance(place[0], str):
-        head = rf"^\s*\[+\s*{re.escape(place[0])}\s*\]+"
+    lines, start, keys = text.splitlines(), -1, [part for part in place if isinstance(part, str)]
+    if keys:
+        head = rf"^\s*\[+\s*{re.escape(keys[0])}\s*\]+"
         hits = [number for number, line in enumerate(lines) if re.match(head, line)]
         wanted = place[1] if len(place) > 1 and isinstance(place[1], int) else 0
-        start = hits[wanted] if wanted < len(hits) else 0
-    for key in reversed([part for part in place[1:] if isinstance(part, str)]):
+        if wanted < len(hits):
+            start, keys = hits[wanted], keys[1:]
+    for key in reversed(keys):
         for number in range(start + 1, len(lines)):
             if lines[number].lstrip().startswith("["):
                 break
             if re.search(rf'(^|[\s{{,"]){re.escape(key)}"?\s*=', lines[number]):
                 return number + 1
-    return start + 1
+    return max(start, 0) + 1
 
 
 def entry_name(place: tuple[Any, ...]) -> str:

@@ -1,0 +1,115 @@
+"""C3D: points and analog channels come back, gaps as NaN; cut files never reach the parser."""
+
+import gzip
+
+import ezc3d
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from made import few, one_line
+from undrift.errors import FileFormatError, InputError
+from undrift.io.c3d import is_c3d, read_c3d, read_c3d_analog
+
+
+def write(path, points, labels, *, rate=100.0, unit="mm", screen="+Z", analog=None):
+    """Points (N, M, 3) as C3D; NaN rows become points that were not seen."""
+    made = ezc3d.c3d()
+    made["parameters"]["POINT"]["RATE"]["value"] = [rate]
+    made["parameters"]["POINT"]["LABELS"]["value"] = list(labels)
+    made["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+    if screen:
+        made.add_parameter("POINT", "Y_SCREEN", [screen])
+    n, m = points.shape[:2]
+    xyz1 = np.ones((4, m, n))
+    xyz1[:3] = np.moveaxis(points, 2, 0).transpose(0, 2, 1)
+    made["data"]["points"] = xyz1
+    if analog is not None:
+        made["parameters"]["ANALOG"]["RATE"]["value"] = [rate * analog.shape[0] / n]
+        made["parameters"]["ANALOG"]["LABELS"]["value"] = [f"ch{k}" for k in range(analog.shape[1])]
+        made["parameters"]["ANALOG"]["UNITS"]["value"] = ["V"] * analog.shape[1]
+        made["data"]["analogs"] = analog.T[None]
+    made.write(str(path))
+
+
+@few
+@given(seed=st.integers(0, 9999), n=st.integers(2, 30), lost=st.floats(0.0, 0.5))
+def test_points_come_back_with_their_gaps(tmp_path_factory, seed, n, lost):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-2000, 2000, size=(n, 3, 3))
+    points[rng.random((n, 3)) < lost] = np.nan
+    path = tmp_path_factory.mktemp("c3d") / "m.c3d"
+    write(path, points, ("A", "B", "A"))
+    found = read_c3d(path)
+    # the file stores single precision
+    np.testing.assert_allclose(found.points, points / 1000, rtol=1e-6)
+    assert found.labels == ("A", "B", "A#2")
+    assert found.sample_rate_hz == pytest.approx(100.0)
+
+
+def test_the_axis_that_points_up_comes_from_the_file_or_from_the_caller(tmp_path):
+    points = np.tile([1.0, 2.0, 3.0], (3, 1, 1))
+    for screen, up, wanted in (
+        ("+Z", None, [1, 2, 3]),
+        ("+Y", None, [1, -3, 2]),
+        ("", "y", [1, -3, 2]),
+        ("+Z", "y", [1, -3, 2]),
+    ):
+        write(tmp_path / "m.c3d", points, ("A",), unit="m", screen=screen)
+        np.testing.assert_allclose(read_c3d(tmp_path / "m.c3d", up=up).points[0, 0], wanted)
+    write(tmp_path / "m.c3d", points, ("A",), screen="")
+    with pytest.raises(InputError, match="wanted the axis that points up, got no POINT:Y_SCREEN"):
+        read_c3d(tmp_path / "m.c3d")
+
+
+def test_analog_channels_come_back_on_the_clock_of_the_points(tmp_path):
+    points, analog = np.ones((5, 1, 3)), np.arange(40.0).reshape(20, 2)
+    write(tmp_path / "m.c3d", points, ("A",), analog=analog)
+    found = read_c3d_analog(tmp_path / "m.c3d")
+    np.testing.assert_allclose(found.values, analog)
+    assert found.labels == ("ch0", "ch1")
+    assert found.units == ("V", "V")
+    np.testing.assert_allclose(found.time, np.arange(20) / 400)
+    write(tmp_path / "p.c3d", points, ("A",))
+    with pytest.raises(FileFormatError, match="wanted analog channels, got none"):
+        read_c3d_analog(tmp_path / "p.c3d")
+
+
+def test_a_packed_file_reads_as_its_plain_one(tmp_path):
+    write(tmp_path / "m.c3d", np.ones((5, 2, 3)), ("A", "B"))
+    (tmp_path / "m.c3d.gz").write_bytes(gzip.compress((tmp_path / "m.c3d").read_bytes()))
+    np.testing.assert_array_equal(read_c3d(tmp_path / "m.c3d.gz").points, read_c3d(tmp_path / "m.c3d").points)
+
+
+def test_cut_empty_and_foreign_files_are_refused(tmp_path):
+    path = tmp_path / "m.c3d"
+    write(path, np.ones((200, 3, 3)), ("A", "B", "C"))
+    whole = path.read_bytes()
+    for keep, words in (
+        (len(whole) // 2, "bytes as its header promises"),
+        (600, "promises, got 600"),
+        (514, "cut before its parameters"),
+    ):
+        path.write_bytes(whole[:keep])
+        with pytest.raises(FileFormatError, match=words) as caught:
+            read_c3d(path)
+        one_line(caught)
+    path.write_text("Frame,X,Y,Z\n" * 100)
+    with pytest.raises(FileFormatError, match="wanted a C3D file, got other content"):
+        read_c3d(path)
+    assert not is_c3d(b"\x02\x50")
+    damaged = bytearray(whole)
+    damaged[512:1024] = b"\xff" * 512
+    path.write_bytes(damaged)
+    with pytest.raises(InputError):
+        read_c3d(path)
+
+
+def test_a_file_without_points_or_unit_is_refused(tmp_path):
+    write(tmp_path / "m.c3d", np.ones((1, 2, 3)), ("A", "B"))
+    with pytest.raises(FileFormatError, match="wanted marker points over two frames or more, got 2 markers, 1 frames"):
+        read_c3d(tmp_path / "m.c3d")
+    write(tmp_path / "m.c3d", np.ones((3, 2, 3)), ("A", "B"), unit="")
+    with pytest.raises(FileFormatError, match="wanted the unit of length in POINT:UNITS"):
+        read_c3d(tmp_path / "m.c3d")

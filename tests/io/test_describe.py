@@ -1,0 +1,128 @@
+"""describe answers for every kind of file, in one line, without reading what it must not guess."""
+
+import json
+
+import numpy as np
+import pytest
+
+from trc_text import trc
+from undrift.errors import InputError
+from undrift.io.columns import ColumnMap, TextLayout
+from undrift.io.describe import describe, describe_record
+from undrift.io.parquet import write_parquet
+from undrift.io.reference import write_reference
+from undrift.io.session import write_session
+from undrift.record import Record, Reference
+from undrift.session import Session, Still
+
+
+def still(n=300):
+    rng = np.random.default_rng(2)
+    return Record(
+        time=np.arange(n) / 100,
+        gyro=rng.normal(0, 0.001, (n, 3)),
+        accel=rng.normal(0, 0.01, (n, 3)) + [0, 0, 9.8],
+        temp_c=20 + 0.01 * np.arange(n),
+        device="A1",
+    )
+
+
+def put(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return tmp_path / name
+
+
+def test_a_recording_is_described_by_its_figures(tmp_path):
+    write_parquet(still(), tmp_path / "r.parquet")
+    found = describe(tmp_path / "r.parquet")
+    assert (found.kind, found.format, found.rows, found.gaps, found.problems) == ("recording", "parquet", 300, 0, ())
+    assert found.sample_rate_hz == pytest.approx(100.0)
+    assert found.duration_s == pytest.approx(2.99)
+    assert found.temp_c == pytest.approx((20.0, 22.99))
+    assert found.units == (("time", "s"), ("gyro", "rad/s"), ("accel", "m/s2"), ("temp", "degC"))
+    assert found.columns[:2] == ("time_s", "gyro_x_rad_s")
+    assert found.summary == "300 samples at 100 Hz, 2.99 s, A1"
+    assert describe_record(still()).problems == ()
+
+
+def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
+    session = Session(
+        kind="static", serial="7", gravity_m_s2=9.81, records=(still(),), stills=(Still(start=0, stop=9),)
+    )
+    write_session(session, tmp_path / "run")
+    for path in (tmp_path / "run", tmp_path / "run" / "session.toml"):
+        found = describe(path)
+        assert (found.kind, found.summary) == ("session", "static of 7: 1 recordings, 1 stills, 0 turns")
+    q = np.tile([1.0, 0, 0, 0], (50, 1))
+    q[7] = np.nan
+    for name in ("q.csv", "q.parquet"):
+        write_reference(Reference(time=np.arange(50) / 50, q_nb=q), tmp_path / name)
+        found = describe(tmp_path / name)
+        assert (found.kind, found.rows, found.gaps) == ("reference", 50, 1)
+    points = np.ones((5, 2, 3))
+    points[:, 1] = np.nan
+    found = describe(put(tmp_path, "m.trc", trc(points, ("A", "B"))))
+    assert (found.kind, found.columns, found.gaps) == ("markers", ("A", "B"), 5)
+    assert found.problems[1] == "never seen: B"
+    assert describe(tmp_path / "m.trc", up="y").problems == ("never seen: B",)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "kind", "words"),
+    [
+        ("c.json", json.dumps({"kind": "undrift.calibration", "format": 1, "device": "A1"}), "calibration", "calibration of A1, format 1"),
+        ("o.json", '{"x_p": 1, "y_p": 2}', "settings", "JSON, not a recording: x_p, y_p"),
+        ("l.json", "[1, 2]", "settings", "JSON, not a recording: a list"),
+        ("m.toml", 'sample_rate_hz = 1\ncolumns = { gyro = [0, 1, 2] }\nunits = { gyro = "dps" }', "settings", "a column map of gyro"),
+        ("s.toml", "a = 1", "settings", "TOML settings, not a column map"),
+        ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
+        ("a.cwa", b"MD\x00\x01" * 50, "binary", "the binary of an Axivity logger; export it"),
+        ("f.txt", "Time[s]\tFx[N]\tFy[N]\tFz[N]\n0\t1\t2\t3\n1\t1\t2\t3\n", "table", "a force plate's table"),
+        ("p.csv", "Time,COG_X,COG_Y,COG_Z\n0,1,2,3\n1,1,2,3\n", "table", "a table of positions"),
+        ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", 'read it as a reference with quaternion=("W", "X", "Y", "Z")'),
+        ("w.csv", "name,place,colour\na,b,c\nd,e,f\n", "table", "a table of text (3 columns"),
+        ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without three axes"),
+        ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),
+        ("x.csv", "ax,ay,az,gx,gy,gz\n0,0,1,0,0,0\n0,0,1,0,0,0\n", "table", 'columns = { gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"] }'),
+        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", 'time = 0, accel = [1, 2, 3] }, units = { time = "s", accel = "g" }, delimiter = " ", header = false'),
+        ("z.csv", "put\n20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n", "table", "temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6]"),
+        ("u.txt", "gx\tgy\tgz\tq\n0\t0\t1\t4\n0\t0\t1\t4\n", "table", 'delimiter = "\\t"'),
+    ],
+)  # fmt: skip
+def test_every_other_file_says_in_one_line_what_it_is_or_needs(tmp_path, name, content, kind, words):
+    found = describe(put(tmp_path, name, content))
+    assert found.kind == kind
+    assert words in found.summary
+    assert "\n" not in found.summary
+    if kind == "table":
+        assert found.problems == (found.summary,)
+
+
+def test_arrays_and_foreign_parquet_say_which_map_they_need(tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), gyro_raw=np.zeros((5, 3)), acc_raw=np.zeros((5, 3)))
+    assert 'columns = { time = "t_s", gyro = "gyro_raw", accel = "acc_raw" }' in describe(tmp_path / "a.npz").summary
+    assert describe(tmp_path / "a.npz").columns[1] == "gyro_raw (5, 3)"
+    pq.write_table(pa.table({"Acc_X": [1.0], "Acc_Y": [1.0], "Acc_Z": [1.0]}), tmp_path / "a.parquet")
+    assert 'accel = ["Acc_X", "Acc_Y", "Acc_Z"]' in describe(tmp_path / "a.parquet").summary
+    np.savez(tmp_path / "b.npz", k=np.arange(5.0))
+    assert 'gyro = ["gx", "gy", "gz"]' in describe(tmp_path / "b.npz").summary
+
+
+def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
+    path = put(tmp_path, "x.csv", "ax,ay,az\n" + "0,0,0.25\n0,0.01,0.25\n" * 50 + "0,0\n")
+    layout = TextLayout(drop_bad_rows=True)
+    columns = ColumnMap(accel=("ax", "ay", "az"), accel_unit="g", sample_rate_hz=50.0, layout=layout)
+    found = describe(path, columns)
+    assert (found.kind, found.rows) == ("recording", 100)
+    assert found.problems[0] == "1 rows did not parse and were left out"
+    assert "median |accel| is 0.25 g" in found.problems[1]
+
+
+def test_damaged_json_and_missing_files_are_errors(tmp_path):
+    with pytest.raises(InputError, match="wanted JSON, got something else"):
+        describe(put(tmp_path, "a.json", "{"))
+    with pytest.raises(InputError, match="nothing of that name"):
+        describe(tmp_path / "none")

@@ -1,0 +1,149 @@
+"""Parquet: every bit and every mark comes back, whole or in chunks."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from made import assert_same, few, records
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ColumnMap
+from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet
+from undrift.record import Record
+
+
+def ramp(n, **more):
+    return Record(time=np.arange(n) / 100, gyro=np.arange(3.0 * n).reshape(n, 3), **more)
+
+
+def joined(chunks):
+    return Record(time=np.concatenate([c.time for c in chunks]), gyro=np.concatenate([c.gyro for c in chunks]))
+
+
+@few
+@given(record=records(gaps=True))
+def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
+    path = tmp_path_factory.mktemp("parquet") / "r.parquet"
+    write_parquet(record, path)
+    assert_same(read_parquet(path), record)
+    assert parquet_rows(path) == len(record)
+    assert parquet_names(path)[0] == "time_s"
+
+
+@few
+@given(n=st.integers(2, 60), rows=st.integers(2, 25), group=st.integers(1, 30))
+def test_chunks_are_the_whole_in_order_and_none_is_a_single_sample(tmp_path_factory, n, rows, group):
+    path = tmp_path_factory.mktemp("parquet") / "r.parquet"
+    table = pa.table({"time_s": np.arange(n) / 7, **{f"gyro_{a}_dps": np.arange(n) * 1.0 for a in "xyz"}})
+    pq.write_table(table, path, row_group_size=group)
+    chunks = list(iter_parquet(path, rows=rows))
+    assert all(2 <= len(chunk) <= rows + 1 for chunk in chunks)
+    np.testing.assert_array_equal(np.concatenate([chunk.time for chunk in chunks]), np.arange(n) / 7)
+
+
+def test_the_schema_carries_units_frame_state_and_device(tmp_path):
+    write_parquet(ramp(5, gyro_unit="dps", frame="b", state="corrected", device="A1"), tmp_path / "r.parquet")
+    held = json.loads(pq.read_schema(tmp_path / "r.parquet").metadata[b"undrift"])
+    assert held == {
+        "kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": None,
+        "frame": "b", "state": "corrected", "device": "A1",
+    }  # fmt: skip
+
+
+def test_a_writer_takes_chunks_and_the_file_appears_only_at_the_end(tmp_path):
+    path = tmp_path / "r.parquet"
+    record = ramp(100)
+    with ParquetWriter(path) as writer:
+        for start in range(0, 100, 30):
+            writer.write(record.part(start, min(start + 30, 100)))
+        assert not path.exists()
+    assert_same(read_parquet(path), record)
+    assert [p.name for p in tmp_path.iterdir()] == ["r.parquet"]
+
+
+def test_a_writer_that_fails_leaves_nothing(tmp_path):
+    with pytest.raises(RuntimeError, match="stop"), ParquetWriter(tmp_path / "r.parquet") as writer:
+        writer.write(ramp(10))
+        raise RuntimeError("stop")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_writer_refuses_another_record_and_time_that_goes_back(tmp_path):
+    record = ramp(20)
+    with pytest.raises(InputError, match="wanted chunks in order of time, got 0.05 s after 0.09 s"):
+        with ParquetWriter(tmp_path / "r.parquet") as writer:
+            writer.write(record.part(0, 10))
+            writer.write(record.part(5, 15))
+    with (
+        pytest.raises(InputError, match="wanted chunks of one record"),
+        ParquetWriter(tmp_path / "r.parquet") as writer,
+    ):
+        writer.write(record.part(0, 10))
+        writer.write(Record(time=record.time[10:], accel=record.gyro[10:]))
+    with pytest.raises(InputError, match="cannot be written"):
+        write_parquet(record, tmp_path / "none" / "r.parquet")
+    assert not list(tmp_path.iterdir())
+
+
+def test_foreign_parquet_reads_through_a_map(tmp_path):
+    pq.write_table(
+        pa.table({"t": [0, 10, 20], "a": [1, 2, 3], "b": [4, 5, 6], "c": [7.0, None, 9.0]}), tmp_path / "f.parquet"
+    )
+    keys = {"time": "t", "time_unit": "ms", "gyro": ("a", "b", "c"), "gyro_unit": "count"}
+    record = read_parquet(tmp_path / "f.parquet", ColumnMap(**keys, gaps="keep"))
+    np.testing.assert_allclose(record.time, [0.0, 0.01, 0.02])
+    assert np.isnan(record.gyro[1, 2])
+    with pytest.raises(InputError, match="column 'c': .* got 1 empty or NaN cells"):
+        read_parquet(tmp_path / "f.parquet", ColumnMap(**keys))
+    with pytest.raises(InputError, match=r"f.parquet: columns: wanted names such as"):
+        read_parquet(tmp_path / "f.parquet")
+
+
+def test_gaps_are_refused_in_files_of_others_and_on_request(tmp_path):
+    columns = {"time_s": [0.0, 1.0], "gyro_x_dps": [1.0, None], "gyro_y_dps": [1.0, 2.0], "gyro_z_dps": [1.0, 2.0]}
+    pq.write_table(pa.table(columns), tmp_path / "f.parquet")
+    with pytest.raises(InputError, match="got 1 empty or NaN cells"):
+        read_parquet(tmp_path / "f.parquet")
+    assert np.isnan(read_parquet(tmp_path / "f.parquet", gaps="keep").gyro[1, 0])
+
+
+def test_time_that_goes_back_between_chunks_is_refused(tmp_path):
+    columns = {"time_s": [0.0, 1.0, 0.5, 2.0], **{f"gyro_{a}_dps": [0.0] * 4 for a in "xyz"}}
+    pq.write_table(pa.table(columns), tmp_path / "f.parquet")
+    with pytest.raises(InputError, match="wanted strictly increasing time, got 1 s then 0.5 s"):
+        list(iter_parquet(tmp_path / "f.parquet", rows=2))
+    with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):
+        list(iter_parquet(tmp_path / "f.parquet", rows=1))
+
+
+def test_chunks_need_a_time_column(tmp_path):
+    pq.write_table(pa.table({k: [0.0, 1.0] for k in "abc"}), tmp_path / "f.parquet")
+    columns = ColumnMap(gyro=("a", "b", "c"), gyro_unit="dps", sample_rate_hz=10.0)
+    assert len(read_parquet(tmp_path / "f.parquet", columns)) == 2
+    with pytest.raises(InputError, match="wanted a time column to read in chunks"):
+        list(iter_parquet(tmp_path / "f.parquet", columns))
+
+
+def test_an_unknown_version_a_cut_file_and_other_content_are_refused(tmp_path):
+    path = tmp_path / "r.parquet"
+    write_parquet(ramp(500), path)
+    held = pq.read_table(path)
+    pq.write_table(
+        held.replace_schema_metadata({b"undrift": b'{"kind": "undrift.record", "format": 9}'}), tmp_path / "v.parquet"
+    )
+    with pytest.raises(FileFormatError, match="wanted undrift.record format 1, got undrift.record format 9"):
+        read_parquet(tmp_path / "v.parquet")
+    (tmp_path / "cut.parquet").write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(FileFormatError, match="wanted a Parquet file"):
+        read_parquet(tmp_path / "cut.parquet")
+    damaged = bytearray(path.read_bytes())
+    damaged[8:400] = b"\xff" * 392
+    (tmp_path / "d.parquet").write_bytes(damaged)
+    with pytest.raises(FileFormatError, match="wanted a sound Parquet file"):
+        read_parquet(tmp_path / "d.parquet")
+    with pytest.raises(FileFormatError, match="wanted a sound Parquet file"):
+        list(iter_parquet(tmp_path / "d.parquet"))

@@ -1,0 +1,104 @@
+"""One door: each file takes the reader its content calls for, whatever its name."""
+
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from made import assert_same, few, one_line, records
+from trc_text import trc
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ColumnMap, TextLayout
+from undrift.io.csv import native_columns
+from undrift.io.detect import detect
+from undrift.io.recording import ReadSettings, iter_record, read_built, read_record, write_record
+from undrift.record import Record
+
+
+def ramp(n=30):
+    return Record(time=np.arange(n) / 100, gyro=np.arange(3.0 * n).reshape(n, 3) / 100, accel=np.ones((n, 3)))
+
+
+@few
+@given(record=records(), ending=st.sampled_from(["parquet", "csv", "csv.gz"]))
+def test_what_is_written_reads_back_under_any_name(tmp_path_factory, record, ending):
+    folder = tmp_path_factory.mktemp("door")
+    write_record(record, folder / f"r.{ending}")
+    assert_same(read_record(folder / f"r.{ending}"), record)
+    shutil.move(folder / f"r.{ending}", folder / "renamed.dat")
+    assert_same(read_record(folder / "renamed.dat"), record)
+
+
+@few
+@given(n=st.integers(2, 50), rows=st.integers(2, 20), ending=st.sampled_from(["parquet", "csv"]))
+def test_chunks_are_the_whole(tmp_path_factory, n, rows, ending):
+    path = tmp_path_factory.mktemp("door") / f"r.{ending}"
+    write_record(ramp(n), path)
+    chunks = list(iter_record(path, rows=rows))
+    assert all(2 <= len(chunk) <= rows + 1 for chunk in chunks)
+    np.testing.assert_array_equal(np.concatenate([chunk.gyro for chunk in chunks]), ramp(n).gyro)
+
+
+def test_npz_and_native_names_without_time_take_the_stated_rate(tmp_path):
+    record = ramp()
+    names, columns = native_columns(record)
+    np.savez(tmp_path / "r.npz", **dict(zip(names[1:], columns[1:], strict=True)))
+    with pytest.raises(InputError, match="the rate is never assumed"):
+        read_record(tmp_path / "r.npz")
+    assert_same(read_record(tmp_path / "r.npz", settings=ReadSettings(sample_rate_hz=100.0)), record)
+
+
+def test_a_map_overrides_what_the_file_looks_like(tmp_path):
+    (tmp_path / "log.txt").write_text("hello\n1 2 3\n4 5 6\n7 8\n")
+    layout = TextLayout(delimiter=" ", header=False, drop_bad_rows=True, skip_rows=1)
+    columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, layout=layout)
+    built = read_built(tmp_path / "log.txt", columns)
+    assert (len(built.record), built.dropped_rows) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.trc", trc(np.ones((3, 1, 3)), ("A",)), "got marker trajectories; read them as a reference"),
+        ("a.cwa", b"MD\x00\x01" * 50, "got the binary of an Axivity logger; export it"),
+        ("a.bin", b"4\x10\x03\x00" * 50, "got the binary of a NilsPod"),
+        ("a.dat", b"\x00\x01\x02" * 50, "got binary data of an unknown kind"),
+        ("a.zip", b"PK\x03\x04" + b"\x00" * 40, "damaged"),
+        ("a.json", '{"a": 1}', "got JSON, not a recording"),
+        ("a.toml", "a = 1", "got settings, not a recording"),
+        ("a.md", "# words\n\nand more\n", "got prose, not a table"),
+    ],
+)
+def test_what_is_no_recording_says_what_it_is(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(FileFormatError, match=words) as caught:
+        read_record(tmp_path / name)
+    one_line(caught)
+
+
+def test_folders_and_missing_files_are_one_line(tmp_path):
+    with pytest.raises(InputError, match="wanted a file, or a folder with session.toml"):
+        read_record(tmp_path)
+    with pytest.raises(InputError, match="nothing of that name"):
+        read_record(tmp_path / "none.csv")
+    (tmp_path / "session.toml").touch()
+    with pytest.raises(FileFormatError, match="got a session of recordings; read it as a session"):
+        read_record(tmp_path)
+    with pytest.raises(InputError, match="wanted a name ending in .parquet, .csv or .csv.gz"):
+        write_record(ramp(), tmp_path / "r.xlsx")
+    write_record(ramp(), tmp_path / "r.csv")
+    with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):
+        list(iter_record(tmp_path / "r.csv", rows=1))
+
+
+def test_an_x_imu_recording_needs_its_rate(tmp_path):
+    header = ["Packet number", *(f"Gyroscope {a} (deg/s)" for a in "XYZ"), *(f"Accelerometer {a} (g)" for a in "XYZ")]
+    header += [f"Magnetometer {a} (G)" for a in "XYZ"]
+    path = tmp_path / "1_CalInertialAndMag.csv"
+    path.write_text("\n".join([",".join(header), *(f"{k}" + ",0" * 9 for k in range(5))]) + "\n")
+    assert detect(path) == detect(tmp_path) == "ximu"
+    with pytest.raises(InputError, match="wanted the sample rate of this x-IMU recording, got none"):
+        read_record(path)
+    assert len(read_record(tmp_path, settings=ReadSettings(sample_rate_hz=256.0))) == 5

@@ -1,0 +1,113 @@
+"""References come back from every table format, and from markers; what is missing is named."""
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data import data_path
+from made import few, references
+from trc_text import trc
+from undrift.errors import FileFormatError, InputError
+from undrift.frames import quaternion_conjugate
+from undrift.io.broad import read_broad
+from undrift.io.reference import ReferenceMap, read_markers, read_reference, write_reference
+
+
+@few
+@given(reference=references(), suffix=st.sampled_from(["csv", "parquet"]))
+def test_a_reference_comes_back_from_the_files_it_is_written_to(tmp_path_factory, reference, suffix):
+    path = tmp_path_factory.mktemp("reference") / f"r.{suffix}"
+    write_reference(reference, path)
+    back = read_reference(path)
+    np.testing.assert_array_equal(back.time, reference.time)
+    # the value makes quaternions unit again: one rounding
+    np.testing.assert_allclose(back.q_nb, reference.q_nb, rtol=1e-15)
+    for name in ("position", "moving"):
+        if getattr(reference, name) is None:
+            assert getattr(back, name) is None
+        else:
+            np.testing.assert_array_equal(getattr(back, name), getattr(reference, name))
+
+
+@few
+@given(reference=references(), kind=st.sampled_from(["npz", "mat"]))
+def test_a_reference_reads_from_npz_and_mat(tmp_path_factory, reference, kind):
+    path = tmp_path_factory.mktemp("reference") / f"r.{kind}"
+    arrays = {"time_s": reference.time} | dict(zip(("q_w", "q_x", "q_y", "q_z"), reference.q_nb.T, strict=True))
+    np.savez(path, **arrays) if kind == "npz" else scipy.io.savemat(path, arrays)
+    back = read_reference(path)
+    np.testing.assert_array_equal(back.time, reference.time)
+    np.testing.assert_allclose(back.q_nb, reference.q_nb, rtol=1e-15)
+
+
+def test_a_foreign_table_reads_through_a_map_and_an_inverse_is_turned_round(tmp_path):
+    q = np.array([[0.5, 0.5, 0.5, 0.5], [1.0, 0.0, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]])
+    rows = [f"{10 * k},{v[1]},{v[2]},{v[3]},{v[0]},{1000 * k},0,5" for k, v in enumerate(q)]
+    (tmp_path / "q.csv").write_text("\n".join(["ms,x,y,z,w,px,py,pz", *rows]) + "\n")
+    keys = {"time": "ms", "time_unit": "ms", "quaternion": ("w", "x", "y", "z")}
+    found = read_reference(tmp_path / "q.csv", ReferenceMap(**keys, position=("px", "py", "pz"), position_unit="mm"))
+    np.testing.assert_allclose(found.q_nb, q)
+    np.testing.assert_allclose(found.position[:, 0], [0.0, 1.0, 2.0])
+    np.testing.assert_allclose(found.time, [0.0, 0.01, 0.02])
+    inverse = read_reference(tmp_path / "q.csv", ReferenceMap(**keys, turns="level_to_body"))
+    np.testing.assert_allclose(inverse.q_nb, quaternion_conjugate(q))
+    counted = read_reference(tmp_path / "q.csv", ReferenceMap(quaternion=("w", "x", "y", "z"), sample_rate_hz=50.0))
+    np.testing.assert_allclose(counted.time, [0.0, 0.02, 0.04])
+
+
+def test_columns_in_another_order_are_noticed_where_they_are_no_quaternion(tmp_path):
+    (tmp_path / "q.csv").write_text("time_s,q_w,q_x,q_y,q_z\n0,1,2,3,4\n1,1,2,3,4\n")
+    with pytest.raises(InputError, match=r"q.csv: q_nb: wanted unit quaternions w-x-y-z, got other lengths"):
+        read_reference(tmp_path / "q.csv")
+    (tmp_path / "p.csv").write_text("t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n")
+    with pytest.raises(
+        InputError, match=r"wanted columns time_s, q_w, q_x, q_y, q_z, got 't', 'W'.*map them with ReferenceMap"
+    ):
+        read_reference(tmp_path / "p.csv")
+
+
+def test_marker_files_need_labels_and_the_axis_that_is_up(tmp_path):
+    points = np.array([[0.0, 0.1, 0.2], [0.1, 0.1, 0.2], [0.0, 0.2, 0.3]]) + np.zeros((5, 1, 1))
+    (tmp_path / "m.trc").write_text(trc(points, ("A", "B", "C")))
+    found = read_reference(tmp_path / "m.trc", labels=("A", "B", "C"), up="y")
+    np.testing.assert_allclose(found.q_nb, np.tile([1.0, 0, 0, 0], (5, 1)), atol=1e-9)
+    np.testing.assert_allclose(found.position[0], points[0].mean(axis=0)[[0, 2, 1]] * [1, -1, 1])
+    assert "rigid within 0.00 mm rms" in found.name
+    with pytest.raises(InputError, match="wanted the labels of one rigid cluster, got none; choose from A, B, C"):
+        read_reference(tmp_path / "m.trc", up="y")
+    with pytest.raises(InputError, match="TRC does not say: state up"):
+        read_reference(tmp_path / "m.trc", labels=("A", "B", "C"))
+
+
+def test_other_files_are_no_reference(tmp_path):
+    (tmp_path / "a.md").write_text("# words\n\nmore words\n")
+    with pytest.raises(FileFormatError, match="wanted poses .* got text"):
+        read_reference(tmp_path / "a.md")
+    with pytest.raises(FileFormatError, match="wanted markers .C3D or TRC., got text"):
+        read_markers(tmp_path / "a.md")
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({}, "wanted a time column or sample_rate_hz, got neither"),
+        ({"time": "t"}, "unit of time: wanted one of"),
+        ({"sample_rate_hz": 1.0, "position": ("a", "b", "c")}, "unit of length: wanted one of"),
+        ({"sample_rate_hz": 1.0, "turns": "round"}, "wanted body_to_level or level_to_body, got 'round'"),
+    ],
+)
+def test_a_map_that_is_not_complete_is_refused(keys, words):
+    with pytest.raises(InputError, match=words):
+        ReferenceMap(**keys)
+
+
+def test_a_reference_cannot_be_written_under_another_ending_or_nowhere(tmp_path):
+    path = data_path("broad", "24_disturbed_tapping_A.hdf5")
+    reference = read_reference(path)
+    np.testing.assert_array_equal(reference.q_nb, read_broad(path)[1].q_nb)
+    with pytest.raises(InputError, match="wanted a name ending in .parquet or .csv"):
+        write_reference(reference, tmp_path / "r.txt")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_reference(reference, tmp_path / "none" / "r.csv")

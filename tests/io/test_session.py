@@ -1,0 +1,248 @@
+"""session.toml: reads what DESIGN says, names line and entry of what is wrong, and comes back as it was written."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from made import assert_same, few, one_line, records
+from undrift.earth import gravity_at
+from undrift.errors import FileFormatError, InputError
+from undrift.io.csv import write_csv
+from undrift.io.files import sha256_of
+from undrift.io.session import read_session, write_session
+from undrift.record import Record
+from undrift.session import Session, Still, Turn
+
+HEAD = '[session]\nkind = "calibration"\nserial = "MTi-1"\ngravity_m_s2 = 9.81\n'
+FULL = """[session]
+kind = "calibration"                # calibration | thermal | static
+serial = "MTi-1"
+gravity_m_s2 = 9.80665
+[[recording]]
+file = "session.csv"
+sample_rate_hz = 100.0
+columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }
+units = { time = "s", gyro = "dps", accel = "m/s2", temp = "degC" }
+[[still]]
+recording = 0
+face = "+x"
+start_s = 1.0
+stop_s = 1.6
+[[turn]]
+axis = "z"
+turn_rate_dps = 90.0
+start_s = 2.0
+stop_s = 2.5
+temp_c = 25.0
+[[turn]]
+angle_deg = -360.0
+start_s = 3
+stop_s = 4
+"""
+
+
+def folder(tmp_path, text=FULL, n=500):
+    lines = ["t,gx,gy,gz,ax,ay,az,T", *(f"{k / 100:.2f},1,2,3,0,0,9.8,25" for k in range(n))]
+    (tmp_path / "session.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "session.toml").write_text(text)
+    return tmp_path
+
+
+def test_the_session_of_the_design_reads_as_it_says(tmp_path):
+    session = read_session(folder(tmp_path))
+    assert (session.kind, session.serial, session.gravity_m_s2) == ("calibration", "MTi-1", 9.80665)
+    assert session.stills == (Still(start=100, stop=160, face="+x"),)
+    steady, known = session.turns
+    assert (steady.start, steady.stop, steady.axis, steady.temp_c) == (200, 250, "z", 25.0)
+    assert steady.turn_rate == pytest.approx(np.pi / 2)
+    assert (known.start, known.stop, known.axis, known.turn_rate) == (300, 400, None, None)
+    assert known.angle == pytest.approx(-2 * np.pi)
+    assert session.inputs == tuple((name, sha256_of(tmp_path / name)) for name in ("session.toml", "session.csv"))
+    assert_same(read_session(tmp_path / "session.toml").records[0], session.records[0])
+
+
+def test_gravity_comes_from_latitude_and_height(tmp_path):
+    text = FULL.replace("gravity_m_s2 = 9.80665", "latitude_deg = 41.9\nheight_m = 50")
+    assert read_session(folder(tmp_path, text)).gravity_m_s2 == gravity_at(41.9, 50.0)
+
+
+def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path):
+    record = Record(time=np.arange(50) / 100, gyro=np.ones((50, 3)), accel=np.full((50, 3), 2.0))
+    write_csv(record, tmp_path / "native.csv")
+    for name, value in (("acc.txt", 33000), ("gyro.txt", 32000)):
+        (tmp_path / name).write_text(
+            "".join(f"  {k / 100:.2f}   {value}  {value + 1}   {value + 2}\n" for k in range(50))
+        )
+    (tmp_path / "session.toml").write_text(
+        HEAD
+        + '[[recording]]\nfile = "native.csv"\n[[recording]]\nfile = ["acc.txt", "gyro.txt"]\ndelimiter = " "\nheader = false\n'
+        "columns = [{ time = 0, accel = [1, 2, 3] }, { time = 0, gyro = [1, 2, 3] }]\n"
+        'units = { time = "s", accel = "count", gyro = "count" }\n'
+    )
+    session = read_session(tmp_path)
+    assert_same(session.records[0], record)
+    both = session.records[1]
+    assert (both.gyro_unit, both.accel_unit) == ("count", "count")
+    assert both.accel[0].tolist() == [33000, 33001, 33002]
+    assert both.gyro[0].tolist() == [32000, 32001, 32002]
+    assert [name for name, _ in session.inputs] == ["session.toml", "native.csv", "acc.txt", "gyro.txt"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('face = "+x"', 'fase = "+x"', r"line 12: \[\[still\]\] 1, fase: wanted a known key"),
+        ('face = "+x"', 'face = "up"', r"line 12: \[\[still\]\] 1, face: wanted '\+x', .* got 'up'"),
+        (
+            "angle_deg = -360.0",
+            "angle_deg = 'much'",
+            r"line 22: \[\[turn\]\] 2, angle_deg: wanted a valid number, got 'much'",
+        ),
+        (
+            "angle_deg = -360.0",
+            "angle_deg = 1\nturn_rate_dps = 2",
+            r"line 21: \[\[turn\]\] 2: wanted turn_rate_dps or angle_deg",
+        ),
+        ("stop_s = 1.6\n", "", r"line 10: \[\[still\]\] 1, stop_s: wanted this key, got none"),
+        (
+            "stop_s = 1.6",
+            "stop_s = 99",
+            r"line 10: \[\[still\]\] 1: wanted 0 <= start_s < stop_s <= 5 s .* got 1 to 99 s",
+        ),
+        (
+            "start_s = 1.0\nstop_s = 1.6",
+            "start_s = 1.001\nstop_s = 1.005",
+            "wanted a sample or more between 1.001 and 1.005 s",
+        ),
+        ("recording = 0", "recording = 3", r"\[\[still\]\] 1: wanted recording 0 to 0, got 3"),
+        ('serial = "MTi-1"\n', "", r"line 1: \[session\], serial: wanted this key"),
+        (
+            'kind = "calibration" ',
+            'kind = "party"',
+            r"line 2: \[session\], kind: wanted 'calibration', 'thermal' or 'static'",
+        ),
+        (
+            "gravity_m_s2 = 9.80665\n",
+            "",
+            r"line 1: session: wanted gravity_m_s2, or latitude_deg and height_m, got neither",
+        ),
+        ("gravity_m_s2 = 9.80665", "latitude_deg = 40.0", "got only one of the last two"),
+        ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 9.8\nlatitude_deg = 40.0", "got both"),
+        ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 980.665", "wanted local gravity between 9.7 and 9.9"),
+        ('gyro = "dps"', 'gyro = "dsp"', r"line 5: \[\[recording\]\] 1: unit of rate: wanted one of"),
+        ('gyro = "dps", ', "", r"\[\[recording\]\] 1: units.gyro: wanted the unit of gyro, got none"),
+        ('temp = "T"', 'tmp = "T"', r"line 8: \[\[recording\]\] 1, columns, tmp: wanted a known key"),
+        (
+            "sample_rate_hz = 100.0",
+            "sample_rate_hz = 50.0",
+            r"\[\[recording\]\] 1: .*session.csv: wanted 50 Hz as stated, got 100 Hz",
+        ),
+        ('"session.csv"', '"other.csv"', r"\[\[recording\]\] 1: .*other.csv: wanted a file, got nothing of that name"),
+        (
+            '"session.csv"',
+            '["session.csv", "session.csv"]',
+            "wanted one table of columns for each file, got 1 for 2 files",
+        ),
+        ('"session.csv"', "[]", "wanted one table of columns for each file, got 1 for 0"),
+        ("[session]", "[session", "wanted TOML, got a line that is not: .*line 1"),
+        ("[[recording]]", "[[recordings]]", "recordings.*: wanted a known key"),
+    ],
+)
+def test_what_is_wrong_is_named_by_line_and_entry(tmp_path, old, new, words):
+    assert old in FULL
+    with pytest.raises(InputError, match=words) as caught:
+        read_session(folder(tmp_path, FULL.replace(old, new, 1)))
+    assert "session.toml" in one_line(caught)
+
+
+def test_a_folder_without_session_and_a_session_without_recording_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"wanted a folder with session.toml, got none"):
+        read_session(tmp_path)
+    (tmp_path / "session.toml").write_text(HEAD)
+    with pytest.raises(FileFormatError, match="recording: wanted this key, got none"):
+        read_session(tmp_path)
+    (tmp_path / "session.toml").write_bytes(b"\xff\xfe[")
+    with pytest.raises(FileFormatError, match="wanted UTF-8 text"):
+        read_session(tmp_path)
+
+
+def test_settings_of_a_map_without_columns_are_not_ignored(tmp_path):
+    record = Record(time=np.arange(5) / 100, gyro=np.ones((5, 3)))
+    write_csv(record, tmp_path / "native.csv")
+    (tmp_path / "session.toml").write_text(HEAD + '[[recording]]\nfile = "native.csv"\nskip_rows = 2\n')
+    with pytest.raises(InputError, match=r"wanted columns beside skip_rows, got none"):
+        read_session(tmp_path)
+    (tmp_path / "session.toml").write_text(HEAD + "[[recording]]\nfile = []\n")
+    with pytest.raises(InputError, match="file: wanted one file or more"):
+        read_session(tmp_path)
+
+
+def test_files_side_by_side_need_one_time_base_and_different_channels(tmp_path):
+    def put(name, n, step, channel):
+        lines = [f"{k * step:.3f},1,2,3" for k in range(n)]
+        (tmp_path / name).write_text(
+            "\n".join([f"time_s,{','.join(f'{channel}_{a}' for a in ('x_g', 'y_g', 'z_g'))}", *lines])
+        )
+
+    put("a.csv", 50, 0.01, "accel")
+    (tmp_path / "g.csv").write_text(
+        (tmp_path / "a.csv").read_text().replace("accel", "gyro").replace("_g", "_dps").replace("_dpsyro", "_gyro")
+    )
+    text = HEAD + '[[recording]]\nfile = ["a.csv", "b.csv"]\n'
+    (tmp_path / "session.toml").write_text(text)
+    put("b.csv", 50, 0.01, "accel")
+    with pytest.raises(InputError, match=r"b.csv: wanted channels that a.csv lacks, got accel again"):
+        read_session(tmp_path)
+    for n, step in ((49, 0.01), (50, 0.0111)):
+        put("b.csv", n, step, "accel")
+        with pytest.raises(InputError, match="files side by side need one time base"):
+            read_session(tmp_path)
+
+
+@few
+@given(data=st.data(), serial=st.text(max_size=8), gravity=st.floats(9.71, 9.89))
+def test_a_session_comes_back_as_it_was_written(tmp_path_factory, data, serial, gravity):
+    held = tuple(data.draw(st.lists(records(gaps=True), min_size=1, max_size=3)))
+
+    def piece(kind):
+        recording = data.draw(st.integers(0, len(held) - 1))
+        start = data.draw(st.integers(0, len(held[recording]) - 1))
+        stop = data.draw(st.integers(start + 1, len(held[recording])))
+        temp_c = data.draw(st.none() | st.floats(-20, 80))
+        if kind is Still:
+            face = data.draw(st.sampled_from([None, "+x", "-z"]))
+            return Still(start=start, stop=stop, face=face, recording=recording, temp_c=temp_c)
+        rate, angle = data.draw(st.sampled_from([(1.5, None), (None, -6.2), (None, None)]))
+        axis = data.draw(st.sampled_from([None, "x"]))
+        return Turn(start=start, stop=stop, axis=axis, turn_rate=rate, angle=angle, recording=recording, temp_c=temp_c)
+
+    session = Session(
+        kind="thermal",
+        serial=serial,
+        gravity_m_s2=gravity,
+        records=held,
+        stills=tuple(piece(Still) for _ in range(data.draw(st.integers(0, 3)))),
+        turns=tuple(piece(Turn) for _ in range(data.draw(st.integers(0, 3)))),
+    )
+    path = tmp_path_factory.mktemp("session") / "run"
+    write_session(session, path)
+    back = read_session(path)
+    assert (back.kind, back.serial, back.gravity_m_s2) == (session.kind, session.serial, session.gravity_m_s2)
+    assert back.stills == session.stills
+    for a, b in zip(back.turns, session.turns, strict=True):
+        assert (a.start, a.stop, a.axis, a.recording, a.temp_c) == (b.start, b.stop, b.axis, b.recording, b.temp_c)
+        # degrees in the file: one rounding each way
+        assert a.turn_rate == (None if b.turn_rate is None else pytest.approx(b.turn_rate, rel=1e-15))
+        assert a.angle == (None if b.angle is None else pytest.approx(b.angle, rel=1e-15))
+    for a, b in zip(back.records, session.records, strict=True):
+        assert_same(a, b)
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    session = Session(
+        kind="static", serial="", gravity_m_s2=9.81, records=(Record(time=[0.0, 1.0], gyro=np.zeros((2, 3))),)
+    )
+    with pytest.raises(InputError, match="cannot be written"):
+        write_session(session, tmp_path / "file" / "run")
