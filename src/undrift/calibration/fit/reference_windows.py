@@ -171,12 +171,14 @@ def restored(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
     Returns
     -------
     array, shape (N, 3)
-        Half a step further from zero (toward_zero) or up (floor).
+        Half a step further from zero (toward_zero) or up (floor). Code 0 stays 0, also where a change of axes or unit
+        has left dust on it.
     """
     if adc is None or adc.gyro_lsb is None or adc.gyro_rounding == "nearest":
         return gyro
-    back: FloatArray = np.sign(gyro) if adc.gyro_rounding == "toward_zero" else np.ones_like(gyro)
-    return gyro + 0.5 * adc.gyro_lsb * back
+    if adc.gyro_rounding == "floor":
+        return gyro + 0.5 * adc.gyro_lsb
+    return gyro + 0.5 * adc.gyro_lsb * np.sign(gyro) * (np.abs(gyro) > 0.25 * adc.gyro_lsb)
 
 
 def window_equations(recording: Recording, guess: GyroGuess, offset: FloatArray, reach: int) -> Windows:
