@@ -136,16 +136,13 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     if len(present) < 5 or before < 0.2 * radius:
         _check_opposites(means, up, faces)
         return
-    best, pair = min(
-        (_affine_misfit(means, face_vectors([_exchange(f, p, q) for f in faces])), (p, q))
-        for p, q in itertools.combinations(present, 2)
-    )
-    what = f"faces {pair[0]} and {pair[1]} are swapped" if best < 0.2 * before else "labels do not fit the readings"
+    pair = _explaining_swap(means, faces, present, 0.2 * before)
+    what = f"faces {pair[0]} and {pair[1]} are swapped" if pair else "labels do not fit the readings"
     raise Implausible(
         f"six faces: wanted readings that follow their labels, got a misfit of {before / radius:.2f} g rms; {what}: "
         "correct the labels in session.toml",
         misfit_g=before / radius,
-        swapped=pair if best < 0.2 * before else None,
+        swapped=pair,
     )
 
 
@@ -274,6 +271,21 @@ def _check_opposites(means: FloatArray, up: FloatArray, faces: Sequence[Face]) -
                     f"the two are swapped: a face names the axis that points up, which reads +g",
                     swapped=(f"+{name}", f"-{name}"),
                 )
+
+
+def _explaining_swap(
+    means: FloatArray, faces: Sequence[Face], present: list[Face], enough: float
+) -> tuple[Face, Face] | None:
+    # Several swaps may fit alike, all but one of them with axes exchanged: take the one whose sensors see their own axes.
+    best: tuple[Face, Face] | None = None
+    most = -np.inf
+    for one, other in itertools.combinations(present, 2):
+        up = face_vectors([_exchange(f, one, other) for f in faces])
+        design = np.column_stack((up, np.ones(len(up))))
+        own = float(np.trace(np.linalg.lstsq(design, means, rcond=None)[0][:3]))
+        if own > most and _affine_misfit(means, up) < enough:
+            best, most = (one, other), own
+    return best
 
 
 def _affine_misfit(means: FloatArray, up: FloatArray) -> float:

@@ -1,0 +1,108 @@
+"""ADC: step and rounding from the codes; correct by construction, and never guessed."""
+
+import numpy as np
+import pytest
+
+from data import data_path, show
+from undrift.calibration.adc import (
+    AdcFinding,
+    adc_model,
+    code_grid,
+    identify_adc,
+    identify_record_adc,
+    without_truncation,
+)
+from undrift.record import Record
+
+LSB = 0.061
+ROUNDINGS = {"nearest": np.round, "floor": np.floor, "toward_zero": np.trunc}
+
+
+def sweeping(rng, samples=40000):
+    """Readings of a device that keeps sweeping through zero, in codes before rounding."""
+    time = np.arange(samples)[:, None]
+    return 600.0 * np.sin(time / np.array([30.0, 37.0, 41.0])) + rng.normal(0.0, 5.0, (samples, 3))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("scale", [1.0, LSB, LSB * np.pi / 180.0])
+@pytest.mark.parametrize("name", ROUNDINGS)
+def test_step_and_rounding_are_found_in_codes_and_in_floats(name, scale, dtype):
+    codes = ROUNDINGS[name](sweeping(np.random.default_rng(1)))
+    found = identify_adc((codes * scale).astype(dtype).astype(float))
+    np.testing.assert_allclose(found.lsb, scale, rtol=1e-6)
+    assert found.rounding == ("toward_zero" if name == "toward_zero" else "nearest"), found.reason
+
+
+def test_continuous_readings_have_no_step():
+    found = identify_adc(sweeping(np.random.default_rng(2)))
+    assert found.lsb is None
+    assert found.rounding is None
+    assert "lie on no grid" in found.reason
+
+
+def test_a_resting_device_does_not_tell_its_rounding():
+    found = identify_adc(np.trunc(np.random.default_rng(3).normal(0.0, 1.5, (20000, 3))))
+    assert found.rounding is None
+    assert "fewer than two axes sweep through code 0" in found.reason
+    np.testing.assert_allclose(found.lsb, 1.0)
+
+
+def test_an_offset_taken_off_the_codes_hides_the_rounding_but_not_the_step():
+    codes = np.trunc(sweeping(np.random.default_rng(4))) + 0.37
+    step, phase = code_grid(codes[:, 0])
+    assert step == pytest.approx(1.0)
+    assert phase == pytest.approx(0.37, abs=1e-6)
+    found = identify_adc(codes)
+    assert found.rounding is None
+    assert "an offset was taken off the codes" in found.reason
+
+
+def test_few_readings_or_constant_ones_have_no_grid():
+    assert np.isnan(code_grid(np.zeros(100))[0])
+    assert np.isnan(code_grid(np.array([1.0, 2.0, np.nan]))[0])
+
+
+def test_the_model_keeps_only_what_was_told_for_certain():
+    known = identify_adc(np.trunc(sweeping(np.random.default_rng(5))))
+    unknown = AdcFinding(
+        lsb=np.ones(3), rounding=None, ratio=np.full(3, np.nan), ratio_uncertainty=np.full(3, np.nan), reason=""
+    )
+    model = adc_model(known, unknown)
+    assert model.gyro_rounding == "toward_zero"
+    assert model.accel_lsb is None
+    assert adc_model(unknown, None) is None
+    assert adc_model(None, known).accel_rounding == "toward_zero"
+
+
+def test_putting_the_half_step_back_undoes_truncation_on_average():
+    values = sweeping(np.random.default_rng(6))
+    back = without_truncation(np.trunc(values), np.ones(3), "toward_zero")
+    away = np.abs(values) > 1.0
+    # Mean of 120,000 rounding errors of 0.29: 0.001; truncation would leave 0.5 along the sign.
+    assert np.mean(((back - values) * np.sign(values))[away]) == pytest.approx(0.0, abs=0.01)
+    floor = without_truncation(np.floor(values), np.ones(3), "floor")
+    assert np.mean(floor - values) == pytest.approx(0.0, abs=0.01)
+    np.testing.assert_array_equal(without_truncation(values, np.ones(3), "nearest"), values)
+
+
+def test_a_record_without_codes_gives_no_model():
+    record = Record(time=np.arange(40000) / 100.0, gyro=sweeping(np.random.default_rng(7)))
+    assert identify_record_adc(record) is None
+
+
+@pytest.mark.parametrize(
+    "trial", ["02_undisturbed_slow_rotation_B", "07_undisturbed_fast_rotation_B", "35_disturbed_attached_magnet_4cm"]
+)
+def test_the_broad_gyroscopes_truncate_toward_zero(trial):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(data_path("broad", f"{trial}.hdf5")) as file:
+        gyro, accel = file["imu_gyr"][:], file["imu_acc"][:]
+    found, force = identify_adc(gyro), identify_adc(accel)
+    step = np.degrees(found.lsb)
+    show(f"BROAD {trial[:2]} gyro step, deg/s", np.round(step, 5), "0.061")
+    show(f"BROAD {trial[:2]}", found.reason)
+    show(f"BROAD {trial[:2]} accel step, m/s2", np.round(force.lsb, 5), "0.0049 within 3 %")
+    np.testing.assert_allclose(step, 2000.0 / 32767.0, rtol=1e-4)
+    assert found.rounding == "toward_zero"
+    np.testing.assert_allclose(force.lsb, 0.0049, rtol=0.03)

@@ -1,0 +1,119 @@
+"""Plausibility: each refusal names the number and what to do."""
+
+import numpy as np
+import pytest
+
+from undrift.calibration.plausibility import (
+    axis_vectors,
+    check_faces,
+    check_gravity,
+    check_handedness,
+    check_pose_count,
+    check_saturation,
+    check_scale_factor,
+    face_vectors,
+    missing_faces,
+)
+from undrift.errors import Implausible, NotObservable
+from undrift.session import FACES
+
+FORWARD = np.array([[1.02, 0.01, -0.008], [0.004, 0.97, 0.012], [-0.006, 0.009, 1.01]])
+READING = 9.81 * face_vectors(FACES) @ FORWARD.T + np.array([0.3, -0.2, 0.1])
+
+
+def test_faces_and_axes_become_signed_unit_vectors():
+    np.testing.assert_array_equal(face_vectors(("-y", "+z")), [[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(axis_vectors(("z", "x")), [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    assert missing_faces(("+x", "-x", "+y", "-z")) == ("-y", "+z")
+
+
+def test_good_faces_pass():
+    check_faces(READING, FACES)
+    check_faces(np.concatenate((READING, READING[:2] + 0.02)), (*FACES, "+x", "-x"))
+
+
+def test_a_face_recorded_twice_is_named():
+    twice = READING.copy()
+    twice[3] = twice[0] + 0.02
+    with pytest.raises(Implausible, match=r"faces \+x and -y: wanted two poses, got readings 0\.00\d g apart"):
+        check_faces(twice, FACES)
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 2), (1, 4), (3, 5)])
+def test_two_swapped_faces_are_named(a, b):
+    swapped = READING.copy()
+    swapped[[a, b]] = swapped[[b, a]]
+    with pytest.raises(Implausible, match=r"are swapped: correct the labels in session.toml") as caught:
+        check_faces(swapped, FACES)
+    assert set(caught.value.swapped) == {FACES[a], FACES[b]}
+
+
+def test_opposite_faces_swapped_are_named_although_the_fit_would_be_perfect():
+    swapped = READING.copy()
+    swapped[[2, 3]] = swapped[[3, 2]]
+    with pytest.raises(Implausible, match=r"faces \+y and -y: wanted the axis that points up to read the larger value"):
+        check_faces(swapped, FACES)
+
+
+def test_labels_in_disorder_are_refused_even_when_no_single_swap_explains_them():
+    disorder = READING[[2, 3, 0, 1, 5, 4]][[1, 4, 0, 2, 5, 3]]
+    with pytest.raises(Implausible):
+        check_faces(disorder, FACES)
+
+
+def test_a_quarter_of_gravity_is_called_a_wrong_unit_or_range():
+    with pytest.raises(Implausible, match=r"\(0\.25\d g\); readings are 4 times too small: check the unit") as caught:
+        check_gravity(READING / 3.97, 9.81)
+    assert caught.value.ratio == pytest.approx(0.25, abs=0.01)
+    check_gravity(READING, 9.81)
+
+
+def test_the_hot_and_cold_bmi270_logs_are_caught_at_a_quarter_of_gravity():
+    # Published log whose firmware divides by the wrong range: |a| = 0.252 and 0.254 g (shared data, SOURCE.md).
+    for ratio in (0.252, 0.254):
+        with pytest.raises(Implausible, match="4 times too small"):
+            check_gravity(np.array([[0.0, 0.0, ratio * 9.81]]), 9.81)
+
+
+def test_left_handed_axes_are_refused_with_the_axis():
+    with pytest.raises(
+        Implausible, match=r"gyroscope: wanted right-handed axes, got a left-handed triad \(reversed: y\)"
+    ):
+        check_handedness(np.diag([1.0, -1.0, 1.0]), "gyroscope")
+    with pytest.raises(Implausible, match=r"two axes exchanged"):
+        check_handedness(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), "gyroscope")
+    check_handedness(FORWARD, "gyroscope")
+
+
+def test_a_gain_off_by_two_is_called_a_factor_and_the_sample_rate_is_named():
+    with pytest.raises(
+        Implausible, match=r"got 2\.0100 of it \(\+101\.0 %\); readings are 2 times too large: .*sample rate"
+    ):
+        check_scale_factor(np.array([1.99, 2.01, 2.0]), 1.0, 0.2, "gyroscope")
+    with pytest.raises(
+        Implausible, match=r"within 3 % of the stated sensitivity, got 0\.8507 of it \(-14\.9 %\); check"
+    ):
+        check_scale_factor(np.array([0.8507]), 1.0, 0.03, "gyroscope y")
+    check_scale_factor(np.array([1.0, 1.02, 0.98]), 1.0, 0.03, "gyroscope")
+
+
+def test_too_few_poses_are_counted():
+    with pytest.raises(NotObservable, match="wanted 9 free poses or more, got 4; record the missing ones"):
+        check_pose_count(4, 9, "free poses")
+    check_pose_count(9, 9, "free poses")
+
+
+def test_readings_stuck_at_the_end_of_the_range_are_found_and_quantised_rest_is_not():
+    rng = np.random.default_rng(0)
+    motion = np.round(40000.0 * np.sin(np.arange(3000) / 200.0))[:, None] + np.round(rng.normal(0.0, 5.0, (3000, 3)))
+    clipped = np.clip(motion, -32768, 32767)
+    with pytest.raises(
+        Implausible, match=r"gyroscope x: wanted readings inside the range, got \d+ samples stuck at 32767"
+    ):
+        check_saturation(clipped, "gyroscope")
+    check_saturation(motion, "gyroscope")
+    check_saturation(np.round(rng.normal(2.0, 0.6, (5000, 3))), "gyroscope")  # codes 0..5 repeat often and mean nothing
+    with pytest.raises(Implausible, match=r"accelerometer x: .* 1 samples stuck at 16"):
+        check_saturation(
+            np.array([[1.0, 2.0, 3.0], [16.0, 2.1, 3.1], [1.2, 2.2, 3.3]]), "accelerometer", full_scale=16.0
+        )
