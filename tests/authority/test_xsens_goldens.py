@@ -1,0 +1,136 @@
+"""The published multi-position test set (Tedaldi, Pretto, Menegatti, ICRA 2014): Xsens MTi, 511 s, raw counts.
+
+Golden figures: the authors' shipped demonstration, run once (C++, Ceres 2.1), its settings stated with it; the factory
+certificate of the same unit as the authors print it. Mapping: their a = T K (u - b), T unit upper triangular, K diagonal, is
+our a = matrix (u - offset) with matrix_ii = K_i, matrix_ij = T_ij K_j, offset = b; likewise for the rates with a full T.
+"""
+
+import gzip
+from functools import cache
+
+import numpy as np
+
+from data import data_path, show
+from undrift.calibration.fit.multi_position import MultiPositionFit, MultiPositionSettings, fit_multi_position
+from undrift.calibration.fit.multi_position_accel import fit_poses
+from undrift.calibration.fit.still_variance import still_variance
+from undrift.calibration.model import TriadModel
+from undrift.record import Record
+
+GRAVITY = 9.81744  # m/s2, as the demonstration states it
+FACTORY_ACCEL, FACTORY_GYRO = np.array([415.0, 413.0, 415.0]), np.array([4778.0, 4758.0, 4766.0])
+
+
+def loaded(name: str) -> np.ndarray:
+    with gzip.open(data_path("multipos_xsens", name), "rt") as file:
+        return np.loadtxt(file)
+
+
+@cache
+def session() -> Record:
+    accel, gyro = (loaded(f"xsens_{what}.txt.gz") for what in ("acc", "gyro"))
+    return Record(time=accel[:, 0], accel=accel[:, 1:], gyro=gyro[:, 1:], accel_unit="count", gyro_unit="count")
+
+
+@cache
+def published() -> MultiPositionFit:
+    return fit_multi_position(session(), gravity=GRAVITY, settings=MultiPositionSettings.published(rest_s=50.0))
+
+
+@cache
+def ours() -> MultiPositionFit:
+    return fit_multi_position(session(), gravity=GRAVITY)
+
+
+def parts(model: TriadModel) -> tuple[np.ndarray, np.ndarray]:
+    """Scale (counts per unit) and T."""
+    scale = np.diag(model.matrix)
+    return 1.0 / scale, model.matrix / scale
+
+
+def test_the_opening_rest_has_the_published_variance() -> None:
+    accel = session().accel
+    assert accel is not None
+    rest = accel[:5001]
+    variance = rest.var(axis=0, ddof=1)
+    np.testing.assert_allclose(variance, [11.169194, 10.148628, 11.432989], atol=5e-7)
+    level = still_variance(session(), window_s=1.0, rest_s=50.0).at_rest
+    show("level at rest, counts^2", level, 18.933007)
+    assert abs(level - 18.933007) < 5e-7
+
+
+def test_the_table_of_thresholds_is_the_published_one() -> None:
+    trials = published().trials
+    assert [t.stills for t in trials] == [42, 40, 39, 38, 38, 38, 38, 38, 38]
+    costs = [0.134724, 0.131345, 0.126126, 0.120558, 0.120131, 0.120586, 0.121338, 0.121422, 0.138240]
+    show("summed costs", [round(t.cost, 6) for t in trials], costs)
+    np.testing.assert_allclose([t.cost for t in trials], costs, atol=1e-6)  # printed to six decimals
+    assert min(trials, key=lambda t: t.cost).multiple == 6.0
+
+
+def test_the_published_accelerometer_comes_back() -> None:
+    scale, t = parts(published().accel.model)
+    show("scale, counts per m/s2", scale, "[414.459, 412.010, 414.649]")
+    show("offset, counts", published().accel.model.offset, "[33124.183, 33275.179, 32364.416]")
+    np.testing.assert_allclose(1.0 / scale, [0.00241278463, 0.00242712280, 0.00241168028], rtol=1e-4)
+    np.testing.assert_allclose(t[np.triu_indices(3, 1)], [-0.00335929903, -0.00890639474, -0.02133411939], atol=1e-6)
+    np.testing.assert_allclose(published().accel.model.offset, [33124.18256, 33275.17943, 32364.41565], atol=0.1)
+    assert published().accel.model.rms_residual * 1e3 < 8.0  # per sample, 7.95 mm/s2
+
+
+def test_the_published_gyroscope_comes_back() -> None:
+    gyro = published().gyro
+    assert gyro is not None
+    scale, t = parts(gyro.model)
+    show("scale, counts per rad/s", scale, "[4777.96, 4764.21, 4773.66]")
+    np.testing.assert_allclose(scale, [4777.96, 4764.21, 4773.66], rtol=1e-4)
+    np.testing.assert_allclose(gyro.model.offset, [32777.13994, 32459.80288, 32511.84746], atol=0.1)
+    # another integration rule and interval ends move T by 3e-5: a tenth of its standard uncertainty
+    np.testing.assert_allclose(t[np.triu_indices(3, 1)], [0.00593634, 0.00111101, -0.05355686], atol=5e-5)
+    np.testing.assert_allclose(t[np.tril_indices(3, -1)], [0.00808812, 0.02530672, -0.00255130], atol=5e-5)
+    assert gyro.model.count == 2 * 37
+
+
+def test_the_variant_with_means_comes_back() -> None:
+    level = still_variance(session(), window_s=1.0, rest_s=50.0)
+    accel = session().accel
+    assert accel is not None
+    means = [accel[a:b].mean(axis=0) for a, b in level.below(10.0 * level.at_rest, 100)]
+    fit = fit_poses(means, gravity=GRAVITY)
+    cost = 0.5 * float(fit.residuals @ fit.residuals)
+    show("cost of the means", cost, 1.80104e-5)
+    np.testing.assert_allclose(parts(fit.model)[0], [414.419, 412.032, 414.621], rtol=1e-5)  # printed to 0.001
+    assert abs(cost - 1.80104e-5) < 1e-10
+    assert fit.model.rms_residual < 0.98e-3
+
+
+def test_both_rules_agree_with_the_factory_certificate_within_a_quarter_per_cent() -> None:
+    for name, fit in (("published", published()), ("coverage", ours())):
+        assert fit.gyro is not None
+        accel, gyro = (
+            100.0 * (parts(m)[0] / f - 1.0)
+            for m, f in ((fit.accel.model, FACTORY_ACCEL), (fit.gyro.model, FACTORY_GYRO))
+        )
+        show(f"{name}: scale against the certificate, %, accel", np.round(accel, 3), 0.25)
+        show(f"{name}: scale against the certificate, %, gyro", np.round(gyro, 3), 0.25)
+        assert np.abs(accel).max() < 0.25
+        assert np.abs(gyro).max() < 0.25
+        offset = fit.accel.model.offset - [33123.0, 33276.0, 32360.0]
+        show(f"{name}: accel offset against the certificate, counts", np.round(offset, 1), 5)
+        assert np.abs(offset).max() < 5.0
+
+
+def test_the_coverage_rule_keeps_every_pose_and_says_how_sure_it_is() -> None:
+    fit = ours()
+    assert fit.gyro is not None
+    show("stills kept", len(fit.stills), 38)
+    show("rms of pose means, mm/s2", fit.accel.model.rms_residual * 1e3, 1.0)
+    assert len(fit.stills) >= 38
+    assert fit.accel.model.rms_residual < 1.0e-3
+    # 1 sigma from the interval means: scale 0.0065/0.0034/0.0039 %, offset 0.59/0.33/0.36 mm/s2
+    relative = 100.0 * fit.accel.model.standard_uncertainty[[0, 4, 8]] / np.diag(fit.accel.model.matrix)
+    show("standard uncertainty of scale, %", np.round(relative, 4), "0.0065 0.0034 0.0039")
+    np.testing.assert_allclose(relative, [0.0065, 0.0034, 0.0039], rtol=0.15)
+    assert fit.verdict.status == "good"
+    near = np.abs(parts(fit.accel.model)[0] / parts(published().accel.model)[0] - 1.0)
+    assert near.max() < 1e-4

@@ -1,0 +1,120 @@
+"""Noise coefficients come back from simulated noise, and are refused where a record does not show them."""
+
+import numpy as np
+import pytest
+
+from undrift.calibration.noise import fit_noise
+from undrift.errors import InputError
+from undrift.record import Record
+
+RATE = 100.0
+
+
+def noisy(samples: int, white: float, walk: float, seed: int, unit: str = "rad/s") -> Record:
+    rng = np.random.default_rng(seed)
+    gyro = white * np.sqrt(RATE) * rng.normal(size=(samples, 3))
+    gyro += np.cumsum(walk / np.sqrt(RATE) * rng.normal(size=(samples, 3)), axis=0)
+    return Record(time=np.arange(samples) / RATE, gyro=gyro, gyro_unit=unit)
+
+
+def test_white_noise_and_random_walk_come_back_within_five_per_cent() -> None:
+    white, walk = 0.005, 0.02
+    fit = fit_noise(noisy(1_000_000, white, walk, seed=1))
+    for axis in fit.gyro:
+        n, k = axis.angle_random_walk, axis.rate_random_walk
+        print(f"  {axis.axis}: N {n.value / white:.4f}, K {k.value / walk:.4f} of what was put in")
+        assert abs(n.value / white - 1.0) < 0.05
+        assert abs(k.value / walk - 1.0) < 0.05
+        assert n.interval[0] < n.value < n.interval[1]
+        assert n.unit == "rad/s/sqrt(Hz)"
+        assert k.unit == "rad/s/sqrt(s)"
+    assert fit.model().angle_random_walk == pytest.approx(np.full(3, white), rel=0.05)
+    assert np.isnan(fit.model().velocity_random_walk).all()
+
+
+def test_intervals_cover_the_coefficients() -> None:
+    white, walk, inside = 0.005, 0.005, []
+    for seed in range(40):
+        for axis in fit_noise(noisy(30_000, white, walk, seed)).gyro:
+            low, high = axis.angle_random_walk.interval
+            inside.append(low < white < high)
+            low, high = axis.rate_random_walk.interval
+            inside.append(low < walk < high)
+    covered = float(np.mean(inside))
+    print(f"  95 % intervals of N and K cover {100 * covered:.1f} % of 240")
+    assert 0.91 <= covered <= 1.0  # 240 intervals: 1.4 % one sigma
+
+
+def test_a_short_record_of_white_noise_says_what_it_does_not_show() -> None:
+    fit = fit_noise(noisy(20_000, 0.005, 0.0, seed=2))
+    for axis in fit.gyro:
+        assert axis.angle_random_walk.value == pytest.approx(0.005, rel=0.05)
+        assert np.isnan(axis.rate_random_walk.value)
+        assert axis.rate_random_walk.reason.startswith("not observable: no certain rise of the curve up to")
+        assert axis.rate_random_walk.interval[0] == 0.0
+        assert axis.rate_random_walk.interval[1] > 0.0
+        assert "record longer" in axis.bias_instability.reason
+    assert "rate_random_walk not observable in 200 s" in " ".join(fit.verdict.reasons)
+
+
+def test_a_flat_floor_is_told_from_a_slope() -> None:
+    # Flicker: white noise shaped by the square root of frequency, put on top of white; B from h_-1 = B^2 / pi.
+    rng, samples, instability = np.random.default_rng(3), 2**18, 0.01
+    frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
+    spectrum = np.zeros(len(frequency), complex)
+    spectrum[1:] = np.sqrt(instability**2 / np.pi / frequency[1:] * RATE * samples / 4.0) * (
+        rng.normal(size=len(frequency) - 1) + 1j * rng.normal(size=len(frequency) - 1)
+    )
+    flicker = np.fft.irfft(spectrum, samples)
+    y = flicker + 0.001 * np.sqrt(RATE) * rng.normal(size=samples)
+    fit = fit_noise(Record(time=np.arange(samples) / RATE, gyro=np.column_stack((y, y[::-1], -y))))
+    print(f"  B {fit.gyro[0].bias_instability.value / instability:.3f} of what was put in")
+    assert fit.gyro[0].bias_instability.value == pytest.approx(instability, rel=0.1)  # 1.2 decades of floor: 4 % sigma
+
+
+def test_counts_stay_counts_and_give_no_model() -> None:
+    fit = fit_noise(noisy(5_000, 1.0, 0.0, seed=4, unit="count"))
+    assert fit.gyro_unit == "count"
+    assert fit.gyro[0].angle_random_walk.unit == "count/sqrt(Hz)"
+    with pytest.raises(InputError, match="wanted rad/s and m/s2, got count; correct the record"):
+        fit.model()
+
+
+def test_degrees_become_radians() -> None:
+    fit = fit_noise(noisy(5_000, 1.0, 0.0, seed=4, unit="dps"))
+    assert fit.gyro[0].angle_random_walk.value == pytest.approx(np.radians(1.0), rel=0.1)
+    assert fit.gyro_adev.shape == (len(fit.taus_s), 3)
+    assert fit.accel_adev.shape == (len(fit.taus_s), 0)
+
+
+def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
+    record = noisy(3_000, 0.005, 0.0, seed=5)
+    assert record.gyro is not None
+    moved = np.array(record.gyro)
+    moved[1_500:1_600] += 3.0 * np.sin(np.arange(100) / 5.0)[:, None]
+    with pytest.raises(
+        InputError, match=r"wanted a device at rest, got gyro motion in \d of 30 windows, first at 15 s"
+    ):
+        fit_noise(Record(time=record.time, gyro=moved))
+    holed = np.array(record.gyro)
+    holed[7, 1] = np.nan
+    with pytest.raises(InputError, match="got 1 rows of NaN"):
+        fit_noise(Record(time=record.time, gyro=holed))
+    stuck = np.array(record.gyro)
+    stuck[:, 2] = 4.0
+    with pytest.raises(InputError, match="one value throughout in gyro z"):
+        fit_noise(Record(time=record.time, gyro=stuck))
+    late = np.array(record.time)
+    late[2_000:] += 1.0
+    with pytest.raises(InputError, match="with 1 drop-outs"):
+        fit_noise(Record(time=late, gyro=record.gyro))
+
+
+def test_a_filtered_record_is_fitted_with_a_stated_departure() -> None:
+    record = noisy(60_000, 0.005, 0.0, seed=6)
+    assert record.gyro is not None
+    smooth = np.apply_along_axis(lambda y: np.convolve(y, np.ones(8) / 8.0, mode="same"), 0, record.gyro)
+    fit = fit_noise(Record(time=record.time, gyro=smooth))
+    assert fit.gyro[0].model_error >= 0.1
+    assert fit.verdict.status == "marginal"
+    assert "departs from the model" in fit.verdict.reasons[-1]
