@@ -249,7 +249,8 @@ def offset_prior(moves: Moves) -> OffsetPrior:
 def _at_rest(reading: FloatArray) -> BoolArray:
     """Tell the stills whose mean rate is like the others' from those that turn, shape (K,)."""
     away = np.abs(reading - np.median(reading, axis=0))
-    return (away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12)).all(axis=1)
+    alike: BoolArray = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)
+    return alike
 
 
 def _walk_and_jitter(reading: FloatArray, stated: FloatArray) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import InputError
 from undrift.record import Record
 from undrift.segments.still import runs
@@ -172,7 +172,7 @@ def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> 
 def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the level over windows of 2 half + 1 samples, running sums, running sums of squares, and their centre."""
     width = 2 * half + 1
-    gap = np.isnan(values).any(axis=1)
+    gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
     centre = values[~gap].mean(axis=0) if not gap.all() else np.zeros(3)
     u = np.where(gap[:, None], 0.0, values - centre)
     sums, squares = np.zeros((len(u) + 1, 3)), np.zeros((len(u) + 1, 3))
