@@ -107,5 +107,5 @@ def test_what_cannot_be_filtered_is_refused():
             lowpass(gap, 5.0, sample_rate_hz=RATE, zero_phase=zero_phase)
     time = np.arange(100) / RATE
     time[40:] += 0.5
-    with pytest.raises(InputError, match=r"wanted even time, got 1 drop-outs, the first at 0.39 s"):
+    with pytest.raises(InputError, match=r"wanted even time, got 1 uneven steps, the first at 0.39 s"):
         lowpass(Record(time=time, gyro=x), 5.0)

@@ -295,8 +295,9 @@ def _run(record: Record, plans: Plans, outputs: Buffers, start: int, stop: int) 
     temp = nothing if record.temp_c is None else record.temp_c[start:stop]
     x, y = _flat(record.gyro, start, stop), _flat(record.accel, start, stop)
     g = None if gyro is None else gyro.g_sensitivity
-    if gyro is not None and accel is not None and g is not None and _plain(gyro) and _plain(accel):
-        affine_pair(x, y, w, a, gyro.matrix, gyro.offset, accel.matrix, accel.offset, g)
+    if gyro is not None and accel is not None and g is not None and gyro.tables is None and accel.tables is None:
+        of_accel = (accel.matrix, accel.offset, accel.half_step)
+        affine_pair(x, y, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
         return reached
     if accel is not None:
         _run_triad(accel, y, temp, nothing, a)
@@ -316,10 +317,6 @@ def _run_triad(plan: TriadPlan, x: FloatArray, temp: FloatArray, a: FloatArray, 
     if a.size:
         subtract_g(a, out, g)
     return np.inf, -np.inf
-
-
-def _plain(plan: TriadPlan) -> bool:
-    return plan.tables is None and not plan.half_step.any()
 
 
 def _flat(values: FloatArray | None, start: int, stop: int) -> FloatArray:

@@ -126,14 +126,16 @@ def lowpass(
 
 def _even_rate_of(record: Record) -> float:
     steps = np.diff(record.time)
-    step = float(np.median(steps))
-    uneven = np.flatnonzero(np.abs(steps - step) > EVEN_WITHIN * step)
-    if uneven.size:
-        at = record.time[uneven[0]]
+    step = float(record.time[-1] - record.time[0]) / len(steps)
+    if steps.min() < (1.0 - EVEN_WITHIN) * step or steps.max() > (1.0 + EVEN_WITHIN) * step:
+        step = float(np.median(steps))
+        uneven = np.flatnonzero(np.abs(steps - step) > EVEN_WITHIN * step)
+        at = record.time[uneven[0] if uneven.size else steps.argmax()]
         raise InputError(
-            f"low-pass: wanted even time, got {uneven.size} drop-outs, the first at {at:.6g} s; filter each stretch by itself"
+            f"low-pass: wanted even time, got {max(uneven.size, 1)} uneven steps, the first at {at:.6g} s; "
+            "filter each stretch by itself"
         )
-    return record.sample_rate_hz
+    return 1.0 / step
 
 
 def _filtered_record(record: Record, section: Biquad, zero_phase: bool) -> Record:

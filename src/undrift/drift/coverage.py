@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.arrays import BoolArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration
 from undrift.drift.lookup import Plans, TriadPlan
 from undrift.errors import DriftRangeError
@@ -36,7 +36,7 @@ def find_outside(record: Record, plans: Plans, *, allowed: bool) -> BoolArray:
     if record.temp_c is None or not ranges:
         return mask
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
-    least, greatest = float(np.fmin.reduce(record.temp_c)), float(np.fmax.reduce(record.temp_c))
+    least, greatest = _extremes(record.temp_c)
     if least >= low and greatest <= high:
         return mask
     mask = (record.temp_c < low) | (record.temp_c > high)
@@ -80,21 +80,24 @@ def temperature_warnings(
     if temp is None:
         return ()
     if outside.any():
+        least, greatest = _extremes(temp)
         said.append(
-            f"{outside.sum() / record.sample_rate_hz:.1f} s lie outside the drift table: {np.fmin.reduce(temp):.1f} to "
-            f"{np.fmax.reduce(temp):.1f} degC were recorded"
+            f"{outside.sum() / record.sample_rate_hz:.1f} s lie outside the drift table: {least:.1f} to {greatest:.1f} degC "
+            "were recorded"
         )
     constant = any(
         plan is not None and model is not None and (plan.tables is None or plan.tables.offset.size == 0)
         for plan, model in zip(plans, (calibration.gyro, calibration.accel), strict=True)
     )
     reference = calibration.reference_temp_c
-    departure = max(np.fmax.reduce(temp) - reference, reference - np.fmin.reduce(temp))
-    if constant and departure > reference_span_c:  # False where the reference temperature is not known
-        said.append(
-            f"the temperature departs by up to {departure:.1f} degC from {reference:.1f} degC, where the constant offsets hold; "
-            f"a tuning table is needed beyond {reference_span_c:g} degC"
-        )
+    if constant and np.isfinite(reference):
+        least, greatest = _extremes(temp)
+        departure = max(greatest - reference, reference - least)
+        if departure > reference_span_c:
+            said.append(
+                f"the temperature departs by up to {departure:.1f} degC from {reference:.1f} degC, where the constant offsets "
+                f"hold; a tuning table is needed beyond {reference_span_c:g} degC"
+            )
     return tuple(said)
 
 
@@ -145,3 +148,11 @@ def notes_on(record: Record, calibration: Calibration) -> tuple[str, ...]:
     if record.device and calibration.device and record.device != calibration.device:
         notes.append(f"the recording is of {record.device}, the calibration of {calibration.device}")
     return tuple(notes)
+
+
+def _extremes(temp: FloatArray) -> tuple[float, float]:
+    """Least and greatest, gaps left out; the plain reductions are several times faster and tell when there is a gap."""
+    least, greatest = float(temp.min()), float(temp.max())
+    if np.isnan(least):
+        return float(np.fmin.reduce(temp)), float(np.fmax.reduce(temp))
+    return least, greatest
