@@ -15,13 +15,15 @@ References
 
 import copy
 import math
-from typing import NamedTuple, overload
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.record import Record
+
+Readings = TypeVar("Readings", Record, FloatArray)
 
 TWO_PASSES = (math.sqrt(2.0) - 1.0) ** 0.25
 EDGE = 9  # samples mirrored at each end before a zero-phase pass: three times the section's length
@@ -79,17 +81,9 @@ def butterworth(cutoff_hz: float, sample_rate_hz: float, *, zero_phase: bool = F
     return Biquad(b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) / a0, (1.0 - math.sqrt(2.0) * k + k * k) / a0)
 
 
-@overload
 def lowpass(
-    x: Record, cutoff_hz: float, *, sample_rate_hz: float | None = None, zero_phase: bool = False
-) -> Record: ...
-@overload
-def lowpass(
-    x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float | None = None, zero_phase: bool = False
-) -> FloatArray: ...
-def lowpass(
-    x: Record | FloatArray, cutoff_hz: float, *, sample_rate_hz: float | None = None, zero_phase: bool = False
-) -> Record | FloatArray:
+    x: Readings, cutoff_hz: float, *, sample_rate_hz: float | None = None, zero_phase: bool = False
+) -> Readings:
     """Filter readings with a second-order Butterworth low-pass.
 
     It starts settled on the first sample, so that a constant offset rings nowhere.
@@ -116,7 +110,10 @@ def lowpass(
         Gaps, uneven time, no sample rate, or a cut-off beyond half of it.
     """
     if isinstance(x, Record):
-        return _filtered_record(x, butterworth(cutoff_hz, _even_rate_of(x), zero_phase=zero_phase), zero_phase)
+        section = butterworth(cutoff_hz, _even_rate_of(x), zero_phase=zero_phase)
+        return cast(
+            Readings, _filtered_record(x, section, zero_phase)
+        )  # the checker imagines an array that is a Record
     if sample_rate_hz is None:
         raise InputError("low-pass: wanted the sample rate of the array, got none; give sample_rate_hz")
     if x.ndim != 2 or x.shape[1] != 3 or len(x) == 0:

@@ -6,7 +6,7 @@ null stands for NaN; infinity, which JSON does not know, is "inf" or "-inf" wher
 import math
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, Field
 
 from undrift.calibration.model import Rounding, Status
 
@@ -27,11 +27,7 @@ Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
 Nodes = Annotated[list[Finite], Field(min_length=2)]
 
 
-class _File(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
-
-
-class TriadFile(_File):
+class TriadFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """One triad: corrected = matrix @ (raw - offset) - g_sensitivity @ accel; matrix in unit_out per unit_in."""
 
     method: str
@@ -49,7 +45,7 @@ class TriadFile(_File):
     valid_range: Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
-class StaticFile(_File):
+class StaticFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Absolute offsets over temperature, raw unit; temperatures in degC."""
 
     temp_c: Nodes
@@ -57,7 +53,7 @@ class StaticFile(_File):
     accel_offset: list[Vector] | None = None
 
 
-class ScaleFile(_File):
+class ScaleFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Matrices over temperature, unit_out per unit_in; temperatures in degC."""
 
     temp_c: Nodes
@@ -65,7 +61,7 @@ class ScaleFile(_File):
     accel_matrix: list[Matrix] | None = None
 
 
-class DynamicFile(_File):
+class DynamicFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Rate error over temperature and measured rate, rad/s; temperatures in degC."""
 
     temp_c: Nodes
@@ -73,7 +69,7 @@ class DynamicFile(_File):
     error: list[list[Vector]]
 
 
-class DriftFile(_File):
+class DriftFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Tuning tables; null where there is none."""
 
     static: StaticFile | None = None
@@ -81,7 +77,7 @@ class DriftFile(_File):
     dynamic: DynamicFile | None = None
 
 
-class AdcFile(_File):
+class AdcFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Code step in the raw unit and rounding: lsb and rounding of the gyroscopes, accel_ the same of the accelerometers."""
 
     lsb: Vector | None
@@ -90,7 +86,7 @@ class AdcFile(_File):
     accel_rounding: Rounding
 
 
-class NoiseFile(_File):
+class NoiseFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Noise coefficients per axis, SI; null where the record was too short to tell."""
 
     angle_random_walk: Vector
@@ -101,21 +97,21 @@ class NoiseFile(_File):
     accel_random_walk: Vector
 
 
-class VerdictFile(_File):
+class VerdictFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """What the calibration is worth."""
 
     status: Status
     reasons: list[str]
 
 
-class InputFile(_File):
+class InputFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """A file that the calibration was made from."""
 
     file: str
     sha256: str
 
 
-class ProvenanceFile(_File):
+class ProvenanceFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """Where the calibration came from; time is ISO 8601, UTC."""
 
     inputs: list[InputFile]
@@ -124,7 +120,7 @@ class ProvenanceFile(_File):
     time: str
 
 
-class CalibrationFile(_File):
+class CalibrationFile(BaseModel, strict=True, extra="forbid", frozen=True):
     """A device's calibration as undrift writes it."""
 
     kind: Literal["undrift.calibration"]
