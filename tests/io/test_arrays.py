@@ -91,7 +91,7 @@ def test_an_array_that_is_not_there_lists_those_that_are(tmp_path):
     np.savez(tmp_path / "r.npz", t=np.arange(3.0))
     with pytest.raises(InputError, match=r"wanted array 'w', got t \(3,\)"):
         read_npz(tmp_path / "r.npz", MAP)
-    with pytest.raises(InputError, match="r.npz: columns: wanted names such as"):
+    with pytest.raises(InputError, match=r"r.npz: columns: wanted names such as"):
         read_npz(tmp_path / "r.npz")
 
 

@@ -35,7 +35,7 @@ def test_every_native_gyro_unit_is_recognised(suffix, unit):
 
 def test_names_that_only_look_native_are_not_guessed():
     assert not is_native(("Time", "gx", "gy", "gz", "gyro_x", "Gyro_X_dps", "accel_x_ms2"))
-    with pytest.raises(InputError, match="wanted names such as gyro_x_dps .* got 'gx'"):
+    with pytest.raises(InputError, match=r"wanted names such as gyro_x_dps .* got 'gx'"):
         native_map(("gx", "gy", "gz"))
 
 

@@ -124,7 +124,7 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
     lines[20] = lines[19]
     path = put(tmp_path, table(lines))
     with pytest.raises(
-        InputError, match="2 steps back or doubled, first in data row 8 \\(backward: 0.06 s then 0 s\\)"
+        InputError, match=r"2 steps back or doubled, first in data row 8 \(backward: 0.06 s then 0 s\)"
     ) as caught:
         read_csv(path, XYZ)
     one_line(caught)
@@ -137,7 +137,7 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
 
 def test_gaps_are_kept_only_on_request(tmp_path):
     path = put(tmp_path, table(["0,1,2,3", "1,,2,3", "2,1,nan,3"]))
-    with pytest.raises(InputError, match="column 'x': .* got 1 empty or NaN cells, first in data row 2; set gaps"):
+    with pytest.raises(InputError, match=r"column 'x': .* got 1 empty or NaN cells, first in data row 2; set gaps"):
         read_csv(path, XYZ)
     kept = read_csv(path, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gaps="keep"))
     assert np.isnan(kept.accel).sum() == 2
@@ -228,7 +228,7 @@ def test_jitter_and_drop_outs_are_not_two_rates(tmp_path):
 
 def test_a_stated_rate_that_the_time_column_denies_is_refused(tmp_path):
     columns = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", sample_rate_hz=204.8)
-    with pytest.raises(InputError, match="wanted 204.8 Hz as stated, got 100 Hz from time column 't'"):
+    with pytest.raises(InputError, match=r"wanted 204.8 Hz as stated, got 100 Hz from time column 't'"):
         read_csv(put(tmp_path, table(rows())), columns)
 
 

@@ -15,13 +15,16 @@ from undrift.io.session import write_session
 from undrift.record import Record, Reference
 from undrift.session import Session, Still
 
+CALIBRATION = json.dumps({"kind": "undrift.calibration", "format": 1, "device": "A1"})
+MAP = 'sample_rate_hz = 1\ncolumns = { gyro = [0, 1, 2] }\nunits = { gyro = "dps" }'
+
 
 def still(n=300):
     rng = np.random.default_rng(2)
     return Record(
         time=np.arange(n) / 100,
         gyro=rng.normal(0, 0.001, (n, 3)),
-        accel=rng.normal(0, 0.01, (n, 3)) + [0, 0, 9.8],
+        accel=rng.normal([0, 0, 9.8], 0.01, (n, 3)),
         temp_c=20 + 0.01 * np.arange(n),
         device="A1",
     )
@@ -70,10 +73,10 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "kind", "words"),
     [
-        ("c.json", json.dumps({"kind": "undrift.calibration", "format": 1, "device": "A1"}), "calibration", "calibration of A1, format 1"),
+        ("c.json", CALIBRATION, "calibration", "calibration of A1, format 1"),
         ("o.json", '{"x_p": 1, "y_p": 2}', "settings", "JSON, not a recording: x_p, y_p"),
         ("l.json", "[1, 2]", "settings", "JSON, not a recording: a list"),
-        ("m.toml", 'sample_rate_hz = 1\ncolumns = { gyro = [0, 1, 2] }\nunits = { gyro = "dps" }', "settings", "a column map of gyro"),
+        ("m.toml", MAP, "settings", "a column map of gyro"),
         ("s.toml", "a = 1", "settings", "TOML settings, not a column map"),
         ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
         ("a.cwa", b"MD\x00\x01" * 50, "binary", "the binary of an Axivity logger; export it"),
@@ -83,9 +86,9 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("w.csv", "name,place,colour\na,b,c\nd,e,f\n", "table", "a table of text (3 columns"),
         ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without three axes"),
         ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),
-        ("x.csv", "ax,ay,az,gx,gy,gz\n0,0,1,0,0,0\n0,0,1,0,0,0\n", "table", 'columns = { gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"] }'),
-        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", 'time = 0, accel = [1, 2, 3] }, units = { time = "s", accel = "g" }, delimiter = " ", header = false'),
-        ("z.csv", "put\n20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n", "table", "temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6]"),
+        ("x.csv", "ax,ay,az,gx,gy,gz\n" + "0,0,1,0,0,0\n" * 2, "table", 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"]'),
+        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", 'time = "s", accel = "g" }, delimiter = " ", header = false'),
+        ("z.csv", "put\n" + "20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n" * 2, "table", "temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6]"),
         ("u.txt", "gx\tgy\tgz\tq\n0\t0\t1\t4\n0\t0\t1\t4\n", "table", 'delimiter = "\\t"'),
     ],
 )  # fmt: skip

@@ -79,14 +79,14 @@ def test_what_is_no_recording_says_what_it_is(tmp_path, name, content, words):
 
 
 def test_folders_and_missing_files_are_one_line(tmp_path):
-    with pytest.raises(InputError, match="wanted a file, or a folder with session.toml"):
+    with pytest.raises(InputError, match=r"wanted a file, or a folder with session.toml"):
         read_record(tmp_path)
     with pytest.raises(InputError, match="nothing of that name"):
         read_record(tmp_path / "none.csv")
     (tmp_path / "session.toml").touch()
     with pytest.raises(FileFormatError, match="got a session of recordings; read it as a session"):
         read_record(tmp_path)
-    with pytest.raises(InputError, match="wanted a name ending in .parquet, .csv or .csv.gz"):
+    with pytest.raises(InputError, match=r"wanted a name ending in .parquet, .csv or .csv.gz"):
         write_record(ramp(), tmp_path / "r.xlsx")
     write_record(ramp(), tmp_path / "r.csv")
     with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):

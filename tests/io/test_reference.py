@@ -83,9 +83,9 @@ def test_marker_files_need_labels_and_the_axis_that_is_up(tmp_path):
 
 def test_other_files_are_no_reference(tmp_path):
     (tmp_path / "a.md").write_text("# words\n\nmore words\n")
-    with pytest.raises(FileFormatError, match="wanted poses .* got text"):
+    with pytest.raises(FileFormatError, match=r"wanted poses .* got text"):
         read_reference(tmp_path / "a.md")
-    with pytest.raises(FileFormatError, match="wanted markers .C3D or TRC., got text"):
+    with pytest.raises(FileFormatError, match=r"wanted markers .C3D or TRC., got text"):
         read_markers(tmp_path / "a.md")
 
 
@@ -107,7 +107,7 @@ def test_a_reference_cannot_be_written_under_another_ending_or_nowhere(tmp_path)
     path = data_path("broad", "24_disturbed_tapping_A.hdf5")
     reference = read_reference(path)
     np.testing.assert_array_equal(reference.q_nb, read_broad(path)[1].q_nb)
-    with pytest.raises(InputError, match="wanted a name ending in .parquet or .csv"):
+    with pytest.raises(InputError, match=r"wanted a name ending in .parquet or .csv"):
         write_reference(reference, tmp_path / "r.txt")
     with pytest.raises(InputError, match="cannot be written"):
         write_reference(reference, tmp_path / "none" / "r.csv")

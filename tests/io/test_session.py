@@ -186,9 +186,6 @@ def test_files_side_by_side_need_one_time_base_and_different_channels(tmp_path):
         )
 
     put("a.csv", 50, 0.01, "accel")
-    (tmp_path / "g.csv").write_text(
-        (tmp_path / "a.csv").read_text().replace("accel", "gyro").replace("_g", "_dps").replace("_dpsyro", "_gyro")
-    )
     text = HEAD + '[[recording]]\nfile = ["a.csv", "b.csv"]\n'
     (tmp_path / "session.toml").write_text(text)
     put("b.csv", 50, 0.01, "accel")

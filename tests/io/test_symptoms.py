@@ -12,7 +12,7 @@ def sound(n=2000, **change):
     keys = {
         "time": np.arange(n) / 100,
         "gyro": rng.normal(0.0, 0.1, (n, 3)),
-        "accel": rng.normal(0.0, 0.002, (n, 3)) + [0, 0, 1],
+        "accel": rng.normal([0, 0, 1], 0.002, (n, 3)),
         "temp_c": 25 + 0.1 * rng.normal(size=n),
         "gyro_unit": "dps",
         "accel_unit": "g",
@@ -39,7 +39,7 @@ CASES = [
         "median |accel| is 0.25 g where a body at rest reads 1 g: wrong unit or scale (4 times",
     ),
     ("m/s2 as g", {"accel": sound().accel * 9.81}, "9.81 times too large"),
-    ("rad/s for dps", {"gyro": sound().gyro + [0, 40, 0]}, "gyro reads 40 deg/s in its quietest two seconds"),
+    ("rad/s for dps", {"gyro": sound().gyro + np.array([0, 40, 0])}, "gyro reads 40 deg/s in its quietest two seconds"),
     ("processor", {"temp_c": sound().temp_c + 28}, "is not room temperature: processor, chamber, or wrong scale"),
     (
         "jump",

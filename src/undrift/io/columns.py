@@ -90,10 +90,12 @@ class ColumnMap:
     ----------
     time : str, int or None
         Time column; without it ``sample_rate_hz`` is required.
-    gyro, accel, mag : tuple of str or int, or None
+    gyro, accel : tuple of str or int, or None
         Three columns x, y, z.
     temp : str, int or None
         Temperature column.
+    mag : tuple of str or int, or None
+        Three columns x, y, z.
     time_unit, gyro_unit, accel_unit, temp_unit, mag_unit : str
         Unit after the scale is applied; any spelling of :mod:`undrift.units`.
     gyro_scale, accel_scale, temp_scale, mag_scale : Scale or None

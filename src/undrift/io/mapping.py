@@ -17,7 +17,19 @@ from undrift.io.toml import Entry, read_toml
 
 
 class ColumnsEntry(Entry):
-    """Which column is which channel."""
+    """Which column is which channel: a name in the header, or a position from 0.
+
+    Parameters
+    ----------
+    time : str, int or None
+        Time column.
+    gyro, accel : list of three, str or None
+        Columns x, y, z, or one array name (npz, mat).
+    temp : str, int or None
+        Temperature column.
+    mag : list of three, str or None
+        Columns x, y, z.
+    """
 
     time: str | int | None = None
     gyro: list[str | int] | str | None = None
@@ -27,7 +39,13 @@ class ColumnsEntry(Entry):
 
 
 class UnitsEntry(Entry):
-    """The unit of each mapped channel."""
+    """The unit of each mapped channel; needed for each that is mapped.
+
+    Parameters
+    ----------
+    time, gyro, accel, temp, mag : str
+        Any spelling of :mod:`undrift.units`.
+    """
 
     time: str = ""
     gyro: str = ""
@@ -37,14 +55,28 @@ class UnitsEntry(Entry):
 
 
 class LinearEntry(Entry):
-    """A linear conversion."""
+    """A linear conversion: value = gain * cell + offset.
+
+    Parameters
+    ----------
+    gain : float or list of three
+        Unit of the channel per unit of the file.
+    offset : float or list of three
+        In the unit of the channel.
+    """
 
     gain: float | list[float] = 1.0
     offset: float | list[float] = 0.0
 
 
 class ScaleEntry(Entry):
-    """Conversions by channel."""
+    """Conversions by channel.
+
+    Parameters
+    ----------
+    gyro, accel, temp, mag : LinearEntry or None
+        From the file's numbers to the unit stated.
+    """
 
     gyro: LinearEntry | None = None
     accel: LinearEntry | None = None
@@ -53,7 +85,37 @@ class ScaleEntry(Entry):
 
 
 class MapEntry(Entry):
-    """All that a reader needs to know about a foreign file."""
+    """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`.
+
+    Parameters
+    ----------
+    sample_rate_hz : float or None
+        Hz; required when there is no time column.
+    columns : ColumnsEntry, list of them, or None
+        One table; or one for each file of files side by side.
+    units : UnitsEntry
+        Units of the mapped channels.
+    scale : ScaleEntry
+        Conversions, where the file's numbers are not in those units.
+    delimiter : str
+        One character; " " for any number of blanks or tabs.
+    header : bool
+        Whether a line names the columns.
+    skip_rows : int
+        Lines before the header or the first row.
+    decimal : str
+        "." or ",".
+    drop_bad_rows : bool
+        Leave out rows that do not parse.
+    gaps : str
+        "raise" or "keep".
+    repair_time : bool
+        Leave out rows whose time does not go forward.
+    frame : str
+        "s" or "b".
+    device : str
+        Serial number or name.
+    """
 
     sample_rate_hz: float | None = None
     columns: ColumnsEntry | list[ColumnsEntry] | None = None

@@ -27,6 +27,7 @@ from undrift.record import Reference
 from undrift.units import si_factor
 
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+_NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
 
 
@@ -260,15 +261,16 @@ def _own(path: Path, names: tuple[str, ...]) -> ReferenceMap:
 def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
     quat = np.stack([table.numbers(column) for column in columns.quaternion], axis=1)
     quat[np.isnan(quat).any(axis=1)] = np.nan
+    norm = np.linalg.norm(quat, axis=1)[:, None]
+    quat = np.where(np.abs(norm - 1.0) < _NEARLY_UNIT, quat / np.where(norm > 0.0, norm, 1.0), quat)
     position: FloatArray | None = None
     if columns.position is not None:
         stacked = np.stack([table.numbers(column) for column in columns.position], axis=1)
         position = stacked * si_factor(columns.position_unit, "length")
         position[np.isnan(position).any(axis=1)] = np.nan
     if columns.time is None:
-        time: FloatArray = np.arange(len(table)) / (
-            columns.sample_rate_hz or np.nan
-        )  # the map has seen to it that one is there
+        # the map has seen to it that the rate is there
+        time: FloatArray = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)
     else:
         time = table.numbers(columns.time) * si_factor(columns.time_unit, "time")
     try:

@@ -3,7 +3,7 @@
 [session]
 kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
-gravity_m_s2 = 9.80665              # or latitude_deg and height_m
+gravity_m_s2 = 9.81                 # or latitude_deg and height_m
 [[recording]]
 file = "session.csv"                # keys of a map as in undrift.io.mapping; none for undrift's own names and known formats
 [[recording]]                       # files side by side, one time base: as many tables of columns as files
@@ -37,7 +37,19 @@ _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its s
 
 
 class HeadEntry(Entry):
-    """[session]."""
+    """[session].
+
+    Parameters
+    ----------
+    kind : str
+        calibration, thermal or static.
+    serial : str
+        Device serial number.
+    gravity_m_s2 : float or None
+        Local gravity, m/s2; or the next two.
+    latitude_deg, height_m : float or None
+        Where it was recorded, deg and m.
+    """
 
     kind: Kind
     serial: str
@@ -47,14 +59,32 @@ class HeadEntry(Entry):
 
 
 class RecordingEntry(MapEntry):
-    """[[recording]]."""
+    """[[recording]]: these keys and those of a map.
+
+    Parameters
+    ----------
+    file : str or list of str
+        Beside session.toml; several files are joined side by side.
+    sensor : str or None
+        Which sensor, in a file of several (APDM).
+    """
 
     file: str | list[str]
     sensor: str | None = None
 
 
 class PieceEntry(Entry):
-    """What [[still]] and [[turn]] share."""
+    """What [[still]] and [[turn]] share.
+
+    Parameters
+    ----------
+    start_s, stop_s : float
+        s, on the recording's own clock; the stop is left out.
+    recording : int
+        Which [[recording]], from 0.
+    temp_c : float or None
+        Chamber set-point, degC.
+    """
 
     start_s: float
     stop_s: float
@@ -63,13 +93,29 @@ class PieceEntry(Entry):
 
 
 class StillEntry(PieceEntry):
-    """[[still]]."""
+    """[[still]].
+
+    Parameters
+    ----------
+    face : str or None
+        Sensor axis that points up: "+x" ... "-z"; none for a free pose.
+    """
 
     face: Face | None = None
 
 
 class TurnEntry(PieceEntry):
-    """[[turn]]."""
+    """[[turn]].
+
+    Parameters
+    ----------
+    axis : str or None
+        "x", "y" or "z"; none for a free rotation.
+    turn_rate_dps : float or None
+        Achieved steady rate about +axis, deg/s.
+    angle_deg : float or None
+        Angle turned about +axis, deg.
+    """
 
     axis: Axis | None = None
     turn_rate_dps: float | None = None
@@ -77,7 +123,19 @@ class TurnEntry(PieceEntry):
 
 
 class SessionFile(Entry):
-    """The whole file."""
+    """The whole file.
+
+    Parameters
+    ----------
+    session : HeadEntry
+        Of which device, and where.
+    recording : list of RecordingEntry
+        One or more.
+    still : list of StillEntry
+        May be left out.
+    turn : list of TurnEntry
+        May be left out.
+    """
 
     session: HeadEntry
     recording: list[RecordingEntry] = Field(min_length=1)

@@ -1,0 +1,38 @@
+"""Arrays as values: copied, read-only, checked once."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from made import few, numbers
+from undrift.arrays import frozen
+from undrift.errors import InputError
+
+
+@few
+@given(x=st.integers(1, 9).flatmap(lambda n: numbers((n, 3), gaps=True)), order=st.sampled_from("CF"))
+def test_a_frozen_array_is_a_read_only_copy_of_the_same_numbers(x, order):
+    given_ = np.asarray(x, order=order)
+    made = frozen(given_, (None, 3), "gyro")
+    np.testing.assert_array_equal(made, x)
+    assert made.dtype == np.float64
+    assert made.flags.c_contiguous
+    assert not made.flags.writeable
+    assert not np.shares_memory(made, given_)
+    assert given_.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("x", "shape", "words"),
+    [
+        (np.zeros((3, 9)), (None, 3), r"gyro: wanted shape \(N, 3\), got \(3, 9\); time is axis 0"),
+        (np.zeros((4, 1)), (None,), r"gyro: wanted shape \(N,\), got \(4, 1\)"),
+        ([1.0, np.inf], (2,), "gyro: wanted finite numbers or NaN for a gap, got infinity"),
+        (["a"], (None,), "gyro: wanted numbers, got list"),
+        ([[1.0], [1.0, 2.0]], (None, 1), "gyro: wanted numbers, got list"),
+    ],
+)
+def test_what_is_no_such_array_is_refused(x, shape, words):
+    with pytest.raises(InputError, match=words):
+        frozen(x, shape, "gyro")

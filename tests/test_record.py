@@ -1,0 +1,114 @@
+"""Record and Reference: complete and consistent at birth, read-only, in the device's own unit."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from made import assert_same, few, records, references
+from undrift.errors import InputError
+from undrift.record import Record, Reference, check_time, sample_rate_of
+
+T = [0.0, 0.01, 0.02]
+XYZ = np.arange(9.0).reshape(3, 3)
+
+
+@few
+@given(record=records(gaps=True), data=st.data())
+def test_a_part_is_the_same_channels_with_fewer_samples(record, data):
+    start = data.draw(st.integers(0, len(record) - 2))
+    stop = data.draw(st.integers(start + 2, len(record)))
+    part = record.part(start, stop)
+    assert len(part) == stop - start
+    np.testing.assert_array_equal(part.time, record.time[start:stop])
+    if record.gyro is not None:
+        np.testing.assert_array_equal(part.gyro, record.gyro[start:stop])
+    between = record.between(record.time[start], record.time[stop - 1] + 1e-9 * abs(record.time[stop - 1]) + 1e-12)
+    assert_same(between, part)
+    assert_same(record.part(0, len(record)), record)
+
+
+@few
+@given(record=records(gaps=True))
+def test_units_go_to_si_and_back(record):
+    if {"count", "v"} & {record.gyro_unit, record.accel_unit}:
+        with pytest.raises(InputError, match=r"wanted a physical unit, got (count|v); calibrate first"):
+            record.in_si()
+        return
+    si = record.in_si()
+    assert (si.gyro_unit, si.accel_unit) == ("rad/s", "m/s2")
+    back = si.in_units(record.gyro_unit, record.accel_unit)
+    for channel in ("gyro", "accel"):
+        if getattr(record, channel) is not None:
+            np.testing.assert_allclose(getattr(back, channel), getattr(record, channel), rtol=1e-15, atol=1e-300)
+    assert si.in_si() is si
+
+
+def test_a_record_is_read_only_and_leaves_its_input_alone():
+    gyro = XYZ.copy()
+    record = Record(time=T, gyro=gyro)
+    with pytest.raises(ValueError, match="read-only"):
+        record.gyro[0, 0] = 1.0
+    with pytest.raises(AttributeError):
+        record.gyro = gyro
+    gyro[0, 0] = 99.0
+    assert record.gyro[0, 0] == 0.0
+
+
+def test_rate_and_duration_leave_drop_outs_out_of_the_rate():
+    time = np.concatenate((np.arange(100), 1000 + np.arange(100))) / 50.0
+    assert sample_rate_of(time) == pytest.approx(50.0)
+    record = Record(time=time, gyro=np.zeros((200, 3)))
+    assert record.sample_rate_hz == pytest.approx(50.0)
+    assert record.duration_s == pytest.approx(1099 / 50)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"time": T}, "record: wanted gyro or accel readings, got neither"),
+        ({"time": T, "gyro": XYZ[:2]}, r"gyro: wanted shape \(3, 3\), got \(2, 3\)"),
+        ({"time": T, "gyro": XYZ, "temp_c": [1.0]}, r"temp_c: wanted shape \(3,\), got \(1,\)"),
+        ({"time": T, "gyro": XYZ, "gyro_unit": "g"}, "unit of rate: wanted one of"),
+        ({"time": T, "gyro": XYZ, "accel_unit": "dps"}, "unit of accel: wanted one of"),
+        (
+            {"time": [0.0, 0.02, 0.01], "gyro": XYZ},
+            r"wanted strictly increasing seconds, got 1 steps back .* first in row 2",
+        ),
+        ({"time": [0.0, 0.0, 0.01], "gyro": XYZ}, "first in row 1"),
+        ({"time": [0.0, np.nan, 0.01], "gyro": XYZ}, "got NaN first in row 1"),
+        ({"time": [0.0], "gyro": XYZ[:1]}, "wanted two samples or more, got 1"),
+        ({"time": [0.0, np.inf, 1.0], "gyro": XYZ}, "got infinity"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(keys, words):
+    with pytest.raises(InputError, match=words):
+        Record(**keys)
+
+
+def test_the_row_of_a_bad_time_is_an_attribute():
+    with pytest.raises(InputError) as caught:
+        check_time(np.array([0.0, 1.0, 1.0]))
+    assert caught.value.row == 2
+
+
+@few
+@given(reference=references())
+def test_a_reference_knows_its_gaps_and_keeps_unit_quaternions(reference):
+    seen = reference.valid
+    assert (np.isnan(reference.q_nb[~seen])).all()
+    # 1e-15: one rounding each of norm and division
+    np.testing.assert_allclose(np.linalg.norm(reference.q_nb[seen], axis=1), 1.0, atol=4e-16)
+    assert len(reference) == len(seen)
+    assert reference.sample_rate_hz > 0
+
+
+def test_a_reference_refuses_what_is_no_quaternion():
+    with pytest.raises(InputError, match="q_nb: wanted unit quaternions w-x-y-z, got other lengths"):
+        Reference(time=T, q_nb=np.ones((3, 4)))
+    with pytest.raises(InputError, match=r"q_nb: wanted shape \(3, 4\), got \(3, 3\)"):
+        Reference(time=T, q_nb=XYZ)
+    with pytest.raises(InputError, match=r"position: wanted shape \(3, 3\)"):
+        Reference(time=T, q_nb=np.tile([1.0, 0, 0, 0], (3, 1)), position=[[0.0, 0, 0]])
+    nearly = Reference(time=T, q_nb=np.tile([1.0005, 0, 0, 0], (3, 1)))
+    np.testing.assert_array_equal(nearly.q_nb[:, 0], 1.0)
