@@ -44,7 +44,7 @@ def calibrate(
     int
         0, or 1 when the verdict is bad.
     """
-    from undrift.calibration.procedure import CalibrateSettings
+    from undrift.calibration.observed import CalibrateSettings
     from undrift.calibration.procedure import calibrate as fit
     from undrift.calibration.store import calibration_json, write_calibration
     from undrift.cli.output import waiting, write_json

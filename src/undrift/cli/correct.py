@@ -54,7 +54,7 @@ def correct(
         raise InputError("correct: wanted one recording or more, got none; name them before --calibration")
     model = read_calibration(calibration)
     targets = _targets(records, output)
-    results: list[dict[str, object]] = []
+    results: list[tuple[Path, Path, CorrectorState, list[str]]] = []
     folder = targets[0].parent
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".undrift-") as held, progress() as shown:
@@ -62,24 +62,26 @@ def correct(
         for record, part, target in zip(records, parts, targets, strict=True):
             task = shown.add_task(record.name, total=_rows(record))
             state, said = _correct_one(record, part, model, policy, opening, partial(shown.advance, task))
-            results.append(
-                {
-                    "recording": str(record),
-                    "output": str(target),
-                    "samples": state.samples,
-                    "samples_outside": state.samples_outside,
-                    "warnings": said,
-                }
-            )
+            results.append((record, target, state, said))
         for part, target in zip(parts, targets, strict=True):  # all are whole by now: a bad recording writes nothing
             part.replace(target)
     if json:
-        write_json({"calibration": str(calibration), "recordings": results})
+        rows = [
+            {
+                "recording": str(record),
+                "output": str(target),
+                "samples": state.samples,
+                "samples_outside": state.samples_outside,
+                "warnings": said,
+            }
+            for record, target, state, said in results
+        ]
+        write_json({"calibration": str(calibration), "recordings": rows})
         return 0
     out = console()
-    for result in results:
-        out.print(f"{result['recording']} -> {result['output']}: {result['samples']} samples", markup=False)
-        for text in result["warnings"]:  # type: ignore[attr-defined]
+    for record, target, state, said in results:
+        out.print(f"{record} -> {target}: {state.samples} samples", markup=False)
+        for text in said:
             out.print(f"  warning: {text}", markup=False)
     return 0
 

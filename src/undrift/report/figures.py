@@ -6,7 +6,7 @@ Colours keep one meaning throughout: the device in blue, the optics in black, er
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
 AXIS_COLOURS = ("#c23b3b", "#2f8f4e", "#2b62b3")  # x, y, z
-_STYLE = {
+_STYLE: Any = {  # matplotlib types every key by name
     "font.size": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,

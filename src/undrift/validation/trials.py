@@ -1,15 +1,14 @@
 """Several recordings: each judged, means and medians, agreement over trials, and fits judged where they were not made."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.fit.reference import HeldOut, ReferenceSettings, leave_one_out
-from undrift.calibration.model import AdcModel, Calibration
+from undrift.calibration.model import Calibration
+from undrift.calibration.procedure_reference import device_adc
 from undrift.errors import InputError
 from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -163,29 +162,6 @@ def validate_leave_one_out(
         )
         trials.append(replace(trial, notes=(*trial.notes, h.extrapolation)) if h.extrapolation else trial)
     return _summed(tuple(trials), held)
-
-
-def device_adc(records: Sequence[Record]) -> AdcModel | None:
-    """Find how the gyroscope codes of one device were rounded, from all its recordings.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Raw recordings of one device.
-
-    Returns
-    -------
-    AdcModel or None
-        What most recordings say, with the smallest step seen; None where none can tell, or where they disagree evenly.
-    """
-    found = [model for model in map(identify_record_adc, records) if model is not None and model.gyro_lsb is not None]
-    if not found:
-        return None
-    ranked = Counter(model.gyro_rounding for model in found).most_common()
-    if len(ranked) > 1 and ranked[0][1] == ranked[1][1]:
-        return None
-    chosen = [model for model in found if model.gyro_rounding == ranked[0][0]]
-    return min(chosen, key=lambda model: float(np.sum(np.asarray(model.gyro_lsb))))
 
 
 def _summed(trials: tuple[Trial, ...], held_out: tuple[HeldOut, ...] = ()) -> Validation:

@@ -1,0 +1,137 @@
+"""``undrift noise``: what a device says when it does not move."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from undrift.cli.opening import Opening
+
+if TYPE_CHECKING:
+    from undrift.calibration.noise import AxisNoise, NoiseFit
+
+
+def noise(
+    record: Path,
+    /,
+    *,
+    calibration: Path | None = None,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+    figure: Annotated[Path | None, Parameter(name=["--figure", "-o"])] = None,
+    opening: Opening = Opening(),
+    json: bool = False,
+) -> int:
+    """Angle random walk, bias instability, rate random walk of a device at rest, each with its 95 % interval.
+
+    Parameters
+    ----------
+    record : Path
+        Recording at rest; hours show more than minutes.
+    calibration : Path or None
+        calibration.json: turns counts into rad/s and m/s2 first.
+    start_s, stop_s : float or None
+        Take this stretch of the recording only, s.
+    figure : Path or None
+        Allan plot to write: .svg, .png or .pdf.
+    opening : Opening
+        How to read a foreign recording.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.calibration.noise import fit_noise
+    from undrift.cli.output import show_verdict, waiting, write_json
+
+    with waiting("reading and fitting"):
+        readings = opening.read(record)
+        if start_s is not None or stop_s is not None:
+            readings = readings.between(
+                readings.time[0] if start_s is None else start_s, float("inf") if stop_s is None else stop_s
+            )
+        if calibration is not None:
+            from undrift.calibration.store import read_calibration
+            from undrift.correct import correct_checked
+
+            readings = correct_checked(readings, read_calibration(calibration)).record
+        found = fit_noise(readings)
+    if figure is not None:
+        _draw(found, figure, record.name)
+    if json:
+        write_json(noise_json(found))
+        return 0
+    _show("gyroscopes", found.gyro, ("angle random walk", "bias instability", "rate random walk"))
+    _show("accelerometers", found.accel, ("velocity random walk", "bias instability", "acceleration random walk"))
+    show_verdict(found.verdict)
+    return 0
+
+
+def noise_json(found: "NoiseFit") -> dict[str, object]:
+    """Return a noise fit under the names that other programs rely on.
+
+    Parameters
+    ----------
+    found : NoiseFit
+        Coefficients and Allan deviation.
+
+    Returns
+    -------
+    dict
+        gyro, accel, taus_s, adev and what goes with them.
+    """
+    return {
+        "gyro": [_axis_json(axis) for axis in found.gyro],
+        "accel": [_axis_json(axis) for axis in found.accel],
+        "taus_s": found.taus_s,
+        "adev": {"gyro": found.gyro_adev, "accel": found.accel_adev},
+        "units": {"gyro": found.gyro_unit, "accel": found.accel_unit},
+        "duration_s": found.duration_s,
+        "confidence": found.confidence,
+        "verdict": {"status": found.verdict.status, "reasons": found.verdict.reasons},
+    }
+
+
+def _axis_json(axis: "AxisNoise") -> dict[str, object]:
+    named = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
+    held = {name: getattr(axis, name) for name in named}
+    return {"axis": axis.axis} | {
+        name: {"value": c.value, "interval": c.interval, "unit": c.unit, "reason": c.reason} for name, c in held.items()
+    }
+
+
+def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, str, str]) -> None:
+    from undrift.cli.output import console, table
+
+    if not axes:
+        return
+    first = axes[0]
+    units = (first.angle_random_walk.unit, first.bias_instability.unit, first.rate_random_walk.unit)
+    shown = table(title, "axis", *(f"{name} ({unit})" for name, unit in zip(names, units, strict=True)))
+    for axis in axes:
+        cells = []
+        for coefficient in (axis.angle_random_walk, axis.bias_instability, axis.rate_random_walk):
+            low, high = coefficient.interval
+            seen = coefficient.value == coefficient.value
+            cells.append(f"{coefficient.value:.3g} [{low:.3g}, {high:.3g}]" if seen else f"not seen, under {high:.2g}")
+        shown.add_row(axis.axis, *cells)
+    console().print(shown, markup=False)
+
+
+def _draw(found: "NoiseFit", path: Path, name: str) -> None:
+    from undrift.report.figures import draw_allan, save_figure
+
+    gyro = bool(found.gyro)
+    save_figure(
+        draw_allan(
+            found.taus_s,
+            found.gyro_adev if gyro else found.accel_adev,
+            [f"{'gyro' if gyro else 'accel'} {axis.axis}" for axis in (found.gyro or found.accel)],
+            unit=found.gyro_unit if gyro else found.accel_unit,
+            title=f"{name}: overlapping Allan deviation",
+        ),
+        path,
+    )

@@ -1,0 +1,96 @@
+"""``undrift orient``: from rate and specific force to angles."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from undrift.cli.opening import Opening
+
+if TYPE_CHECKING:
+    from undrift.orientation.orient import Orientation
+
+Side = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+
+
+def orient(
+    record: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    calibration: Path | None = None,
+    offset: Literal["none", "rest"] = "none",
+    heading_deg: float = 0.0,
+    forward: Side = "+x",
+    up: Side = "+z",
+    opening: Opening = Opening(),
+    json: bool = False,
+) -> int:
+    """Initial tilt and strapdown: quaternions, inclination, heading, sagittal pitch.
+
+    Parameters
+    ----------
+    record : Path
+        A corrected recording, or a raw one with --calibration.
+    output : Path
+        .parquet or .csv with time, quaternion and angles.
+    calibration : Path or None
+        calibration.json of the device, for a raw recording.
+    offset : str
+        "rest" takes off the mean rate of the still phase.
+    heading_deg : float
+        Heading at the still phase, deg.
+    forward, up : str
+        Device axes that point forward and up on the upright segment: they define the pitch.
+    opening : Opening
+        How to read a foreign recording.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.cli.output import console, write_json
+    from undrift.io.angles import write_orientation
+    from undrift.orientation.orient import OrientSettings
+    from undrift.orientation.orient import orient as find
+
+    readings, model = opening.read(record), None
+    if calibration is not None:
+        from undrift.calibration.store import read_calibration
+        from undrift.correct import correct_checked
+
+        held = read_calibration(calibration)
+        readings, model = correct_checked(readings, held).record, held.accel
+    settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
+    found = find(readings, settings=settings, accel_model=model)
+    write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
+    if json:
+        write_json(_json(found) | {"recording": str(record), "output": str(output)})
+        return 0
+    start_s, stop_s = found.time[found.still.start], found.time[found.still.stop - 1]
+    out = console()
+    out.print(f"{record} -> {output}: {len(found.time)} samples", markup=False)
+    out.print(
+        f"  tilt from the still phase {start_s:.1f} to {stop_s:.1f} s, known to "
+        f"{math.degrees(found.tilt.inclination_uncertainty):.3f} deg (standard uncertainty)",
+        markup=False,
+    )
+    for name, angle in (("inclination", found.inclination), ("pitch", found.pitch)):
+        out.print(f"  {name}: {math.degrees(angle.min()):.2f} to {math.degrees(angle.max()):.2f} deg", markup=False)
+    return 0
+
+
+def _json(found: "Orientation") -> dict[str, object]:
+    degrees = 180.0 / math.pi
+    return {
+        "samples": len(found.time),
+        "still": [float(found.time[found.still.start]), float(found.time[found.still.stop - 1])],
+        "tilt_uncertainty_deg": found.tilt.inclination_uncertainty * degrees,
+        "offset_dps": found.offset * degrees,
+        "inclination_deg": [float(found.inclination.min()) * degrees, float(found.inclination.max()) * degrees],
+        "pitch_deg": [float(found.pitch.min()) * degrees, float(found.pitch.max()) * degrees],
+    }

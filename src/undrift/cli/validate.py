@@ -1,0 +1,233 @@
+"""``undrift validate``: what a calibration is worth in degrees, against an orientation reference."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from undrift.cli.opening import Opening
+from undrift.errors import InputError
+
+if TYPE_CHECKING:
+    from undrift.calibration.model import Calibration
+    from undrift.record import Record, Reference
+    from undrift.validation import TrialSettings, Validation
+
+Side = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+SHOWN = (
+    ("rmse_total_deg", "total rmse (deg)"),
+    ("rmse_inclination_deg", "inclination rmse (deg)"),
+    ("rmse_pitch_deg", "pitch rmse (deg)"),
+    ("max_abs_pitch_deg", "pitch max (deg)"),
+    ("end_total_deg", "end total (deg)"),
+    ("end_inclination_deg", "end inclination (deg)"),
+    ("lag_ms", "lag (ms)"),
+)
+
+
+def validate(
+    *records: Path,
+    reference: tuple[Path, ...] = (),
+    calibration: Path | None = None,
+    calibrate_from: Literal["reference"] | None = None,
+    leave_one_out: Annotated[bool, Parameter(negative="")] = False,
+    offset: Literal["none", "rest"] | None = None,
+    adc: Literal["auto", "none"] = "auto",
+    forward: Side = "+x",
+    up: Side = "+z",
+    markers: str | None = None,
+    reference_up: Literal["y", "z"] | None = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    opening: Opening = Opening(),
+    json: bool = False,
+) -> int:
+    """Compare recordings with an optical reference: lag, errors in degrees, agreement over trials.
+
+    Parameters
+    ----------
+    records : Path
+        One or more recordings.
+    reference : Path
+        The reference of each recording, in the same order; a BROAD file holds its own.
+    calibration : Path or None
+        calibration.json of the device.
+    calibrate_from : str or None
+        "reference" fits the gyroscopes to the references of these recordings, which must be of one device.
+    leave_one_out : bool
+        With --calibrate-from: each recording is judged by a fit to the others.
+    offset : str or None
+        "rest" takes off the mean rate of the rest before the motion, "none" does not. Without a calibration: rest.
+    adc : str
+        "auto" gives back what the ADC's rounding took, where it shows; "none" leaves the codes.
+    forward, up : str
+        Body axes that point forward and up on the upright segment: they define the pitch.
+    markers : str or None
+        Labels of one rigid cluster, with commas between, for C3D and TRC.
+    reference_up : str or None
+        Laboratory axis that points up, for C3D and TRC.
+    output : Path or None
+        Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
+    opening : Opening
+        How to read foreign recordings.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.cli.output import waiting, write_json
+    from undrift.validation import TrialSettings
+
+    if not records:
+        raise InputError("validate: wanted one recording or more, got none; name them first")
+    if leave_one_out and calibrate_from is None:
+        raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
+    if calibrate_from is not None and calibration is not None:
+        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+    labels = tuple(markers.split(",")) if markers else None
+    chosen = offset or ("none" if calibration or calibrate_from else "rest")
+    settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up)
+    with waiting("reading, aligning and integrating"):
+        pairs = _pairs(records, reference, labels, reference_up, opening)
+        names = [record.name.split(".")[0] for record in records]
+        result, fitted = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
+    told = validation_json(result) | {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
+    if output is not None:
+        _write(output, result, told, fitted)
+    if json:
+        write_json(told)
+    else:
+        _show(result, chosen, output, in_sample=calibrate_from is not None and not leave_one_out)
+    return 0
+
+
+def validation_json(result: "Validation") -> dict[str, object]:
+    """Return a validation under the names that other programs rely on.
+
+    Parameters
+    ----------
+    result : Validation
+        Trials and what they come to.
+
+    Returns
+    -------
+    dict
+        trials, mean, median, agreement.
+    """
+    agreement = None
+    if result.agreement is not None:
+        limits, absolute = result.agreement.limits, result.agreement.absolute
+        agreement = {
+            "quantity": "mean inclination of a trial",
+            "bias_deg": limits.bias,
+            "bias_interval_deg": limits.bias_interval,
+            "limits_deg": limits.limits,
+            "icc": absolute.value,
+            "icc_interval": absolute.interval,
+            "icc_kind": absolute.kind,
+            "sem_deg": absolute.standard_error_of_measurement,
+            "mdc95_deg": absolute.minimal_detectable_change,
+        }
+    trials = [{"recording": t.recording} | asdict(t.figures) | {"notes": t.notes} for t in result.trials]
+    return {
+        "trials": trials,
+        "mean": asdict(result.mean),
+        "median": asdict(result.median),
+        "agreement": agreement,
+    }
+
+
+def _pairs(
+    records: tuple[Path, ...],
+    reference: tuple[Path, ...],
+    labels: tuple[str, ...] | None,
+    up: Literal["y", "z"] | None,
+    opening: Opening,
+) -> list[tuple["Record", "Reference"]]:
+    from undrift.io.detect import detect
+    from undrift.io.reference import read_reference
+
+    if not reference and all(detect(record) == "broad" for record in records):
+        reference = records
+    if len(reference) != len(records):
+        raise InputError(
+            f"validate: wanted one reference for each recording, got {len(reference)} for {len(records)}; "
+            "say --reference once for each, in the same order"
+        )
+    return [
+        (opening.read(record), read_reference(poses, labels=labels, up=up))
+        for record, poses in zip(records, reference, strict=True)
+    ]
+
+
+def _judged(
+    pairs: list[tuple["Record", "Reference"]],
+    names: list[str],
+    settings: "TrialSettings",
+    calibration: Path | None,
+    leave_one_out: bool,
+    *,
+    fit: bool,
+) -> tuple["Validation", "Calibration | None"]:
+    """Return the validation, and the calibration fitted to all recordings where one was."""
+    from undrift.calibration.procedure_reference import calibrate_to_references
+    from undrift.calibration.store import read_calibration
+    from undrift.validation import validate_leave_one_out, validate_trials
+
+    records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    fitted = calibrate_to_references(records, references, adc=settings.adc) if fit else None
+    if leave_one_out:
+        return validate_leave_one_out(pairs, settings=settings, names=names), fitted
+    model = fitted if calibration is None else read_calibration(calibration)
+    return validate_trials(pairs, calibrations=(model,), settings=settings, names=names), fitted
+
+
+def _write(folder: Path, result: "Validation", told: dict[str, object], fitted: "Calibration | None") -> None:
+    import json
+
+    from undrift.calibration.store import write_calibration
+    from undrift.cli.output import plain
+    from undrift.report.validation import write_validation_report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "validation.json").write_text(json.dumps(plain(told), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_validation_report(result, folder / "report.html")
+    if fitted is not None:
+        write_calibration(fitted, folder / "calibration.json")
+
+
+def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: bool) -> None:
+    from undrift.cli.output import console, table
+
+    shown = table(
+        f"against the reference, offset: {offset}", "recording", *(head for _, head in SHOWN), "optics seen (%)"
+    )
+    rows = [(trial.recording, trial.figures) for trial in result.trials]
+    if len(rows) > 1:
+        rows += [("mean", result.mean), ("median", result.median)]
+    for name, figures in rows:
+        cells = [f"{getattr(figures, key):.2f}" for key, _ in SHOWN]
+        shown.add_row(name, *cells, f"{100.0 * figures.valid_optics:.1f}")
+    out = console()
+    out.print(shown, markup=False)
+    if result.agreement is not None:
+        limits, icc = result.agreement.limits, result.agreement.absolute
+        out.print(
+            f"agreement on mean inclination over {limits.count} trials: bias {limits.bias:+.2f} deg, 95 % limits "
+            f"{limits.limits[0]:+.2f} to {limits.limits[1]:+.2f} deg; {icc.kind} {icc.value:.3f} "
+            f"[{icc.interval[0]:.3f}, {icc.interval[1]:.3f}]",
+            markup=False,
+        )
+    if in_sample:
+        out.print(
+            "these recordings made the calibration that they judge: say --leave-one-out for an honest figure",
+            markup=False,
+        )
+    for trial in result.trials:
+        for note in trial.notes:
+            out.print(f"  {trial.recording}: {note}", markup=False)
+    if output is not None:
+        out.print(f"Wrote {output}: look at report.html", markup=False)
