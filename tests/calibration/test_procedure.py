@@ -1,0 +1,190 @@
+"""Procedure: the fits that a session allows, and plain words for the rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from undrift.calibration.observed import CalibrateSettings, observe
+from undrift.calibration.procedure import calibrate
+from undrift.errors import Implausible, InputError, NotObservable
+from undrift.record import Record
+from undrift.session import Session, Still, Turn
+from undrift.sim import random_device, simulate_session
+
+RNG = np.random.default_rng(21)
+DEVICE = random_device(RNG, grade="consumer")
+
+
+def made(kind, labelled=True):
+    return simulate_session(kind, DEVICE, rng=np.random.default_rng(22), labelled=labelled, temp_c=25.0)
+
+
+def relative(model, triad):
+    return np.abs(model.matrix @ triad.forward_matrix - np.eye(3)).max()
+
+
+def test_a_bench_session_gives_both_triads():
+    found = calibrate(made("bench"))
+    assert found.accel.method == "six-face/levelled"
+    assert found.gyro.method == "rate-table/affine"
+    assert relative(found.accel, DEVICE.accel) < 1e-3
+    assert relative(found.gyro, DEVICE.gyro) < 1e-3
+    assert found.verdict.status == "good"
+    assert found.reference_temp_c == pytest.approx(25.0, abs=2.0)
+    settings = dict(found.provenance.settings)
+    assert settings["accel"] == "six-face"
+    assert settings["gyro"] == "rate-table"
+    assert found.provenance.created.endswith("+00:00")
+
+
+def test_mode_paper_takes_the_offset_off_first_and_says_so():
+    found = calibrate(made("bench"), mode="paper")
+    assert found.accel.method == "six-face/paper"
+    assert found.gyro.method == "rate-table/paper"
+    assert relative(found.accel, DEVICE.accel) < 2e-3
+    assert relative(found.gyro, DEVICE.gyro) < 2e-3
+    assert np.abs(found.accel.offset).max() > 0.0
+    assert any("the offset was taken off the readings first" in r for r in found.verdict.reasons)
+    raw = calibrate(made("bench"), mode="paper", settings=CalibrateSettings(remove_offset=False))
+    assert any("mode paper has no offset column" in r for r in raw.verdict.reasons)
+    assert relative(raw.gyro, DEVICE.gyro) > relative(found.gyro, DEVICE.gyro)
+
+
+def test_mode_paper_without_rests_takes_the_mean_of_both_signs():
+    session = made("rate_table")
+    found = calibrate(replace(session, stills=(), records=session.records), gyro="rate-table", mode="paper")
+    assert relative(found.gyro, DEVICE.gyro) < 2e-3
+
+
+def test_a_ferraris_session_gives_g_sensitivity_too():
+    found = calibrate(made("ferraris"))
+    assert found.gyro.method == "known-rotation/affine"
+    assert found.gyro.g_sensitivity is not None
+    assert relative(found.gyro, DEVICE.gyro) < 3e-3
+    assert calibrate(made("ferraris"), mode="paper").gyro.method == "known-rotation/paper"
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_free_poses_give_both_triads_without_equipment(labelled):
+    found = calibrate(made("multi_position", labelled))
+    assert found.accel.method.startswith("multi-position")
+    assert found.gyro.method.startswith("multi-position")
+    assert relative(found.gyro, DEVICE.gyro) < 0.03  # rotated by up to the consumer device's axis errors
+
+
+def test_faces_are_found_in_an_unlabelled_session():
+    found = calibrate(made("six_face", labelled=False))
+    assert found.accel.method == "six-face/levelled"
+    assert relative(found.accel, DEVICE.accel) < 2e-3
+    assert any("gyroscope not observable" in r for r in found.verdict.reasons)
+    assert found.gyro is None
+
+
+def test_steady_turns_without_their_rates_are_counted_and_asked_for():
+    found = calibrate(made("bench", labelled=False))
+    assert found.gyro is None
+    assert any(
+        r.startswith("gyroscope: 102 steady turns were found; state the turn_rate_dps") for r in found.verdict.reasons
+    )
+
+
+def test_turns_about_one_axis_alone_are_named():
+    session = made("bench")
+    only = replace(session, turns=tuple(t for t in session.turns if t.axis == "x"))
+    found = calibrate(only)
+    assert found.gyro is None
+    assert any("turns at known rates about x alone do not show the other axes" in r for r in found.verdict.reasons)
+
+
+def test_what_was_asked_for_and_is_not_there_is_refused():
+    six = made("six_face")
+    with pytest.raises(NotObservable, match="got none about x, y, z"):
+        calibrate(six, gyro="rate-table")
+    with pytest.raises(NotObservable, match="gyroscope by known-rotation: gyroscope: wanted one turn by a known angle"):
+        calibrate(six, gyro="known-rotation")
+    with pytest.raises(NotObservable, match="gyroscope by rest: gyroscope not observable"):
+        calibrate(six, gyro="rest")  # counts have no scale of their own
+    with pytest.raises(
+        NotObservable, match="gyroscope by known-rotation: gyroscope: turns by known angles need rests on all six"
+    ):
+        calibrate(made("multi_position"), gyro="known-rotation")
+    with pytest.raises(InputError, match="wanted mode one of paper, affine, levelled, got 'best'; name one of them"):
+        calibrate(six, mode="best")
+    record = six.records[0]
+    blind = replace(six, records=(replace(record, gyro=None),))
+    with pytest.raises(NotObservable, match="gyroscope by rest: wanted gyroscope readings, got none"):
+        calibrate(blind, gyro="rest")
+    assert calibrate(blind).gyro is None
+    numb = replace(six, records=(replace(record, accel=None),), stills=())
+    with pytest.raises(NotObservable, match="accelerometer by six-face: wanted its readings, got none"):
+        calibrate(numb, accel="six-face")
+
+
+def still_record(n=3000, unit="dps"):
+    rng = np.random.default_rng(23)
+    return Record(
+        time=np.arange(n) / 100.0,
+        gyro=np.array([0.3, -0.2, 0.1]) + 0.05 * rng.standard_normal((n, 3)),
+        accel=np.array([0.0, 0.0, 9.81]) + 0.02 * rng.standard_normal((n, 3)),
+        gyro_unit=unit,
+    )
+
+
+def test_a_single_rest_gives_the_rate_offset_alone():
+    session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(still_record(),))
+    found = calibrate(session)
+    assert found.gyro.method == "rest"
+    assert found.accel is None
+    # 3000 samples of 0.05: 0.001 deg/s
+    np.testing.assert_allclose(found.gyro.offset, [0.3, -0.2, 0.1], atol=0.005)
+    np.testing.assert_allclose(found.gyro.matrix, np.eye(3) * np.pi / 180.0)
+    assert np.isnan(found.reference_temp_c)
+    assert any(
+        "accelerometer not observable: wanted rests on six faces or 9 free poses, got 1" in r
+        for r in found.verdict.reasons
+    )
+
+
+def test_nothing_to_fit_is_an_error_that_says_what_to_record():
+    session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(still_record(unit="count"),))
+    with pytest.raises(
+        NotObservable, match="wanted poses or turns to fit, got none that serve: accelerometer not observable"
+    ):
+        calibrate(session)
+
+
+def test_a_quarter_of_gravity_is_caught_before_anything_is_fitted():
+    record = still_record()
+    session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(replace(record, accel=record.accel / 4.0),))
+    with pytest.raises(Implausible, match="readings are 4 times too small"):
+        calibrate(session)
+
+
+def test_set_points_stand_in_for_a_thermometer():
+    session = Session(
+        kind="static", serial="", gravity_m_s2=9.81, records=(still_record(),),
+        stills=(Still(start=0, stop=3000, temp_c=31.0),), turns=(Turn(start=0, stop=10, temp_c=33.0),),
+    )  # fmt: skip
+    assert observe(session, CalibrateSettings()).mean_temperature() == 32.0
+
+
+def test_truncated_codes_get_their_half_step_back_before_the_fit():
+    rng = np.random.default_rng(24)
+    n = 30000
+    time = np.arange(n) / 100.0
+    sweep = 500.0 * np.sin(np.arange(n)[:, None] / np.array([21.0, 23.0, 26.0]))
+    sweep[:6000] = 0.0
+    gyro = np.trunc(sweep + np.array([3.3, -2.3, 4.3]) + 2.0 * rng.standard_normal((n, 3)))
+    record = Record(time=time, gyro=gyro * 0.061, gyro_unit="dps")
+    found = calibrate(
+        Session(kind="static", serial="", gravity_m_s2=9.81, records=(record,), stills=(Still(start=0, stop=6000),))
+    )
+    assert found.adc.gyro_rounding == "toward_zero"
+    plain = calibrate(
+        Session(kind="static", serial="", gravity_m_s2=9.81, records=(record,), stills=(Still(start=0, stop=6000),)),
+        settings=CalibrateSettings(identify_adc=False),
+    )
+    assert plain.adc is None
+    truth = 0.061 * np.array([3.3, -2.3, 4.3])
+    assert np.abs(found.gyro.offset - truth).max() < 0.2 * np.abs(plain.gyro.offset - truth).max()
