@@ -17,14 +17,12 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.sim.motion.motion import Motion, mean_rate
-from undrift.sim.motion.script import SMOOTH, turn_quaternion
-
-_FIRST, _SECOND = SMOOTH.deriv(1), SMOOTH.deriv(2)
+from undrift.sim.motion.script import turn_quaternion
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A smooth change: the quintic of least jerk.
+    """A smooth change: the quintic of least jerk, 10 s^3 - 15 s^4 + 6 s^5 of the local time s.
 
     Parameters
     ----------
@@ -52,7 +50,10 @@ class Step:
             Value, per s, per s2.
         """
         s = np.clip((time - self.start_s) / self.duration_s, 0.0, 1.0)
-        return self.change * np.stack((SMOOTH(s), _FIRST(s) / self.duration_s, _SECOND(s) / self.duration_s**2))
+        left = s * (1.0 - s)
+        value = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        first, second = 30.0 * left * left / self.duration_s, 60.0 * left * (1.0 - 2.0 * s) / self.duration_s**2
+        return self.change * np.stack((value, first, second))
 
 
 @dataclass(frozen=True, slots=True)
