@@ -106,28 +106,51 @@ def _show_triad(name: str, triad: "TriadModel") -> None:
 
     sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
     shown = table(
-        f"{name} ({triad.method}): corrected = matrix @ (raw - offset)",
+        f"{name} ({triad.method}): corrected = matrix @ (raw - offset), {triad.unit_out} per {triad.unit_in}",
         "axis",
-        f"matrix ({triad.unit_out} per {triad.unit_in})",
-        "standard uncertainty",
+        "m x",
+        "m y",
+        "m z",
         f"offset ({triad.unit_in})",
         f"scale factor ({triad.unit_in} per {triad.unit_out})",
     )
     for k, axis in enumerate("xyz"):
-        shown.add_row(
-            axis,
-            "  ".join(f"{value:+.6g}" for value in triad.matrix[k]),
-            "  ".join(f"{sigma.get(f'm_{axis}{other}', 0.0):.1e}" for other in "xyz"),
-            f"{triad.offset[k]:+.6g} ± {sigma.get(f'offset_{axis}', 0.0):.1g}",
-            f"{triad.scale_factor[k]:.6g}",
-        )
+        cells = [concise(triad.matrix[k, i], sigma.get(f"m_{axis}{other}", 0.0)) for i, other in enumerate("xyz")]
+        cells += [concise(triad.offset[k], sigma.get(f"offset_{axis}", 0.0)), f"{triad.scale_factor[k]:.6g}"]
+        shown.add_row(axis, *cells)
     out = console()
     out.print(shown)
+    if triad.g_sensitivity is not None:
+        worst = float(abs(triad.g_sensitivity).max())
+        out.print(f"  g-sensitivity up to {worst:.2g} {triad.unit_out} per m/s2", markup=False)
     out.print(
         f"  residual {triad.rms_residual:.3g} {triad.unit_out} rms over {triad.count} equations; rank {triad.rank}, "
         f"condition {triad.condition:.3g}; valid {triad.valid_range[0]:.3g} to {triad.valid_range[1]:.3g} {triad.unit_out}",
         markup=False,
     )
+
+
+def concise(value: float, uncertainty: float) -> str:
+    """Return a value with its standard uncertainty in brackets, in units of the last digits: 0.99643(11).
+
+    Parameters
+    ----------
+    value, uncertainty : float
+        In the same unit; an uncertainty of zero marks a value that was held fixed.
+
+    Returns
+    -------
+    str
+        Two digits of uncertainty.
+    """
+    import math
+
+    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
+        return f"{value:.6g}"
+    places = max(0, 1 - math.floor(math.log10(uncertainty)))
+    if places > 9:
+        return f"{value:.6g}({uncertainty:.1g})"
+    return f"{value:.{places}f}({round(uncertainty * 10.0**places)})"
 
 
 def _say_next(session: Path, output: Path | None) -> None:

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from undrift.cli.opening import Opening
 
 if TYPE_CHECKING:
+    from undrift.arrays import FloatArray
     from undrift.orientation.orient import Orientation
 
 Side = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
@@ -80,7 +81,8 @@ def orient(
         markup=False,
     )
     for name, angle in (("inclination", found.inclination), ("pitch", found.pitch)):
-        out.print(f"  {name}: {math.degrees(angle.min()):.2f} to {math.degrees(angle.max()):.2f} deg", markup=False)
+        low, high = _span(angle)
+        out.print(f"  {name}: {low:.2f} to {high:.2f} deg", markup=False)
     return 0
 
 
@@ -91,6 +93,13 @@ def _json(found: "Orientation") -> dict[str, object]:
         "still": [float(found.time[found.still.start]), float(found.time[found.still.stop - 1])],
         "tilt_uncertainty_deg": found.tilt.inclination_uncertainty * degrees,
         "offset_dps": found.offset * degrees,
-        "inclination_deg": [float(found.inclination.min()) * degrees, float(found.inclination.max()) * degrees],
-        "pitch_deg": [float(found.pitch.min()) * degrees, float(found.pitch.max()) * degrees],
+        "inclination_deg": _span(found.inclination),
+        "pitch_deg": _span(found.pitch),
     }
+
+
+def _span(angle: "FloatArray") -> tuple[float, float]:
+    """Return least and greatest, deg; pitch has gaps where the body's axis leaves its plane."""
+    import numpy as np
+
+    return math.degrees(float(np.nanmin(angle))), math.degrees(float(np.nanmax(angle)))

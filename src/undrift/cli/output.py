@@ -74,7 +74,7 @@ def table(title: str, *columns: str) -> "Table":
 
     made = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
     for k, column in enumerate(columns):
-        made.add_column(column, justify="right" if k else "left")
+        made.add_column(column, justify="right" if k else "left", no_wrap=True, overflow="fold")
     return made
 
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 Side = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 SHOWN = (
-    ("rmse_total_deg", "total rmse (deg)"),
-    ("rmse_inclination_deg", "inclination rmse (deg)"),
-    ("rmse_pitch_deg", "pitch rmse (deg)"),
-    ("max_abs_pitch_deg", "pitch max (deg)"),
-    ("end_total_deg", "end total (deg)"),
-    ("end_inclination_deg", "end inclination (deg)"),
-    ("lag_ms", "lag (ms)"),
+    ("rmse_total_deg", "total"),
+    ("rmse_inclination_deg", "inclination"),
+    ("rmse_pitch_deg", "pitch"),
+    ("max_abs_pitch_deg", "pitch max"),
+    ("end_total_deg", "end total"),
+    ("end_inclination_deg", "end incl."),
+    ("lag_ms", "lag ms"),
 )
 
 
@@ -202,9 +202,8 @@ def _write(folder: Path, result: "Validation", told: dict[str, object], fitted: 
 def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: bool) -> None:
     from undrift.cli.output import console, table
 
-    shown = table(
-        f"against the reference, offset: {offset}", "recording", *(head for _, head in SHOWN), "optics seen (%)"
-    )
+    title = f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})"
+    shown = table(title, "recording", *(head for _, head in SHOWN), "optics %")
     rows = [(trial.recording, trial.figures) for trial in result.trials]
     if len(rows) > 1:
         rows += [("mean", result.mean), ("median", result.median)]
