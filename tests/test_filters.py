@@ -90,6 +90,15 @@ def test_a_record_is_filtered_in_both_triads_and_keeps_the_rest():
     assert lowpass(Record(time=record.time, gyro=record.gyro), 11.1).accel is None
 
 
+def test_two_threads_give_the_bits_of_one(monkeypatch):
+    record = Record(time=np.arange(200) / RATE, gyro=readings(200), accel=readings(200, 2))
+    one = lowpass(record, 11.1)
+    monkeypatch.setattr("undrift.filters.THREADS_FROM", 100)
+    two = lowpass(record, 11.1)
+    assert one.gyro.tobytes() == two.gyro.tobytes()
+    assert one.accel.tobytes() == two.accel.tobytes()
+
+
 def test_what_cannot_be_filtered_is_refused():
     x = readings(100)
     with pytest.raises(InputError, match="wanted a cut-off between 0 and 50 Hz, half the sample rate, got 50 Hz"):
