@@ -45,6 +45,20 @@ def test_chunks_are_the_whole_in_order_and_none_is_a_single_sample(tmp_path_fact
     np.testing.assert_array_equal(np.concatenate([chunk.time for chunk in chunks]), np.arange(n) / 7)
 
 
+@pytest.mark.parametrize("group", [20_000, 10**9])
+def test_reading_in_chunks_takes_a_fraction_of_the_memory_of_the_file(tmp_path, group):
+    rng = np.random.default_rng(0)
+    columns = {"time_s": np.arange(400_000) / 100, **{f"gyro_{a}_dps": rng.normal(size=400_000) for a in "xyz"}}
+    pq.write_table(pa.table(columns), tmp_path / "f.parquet", row_group_size=group, use_dictionary=False)
+    columns.clear()
+    held = pa.total_allocated_bytes()
+    most = max(pa.total_allocated_bytes() - held for _ in iter_parquet(tmp_path / "f.parquet", rows=10_000))
+    size = (tmp_path / "f.parquet").stat().st_size
+    # a few chunks of 10,000 rows, a megabyte of read buffer for each of four columns, and a page of each
+    assert most < 0.7 * size
+    assert size > 10e6
+
+
 def test_the_schema_carries_units_frame_state_and_device(tmp_path):
     write_parquet(ramp(5, gyro_unit="dps", frame="b", state="corrected", device="A1"), tmp_path / "r.parquet")
     held = json.loads(pq.read_schema(tmp_path / "r.parquet").metadata[b"undrift"])
