@@ -1,8 +1,11 @@
 """Plausibility: each refusal names the number and what to do."""
 
+import gzip
+
 import numpy as np
 import pytest
 
+from data import data_path, show
 from undrift.calibration.plausibility import (
     axis_vectors,
     check_faces,
@@ -16,6 +19,7 @@ from undrift.calibration.plausibility import (
 )
 from undrift.errors import Implausible, NotObservable
 from undrift.session import FACES
+from undrift.units import STANDARD_GRAVITY
 
 FORWARD = np.array([[1.02, 0.01, -0.008], [0.004, 0.97, 0.012], [-0.006, 0.009, 1.01]])
 READING = 9.81 * face_vectors(FACES) @ FORWARD.T + np.array([0.3, -0.2, 0.1])
@@ -68,11 +72,23 @@ def test_a_quarter_of_gravity_is_called_a_wrong_unit_or_range():
     check_gravity(READING, 9.81)
 
 
-def test_the_hot_and_cold_bmi270_logs_are_caught_at_a_quarter_of_gravity():
-    # Published log whose firmware divides by the wrong range: |a| = 0.252 and 0.254 g (shared data, SOURCE.md).
-    for ratio in (0.252, 0.254):
-        with pytest.raises(Implausible, match="4 times too small"):
-            check_gravity(np.array([[0.0, 0.0, ratio * 9.81]]), 9.81)
+@pytest.mark.parametrize(("name", "ratio"), [("BMI_270_hot_test", 0.252), ("BMI_270_cold_test", 0.254)])
+def test_the_hot_and_cold_bmi270_logs_are_caught_at_a_quarter_of_gravity(name, ratio):
+    # A public log (2026; MIT) whose firmware divides by 16384 in the +-8 g range; its broken first and last lines are skipped.
+    with gzip.open(data_path("thermal_bmi270_two_point", f"{name}.csv.gz"), "rt", errors="replace") as file:
+        rows = [line.strip().split(",") for line in file]
+    accel = np.array([[float(x) for x in row[1:4]] for row in rows if len(row) == 7 and _numbers(row)])
+    with pytest.raises(Implausible, match="readings are 4 times too small") as caught:
+        check_gravity(accel * STANDARD_GRAVITY, STANDARD_GRAVITY)
+    show(f"{name} |a|, g", f"{caught.value.ratio:.4f}", ratio)
+    assert caught.value.ratio == pytest.approx(ratio, abs=0.001)
+
+
+def _numbers(row):
+    try:
+        return all(np.isfinite(float(x)) for x in row)
+    except ValueError:
+        return False
 
 
 def test_left_handed_axes_are_refused_with_the_axis():

@@ -143,3 +143,21 @@ def test_sums_are_taken_with_the_rate_of_a_sample_holding_since_the_one_before()
     one = Record(time=time, gyro=np.ones((6, 3)))
     with pytest.raises(InputError, match="wanted gyroscope and accelerometer, got one of them"):
         rotation_data([one], [Still(start=0, stop=3, face="+z")], [], matrix=np.eye(3), offset=np.zeros(3))
+
+
+def test_gaps_are_left_out_at_rest_and_refused_in_a_turn():
+    time = np.arange(40) / 10.0
+    gyro, accel = np.ones((40, 3)), np.tile([0.0, 0.0, 9.81], (40, 1))
+    gyro[3] = np.nan
+    record = Record(time=time, gyro=gyro, accel=accel)
+    stills, turn = [Still(start=0, stop=10, face="+z")], Turn(start=10, stop=20, axis="z", angle=1.0)
+    sums = rotation_data([record], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))
+    assert sums.rest_samples.tolist() == [9.0]
+    np.testing.assert_allclose(sums.rest.reading, 1.0)
+    with pytest.raises(InputError, match="wanted the turn about z without gaps, got some; record it again"):
+        rotation_data(
+            [record], stills, [Turn(start=0, stop=9, axis="z", angle=1.0)], matrix=np.eye(3), offset=np.zeros(3)
+        )
+    gyro[:10] = np.nan
+    with pytest.raises(InputError, match=r"wanted readings at rest on face \+z, got 0; choose another stretch"):
+        rotation_data([Record(time=time, gyro=gyro, accel=accel)], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))

@@ -148,6 +148,14 @@ def test_face_means_need_one_accelerometer_unit():
         face_means([record, other], [stills[0], Still(start=0, stop=50, face="-x", recording=1)])
 
 
+def test_a_face_that_is_all_gap_is_refused():
+    record, stills = session(seconds=1.0)
+    gappy = np.array(record.accel)
+    gappy[:100] = np.nan
+    with pytest.raises(InputError, match=r"wanted more than 2 readings on face \+x, got 0; choose another stretch"):
+        face_means([Record(time=record.time, accel=gappy)], stills)
+
+
 def test_faces_too_short_to_tell_their_noise_say_none():
     record, stills = session(seconds=0.6)
     assert face_means([record], stills).noise is None

@@ -172,13 +172,18 @@ def rotation_data(
     Raises
     ------
     InputError
-        A recording lacks one of the two triads.
+        A recording lacks one of the two triads, or a turn has gaps.
     """
     means, samples, faces, square, spare = [], [], [], np.zeros(3), 0
     for still in stills:
         gyro, _ = _both(records[still.recording])
         if still.face is not None:
             window = gyro[still.start : still.stop]
+            window = window[~np.isnan(window).any(axis=1)]
+            if len(window) < 2:
+                raise InputError(
+                    f"known rotation: wanted readings at rest on face {still.face}, got {len(window)}; choose another stretch"
+                )
             means.append(window.mean(axis=0))
             samples.append(len(window))
             faces.append(still.face)
@@ -190,6 +195,10 @@ def rotation_data(
     for turn in used:
         record = records[turn.recording]
         gyro, accel = _both(record)
+        if np.isnan(gyro[turn.start : turn.stop]).any() or np.isnan(accel[turn.start : turn.stop]).any():
+            raise InputError(
+                f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again"
+            )
         step = _steps(record.time)[turn.start : turn.stop]
         reading.append(step @ gyro[turn.start : turn.stop])
         force.append(step @ ((accel[turn.start : turn.stop] - offset) @ matrix.T))

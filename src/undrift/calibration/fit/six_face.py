@@ -205,6 +205,11 @@ def face_means(
                 f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}; map the columns alike"
             )
         window = _middle(record, still, settings.window_s)
+        if len(window) <= settings.polynomial_degree + 1:
+            raise InputError(
+                f"six faces: wanted more than {settings.polynomial_degree + 1} readings on face {still.face}, got {len(window)}; "
+                "choose another stretch"
+            )
         check_saturation(window, f"accelerometer on face {still.face}")
         filtered, wander = polynomial_filter(window, settings.polynomial_degree)
         means.append(filtered.mean(axis=0))
