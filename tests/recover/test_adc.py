@@ -1,0 +1,44 @@
+"""The codes of a simulated converter give back its step and whether it cuts toward zero."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data import show
+from undrift.calibration.adc import identify_adc
+from undrift.sim import random_device, simulate_trial
+from undrift.sim.device.device import Rounding
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("rounding", "told"), [("toward_zero", "toward_zero"), ("nearest", "nearest"), ("floor", "nearest")]
+)
+def test_step_and_rounding_of_a_logger_in_a_quarter_of_an_hour_of_motion(
+    rounding: Rounding, told: str, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    device = random_device(rng, grade="wearable")
+    device = replace(device, gyro=replace(device.gyro, rounding=rounding))
+    # 285.7 Hz over some 8,000 codes: two samples a minute, a code and an axis.
+    minutes = [simulate_trial("free", device, rng=rng, sample_rate_hz=285.7).record.gyro for _ in range(16)]
+    found = identify_adc(np.concatenate([gyro for gyro in minutes if gyro is not None]))
+    show(f"{rounding}: samples at code 0 over those expected, each axis", f"{found.ratio} +- {found.ratio_uncertainty}")
+    assert found.lsb is not None
+    np.testing.assert_allclose(found.lsb, device.gyro.lsb, rtol=1e-6)  # deg/s; floating point alone blurs it
+    assert found.rounding == told  # floor is nearest with half a step of offset: codes alone cannot tell
+
+
+def test_a_minute_of_motion_says_that_it_is_too_short() -> None:
+    rng = np.random.default_rng(1)
+    found = identify_adc(simulate_trial("free", random_device(rng, grade="wearable"), rng=rng).record.gyro)  # type: ignore[arg-type]
+    assert found.rounding is None
+    assert "sweep through code 0" in found.reason
+
+
+def test_readings_that_were_never_codes_lie_on_no_grid() -> None:
+    rng = np.random.default_rng(1)
+    device = random_device(rng, grade="wearable")
+    device = replace(device, gyro=replace(device.gyro, lsb=0.0))
+    assert identify_adc(simulate_trial("free", device, rng=rng).record.gyro).lsb is None  # type: ignore[arg-type]

@@ -1,0 +1,46 @@
+"""Whole sessions: what a bench, a Ferraris session or free poses give back of a device with everything wrong at once."""
+
+import numpy as np
+import pytest
+
+from data import show
+from undrift.calibration.procedure import calibrate
+from undrift.correct import correct
+from undrift.orientation.orient import orient
+from undrift.sim import BenchSettings, random_device, simulate_session, simulate_trial, true_calibration
+from undrift.sim.motion.bench import BenchKind
+from undrift.units import RADIAN_PER_DEGREE
+from undrift.validation.errors import compare_orientations
+
+SETTINGS = BenchSettings(tilt_sd=0.05 * RADIAN_PER_DEGREE, turn_rates=(0.5, 1.0, 1.5), dwell_s=2.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "method"),
+    [("bench", "rate-table/affine"), ("ferraris", "known-rotation/affine"), ("multi_position", "multi-position")],
+)
+def test_a_session_corrects_a_sit_to_stand_to_within_two_degrees(kind: BenchKind, method: str) -> None:
+    worst = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        device = random_device(rng)
+        calibration = calibrate(simulate_session(kind, device, rng=rng, settings=SETTINGS))
+        assert calibration.gyro is not None
+        assert calibration.gyro.method == method
+        trial = simulate_trial("sit_to_stand", device, rng=rng)
+        orientation = orient(correct(trial.record, calibration))
+        error = compare_orientations(orientation.q_nb, trial.motion.q_nb)
+        worst.append(float(np.degrees(np.abs(error.pitch).max())))
+    # A g-sensitivity of 0.1 deg/s/g, which only the Ferraris session fits, is 2 deg in 20 s.
+    show(f"{kind}: worst pitch error of a sit-to-stand, deg", np.round(worst, 2), 2.0)
+    assert max(worst) < 2.0
+
+
+def test_the_true_calibration_leaves_noise_alone() -> None:
+    rng = np.random.default_rng(4)
+    device = random_device(rng)
+    trial = simulate_trial("sit_to_stand", device, rng=rng)
+    orientation = orient(correct(trial.record, true_calibration(device)))
+    error = np.degrees(compare_orientations(orientation.q_nb, trial.motion.q_nb).inclination)
+    # Tilt from a still of seconds with 0.13 mg/sqrt(Hz): 0.01 deg; angle random walk 0.005 deg/s/sqrt(Hz) sqrt(20 s): 0.02 deg.
+    assert np.abs(error).max() < 0.15
