@@ -103,54 +103,16 @@ def show_calibration(calibration: "Calibration") -> None:
 
 def _show_triad(name: str, triad: "TriadModel") -> None:
     from undrift.cli.output import console, table
+    from undrift.report.calibration import triad_heads, triad_notes, triad_rows
 
-    sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
-    shown = table(
-        f"{name} ({triad.method}): corrected = matrix @ (raw - offset), {triad.unit_out} per {triad.unit_in}",
-        "axis",
-        "m x",
-        "m y",
-        "m z",
-        f"offset ({triad.unit_in})",
-        f"scale factor ({triad.unit_in} per {triad.unit_out})",
-    )
-    for k, axis in enumerate("xyz"):
-        cells = [concise(triad.matrix[k, i], sigma.get(f"m_{axis}{other}", 0.0)) for i, other in enumerate("xyz")]
-        cells += [concise(triad.offset[k], sigma.get(f"offset_{axis}", 0.0)), f"{triad.scale_factor[k]:.6g}"]
-        shown.add_row(axis, *cells)
+    title = f"{name} ({triad.method}): corrected = matrix @ (raw - offset), {triad.unit_out} per {triad.unit_in}"
+    shown = table(title, *triad_heads(triad))
+    for row in triad_rows(triad):
+        shown.add_row(*row)
     out = console()
-    out.print(shown)
-    if triad.g_sensitivity is not None:
-        worst = float(abs(triad.g_sensitivity).max())
-        out.print(f"  g-sensitivity up to {worst:.2g} {triad.unit_out} per m/s2", markup=False)
-    out.print(
-        f"  residual {triad.rms_residual:.3g} {triad.unit_out} rms over {triad.count} equations; rank {triad.rank}, "
-        f"condition {triad.condition:.3g}; valid {triad.valid_range[0]:.3g} to {triad.valid_range[1]:.3g} {triad.unit_out}",
-        markup=False,
-    )
-
-
-def concise(value: float, uncertainty: float) -> str:
-    """Return a value with its standard uncertainty in brackets, in units of the last digits: 0.99643(11).
-
-    Parameters
-    ----------
-    value, uncertainty : float
-        In the same unit; an uncertainty of zero marks a value that was held fixed.
-
-    Returns
-    -------
-    str
-        Two digits of uncertainty.
-    """
-    import math
-
-    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
-        return f"{value:.6g}"
-    places = max(0, 1 - math.floor(math.log10(uncertainty)))
-    if places > 9:
-        return f"{value:.6g}({uncertainty:.1g})"
-    return f"{value:.{places}f}({round(uncertainty * 10.0**places)})"
+    out.print(shown, markup=False)
+    for note in triad_notes(triad):
+        out.print(f"  {note}", markup=False)
 
 
 def _say_next(session: Path, output: Path | None) -> None:

@@ -10,6 +10,8 @@ from undrift.report.page import Section, write_page
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from undrift.arrays import FloatArray
     from undrift.validation import Figures, Trial, Validation
 
@@ -58,17 +60,32 @@ def validation_sections(result: "Validation") -> tuple[Section, ...]:
     tuple of Section
         Table, agreement, one section a trial.
     """
-    rows = [_row(trial.recording, trial.figures) for trial in result.trials]
-    if len(rows) > 1:
-        rows += [_row("mean", result.mean), _row("median", result.median)]
-    heads = ("recording", *(head for _, head in COLUMNS), "optics seen (%)")
-    errors = Section(
+    rows = [("mean", result.mean), ("median", result.median)] if len(result.trials) > 1 else []
+    return (trials_section(result.trials, rows), *_agreement(result), *map(trial_section, result.trials))
+
+
+def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures]]" = ()) -> Section:
+    """Return the table of errors, one row a trial.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Recordings judged.
+    more : sequence of (str, Figures)
+        Further rows, such as the mean.
+
+    Returns
+    -------
+    Section
+        In degrees.
+    """
+    named = [(trial.recording, trial.figures) for trial in trials]
+    return Section(
         title="Errors",
         text=("Root-mean-square over the motion; end errors are medians over the first three seconds after it.",),
-        columns=heads,
-        rows=tuple(rows),
+        columns=("recording", *(head for _, head in COLUMNS), "optics seen (%)"),
+        rows=tuple(_row(name, figures) for name, figures in (*named, *more)),
     )
-    return (errors, *_agreement(result), *(_trial(trial) for trial in result.trials))
 
 
 def _row(name: str, figures: "Figures") -> tuple[str, ...]:
@@ -76,7 +93,19 @@ def _row(name: str, figures: "Figures") -> tuple[str, ...]:
     return (name, *cells, f"{100.0 * figures.valid_optics:.1f}")
 
 
-def _trial(trial: "Trial") -> Section:
+def trial_section(trial: "Trial") -> Section:
+    """Return the course of one trial: pitch of device and optics, and the errors.
+
+    Parameters
+    ----------
+    trial : Trial
+        A recording judged.
+
+    Returns
+    -------
+    Section
+        With its notes and a picture.
+    """
     errors = (
         ("total", _degrees(trial.error.total)),
         ("inclination", _degrees(trial.error.inclination)),

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.model import Calibration
 from undrift.record import Record, Reference
 from undrift.session import Session
 from undrift.sim.device.device import SimulatedDevice, SimulatedThermometer
-from undrift.sim.device.random import random_device
+from undrift.sim.device.random import grade_named, random_device
 from undrift.sim.device.read import read
+from undrift.sim.device.truth import nominal_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.library import TaskName, draw_task
 from undrift.sim.motion.motion import Motion
@@ -44,6 +46,8 @@ class Demo:
     ----------
     device : SimulatedDevice
         The truth.
+    nominal : Calibration
+        What the data sheet alone says.
     session : Session
         Six faces and rate-table steps.
     trial : SimulatedTrial
@@ -51,6 +55,7 @@ class Demo:
     """
 
     device: SimulatedDevice
+    nominal: Calibration
     session: Session
     trial: SimulatedTrial
 
@@ -140,13 +145,15 @@ def simulate_trial(
     return SimulatedTrial(record=record, reference=see(performed, rng=rng, settings=optics), motion=motion)
 
 
-def demo_session(rng: np.random.Generator) -> Demo:
+def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
     """Return a small complete example: device, calibration session of three minutes, sit-to-stand with optics.
 
     Parameters
     ----------
     rng : Generator
         Draws everything.
+    quick : bool
+        Two rates on the table instead of six.
 
     Returns
     -------
@@ -155,12 +162,15 @@ def demo_session(rng: np.random.Generator) -> Demo:
     """
     lm335 = SimulatedThermometer(offset_c=0.8, lag_s=20.0, noise_c=0.03, lsb_c=5.0 / 4096 / 0.01)  # 12 bit, 10 mV/K
     device = replace(random_device(rng, grade="consumer"), thermometer=lm335)
-    rates = tuple(rate * RADIAN_PER_DEGREE for rate in (15.0, 30.0, 45.0, 60.0, 75.0, 90.0))
+    rates = tuple(
+        rate * RADIAN_PER_DEGREE for rate in ((45.0, 90.0) if quick else (15.0, 30.0, 45.0, 60.0, 75.0, 90.0))
+    )
     settings = BenchSettings(tilt_sd=0.1 * RADIAN_PER_DEGREE, turn_rates=rates, ramp_s=0.4, dwell_s=2.0)
     session = simulate_session("bench", device, rng=rng, settings=settings, temp_c=(24.8, 25.2))
     optics = OpticsSettings(delay_s=0.030)
     return Demo(
         device=device,
+        nominal=nominal_calibration(grade_named("consumer")),
         session=session,
         trial=simulate_trial("sit_to_stand", device, rng=rng, optics=optics, temp_c=25.0),
     )

@@ -1,9 +1,11 @@
-"""Truth: the Calibration that would correct a simulated device without error, to hold an estimate against."""
+"""Truth: what would correct a simulated device without error, and what its data sheet alone says, to hold estimates against."""
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.calibration.model import MATRIX_NAMES, OFFSET_NAMES, Calibration, TriadModel
 from undrift.sim.device.device import SimulatedDevice, SimulatedTriad
+from undrift.sim.device.random import Grade, TriadGrade
 from undrift.units import STANDARD_GRAVITY
 
 
@@ -39,17 +41,82 @@ def true_calibration(
     )
 
 
+def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY) -> Calibration:
+    """Return what a data sheet alone would make of the readings: nominal sensitivity, square axes, no offset.
+
+    Parameters
+    ----------
+    grade : Grade
+        The kind of device.
+    gravity_m_s2 : float
+        Local gravity to note in it, m/s2.
+
+    Returns
+    -------
+    Calibration
+        Covariance zero.
+    """
+
+    def triad(sheet: TriadGrade, unit_out: str) -> TriadModel:
+        limit = sheet.full_scale / sheet.sensitivity
+        return _inverse(np.eye(3) / sheet.sensitivity, np.zeros(3), None, sheet.unit, unit_out, limit, "nominal")
+
+    return Calibration(
+        device="nominal",
+        reference_temp_c=float("nan"),
+        gravity_m_s2=gravity_m_s2,
+        gyro=triad(grade.gyro, "rad/s"),
+        accel=triad(grade.accel, "m/s2"),
+    )
+
+
+def matrix_error(estimate: TriadModel, truth: TriadModel) -> float:
+    """Return the largest element of M_estimate M_truth^-1 - 1: 0.01 is one per cent of scale or of cross-axis.
+
+    Parameters
+    ----------
+    estimate, truth : TriadModel
+        Of the same triad.
+
+    Returns
+    -------
+    float
+        Relative.
+    """
+    return float(np.abs(estimate.matrix @ truth.forward_matrix - np.eye(3)).max())
+
+
 def _model(triad: SimulatedTriad, warmth: float, unit_out: str) -> TriadModel:
     matrix = np.linalg.inv(triad.forward_matrix)
     limit = triad.full_scale / float(np.max(triad.sensitivity))
     feigned = matrix @ (triad.sensitivity[:, None] * triad.g_sensitivity)
+    return _inverse(
+        matrix,
+        triad.sensitivity * (triad.offset + triad.offset_per_k * warmth),
+        feigned if triad.g_sensitivity.any() else None,
+        triad.unit,
+        unit_out,
+        limit,
+        "truth",
+    )
+
+
+def _inverse(
+    matrix: FloatArray,
+    offset: FloatArray,
+    g_sensitivity: FloatArray | None,
+    unit_in: str,
+    unit_out: str,
+    limit: float,
+    method: str,
+) -> TriadModel:
     return TriadModel(
-        method="truth",
-        unit_in=triad.unit,
+        method=method,
+        unit_in=unit_in,
         unit_out=unit_out,
         matrix=matrix,
-        offset=triad.sensitivity * (triad.offset + triad.offset_per_k * warmth),
-        g_sensitivity=feigned if triad.g_sensitivity.any() else None,
+        offset=offset,
+        g_sensitivity=g_sensitivity,
         covariance=np.zeros((12, 12)),
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
         rms_residual=0.0,
