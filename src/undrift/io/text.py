@@ -118,6 +118,8 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> Table:
     from pyarrow import csv as arrow_csv
 
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
+    if not any(line.strip() for line in text.head.splitlines()[text.skip :]):
+        return Table(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
     try:
         parsed = arrow_csv.read_csv(
             _source(text),
@@ -127,9 +129,7 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> Table:
             parse_options=arrow_csv.ParseOptions(delimiter=text.layout.delimiter),
             convert_options=_convert(text, {str(i): pa.float64() for i in positions}),
         )
-    except pa.ArrowInvalid as error:
-        if "Empty CSV" in str(error):
-            return Table(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
+    except pa.ArrowInvalid:
         return _parse_dirty(text, positions)
     return Table(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
 
@@ -146,14 +146,19 @@ def _parse_dirty(text: Text, positions: list[int]) -> Table:
         ragged.append(row)
         return "skip"
 
-    parsed = arrow_csv.read_csv(
-        _source(text),
-        read_options=arrow_csv.ReadOptions(
-            column_names=[str(i) for i in range(len(text.names))], skip_rows=text.skip, use_threads=False
-        ),
-        parse_options=arrow_csv.ParseOptions(delimiter=text.layout.delimiter, invalid_row_handler=skip),
-        convert_options=_convert(text, {str(i): pa.binary() for i in range(len(text.names))}),
-    )
+    try:
+        parsed = arrow_csv.read_csv(
+            _source(text),
+            read_options=arrow_csv.ReadOptions(
+                column_names=[str(i) for i in range(len(text.names))], skip_rows=text.skip, use_threads=False
+            ),
+            parse_options=arrow_csv.ParseOptions(delimiter=text.layout.delimiter, invalid_row_handler=skip),
+            convert_options=_convert(text, {str(i): pa.binary() for i in range(len(text.names))}),
+        )
+    except pa.ArrowInvalid as error:
+        raise FileFormatError(
+            f"{text.path}: wanted rows of text, got something else: {str(error).splitlines()[0]}; check the file and the delimiter"
+        ) from error
     if ragged and not text.layout.drop_bad_rows:
         row = ragged[0]
         raise FileFormatError(

@@ -1,0 +1,134 @@
+"""Corners of the readers: missing extras, folders told apart, files that end where they should begin."""
+
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+from made import one_line
+from undrift.errors import FileFormatError, InputError
+from undrift.io.arrays import read_mat
+from undrift.io.broad import read_broad
+from undrift.io.build import two_rates
+from undrift.io.c3d import read_c3d
+from undrift.io.columns import ColumnMap
+from undrift.io.csv import read_csv, write_csv
+from undrift.io.describe import describe
+from undrift.io.detect import detect
+from undrift.io.files import read_bytes
+from undrift.io.recording import ReadSettings, read_record
+from undrift.record import Record
+
+XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
+
+
+@pytest.mark.parametrize(
+    ("module", "read", "content"),
+    [("h5py", read_broad, b"x"), ("pymatreader", read_mat, b"x"), ("ezc3d", read_c3d, b"\x02\x50" + b"\0" * 600)],
+)
+def test_a_reader_without_its_library_says_what_to_install(tmp_path, monkeypatch, module, read, content):
+    (tmp_path / "f").write_bytes(content)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf"need.? {module}; install undrift\[io\]") as caught:
+        read(tmp_path / "f")
+    one_line(caught)
+
+
+def test_a_header_without_rows_or_line_end_is_refused(tmp_path):
+    (tmp_path / "r.csv").write_text("t,x,y,z")
+    with pytest.raises(FileFormatError, match="wanted two rows or more, got 0"):
+        read_csv(tmp_path / "r.csv", XYZ)
+
+
+def test_a_row_as_long_as_a_file_is_refused_in_one_line(tmp_path):
+    (tmp_path / "r.csv").write_text(f"t,x,y,z,note\n0,1,2,3,{'x' * 13_000_000}\n1,1,2,3,\n")
+    with pytest.raises(FileFormatError, match="wanted rows of text, got something else") as caught:
+        read_csv(tmp_path / "r.csv", XYZ)
+    one_line(caught)
+
+
+def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
+    (tmp_path / "r.csv").write_text("t,w,x,y,z\n0,,1,2,3\n1,,1,2,3\n")
+    assert read_csv(tmp_path / "r.csv", XYZ).accel.tolist() == [[1, 2, 3], [1, 2, 3]]
+    unmapped = ColumnMap(
+        time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gyro=("w", "x", "y"), gyro_unit="dps"
+    )
+    with pytest.raises(InputError, match="column 'w': wanted a number in every row, got 2 empty"):
+        read_csv(tmp_path / "r.csv", unmapped)
+
+
+def test_hdf5_of_each_kind_is_told_apart(tmp_path):
+    with h5py.File(tmp_path / "m.mat", "w") as handle:
+        handle["w"] = np.zeros((3, 5))
+        handle["w"].attrs["MATLAB_class"] = np.bytes_("double")
+    with h5py.File(tmp_path / "o.h5", "w") as handle:
+        handle["w"] = np.zeros((3, 5))
+    assert detect(tmp_path / "m.mat") == "mat"
+    assert detect(tmp_path / "o.h5") == "hdf5"
+    assert "HDF5 of an unknown kind" in describe(tmp_path / "o.h5").summary
+    with pytest.raises(FileFormatError, match="wanted a recording, got HDF5 of an unknown kind"):
+        read_record(tmp_path / "o.h5")
+
+
+def test_folders_are_told_by_the_files_in_them(tmp_path):
+    for name, kind in (("sensors.csv", "ngimu"), ("Inertial.csv", "ximu3"), ("1_CalInertialAndMag.csv", "ximu")):
+        folder = tmp_path / kind
+        folder.mkdir()
+        (folder / name).touch()
+        assert detect(folder) == kind
+
+
+def test_json_is_told_without_its_ending_and_a_brace_alone_is_text(tmp_path):
+    (tmp_path / "a").write_text('{"k": 1}')
+    (tmp_path / "b").write_text("{ not json\nmore words here\nand more\n")
+    assert detect(tmp_path / "a") == "json"
+    assert detect(tmp_path / "b") == "text"
+
+
+def test_a_native_file_is_described_and_an_apdm_sensor_is_read_by_name(tmp_path):
+    write_csv(Record(time=np.arange(50) / 100, gyro=np.zeros((50, 3))), tmp_path / "r.csv")
+    assert describe(tmp_path / "r.csv").rows == 50
+    names = [f"L5/{kind}/{a}" for kind in ("Acceleration", "Angular Velocity") for a in "XYZ"]
+    rows = [f"{k / 128}" + ",1" * 6 for k in range(5)]
+    head = ["Test Name:,x", "Sample Rate:,128,Hz", ",".join(["Time", *names]), "s" + ",m/s^2" * 3 + ",rad/s" * 3]
+    (tmp_path / "a.csv").write_text("\n".join([*head, *rows]) + "\n")
+    assert read_record(tmp_path / "a.csv", settings=ReadSettings(sensor="L5")).device == "L5"
+    assert describe(tmp_path / "a.csv").rows == 5
+
+
+def test_a_file_without_rights_is_one_line(tmp_path, monkeypatch):
+    (tmp_path / "r.csv").write_text("x")
+
+    def refuse(self, *args, **keys):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.open", refuse)
+    with pytest.raises(InputError, match="cannot be read: Permission denied; check its rights"):
+        read_bytes(tmp_path / "r.csv")
+
+
+def test_a_c3d_file_without_a_frame_rate_is_refused(tmp_path, monkeypatch):
+    held = {
+        "parameters": {"POINT": {}},
+        "data": {"points": np.ones((4, 1, 3)), "meta_points": {"residuals": np.zeros((1, 1, 3))}},
+        "header": {"points": {"frame_rate": 0.0, "first_frame": 0}},
+    }
+    monkeypatch.setattr("undrift.io.c3d._load", lambda path: held)
+    with pytest.raises(FileFormatError, match="wanted a frame rate above 0, got 0 Hz"):
+        read_c3d(tmp_path / "m.c3d")
+
+
+def test_a_single_slow_block_is_a_drop_out_and_not_a_second_rate():
+    steps = np.full(2000, 0.01)
+    steps[500:520] = 0.02
+    assert two_rates(np.cumsum(steps)) is None
+    steps[500:] = 0.02
+    first, second, begins = two_rates(np.cumsum(steps))
+    assert (first, second) == pytest.approx((100.0, 50.0))
+    assert begins == pytest.approx(5.0, abs=0.7)
+
+
+def test_uneven_blocks_are_not_two_rates():
+    rng = np.random.default_rng(0)
+    assert two_rates(np.cumsum(rng.uniform(0.001, 0.02, 2000))) is None
