@@ -305,13 +305,14 @@ def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | 
 def _check_rate(table: Table, time: FloatArray, columns: ColumnMap) -> None:
     if columns.time is None or len(time) < 2:
         return
-    stated, held = columns.sample_rate_hz, sample_rate_of(time)
-    mean = (len(time) - 1) / float(time[-1] - time[0])
-    if stated is not None and min(abs(held / stated - 1.0), abs(mean / stated - 1.0)) > _RATE_AGREES:
-        raise InputError(
-            f"{table.source}: wanted {stated:g} Hz as stated, got {held:.4g} Hz from time column {columns.time!r}; correct "
-            "sample_rate_hz or units.time"
-        )
+    stated = columns.sample_rate_hz
+    if stated is not None:
+        held, mean = sample_rate_of(time), (len(time) - 1) / float(time[-1] - time[0])
+        if min(abs(held / stated - 1.0), abs(mean / stated - 1.0)) > _RATE_AGREES:
+            raise InputError(
+                f"{table.source}: wanted {stated:g} Hz as stated, got {held:.4g} Hz from time column {columns.time!r}; correct "
+                "sample_rate_hz or units.time"
+            )
     rates = two_rates(time)
     if rates is not None:
         raise InputError(
