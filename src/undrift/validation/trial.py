@@ -107,10 +107,10 @@ class Trial:
         Its errors.
     lag : Lag
         As found, with correlation before and after.
-    motion : Motion
-        On the record's clock.
     lag_undone : bool
         Whether the main figures have the lag taken out.
+    motion : Motion
+        On the record's clock.
     mounting : Mounting or None
         Rotation between device case and the reference's body; None where it was not looked for.
     mean_inclination : tuple of float
@@ -313,10 +313,11 @@ def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
 
 
 def _without_rest_mean(record: Record, motion: Motion, settings: TrialSettings) -> Record:
-    at_rest = record.time < motion.start_s - settings.lead_s
-    if record.gyro is None or not at_rest.any():
+    rest = record.between(record.time[0], motion.start_s - settings.lead_s).gyro
+    seen = np.empty((0, 3)) if rest is None else rest[np.isfinite(rest).all(axis=1)]
+    if record.gyro is None or not len(seen):
         raise InputError("validate: wanted gyro readings at rest before the motion, got none; use offset none")
-    return replace(record, gyro=record.gyro - np.nanmean(record.gyro[at_rest], axis=0))
+    return replace(record, gyro=record.gyro - seen.mean(axis=0))
 
 
 def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings) -> tuple[Record, Mounting | None]:

@@ -437,7 +437,7 @@ def _verdict(model: TriadModel, solution: Solution, rest: FloatArray, settings: 
             reasons.append(
                 f"the offset at rest differs by {np.degrees(spread):.3f} deg/s between recordings; warm the device up before each"
             )
-    if model.g_sensitivity is not None and (np.abs(model.g_sensitivity).reshape(-1) < 2.0 * sigma[12:]).all():
+    if model.g_sensitivity is not None and (np.abs(model.g_sensitivity).reshape(-1) < 3.0 * sigma[12:]).all():
         reasons.append("no g-sensitivity could be told from zero; leave it out")
     return Verdict(status="marginal" if reasons else "good", reasons=tuple(reasons))
 

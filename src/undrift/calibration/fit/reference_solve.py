@@ -9,6 +9,8 @@ References
 ----------
 .. [1] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
    covariance matrix", 1987.
+.. [2] J. G. MacKinnon, H. White, "Some heteroskedasticity-consistent covariance matrix estimators with improved finite
+   sample properties", 1985.
 """
 
 from collections.abc import Sequence
@@ -115,7 +117,8 @@ def solve(windows: Sequence[Windows], *, keep: FloatArray, huber: float, reach: 
     bread = np.linalg.inv((a.reshape(-1, len(kept)).T * weight) @ a.reshape(-1, len(kept)))
     scores = np.einsum("nap,na->np", a, weight.reshape(-1, 3) * residual)
     meat = _long_run(scores, windows, 2 * reach)
-    covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept)))
+    # Residuals are short of errors by their leverage, P / n on average; HC3's square of it, not HC1's first power [2]_.
+    covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept))) ** 2
     return Solution(
         step=_spread(x, kept, len(keep)),
         covariance=_spread(_spread(covariance, kept, len(keep)).T, kept, len(keep)),

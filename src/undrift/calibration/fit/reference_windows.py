@@ -67,7 +67,17 @@ class Recording:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GyroGuess:
-    """Present values: matrix (3, 3), constant d (3,) in rad/s, g_sensitivity (3, 3) in rad/s per m/s2."""
+    """Present values of the parameters.
+
+    Parameters
+    ----------
+    matrix : array, shape (3, 3)
+        M, rad/s per raw unit.
+    constant : array, shape (3,)
+        d, rad/s.
+    g_sensitivity : array, shape (3, 3)
+        G, rad/s per m/s2.
+    """
 
     matrix: FloatArray
     constant: FloatArray

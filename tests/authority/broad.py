@@ -1,0 +1,28 @@
+"""The eight BROAD trials at hand, read once, and what is known of them.
+
+D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 2021, CC BY 4.0.
+"""
+
+from functools import cache
+
+from data import data_path
+from undrift.io.broad import read_broad
+from undrift.record import Record, Reference
+
+FILES = {
+    2: "02_undisturbed_slow_rotation_B",
+    3: "03_undisturbed_slow_rotation_C",
+    5: "05_undisturbed_slow_rotation_with_breaks_B",
+    7: "07_undisturbed_fast_rotation_B",
+    9: "09_undisturbed_fast_rotation_with_breaks_B",
+    24: "24_disturbed_tapping_A",
+    32: "32_disturbed_attached_magnet_1cm",
+    35: "35_disturbed_attached_magnet_4cm",
+}
+DEVICES = {"B": (2, 5, 7, 9), "C": (3, 24), "D": (32, 35)}  # by their offsets; the data set has no device id
+
+
+@cache
+def trial(number: int) -> tuple[Record, Reference]:
+    """Return record and reference of a trial."""
+    return read_broad(data_path("broad", f"{FILES[number]}.hdf5"))

@@ -1,0 +1,189 @@
+"""Sync: lag, native frames, motion."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from turning import Device, hidden, later, make_recording, upsampled
+from undrift.errors import AlignmentError, InputError
+from undrift.record import Record, Reference
+from undrift.sync import LagSettings, find_axis_lag, find_lag, find_motion, native_poses, pose_rates
+
+FORWARD = np.array([[1.02, 0.01, -0.004], [-0.006, 0.97, 0.012], [0.003, -0.008, 1.01]])
+
+
+@pytest.fixture(scope="module")
+def pair():
+    device = Device(forward=FORWARD, offset=np.array([0.01, -0.02, 0.005]), lag_s=0.00714)
+    return make_recording(np.random.default_rng(1), device, turn_s=40.0)
+
+
+def test_a_lag_of_a_fraction_of_a_sample_is_found_without_noise(pair):
+    lag = find_lag(*pair)
+    assert lag.seconds == pytest.approx(
+        0.00714, abs=5e-6
+    )  # 1/1000 of a sample; straight lines between samples leave more
+    assert lag.correlation_after > 0.99999
+    assert lag.correlation_after > lag.correlation_before
+    assert np.allclose(lag.matrix, np.linalg.inv(FORWARD), atol=2e-4)
+    assert np.allclose(lag.constant, -np.linalg.inv(FORWARD) @ (0.01, -0.02, 0.005), atol=2e-4)
+
+
+def test_a_mounting_of_any_angle_does_not_disturb_the_lag():
+    mounting = Rotation.from_rotvec((1.4, -0.8, 2.0))
+    record, reference = make_recording(np.random.default_rng(2), Device(lag_s=0.0123), turn_s=30.0, mounting=mounting)
+    lag = find_lag(record, reference)
+    assert lag.seconds == pytest.approx(0.0123, abs=5e-6)
+    assert np.allclose(lag.matrix, mounting.as_matrix(), atol=1e-3)
+
+
+def test_noise_moves_the_lag_by_its_standard_uncertainty():
+    z = []
+    for seed in range(12):
+        record, reference = make_recording(
+            np.random.default_rng(100 + seed), Device(lag_s=0.004, noise=0.02), turn_s=20.0, optics_noise=1e-3
+        )
+        lag = find_lag(record, reference)
+        z.append((lag.seconds - 0.004) / lag.standard_uncertainty)
+        assert lag.standard_uncertainty < 2e-4
+    assert np.abs(z).max() < 4.0  # twelve draws, uncertainty from some forty blocks each: t beyond 4 is 1 in 200
+    assert 0.4 < np.std(z) < 1.8
+
+
+def test_clocks_seconds_apart_are_brought_together_across_gaps(pair):
+    record, reference = pair
+    moved = hidden(hidden(later(reference, -3.2), 10.0, 12.5), 20.0, 20.3)
+    lag = find_lag(record, moved)
+    assert lag.seconds == pytest.approx(3.2 + 0.00714, abs=1e-4)
+    assert lag.correlation_before < 0.7
+
+
+def test_gaps_in_the_readings_are_masked(pair):
+    record, reference = pair
+    gyro = np.array(record.gyro)
+    gyro[3000:3100] = np.nan
+    holed = Record(time=record.time, gyro=gyro)
+    assert find_lag(holed, reference).seconds == pytest.approx(0.00714, abs=2e-5)
+
+
+def test_recordings_of_other_motions_are_refused(pair):
+    record, _ = pair
+    _, other = make_recording(np.random.default_rng(77), turn_s=40.0)
+    with pytest.raises(AlignmentError, match="no common motion; check that the two files belong together"):
+        find_lag(record, other)
+
+
+def test_a_body_that_does_not_turn_has_no_lag(pair):
+    record, reference = pair
+    still = Reference(time=reference.time, q_nb=np.tile((1.0, 0.0, 0.0, 0.0), (len(reference), 1)))
+    with pytest.raises(AlignmentError, match="wanted both sides to turn"):
+        find_lag(record, still)
+
+
+def test_clocks_that_never_overlap_are_refused(pair):
+    record, reference = pair
+    with pytest.raises(AlignmentError, match="share 30% of the shorter one within 5 s"):
+        find_lag(record, later(reference, 500.0))
+
+
+def test_a_record_without_gyroscope_has_no_lag(pair):
+    record, reference = pair
+    with pytest.raises(InputError, match="wanted a record with a gyroscope"):
+        find_lag(Record(time=record.time, accel=record.accel), reference)
+    with pytest.raises(InputError, match="wanted a record with a gyroscope"):
+        find_axis_lag(Record(time=record.time, accel=record.accel), reference.time, reference.time)
+
+
+def test_the_lag_against_the_angle_of_one_axis_is_found_in_dps():
+    rng = np.random.default_rng(5)
+    fine = np.arange(0.0, 60.0, 0.01)
+    angle = 2.0 * np.sin(1.3 * fine) + 1.1 * np.sin(0.37 * fine + 1.0)
+    t = np.arange(0.0, 58.0, 1.0 / 150.0)
+    true = t - 0.4137
+    rate = 2.6 * np.cos(1.3 * true) + 0.407 * np.cos(0.37 * true + 1.0)
+    gyro = np.degrees(rate)[:, None] * np.array([0.1, -0.99, 0.05]) + 0.3 + 0.5 * rng.normal(size=(len(t), 3))
+    lag = find_axis_lag(Record(time=t, gyro=gyro, gyro_unit="dps"), fine, angle)
+    assert lag.seconds == pytest.approx(0.4137, abs=4.0 * lag.standard_uncertainty)
+    assert lag.standard_uncertainty < 5e-4
+    assert lag.method == "axis rate"
+    assert lag.matrix.shape == (1, 3)
+
+
+def test_frames_drawn_on_straight_lines_are_given_back():
+    _, native = make_recording(np.random.default_rng(3), turn_s=30.0, optics_hz=100.0, optics_noise=3e-4)
+    drawn = upsampled(native, 285.7)
+    assert len(drawn) > 2.5 * len(native)
+    back = native_poses(drawn)
+    assert back.sample_rate_hz == pytest.approx(100.0, abs=1e-4)
+    k = np.round(back.time * 100.0).astype(int)
+    assert np.abs(back.time - native.time[k]).max() < 2e-5  # the phase comes from the middles of the repeats
+    turn = (
+        Rotation.from_quat(back.q_nb, scalar_first=True).inv() * Rotation.from_quat(native.q_nb[k], scalar_first=True)
+    ).magnitude()
+    assert turn.max() < 1e-4  # 2e-5 s at up to 3 rad/s
+
+
+def test_frames_are_given_back_around_a_gap():
+    _, native = make_recording(np.random.default_rng(4), turn_s=30.0, optics_hz=100.0, optics_noise=3e-4)
+    back = native_poses(hidden(upsampled(native, 310.0), 15.0, 17.0))
+    assert back.sample_rate_hz == pytest.approx(100.0, abs=1e-4)
+    lost = (back.time > 15.02) & (back.time < 16.98)
+    assert not back.valid[lost].any()
+    assert back.valid[(back.time > 1.0) & (back.time < 14.9)].all()
+
+
+def test_poses_as_they_were_taken_stay_as_they_are():
+    _, native = make_recording(np.random.default_rng(4), turn_s=20.0, optics_noise=3e-4)
+    assert native_poses(native) is native
+    still = Reference(time=native.time, q_nb=np.tile((1.0, 0.0, 0.0, 0.0), (len(native), 1)))
+    assert native_poses(still) is still
+
+
+def test_mean_rates_integrate_back_to_the_turn():
+    _, reference = make_recording(np.random.default_rng(6), turn_s=10.0)
+    rates = pose_rates(hidden(reference, 9.0, 9.5))
+    assert not rates.valid[(rates.start >= 8.995) & (rates.start < 9.495)].any()
+    step = Rotation.from_rotvec(rates.rate[100] * (rates.stop[100] - rates.start[100]))
+    q = Rotation.from_quat(reference.q_nb, scalar_first=True)
+    assert (q[100] * step * q[101].inv()).magnitude() < 1e-9
+
+
+def test_motion_follows_the_mark_of_the_reference(pair):
+    record, reference = pair
+    motion = find_motion(record, reference, lag_s=0.5)
+    assert (motion.start_s, motion.stop_s) == pytest.approx((8.5, 48.5), abs=0.011)
+    assert motion.basis == "mark of the reference"
+
+
+def test_motion_without_a_mark_lies_between_the_still_phases():
+    record, reference = make_recording(np.random.default_rng(8), Device(noise=0.002), turn_s=20.0, mark=False)
+    motion = find_motion(record, reference)
+    assert motion.start_s == pytest.approx(8.0, abs=0.8)  # half a window of the search is lost on purpose
+    assert motion.stop_s == pytest.approx(28.0, abs=0.8)
+    assert motion.basis == "still phases of the record"
+
+
+def test_motion_that_lasts_to_the_end_stops_there():
+    record, reference = make_recording(np.random.default_rng(8), Device(noise=0.002), turn_s=20.0, mark=False)
+    part = record.between(0.0, 25.0)
+    assert find_motion(part, reference).stop_s == pytest.approx(25.0, abs=0.01)
+
+
+def test_a_motion_needs_a_rest_before_it(pair):
+    record, reference = pair
+    with pytest.raises(AlignmentError, match=r"wanted 3 s of rest or more before the motion, got 2\.0 s"):
+        find_motion(record.between(6.0, 60.0), reference)
+
+
+def test_a_record_that_never_rests_or_never_moves_has_no_motion():
+    record, reference = make_recording(np.random.default_rng(8), Device(noise=0.002), turn_s=20.0, mark=False)
+    with pytest.raises(AlignmentError, match="wanted a still phase of 3 s before the motion, got none"):
+        find_motion(record.between(10.0, 26.0), reference)
+    with pytest.raises(AlignmentError, match="wanted a motion after the first rest, got none"):
+        find_motion(record.between(0.0, 7.5), reference)
+
+
+def test_a_wider_search_is_a_setting(pair):
+    record, reference = pair
+    lag = find_lag(record, later(reference, -12.0), LagSettings(longest_lag_s=20.0))
+    assert lag.seconds == pytest.approx(12.00714, abs=1e-4)

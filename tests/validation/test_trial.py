@@ -1,0 +1,184 @@
+"""One recording judged: known errors come out as known figures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from turning import Device, hidden, later, make_recording
+from undrift.calibration.model import AdcModel, Calibration, TriadModel
+from undrift.errors import AlignmentError, InputError
+from undrift.record import Record
+from undrift.validation import TrialSettings, validate_trial
+from undrift.validation.track import Track
+from undrift.validation.trial import nominal_calibration
+
+FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
+
+
+def model(forward, offset):
+    return TriadModel(
+        method="known",
+        unit_in="rad/s",
+        unit_out="rad/s",
+        matrix=np.linalg.inv(forward),
+        offset=offset,
+        covariance=np.zeros((12, 12)),
+        rms_residual=0.0,
+        count=1,
+        rank=12,
+        condition=1.0,
+        valid_range=(-10.0, 10.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def perfect():
+    return make_recording(np.random.default_rng(1), turn_s=30.0)
+
+
+def test_a_perfect_device_has_no_error(perfect):
+    figures = validate_trial(*perfect).figures
+    # Straight lines between samples of 5 ms: rate steps of 0.03 rad/s leave some 1e-4 rad of coning in 30 s.
+    assert figures.end_total_deg < 0.02
+    assert figures.rmse_total_after_lag_deg < 0.02
+    assert figures.rmse_inclination_deg < 0.5  # half a sample at up to 3 rad/s while moving: the lag is left in
+    assert figures.valid_optics == 1.0
+    assert figures.motion_s == pytest.approx(30.0, abs=0.02)
+    assert figures.lag_ms == pytest.approx(0.0, abs=0.01)
+
+
+def test_an_offset_shows_as_drift_and_rest_takes_it_out():
+    device = Device(offset=np.radians([0.0, 0.0, 0.1]))
+    record, reference = make_recording(np.random.default_rng(2), device, turn_s=60.0, speed=0.05, tilt=0.0)
+    raw = validate_trial(record, reference).figures
+    # 0.1 deg/s about a nearly vertical axis: 6 deg in a minute of motion, and half a second before it.
+    assert raw.end_total_deg == pytest.approx(6.2, abs=0.2)
+    assert raw.drift_deg_per_min == pytest.approx(6.0, abs=0.2)
+    assert raw.rmse_heading_deg == pytest.approx(6.0 / np.sqrt(3.0), abs=0.2)
+    rest = validate_trial(record, reference, settings=TrialSettings(offset="rest")).figures
+    assert rest.end_total_deg < 0.02
+
+
+def test_a_calibration_is_applied():
+    offset = np.array([0.01, -0.02, 0.005])
+    record, reference = make_recording(np.random.default_rng(3), Device(forward=FORWARD, offset=offset), turn_s=40.0)
+    calibration = Calibration(device="", reference_temp_c=float("nan"), gravity_m_s2=9.81, gyro=model(FORWARD, offset))
+    raw, corrected = (validate_trial(record, reference, calibration=c).figures for c in (None, calibration))
+    assert raw.end_total_deg > 5.0
+    assert corrected.end_total_deg < 0.02
+
+
+def test_a_long_lag_is_undone_and_a_short_one_is_left_in():
+    record, reference = make_recording(np.random.default_rng(4), Device(lag_s=0.006), turn_s=30.0)
+    short = validate_trial(record, reference)
+    assert not short.lag_undone
+    assert short.figures.rmse_total_deg == short.figures.rmse_total_before_lag_deg
+    assert short.figures.rmse_total_after_lag_deg < 0.05 < short.figures.rmse_total_before_lag_deg
+    long = validate_trial(record, later(reference, -1.7))
+    assert long.lag_undone
+    assert long.figures.rmse_total_deg == long.figures.rmse_total_after_lag_deg < 0.05
+    assert long.figures.rmse_total_before_lag_deg > 10.0
+    assert long.figures.end_total_deg < 0.02
+
+
+def test_a_turned_case_is_aligned_and_reported():
+    mounting = Rotation.from_euler("xyz", (90.0, 10.0, -40.0), degrees=True)
+    record, reference = make_recording(np.random.default_rng(5), turn_s=30.0, mounting=mounting)
+    trial = validate_trial(record, reference)
+    assert trial.mounting is not None
+    assert trial.mounting.applied
+    assert trial.mounting.alignment.angle == pytest.approx(mounting.magnitude(), abs=1e-3)
+    assert trial.figures.end_total_deg < 0.1
+    with_none = validate_trial(record, reference, settings=TrialSettings(align="none"))
+    assert with_none.mounting is None
+    assert with_none.figures.rmse_total_deg > 20.0
+
+
+def test_a_small_mounting_stays_unless_asked_for():
+    mounting = Rotation.from_euler("x", 2.0, degrees=True)
+    record, reference = make_recording(np.random.default_rng(6), turn_s=30.0, mounting=mounting)
+    trial = validate_trial(record, reference)
+    assert trial.mounting is not None
+    assert not trial.mounting.applied
+    assert np.degrees(trial.mounting.alignment.angle) == pytest.approx(2.0, abs=0.05)
+    asked = validate_trial(record, reference, settings=TrialSettings(align="rates"))
+    assert asked.mounting is not None
+    assert asked.mounting.applied
+    assert asked.figures.end_total_deg < 0.1
+
+
+def test_gaps_of_the_optics_count_nowhere_and_are_reported(perfect):
+    record, reference = perfect
+    figures = validate_trial(record, hidden(reference, 12.0, 18.0)).figures
+    assert figures.valid_optics == pytest.approx(0.8, abs=0.001)
+    assert np.isfinite(figures.rmse_total_deg)
+
+
+def test_truncated_codes_are_given_back_on_their_own_evidence():
+    # Truncation toward zero takes half a step along the sign of the rate: 2.5e-3 rad/s of up to 2 rad/s.
+    lsb = 5e-3
+    record, reference = make_recording(np.random.default_rng(7), Device(noise=4e-3), turn_s=60.0, sample_rate_hz=400.0)
+    codes = replace(record, gyro=np.trunc(record.gyro / lsb) * lsb)
+    auto, left = (validate_trial(codes, reference, settings=TrialSettings(adc=adc)) for adc in ("auto", "none"))
+    assert auto.notes == ("gyro codes rounded toward zero: the mean loss was given back",)
+    assert left.notes == ()
+    assert auto.figures.end_total_deg < 0.7 * left.figures.end_total_deg
+
+
+def test_adc_none_also_ignores_the_calibrations_adc(perfect):
+    record, reference = perfect
+    adc = AdcModel(gyro_lsb=np.full(3, 0.02), gyro_rounding="toward_zero")
+    calibration = nominal_calibration(record, adc)
+    with_adc, without = (
+        validate_trial(record, reference, calibration=calibration, settings=TrialSettings(adc=choice))
+        for choice in ("auto", "none")
+    )
+    assert with_adc.figures.end_total_deg > without.figures.end_total_deg
+
+
+def test_the_series_of_a_trial_agree_with_its_figures(perfect):
+    trial = validate_trial(*perfect, name="by hand")
+    moving = trial.moving > 0.0
+    assert trial.recording == "by hand"
+    total = trial.error.total[moving]
+    assert np.degrees(np.sqrt((total**2).mean())) == pytest.approx(trial.figures.rmse_total_deg)
+    assert np.degrees(total.max()) == pytest.approx(trial.figures.max_total_deg)
+    pitch = trial.sensor_pitch - trial.reference_pitch
+    good = np.isfinite(pitch) & (np.abs(pitch) < 3.0)
+    assert pitch[good] == pytest.approx(trial.error.pitch[good])
+
+
+def test_a_record_without_accelerometer_starts_from_the_optics(perfect):
+    record, reference = perfect
+    bare = Record(time=record.time, gyro=record.gyro)
+    assert validate_trial(bare, reference).figures.end_total_deg < 0.02
+
+
+def test_what_cannot_be_judged_is_refused(perfect):
+    record, reference = perfect
+    with pytest.raises(InputError, match="wanted a record with a gyroscope"):
+        validate_trial(Record(time=record.time, accel=record.accel), reference)
+    with pytest.raises(InputError, match="wanted a physical unit, got count"):
+        validate_trial(replace(record, gyro_unit="count"), reference)
+    with pytest.raises(
+        AlignmentError, match=r"wanted the reference to see the rest from -2\.0 s to 7\.5 s, got no pose there"
+    ):
+        validate_trial(record, hidden(reference, -1.0, 7.6))
+    gyro = np.array(record.gyro)
+    gyro[4000:4010] = np.nan
+    with pytest.raises(InputError, match="wanted a rate at every sample, got gaps"):
+        validate_trial(replace(record, gyro=gyro), reference)
+    gyro[:1600] = np.nan
+    with pytest.raises(InputError, match="wanted gyro readings at rest before the motion, got none; use offset none"):
+        validate_trial(replace(record, gyro=gyro), reference, settings=TrialSettings(offset="rest"))
+
+
+def test_a_track_is_read_between_its_samples():
+    q = Rotation.from_euler("z", [[0.0], [10.0], [30.0]], degrees=True).as_quat(scalar_first=True)
+    track = Track(time=np.array([0.0, 1.0, 2.0]), q_nb=q)
+    at = track.at(np.array([-0.1, 0.5, 1.25, 2.0, 2.1]))
+    assert np.isnan(at[[0, 4]]).all()
+    turned = Rotation.from_quat(at[1:4], scalar_first=True).as_euler("zyx", degrees=True)[:, 0]
+    assert turned == pytest.approx([5.0, 15.0, 30.0])

@@ -1,0 +1,84 @@
+"""Several recordings judged, and fits judged where they were not made."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from turning import Device, make_recording
+from undrift.errors import InputError
+from undrift.validation import TrialSettings, validate_leave_one_out, validate_trials
+from undrift.validation.trial import nominal_calibration
+from undrift.validation.trials import device_adc
+
+FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
+DEVICE = Device(forward=FORWARD, offset=np.array([0.004, -0.003, 0.002]), lag_s=0.004, noise=1e-3)
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return [make_recording(np.random.default_rng(seed), DEVICE, turn_s=40.0, optics_noise=5e-4) for seed in (1, 2, 3)]
+
+
+def test_means_and_medians_are_those_of_the_trials(pairs):
+    result = validate_trials(pairs, settings=TrialSettings(offset="rest"), names=("a", "b", "c"))
+    ends = [t.figures.end_total_deg for t in result.trials]
+    assert [t.recording for t in result.trials] == ["a", "b", "c"]
+    assert result.mean.end_total_deg == pytest.approx(np.mean(ends))
+    assert result.median.end_total_deg == pytest.approx(np.median(ends))
+    assert result.agreement is not None
+    inclination = np.degrees([t.mean_inclination for t in result.trials])
+    assert result.agreement.limits.bias == pytest.approx((inclination[:, 0] - inclination[:, 1]).mean())
+    assert result.agreement.absolute.value > 0.9
+    assert result.agreement.consistency.kind == "ICC(3,1)"
+
+
+def test_agreement_needs_three_trials(pairs):
+    assert validate_trials(pairs[:2]).agreement is None
+
+
+def test_each_recording_may_bring_its_calibration(pairs):
+    calibrations = [nominal_calibration(record, None) for record, _ in pairs]
+    same = validate_trials(pairs, calibrations=calibrations, settings=TrialSettings(adc="none"))
+    none = validate_trials(pairs, settings=TrialSettings(adc="none"))
+    assert same.mean.rmse_total_deg == pytest.approx(none.mean.rmse_total_deg)
+
+
+def test_leave_one_out_beats_the_rest_offset(pairs):
+    rest = validate_trials(pairs, settings=TrialSettings(offset="rest"))
+    held = validate_leave_one_out(pairs, names=("a", "b", "c"))
+    assert len(held.held_out) == 3
+    assert held.trials[1].recording == "b"
+    assert held.mean.end_total_deg < 0.25 * rest.mean.end_total_deg
+    assert held.mean.end_total_deg < 0.3
+
+
+def test_extrapolation_is_noted():
+    slow = make_recording(np.random.default_rng(5), DEVICE, turn_s=30.0, speed=0.3)
+    fast = make_recording(np.random.default_rng(6), DEVICE, turn_s=30.0, speed=1.2)
+    held = validate_leave_one_out([slow, fast])
+    assert not any("extrapolated" in note for note in held.trials[0].notes)
+    assert any("extrapolated" in note for note in held.trials[1].notes)
+
+
+def test_the_adc_of_a_device_is_what_most_of_its_recordings_say(pairs):
+    lsb = 1e-2
+    records = [replace(r, gyro=np.trunc(r.gyro / lsb) * lsb) for r, _ in pairs]
+    found = device_adc(records)
+    assert found is not None
+    assert found.gyro_rounding == "toward_zero"
+    assert found.gyro_lsb == pytest.approx(np.full(3, lsb), rel=1e-6)
+    assert device_adc([r for r, _ in pairs]) is None
+    rounded = replace(pairs[0][0], gyro=np.round(pairs[0][0].gyro / lsb) * lsb)
+    assert device_adc([records[0], rounded]) is None  # one says this, one says that
+
+
+def test_calls_that_cannot_be_are_refused(pairs):
+    with pytest.raises(InputError, match="got 0 recordings, 1 calibrations, 0 names"):
+        validate_trials([])
+    with pytest.raises(InputError, match="got 3 recordings, 2 calibrations, 0 names"):
+        validate_trials(pairs, calibrations=(None, None))
+    with pytest.raises(InputError, match="got 3 recordings, 1 calibrations, 1 names"):
+        validate_trials(pairs, names=("a",))
+    with pytest.raises(InputError, match="wanted two recordings of a device or more, got 1"):
+        validate_leave_one_out(pairs[:1])
