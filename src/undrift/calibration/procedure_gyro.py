@@ -10,8 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.calibration.fit.dwells import DwellSettings, dwell_means
+from undrift.calibration.fit.dwells import DwellSettings, dwell_means, middles
 from undrift.calibration.fit.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
+from undrift.calibration.fit.noise import block_size, noise_of_means
+from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
 from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_table
 from undrift.calibration.fit.result import TriadFit
 from undrift.calibration.model import TriadModel, Verdict
@@ -64,7 +66,7 @@ def calibrate_gyro(seen: Observed, method: GyroMethod | None, *, paper: bool, ac
 
 def _by(method: GyroMethod, seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
     if method == "rate-table":
-        return _rate_table(seen, paper)
+        return _rate_table(seen, paper, accel)
     if method == "known-rotation":
         return _known_rotation(seen, paper, accel)
     return _multi_position(seen) if method == "multi-position" else _rest(seen)
@@ -76,7 +78,7 @@ def _chosen(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
     said: list[str] = []
     if rated:
         if {"x", "y", "z"} <= set(rated):
-            return _rate_table(seen, paper)
+            return _rate_table(seen, paper, accel)
         said.append(
             f"gyroscope: turns at known rates about {' and '.join(rated)} alone do not show the other axes: mount the device on "
             "each axis in turn"
@@ -98,7 +100,7 @@ def _chosen(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
     return _rest(seen).after(*said)
 
 
-def _rate_table(seen: Observed, paper: bool) -> Outcome:
+def _rate_table(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
     settings = RateTableSettings(
         mode="paper" if paper else "affine",
         latitude_deg=seen.settings.latitude_deg,
@@ -106,13 +108,42 @@ def _rate_table(seen: Observed, paper: bool) -> Outcome:
     )
     dwells = dwell_means(seen.session.records, seen.session.turns, DwellSettings(settle_s=seen.settings.settle_s))
     if not (paper and seen.settings.remove_offset):
-        return Outcome(fit=fit_rate_table(dwells, settings), method="rate-table")
+        fit = fit_rate_table(dwells, settings)
+        if not paper:
+            rests = None if accel is None else _rest_means(seen, accel.model)
+            fit = fit_with_rests(fit, dwells, rests, latitude_deg=settings.latitude_deg)
+        return Outcome(fit=fit, method="rate-table")
     offset, variance = seen.rest_rate()
     if np.isnan(offset).any():
         offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
         variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
     fit = fit_rate_table(dwells.less(offset), settings)
     return Outcome(fit=with_offset(fit, offset, variance), method="rate-table")
+
+
+def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
+    """Return readings at rest and specific forces, None where a recording lacks a triad or there is no rest."""
+    records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
+    parts = [records[s.recording].part(s.start, s.stop) for s in rests]
+    if not rests or any(r.accel is None or r.gyro is None or np.isnan(r.gyro).any() for r in parts):
+        return None
+    windows = [part.gyro for part in parts if part.gyro is not None]
+    noise = noise_of_means(windows, [block_size(part.sample_rate_hz) for part in parts])
+    turning = [t for t in seen.session.turns if t.axis is not None and t.turn_rate is not None]
+    turns = [records[t.recording].part(t.start, t.stop) for t in turning]
+    if noise is None or any(turn.accel is None for turn in turns):
+        return None
+    dwell_force, force = (
+        (np.array([np.nanmean(part.accel, axis=0) for part in group]) - accel.offset) @ accel.matrix.T  # type: ignore[arg-type]
+        for group in (turns, parts)
+    )
+    return RestMeans(
+        dwell_force=dwell_force,
+        reading=np.array([window.mean(axis=0) for window in windows]),
+        force=force,
+        noise=noise,
+        time=middles(records, rests),
+    )
 
 
 def _known_rotation(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:

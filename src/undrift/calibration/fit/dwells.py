@@ -17,7 +17,7 @@ from undrift.calibration.model import AXES
 from undrift.calibration.plausibility import check_saturation
 from undrift.errors import InputError
 from undrift.record import Record
-from undrift.session import Axis, Turn
+from undrift.session import Axis, Still, Turn
 
 _LEAST_SAMPLES = 8
 
@@ -56,6 +56,8 @@ class DwellMeans:
         1 where +axis points up, -1 where it points down, 0 where it is not vertical; all 1 by default.
     unit : str
         Unit of the readings.
+    time : array, shape (N,), or None
+        Middle of each dwell on one clock, s: recordings follow each other. None when it is not known.
     """
 
     reading: FloatArray
@@ -64,6 +66,7 @@ class DwellMeans:
     noise: FloatArray | None = None
     up: FloatArray = field(default_factory=lambda: np.ones(1))
     unit: str = "rad/s"
+    time: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.axis)
@@ -138,6 +141,29 @@ def dwell_means(
         noise=noise_of_means(windows, sizes),
         up=np.array(up),
         unit=unit,
+        time=middles(records, used),
+    )
+
+
+def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the middle of each stretch on one clock on which the recordings follow each other.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Recordings of the session, in order.
+    pieces : sequence of Still or Turn
+        Stretches in them.
+
+    Returns
+    -------
+    array, shape (P,)
+        s.
+    """
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    clocks = [record.time - record.time[0] for record in records]
+    return np.array(
+        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
     )
 
 

@@ -1,0 +1,167 @@
+"""Rate table with rests: offsets that wander during the session, and gyroscopes that feel specific force.
+
+Each axis of the table turns the device another way up, so a gyroscope that feels gravity shows another offset on each, and an
+offset that drifts looks much the same. Dwells and rests together tell them apart::
+
+    u = K w + H a + b + walk(t)  21 parameters and a walk (wandering.py); w = 0 at rest, a the corrected specific force
+    w = M (u - b) - G a          M = K^-1, G = M H;      dM = -M dK M,   dG = -M dK G + M dH
+
+b is the offset in the middle of the session. The nine parameters of H are kept where they lower the weighted sum of squares
+by more than chance does once in a thousand (chi-square, 9 degrees of freedom); without them it is the affine model.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.fit.dwells import DwellMeans
+from undrift.calibration.fit.rate_table import RateTableFit, imposed_rates
+from undrift.calibration.fit.result import inverse_jacobian, scaled_condition
+from undrift.calibration.fit.wandering import Wandering, chi_square, fit_wandering
+from undrift.calibration.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+CHANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestMeans:
+    """Readings at rest, and the specific force of rests and dwells.
+
+    Parameters
+    ----------
+    dwell_force : array, shape (N, 3)
+        Mean corrected specific force of each dwell, m/s2, frame b.
+    reading : array, shape (P, 3)
+        Mean gyroscope reading of each rest, unit of the dwells.
+    force : array, shape (P, 3)
+        Mean corrected specific force of each rest, m/s2.
+    noise : array, shape (P, 3)
+        Standard deviation of each mean reading.
+    time : array, shape (P,)
+        Middle of each rest, s, on the clock of the dwells.
+    """
+
+    dwell_force: FloatArray
+    reading: FloatArray
+    force: FloatArray
+    noise: FloatArray
+    time: FloatArray
+
+
+def fit_with_rests(
+    fit: RateTableFit, dwells: DwellMeans, rests: RestMeans | None, *, latitude_deg: float | None = None
+) -> RateTableFit:
+    """Refine an affine fit: let its offset wander, and add a g-sensitivity where dwells and rests show one.
+
+    Parameters
+    ----------
+    fit : RateTableFit
+        Affine fit to the dwells alone.
+    dwells : DwellMeans
+        What it was fitted to; without noise there is nothing to weigh by, and the fit is returned as it is.
+    rests : RestMeans or None
+        None leaves the dwells alone, and gravity out.
+    latitude_deg : float or None
+        As in the settings of the fit.
+
+    Returns
+    -------
+    RateTableFit
+        12 or 21 parameters, residuals of dwells and then rests, and in the verdict what was found.
+    """
+    if dwells.noise is None:
+        return fit
+    rates = imposed_rates(dwells, latitude_deg)
+    readings, sigma = dwells.reading, np.broadcast_to(dwells.noise, dwells.reading.shape)
+    time, forces = dwells.time, None
+    if rests is not None:
+        rates = np.vstack((rates, np.zeros_like(rests.reading)))
+        readings, sigma = np.vstack((readings, rests.reading)), np.vstack((sigma, rests.noise))
+        time = None if time is None else np.concatenate((time, rests.time))
+        forces = np.vstack((rests.dwell_force, rests.force))
+    plain = np.column_stack((rates, np.ones(len(rates))))
+    if forces is not None:
+        full = np.column_stack((rates, forces, np.ones(len(rates))))
+        if scaled_condition(full)[0] == 7:
+            felt = [fit_wandering(full, readings[:, k], sigma[:, k], time) for k in range(3)]
+            gain = sum(chi_square(plain, readings[:, k], one.variance) - one.square for k, one in enumerate(felt))
+            if gain > _chance(9):
+                return _refined(fit, full, readings, felt)
+    return _refined(fit, plain, readings, [fit_wandering(plain, readings[:, k], sigma[:, k], time) for k in range(3)])
+
+
+def _refined(fit: RateTableFit, design: FloatArray, readings: FloatArray, found: list[Wandering]) -> RateTableFit:
+    theta = np.array([one.theta for one in found])
+    residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
+    rank, condition = scaled_condition(design)
+    spare = readings.size - theta.size
+    excess = sum(one.square for one in found) / spare if spare > 0 else 1.0
+    widen = excess if spare > 0 and excess * spare > _chance(spare) else 1.0
+    covariance = [one.covariance * widen for one in found]
+    model = replace(
+        _model(fit.model, theta, covariance),
+        rms_residual=float(np.sqrt((residuals**2).mean())),
+        count=readings.size,
+        rank=3 * rank,
+        condition=condition,
+    )
+    verdict = fit.verdict.also(Verdict(reasons=_said(model, found, widen)))
+    return replace(fit, model=model, residuals=residuals, verdict=verdict)
+
+
+def _said(model: TriadModel, found: list[Wandering], widen: float) -> tuple[str, ...]:
+    said = []
+    if model.g_sensitivity is not None:
+        felt = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
+        said.append(
+            f"the gyroscopes feel gravity, by up to {felt:.2g} (deg/s)/g: fitted from dwells and rests, and taken off by the "
+            "corrected specific force"
+        )
+    walk = float(np.linalg.norm(model.matrix, 2)) * max(one.walk for one in found) / RADIAN_PER_DEGREE
+    if walk > 0.0:
+        said.append(
+            f"the offset wandered during the session, by {walk * 60.0**0.5:.2g} deg/s in a minute (1 sigma): it holds for the "
+            "middle of the session; warm the device up before, and bracket the dwells with rests"
+        )
+    if widen > 1.0:
+        said.append(
+            f"the readings scatter {widen**0.5:.1f} times as much about the model as their noise explains (vibration, "
+            "non-linearity, or a table that turns unevenly): the uncertainty is widened by that"
+        )
+    return tuple(said)
+
+
+def _chance(degrees_of_freedom: int) -> float:
+    from scipy.special import chdtri
+
+    return float(chdtri(degrees_of_freedom, CHANCE))
+
+
+def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> TriadModel:
+    """Return the inverse model of forward rows (K_k, H_k, b_k) or (K_k, b_k)."""
+    gravity = theta.shape[1] == 7
+    matrix, offset = np.linalg.inv(theta[:, :3]), theta[:, -1]
+    size = 21 if gravity else 12
+    covariance = np.zeros((size, size))  # of K row by row, b, H row by row
+    for k in range(3):
+        felt = [12 + 3 * k, 13 + 3 * k, 14 + 3 * k] if gravity else []
+        places = np.array([3 * k, 3 * k + 1, 3 * k + 2, *felt, 9 + k])
+        covariance[np.ix_(places, places)] = own[k]
+    jacobian = np.eye(size)
+    jacobian[:9, :9] = inverse_jacobian(matrix)
+    names, g = (*MATRIX_NAMES, *OFFSET_NAMES), None
+    if gravity:
+        g = matrix @ theta[:, 3:6]
+        jacobian[12:, :9] = -np.kron(matrix, g.T)
+        jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
+        names = (*names, *G_NAMES)
+    return replace(
+        plain,
+        matrix=matrix,
+        offset=offset,
+        g_sensitivity=g,
+        parameters=names,
+        covariance=jacobian @ covariance @ jacobian.T,
+    )
