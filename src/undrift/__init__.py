@@ -20,11 +20,44 @@ __version__ = "0.1.0"
 _HOME = {
     "Record": "undrift.record",
     "Reference": "undrift.record",
+    "Session": "undrift.session",
+    "read_record": "undrift.io.recording",
+    "read_reference": "undrift.io.reference",
+    "read_session": "undrift.io.session",
+    "find_still": "undrift.segments",
+    "find_turns": "undrift.segments",
+    "calibrate": "undrift.calibration.procedure",
+    "calibrate_to_references": "undrift.calibration.procedure_reference",
+    "fit_noise": "undrift.calibration.noise",
     "Calibration": "undrift.calibration.model",
+    "read_calibration": "undrift.calibration.store",
+    "write_calibration": "undrift.calibration.store",
     "integrate_strapdown": "undrift.orientation.strapdown",
+    "validate_trials": "undrift.validation",
+    "validate_leave_one_out": "undrift.validation",
     "UndriftError": "undrift.errors",
 }
-__all__ = ["Calibration", "Record", "Reference", "UndriftError", "__version__", "integrate_strapdown"]
+__all__ = [
+    "Calibration",
+    "Record",
+    "Reference",
+    "Session",
+    "UndriftError",
+    "__version__",
+    "calibrate",
+    "calibrate_to_references",
+    "find_still",
+    "find_turns",
+    "fit_noise",
+    "integrate_strapdown",
+    "read_calibration",
+    "read_record",
+    "read_reference",
+    "read_session",
+    "validate_leave_one_out",
+    "validate_trials",
+    "write_calibration",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -10,6 +10,7 @@ from turning import Device, hidden, later, make_recording
 from undrift.calibration.model import AdcModel, Calibration, TriadModel
 from undrift.errors import AlignmentError, InputError
 from undrift.record import Record
+from undrift.sim import random_device, simulate_trial
 from undrift.validation import TrialSettings, validate_trial
 from undrift.validation.track import Track
 from undrift.validation.trial import nominal_calibration
@@ -182,3 +183,12 @@ def test_a_track_is_read_between_its_samples():
     assert np.isnan(at[[0, 4]]).all()
     turned = Rotation.from_quat(at[1:4], scalar_first=True).as_euler("zyx", degrees=True)[:, 0]
     assert turned == pytest.approx([5.0, 15.0, 30.0])
+
+
+def test_turning_about_one_axis_is_judged_without_a_mounting_unless_one_is_wanted():
+    rng = np.random.default_rng(0)
+    device = random_device(rng, grade="wearable")
+    trial = simulate_trial("sit_to_stand", device, rng=rng)
+    assert validate_trial(trial.record, trial.reference).mounting is None
+    with pytest.raises(AlignmentError, match="wanted turning about two axes or more, got one"):
+        validate_trial(trial.record, trial.reference, settings=TrialSettings(align="rates"))

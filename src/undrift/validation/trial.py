@@ -15,7 +15,7 @@ from undrift.arrays import FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.model import AdcModel, Calibration, TriadModel
 from undrift.correct import correct_checked
-from undrift.errors import InputError
+from undrift.errors import AlignmentError, InputError
 from undrift.orientation.angles import inclination_of, sagittal_pitch
 from undrift.record import Record, Reference
 from undrift.session import Face
@@ -323,7 +323,12 @@ def _without_rest_mean(record: Record, motion: Motion, settings: TrialSettings) 
 def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings) -> tuple[Record, Mounting | None]:
     if settings.align == "none":
         return record, None
-    found = align_rates(record, poses, lag_s=lag.seconds)
+    try:
+        found = align_rates(record, poses, lag_s=lag.seconds)
+    except AlignmentError:
+        if settings.align == "rates":
+            raise
+        return record, None  # turning about one axis alone does not show the mounting; it is taken as stated
     if settings.align == "auto" and found.angle <= ALIGN_ABOVE:
         return record, Mounting(alignment=found, applied=False)
     turned = replace(
