@@ -127,19 +127,26 @@ def draw_comparison(
         Two panels.
     """
     figure, (angle, error) = new_figure(2)
-    angle.plot(time, optics_deg, color=OPTICS, label="optics")
-    angle.plot(time, device_deg, color=DEVICE, label="device", alpha=0.85)
+    angle.plot(time, _without_wraps(optics_deg), color=OPTICS, label="optics")
+    angle.plot(time, _without_wraps(device_deg), color=DEVICE, label="device", alpha=0.85)
     angle.set_ylabel("pitch (deg)")
     angle.set_title(title, loc="left", fontsize=10)
-    angle.legend(loc="upper right", ncols=2)
+    angle.legend(loc="lower left", bbox_to_anchor=(0.75, 1.0), ncols=2, borderaxespad=0.2, frameon=False)
     colours = (ERROR, DEVICE, LIMIT, OPTICS)
     for (name, course), colour in zip(errors_deg, colours, strict=False):
         error.plot(time, course, color=colour, label=name)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set_ylabel("error (deg)")
     error.set_xlabel("time (s)")
-    error.legend(loc="upper left", ncols=len(errors_deg))
+    error.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(errors_deg), borderaxespad=0.2, frameon=False)
     return figure
+
+
+def _without_wraps(angle_deg: FloatArray) -> FloatArray:
+    """Return the angle with a gap where it jumps from +180 to -180 deg, so that no line is drawn across."""
+    shown = np.array(angle_deg)
+    shown[1:][np.abs(np.diff(angle_deg)) > 180.0] = np.nan
+    return shown
 
 
 def draw_agreement(
@@ -207,7 +214,7 @@ def draw_allan(taus_s: FloatArray, deviation: FloatArray, names: Sequence[str], 
     axes.set_xlabel("averaging time (s)")
     axes.set_ylabel(f"Allan deviation ({unit})")
     axes.set_title(title, loc="left", fontsize=10)
-    axes.legend(loc="best")
+    axes.legend(loc="best", frameon=False)
     return figure
 
 
@@ -238,7 +245,7 @@ def draw_residuals(residuals: FloatArray, *, unit: str, title: str) -> "Figure":
     course.set_ylabel(f"residual ({unit})")
     course.set_title(title, loc="left", fontsize=10)
     if columns.shape[1] == 3:
-        course.legend(loc="best", ncols=3)
+        course.legend(loc="best", ncols=3, frameon=False)
     finite = columns[np.isfinite(columns)]
     spread.hist(finite, bins=min(40, max(8, len(finite) // 6)), color=DEVICE)
     spread.set_xlabel(f"residual ({unit})")

@@ -7,7 +7,7 @@ each effect draws from a stream of its own.
 from undrift.sim.device.device import SimulatedDevice, SimulatedThermometer, SimulatedTriad
 from undrift.sim.device.random import Grade, TriadGrade, random_device
 from undrift.sim.device.read import Reading, read
-from undrift.sim.device.truth import matrix_error, nominal_calibration, true_calibration
+from undrift.sim.device.truth import largest_departure, nominal_calibration, true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.library import draw_task
 from undrift.sim.optics import OpticsSettings, see
@@ -27,7 +27,7 @@ __all__ = [
     "bench_motion",
     "demo_session",
     "draw_task",
-    "matrix_error",
+    "largest_departure",
     "nominal_calibration",
     "random_device",
     "read",

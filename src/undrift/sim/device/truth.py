@@ -70,20 +70,28 @@ def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY)
     )
 
 
-def matrix_error(estimate: TriadModel, truth: TriadModel) -> float:
-    """Return the largest element of M_estimate M_truth^-1 - 1: 0.01 is one per cent of scale or of cross-axis.
+def largest_departure(estimate: TriadModel, truth: TriadModel) -> float:
+    """Return how far an estimate lies from the truth, element by element, at most.
+
+    Over the matrix, and the g-sensitivity where it was fitted: |estimate - truth| / standard uncertainty. The offset is left
+    out, since it wanders from the moment that the truth is stated for.
 
     Parameters
     ----------
     estimate, truth : TriadModel
-        Of the same triad.
+        Of the same triad; the estimate with its covariance.
 
     Returns
     -------
     float
-        Relative.
+        In standard uncertainties.
     """
-    return float(np.abs(estimate.matrix @ truth.forward_matrix - np.eye(3)).max())
+    sigma = estimate.standard_uncertainty
+    apart = np.abs(estimate.matrix - truth.matrix).ravel() / sigma[:9]
+    if estimate.g_sensitivity is not None:
+        true = np.zeros((3, 3)) if truth.g_sensitivity is None else truth.g_sensitivity
+        apart = np.concatenate((apart, np.abs(estimate.g_sensitivity - true).ravel() / sigma[12:]))
+    return float(apart.max())
 
 
 def _model(triad: SimulatedTriad, warmth: float, unit_out: str) -> TriadModel:
