@@ -6,8 +6,8 @@ offset that drifts looks much the same. Dwells and rests together tell them apar
     u = K w + H a + b + walk(t)  21 parameters and a walk (wandering.py); w = 0 at rest, a the corrected specific force
     w = M (u - b) - G a          M = K^-1, G = M H;      dM = -M dK M,   dG = -M dK G + M dH
 
-b is the offset in the middle of the session. The nine parameters of H are kept where they lower the weighted sum of squares
-by more than chance does once in a thousand (chi-square, 9 degrees of freedom); without them it is the affine model.
+b is the offset in the middle of the session. The nine parameters of H are kept where they are larger, by their own covariance,
+than chance makes them once in a thousand (h' C^-1 h, chi-square of 9 degrees of freedom); without them it is the affine model.
 """
 
 from dataclasses import dataclass, replace
@@ -18,11 +18,12 @@ from undrift.arrays import FloatArray
 from undrift.calibration.fit.dwells import DwellMeans
 from undrift.calibration.fit.rate_table import RateTableFit, imposed_rates
 from undrift.calibration.fit.result import inverse_jacobian, scaled_condition
-from undrift.calibration.fit.wandering import Wandering, chi_square, fit_wandering
+from undrift.calibration.fit.wandering import Wandering, fit_wandering
 from undrift.calibration.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 CHANCE = 1e-3
+_ROUNDING = 1e-9  # of the largest reading: a mean is not known better than the filter's arithmetic, whatever its noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,24 +82,33 @@ def fit_with_rests(
         readings, sigma = np.vstack((readings, rests.reading)), np.vstack((sigma, rests.noise))
         time = None if time is None else np.concatenate((time, rests.time))
         forces = np.vstack((rests.dwell_force, rests.force))
-    plain = np.column_stack((rates, np.ones(len(rates))))
+    sigma = np.maximum(sigma, _ROUNDING * np.abs(readings).max(axis=0))
     if forces is not None:
         full = np.column_stack((rates, forces, np.ones(len(rates))))
         if scaled_condition(full)[0] == 7:
             felt = [fit_wandering(full, readings[:, k], sigma[:, k], time) for k in range(3)]
-            gain = sum(chi_square(plain, readings[:, k], one.variance) - one.square for k, one in enumerate(felt))
-            if gain > _chance(9):
+            if _feels_force(felt, readings.size - 21):
                 return _refined(fit, full, readings, felt)
+    plain = np.column_stack((rates, np.ones(len(rates))))
     return _refined(fit, plain, readings, [fit_wandering(plain, readings[:, k], sigma[:, k], time) for k in range(3)])
+
+
+def _feels_force(felt: list[Wandering], spare: int) -> bool:
+    size = sum(float(one.theta[3:6] @ np.linalg.solve(one.covariance[3:6, 3:6], one.theta[3:6])) for one in felt)
+    return size > _chance(9) * _excess(felt, spare)
+
+
+def _excess(found: list[Wandering], spare: int) -> float:
+    # Variance of the residuals over that of the noise; 1 where chance explains it.
+    square = sum(one.square for one in found)
+    return square / spare if spare > 0 and square > _chance(spare) else 1.0
 
 
 def _refined(fit: RateTableFit, design: FloatArray, readings: FloatArray, found: list[Wandering]) -> RateTableFit:
     theta = np.array([one.theta for one in found])
     residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     rank, condition = scaled_condition(design)
-    spare = readings.size - theta.size
-    excess = sum(one.square for one in found) / spare if spare > 0 else 1.0
-    widen = excess if spare > 0 and excess * spare > _chance(spare) else 1.0
+    widen = _excess(found, readings.size - theta.size)
     covariance = [one.covariance * widen for one in found]
     model = replace(
         _model(fit.model, theta, covariance),

@@ -1,0 +1,403 @@
+"""Rate table with rests: matrix, g-sensitivity and a wandering offset come back, with the least error that noise and walk allow.
+
+The Monte Carlo works on the means of dwells and rests of a bench session; a walk that is built step by step outward from the
+middle of the session is added to them. Whole recordings are simulated where few will do.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from data import show
+from recover.bound import COVERAGE_LIMITS, RMSE_LIMIT, Array, carried, information, jacobian, white_device
+from undrift.calibration.fit.dwells import DwellMeans, dwell_means, middles
+from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
+from undrift.calibration.fit.rate_table import RateTableFit, fit_rate_table
+from undrift.calibration.procedure import calibrate
+from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read, simulate_session, true_calibration
+from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.script import unit_vector
+from undrift.units import STANDARD_GRAVITY
+
+BENCH = BenchSettings(turn_rates=(0.3, 0.6, 0.9, 1.2, 1.5), dwell_s=3.0, still_s=6.0)
+SHORT = replace(BENCH, turn_rates=(0.5, 1.0, 1.5), sample_rate_hz=50.0)
+CONSUMER_WALK = 0.06  # q over the white noise of one second, 1/s: 3e-4 deg/s/sqrt(s) and 0.007 / sqrt(2) deg/s/sqrt(Hz)
+DEVICES = 500
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Dwells, then rests: true inputs, seconds averaged, and when."""
+
+    axes: tuple
+    rate: Array
+    force: Array
+    length_s: Array
+    time: Array
+    dwells: int
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * float(self.time.min() + self.time.max())
+
+
+@cache
+def plan() -> Plan:
+    motion = bench_motion("bench", rng=np.random.default_rng(0), settings=BENCH)
+    turns, stills = motion.turns, motion.stills
+    rate = [turn.turn_rate * unit_vector(turn.axis) for turn in turns] + [np.zeros(3)] * len(stills)  # type: ignore[operator, arg-type]
+    pieces = (*turns, *stills)
+    return Plan(
+        axes=tuple(turn.axis for turn in turns),
+        rate=np.array(rate),
+        force=np.array([motion.force_b[p.start : p.stop].mean(axis=0) for p in pieces]),
+        length_s=np.array([(p.stop - p.start) / BENCH.sample_rate_hz for p in pieces]),
+        time=np.array([0.5 * (motion.time[p.start] + motion.time[p.stop - 1]) for p in pieces]),
+        dwells=len(turns),
+    )
+
+
+def walk_of(rng: np.random.Generator, q: Array) -> Array:
+    """Return a random walk at the times of the plan, (E, 3): steps from the middle outward, either way."""
+    away = plan().time - plan().middle
+    walk = np.zeros((len(away), 3))
+    for side in (away > 0.0, away < 0.0):
+        order = np.flatnonzero(side)[np.argsort(np.abs(away[side]))]
+        steps = np.sqrt(np.diff(np.abs(away[order]), prepend=0.0))
+        walk[order] = np.cumsum(rng.standard_normal((len(order), 3)) * steps[:, None], axis=0) * q
+    return walk
+
+
+def feigned(device: SimulatedDevice) -> Array:
+    """Return H: reading per m/s2."""
+    return device.gyro.sensitivity[:, None] * device.gyro.g_sensitivity
+
+
+def white(device: SimulatedDevice) -> Array:
+    """Return the white noise of one second, (3,)."""
+    return device.gyro.sensitivity * device.gyro.random_walk
+
+
+def fitted(device: SimulatedDevice, rng: np.random.Generator, walk: float) -> RateTableFit:
+    """Return the fit to noisy means of a device whose offset walks by ``walk`` times its white noise."""
+    p = plan()
+    sigma = white(device) / np.sqrt(p.length_s)[:, None]
+    reading = p.rate @ device.gyro.forward_matrix.T + p.force @ feigned(device).T + device.gyro.raw_offset
+    reading = reading + walk_of(rng, walk * white(device)) + sigma * rng.standard_normal(sigma.shape)
+    n = p.dwells
+    dwells = DwellMeans(
+        reading=reading[:n], turn_rate=p.rate[:n].sum(axis=1), axis=p.axes, noise=sigma[:n], up=np.ones(n), unit="count",
+        time=p.time[:n],
+    )  # fmt: skip
+    rests = RestMeans(dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], time=p.time[n:])
+    return fit_with_rests(fit_rate_table(dwells), dwells, rests)
+
+
+def report(theta: Array) -> Array:
+    """Return M, b and G = M H of K, b and H, row by row."""
+    matrix = np.linalg.inv(theta[:9].reshape(3, 3))
+    felt = (matrix @ theta[12:].reshape(3, 3)).ravel() if len(theta) > 12 else np.empty(0)
+    return np.concatenate((matrix.ravel(), theta[9:12], felt))
+
+
+def truth(device: SimulatedDevice) -> Array:
+    theta = (device.gyro.forward_matrix.ravel(), device.gyro.raw_offset)
+    return np.concatenate((*theta, feigned(device).ravel()) if device.gyro.g_sensitivity.any() else theta)
+
+
+def bound(device: SimulatedDevice, walk: float) -> Array:
+    """Return the Cramer-Rao bound of what is reported, where sigma and q are known."""
+    p, theta = plan(), truth(device)
+
+    def mean(x: Array) -> Array:
+        H = x[12:].reshape(3, 3) if len(x) > 12 else np.zeros((3, 3))
+        return (p.rate @ x[:9].reshape(3, 3).T + p.force @ H.T + x[9:12]).T.ravel()  # sensor by sensor
+
+    away = p.time - p.middle
+    shared = np.array([[min(abs(a), abs(b)) if a * b > 0.0 else 0.0 for a in away] for b in away])
+    design = jacobian(mean, theta, 1.0)  # linear: any step is exact
+    fisher = np.zeros((len(theta), len(theta)))
+    for rows, noise in zip(design.reshape(3, len(away), -1), white(device), strict=True):
+        whiten = np.linalg.inv(np.linalg.cholesky(noise**2 * (np.diag(1.0 / p.length_s) + walk**2 * shared)))
+        fisher += information(whiten @ rows, np.ones(len(away)))
+    return carried(report, theta, 1e-4 * theta[0], np.linalg.inv(fisher))
+
+
+class Errors:
+    """Errors over the bound and over what was stated, each (devices, parameters)."""
+
+    def __init__(self, by_bound: list[Array], by_stated: list[Array]) -> None:
+        self.by_bound, self.by_stated = np.array(by_bound), np.array(by_stated)
+
+    def ratio(self, part: slice = slice(None)) -> float:
+        return float(np.sqrt((self.by_bound[:, part] ** 2).mean()))
+
+    def coverage(self, part: slice = slice(None)) -> float:
+        return float((np.abs(self.by_stated[:, part]) <= 1.959964).mean())
+
+
+MATRIX, OFFSET, GRAVITY = slice(0, 9), slice(9, 12), slice(12, 21)
+
+
+def monte_carlo(walk: float, gravity: bool, seed: int) -> Errors:
+    rng = np.random.default_rng(seed)
+    by_bound, by_stated = [], []
+    for _ in range(DEVICES):
+        device = white_device(rng, g_sensitivity=gravity)
+        model = fitted(device, rng, walk).model
+        assert (model.g_sensitivity is not None) == gravity or not gravity  # what is there is always found
+        if gravity and model.g_sensitivity is not None:
+            estimate = np.concatenate((model.matrix.ravel(), model.offset, model.g_sensitivity.ravel()))
+        else:
+            estimate = np.concatenate((model.matrix.ravel(), model.offset))
+        size = len(estimate)
+        error = estimate - report(truth(device))
+        by_bound.append(error / bound(device, walk))
+        by_stated.append(error / model.standard_uncertainty[:size])
+    found = Errors(by_bound, by_stated)
+    for name, part in (("matrix", MATRIX), ("offset", OFFSET), ("g-sensitivity", GRAVITY))[: 3 if gravity else 2]:
+        label = f"walk {walk:g}, gravity felt {gravity}, {name}"
+        show(f"{label}: RMSE over bound, coverage", f"{found.ratio(part):.3f}, {found.coverage(part):.3f}")
+    show(f"walk {walk:g}, gravity felt {gravity}, all: RMSE over bound", f"{found.ratio():.3f}", RMSE_LIMIT)
+    return found
+
+
+@pytest.mark.parametrize("gravity", [True, False])
+def test_a_bench_session_gives_back_matrix_offset_and_g_sensitivity_without_noise(gravity: bool) -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        device = white_device(rng, g_sensitivity=gravity).without_noise()
+        found = calibrate(simulate_session("bench", device, rng=rng, settings=SHORT)).gyro
+        true = true_calibration(device).gyro
+        assert found is not None
+        assert true is not None
+        # Rounding: the means of a spline of condition 1e6 are good to 1e-10 of the reading.
+        np.testing.assert_allclose(found.matrix @ device.gyro.forward_matrix, np.eye(3), atol=1e-9)
+        np.testing.assert_allclose(found.offset, true.offset, atol=1e-6)  # counts of up to 1500
+        assert (found.g_sensitivity is not None) == gravity
+        if found.g_sensitivity is not None and true.g_sensitivity is not None:
+            assert np.abs(true.g_sensitivity).max() > 1e-4  # 0.06 (deg/s)/g
+            np.testing.assert_allclose(found.g_sensitivity, true.g_sensitivity, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("walk", "gravity"), [(0.0, True), (0.0, False), (CONSUMER_WALK, True), (0.3, True), (0.3, False)]
+)
+def test_error_reaches_the_bound_and_the_intervals_hold_whether_the_offset_wanders_or_not(
+    walk: float, gravity: bool
+) -> None:
+    found = monte_carlo(walk, gravity, 10)
+    # The bound knows q, the fit does not: at no walk at all that costs a tenth of the offset's error, the rest nothing.
+    assert found.ratio() <= RMSE_LIMIT
+    assert found.ratio(MATRIX) <= RMSE_LIMIT
+    if gravity:
+        assert found.ratio(GRAVITY) <= RMSE_LIMIT
+    # 500 devices, 9 parameters or (offset) 3: binomial standard errors 0.3 % and 0.6 %
+    assert COVERAGE_LIMITS[0] <= found.coverage(MATRIX) <= COVERAGE_LIMITS[1]
+    assert found.coverage(OFFSET) >= COVERAGE_LIMITS[0]
+    if walk > 0.0:
+        assert found.coverage(OFFSET) <= COVERAGE_LIMITS[1]
+        assert found.ratio(OFFSET) <= 1.07  # standard error 2 % with 1,500 offsets
+        if gravity:
+            assert COVERAGE_LIMITS[0] <= found.coverage(GRAVITY) <= COVERAGE_LIMITS[1]
+    else:
+        # A walk too small to show cannot be ruled out: the intervals of what it moves are too wide, never too narrow.
+        assert found.ratio(OFFSET) <= 1.18
+        if gravity:
+            assert found.coverage(GRAVITY) >= COVERAGE_LIMITS[0]
+
+
+def test_gyroscopes_that_feel_no_gravity_are_given_none_however_the_offset_wanders() -> None:
+    rng = np.random.default_rng(30)
+    for walk in (0.0, CONSUMER_WALK, 0.3):
+        felt = sum(fitted(white_device(rng), rng, walk).model.g_sensitivity is not None for _ in range(300))
+        show(f"walk {walk:g}: devices given a g-sensitivity of 300", felt, 3)
+        assert felt <= 3  # 1 %; designed for one in a thousand where the noise is known, q makes it a few
+
+
+def test_a_walk_that_is_not_there_is_rarely_reported_and_one_that_is_mostly() -> None:
+    rng = np.random.default_rng(31)
+    told = [
+        sum(
+            any("wandered" in reason for reason in fitted(white_device(rng), rng, walk).verdict.reasons)
+            for _ in range(300)
+        )
+        for walk in (0.0, CONSUMER_WALK, 0.3)
+    ]
+    show("walk reported of 300 devices: none, consumer, five times that", told)
+    # q cannot be less than zero, so that 5 % of each sensor are 2.5 %; three sensors 7.3 %, and 3 standard errors are 4.5 %
+    assert told[0] <= 300 * (0.073 + 0.045)
+    assert told[1] > 150
+    assert told[2] == 300
+
+
+def test_the_offset_of_a_simulated_recording_is_that_of_the_middle_of_its_session() -> None:
+    motion = bench_motion("bench", rng=np.random.default_rng(0), settings=SHORT)
+    apart, stale = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        device = white_device(rng)
+        still = device.gyro
+        q = 0.3 * still.random_walk
+        walking = replace(device, gyro=replace(still, bias_walk=q))
+        # The same generator gives the same noise: what differs is the walk.
+        record = read(walking, motion, rng=np.random.default_rng(seed)).record
+        walk = record.gyro - read(device, motion, rng=np.random.default_rng(seed)).record.gyro  # type: ignore[operator]
+        fit, middle = fitted_recording(device, record, motion)
+        at = int(np.searchsorted(record.time, middle))
+        apart.append((fit.model.offset - device.gyro.raw_offset - walk[at]) / fit.model.standard_uncertainty[9:12])
+        stale.append((fit.model.offset - device.gyro.raw_offset) / fit.model.standard_uncertainty[9:12])
+    square, off = float(np.mean(np.square(apart))), float(np.mean(np.square(stale)))
+    show(
+        "offset in the middle, mean square over what is stated; against the offset at the start",
+        f"{square:.2f}, {off:.1f}",
+    )
+    # 120 squares of mean 1: standard error sqrt(2 / 120) = 0.13, and 3 of them
+    assert square == pytest.approx(1.0, abs=0.39)
+    assert off > 3.0
+
+
+def fitted_recording(device: SimulatedDevice, record, motion: Motion) -> tuple[RateTableFit, float]:  # type: ignore[no-untyped-def]
+    """Return the fit to the means of a recording, and the middle of its session."""
+    dwells = dwell_means((record,), motion.turns)
+    parts = [slice(still.start, still.stop) for still in motion.stills]
+    length_s = np.array([(p.stop - p.start) / motion.sample_rate_hz for p in parts])
+    rests = RestMeans(
+        dwell_force=np.array([motion.force_b[t.start : t.stop].mean(axis=0) for t in motion.turns]),
+        reading=np.array([record.gyro[p].mean(axis=0) for p in parts]),
+        force=np.array([motion.force_b[p].mean(axis=0) for p in parts]),
+        noise=white(device) / np.sqrt(length_s)[:, None],
+        time=middles((record,), motion.stills),
+    )
+    assert dwells.time is not None
+    both = np.concatenate((dwells.time, rests.time))
+    return fit_with_rests(fit_rate_table(dwells), dwells, rests), 0.5 * float(both.min() + both.max())
+
+
+# What is said, and what is left alone.
+
+
+def steady(walk: float = 0.0, scatter: float = 1.0) -> tuple[DwellMeans, RestMeans]:
+    rng, p, n = np.random.default_rng(40), plan(), plan().dwells
+    sigma = np.full((len(p.time), 3), 1e-4)
+    reading = p.rate + walk_of(rng, np.full(3, walk)) + scatter * sigma * rng.standard_normal(sigma.shape)
+    dwells = DwellMeans(
+        reading=reading[:n],
+        turn_rate=p.rate[:n].sum(axis=1),
+        axis=p.axes,
+        noise=sigma[:n],
+        up=np.ones(n),
+        time=p.time[:n],
+    )
+    return dwells, RestMeans(
+        dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], time=p.time[n:]
+    )
+
+
+def felt(dwells: DwellMeans, rests: RestMeans, H: Array) -> tuple[DwellMeans, RestMeans]:
+    """Return the same readings of gyroscopes that feel gravity."""
+    return (
+        replace(dwells, reading=dwells.reading + rests.dwell_force @ H.T),
+        replace(rests, reading=rests.reading + rests.force @ H.T),
+    )
+
+
+def test_a_quiet_session_says_nothing() -> None:
+    dwells, rests = steady()
+    fit = fit_with_rests(fit_rate_table(dwells), dwells, rests)
+    assert fit.verdict.reasons == ()
+    assert fit.model.g_sensitivity is None
+    assert fit.model.count == fit.residuals.size == 3 * len(plan().time)
+    assert fit.model.rank == 12
+
+
+def test_gravity_that_is_felt_is_said_in_degrees_per_second_and_g() -> None:
+    dwells, rests = steady()
+    H = np.zeros((3, 3))
+    H[1, 2] = np.radians(0.25) / STANDARD_GRAVITY
+    dwells, rests = felt(dwells, rests, H)
+    fit = fit_with_rests(fit_rate_table(dwells), dwells, rests)
+    assert fit.verdict.reasons[0] == (
+        "the gyroscopes feel gravity, by up to 0.25 (deg/s)/g: fitted from dwells and rests, and taken off by the corrected "
+        "specific force"
+    )
+    assert fit.model.rank == 21
+    assert fit.model.parameters[12:] == tuple(f"g_{row}{column}" for row in "xyz" for column in "xyz")
+    assert fit.model.covariance.shape == (21, 21)
+
+
+def test_without_rests_dwells_alone_leave_gravity_out() -> None:
+    dwells, rests = steady()
+    dwells, _ = felt(dwells, rests, np.eye(3) * 1e-3)
+    fit = fit_with_rests(fit_rate_table(dwells), dwells, None)
+    assert fit.model.g_sensitivity is None
+    assert fit.model.count == 3 * plan().dwells
+
+
+def test_rests_on_one_face_alone_leave_gravity_out() -> None:
+    dwells, rests = steady()
+    up = np.array([0.0, 0.0, STANDARD_GRAVITY])  # dwells too: as if the device never turned over
+    alike = replace(
+        rests, force=np.tile(up, (len(rests.force), 1)), dwell_force=np.tile(up, (len(rests.dwell_force), 1))
+    )
+    fit = fit_with_rests(fit_rate_table(dwells), dwells, alike)
+    assert fit.model.g_sensitivity is None
+    assert fit.model.rank == 12
+
+
+def test_a_walk_is_said_with_what_to_do_about_it() -> None:
+    walk = np.radians(0.01)  # deg/s/sqrt(s): 0.077 deg/s in a minute
+    fit = fit_with_rests(*_first(steady(walk)))
+    (reason,) = fit.verdict.reasons
+    size = float(reason.removeprefix("the offset wandered during the session, by ").split(" deg/s in a minute")[0])
+    # the largest of three q, each known to 1 / sqrt(2 * 38) = 11 %: up to 3 of them above, and one below
+    assert 0.9 * 0.077 <= size <= 1.35 * 0.077
+    assert reason.endswith(
+        "deg/s in a minute (1 sigma): it holds for the middle of the session; warm the device up before, and bracket the dwells "
+        "with rests"
+    )
+
+
+def test_without_times_no_walk_is_looked_for() -> None:
+    dwells, rests = steady(np.radians(0.01))
+    fit = fit_with_rests(fit_rate_table(dwells), replace(dwells, time=None), rests)
+    assert not any("wandered" in reason for reason in fit.verdict.reasons)
+    assert any("times as much about the model as their noise explains" in reason for reason in fit.verdict.reasons)
+
+
+def test_scatter_beyond_the_noise_is_said_and_widens_the_uncertainty() -> None:
+    dwells, rests = steady()
+    quiet = fit_with_rests(fit_rate_table(dwells), replace(dwells, time=None), replace(rests))
+    dwells, rests = steady(scatter=4.0)
+    fit = fit_with_rests(fit_rate_table(dwells), replace(dwells, time=None), rests)
+    (reason,) = fit.verdict.reasons
+    times = float(reason.split("the readings scatter ")[1].split(" times")[0])
+    assert times == pytest.approx(4.0, rel=0.2)  # 117 spare equations tell it to 6.5 %: three of those
+    assert reason.endswith(
+        "(vibration, non-linearity, or a table that turns unevenly): the uncertainty is widened by that"
+    )
+    ratio = fit.model.standard_uncertainty[0] / quiet.model.standard_uncertainty[0]
+    assert ratio == pytest.approx(times, rel=0.02)  # printed to one decimal place
+    assert fit.model.g_sensitivity is None  # large scatter is no sign of gravity
+
+
+def test_without_noise_the_affine_fit_is_returned_as_it_is() -> None:
+    dwells, rests = steady()
+    bare = replace(dwells, noise=None)
+    fit = fit_rate_table(bare)
+    assert fit_with_rests(fit, bare, rests) is fit
+
+
+def test_the_earth_is_taken_off_dwells_whose_axis_is_upright() -> None:
+    dwells = replace(steady()[0], time=None)
+    with_earth = fit_with_rests(fit_rate_table(dwells), dwells, None, latitude_deg=90.0)
+    without = fit_with_rests(fit_rate_table(dwells), dwells, None)
+    # Each axis is up in a third of the dwells: the offset of its sensor falls by a third of 7.2921e-5 rad/s,
+    # seen through a matrix that the noise leaves uncertain to 1e-4.
+    np.testing.assert_allclose(without.model.offset - with_earth.model.offset, 7.2921e-5 / 3.0, rtol=1e-3)
+
+
+def _first(means: tuple[DwellMeans, RestMeans]) -> tuple[RateTableFit, DwellMeans, RestMeans]:
+    return fit_rate_table(means[0]), *means
