@@ -55,7 +55,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
     write_session(session, tmp_path / "run")
     for path in (tmp_path / "run", tmp_path / "run" / "session.toml"):
         found = describe(path)
-        assert (found.kind, found.summary) == ("session", "static of 7: 1 recordings, 1 stills, 0 turns")
+        assert (found.kind, found.summary) == ("session", "static of 7: 1 recording, 1 still, 0 turns")
     q = np.tile([1.0, 0, 0, 0], (50, 1))
     q[7] = np.nan
     for name in ("q.csv", "q.parquet"):

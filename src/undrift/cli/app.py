@@ -6,8 +6,9 @@ failed. A command is imported only when it is called, so that ``undrift --help``
 
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from undrift import __version__
 from undrift.errors import RigError, UndriftError
@@ -22,6 +23,7 @@ COMMANDS = {
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
 
+
 app = App(
     name="undrift",
     help="Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees.",
@@ -29,9 +31,10 @@ app = App(
     help_format="plaintext",
     result_action="return_value",
     suppress_keyboard_interrupt=False,
+    default_parameter=Parameter(negative=()),
 )
-for _name, _help in COMMANDS.items():
-    app.command(f"undrift.cli.{_name}:{_name}", name=_name, help=_help)
+for _place, (_name, _help) in enumerate(COMMANDS.items()):
+    app.command(f"undrift.cli.{_name}:{_name}", name=_name, help=_help, sort_key=_place)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -66,11 +69,15 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = app(arguments, exit_on_error=False, print_error=False)
     except CycloptsError as error:
-        return complain(str(error).strip().splitlines()[0] + " Say undrift --help.", code=2)
+        return complain(_call_text(error), code=2)
     except RigError as error:
         return complain(str(error), code=3)
     except UndriftError as error:
         return complain(str(error), code=2)
+    except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
+        with suppress(OSError):
+            sys.stdout.close()
+        return 0
     except OSError as error:
         return complain(
             f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions", code=2
@@ -78,6 +85,14 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return complain("stopped; nothing was left half written", code=130)
     return code if isinstance(code, int) else 0
+
+
+def _call_text(error: CycloptsError) -> str:
+    """Return what is wrong with a call, and which help to ask for."""
+    command = " ".join(("undrift", *(error.command_chain or ())))
+    if isinstance(error, UnusedCliTokensError):
+        return f"wanted fewer words, got also {' '.join(error.unused_tokens or ())}; say {command} --help"
+    return f"{str(error).strip().splitlines()[0]} Say {command} --help."
 
 
 def complain(message: str, *, code: int) -> int:

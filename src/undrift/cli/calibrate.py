@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from undrift.cli.opening import Flag
+
 if TYPE_CHECKING:
     from undrift.calibration.model import Calibration, TriadModel
 
@@ -18,7 +20,7 @@ def calibrate(
     gyro: Literal["rate-table", "known-rotation", "multi-position"] | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
     latitude_deg: float | None = None,
-    json: bool = False,
+    json: Flag = False,
 ) -> int:
     """Fit what a session allows, and say what was not observable.
 
@@ -48,7 +50,11 @@ def calibrate(
     from undrift.calibration.procedure import calibrate as fit
     from undrift.calibration.store import calibration_json, write_calibration
     from undrift.cli.output import waiting, write_json
+    from undrift.cli.writing import checked_output
     from undrift.io.session import read_session
+
+    if output is not None:
+        checked_output(output, endings=(".json",), reads=(session,))
 
     with waiting("reading and fitting"):
         made = fit(

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Opening
+from undrift.cli.opening import Flag, Opening
+from undrift.cli.writing import checked_folder, checked_output, name_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from undrift.calibration.model import Calibration
     from undrift.correct import CorrectorState
 
+ENDINGS = (".parquet", ".csv", ".csv.gz")
+
 
 def correct(
     *records: Path,
@@ -23,7 +26,7 @@ def correct(
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     policy: Literal["raise", "hold", "nan"] = "raise",
     opening: Opening = Opening(),
-    json: bool = False,
+    json: Flag = False,
 ) -> int:
     """Turn raw recordings into rad/s and m/s2. Parquet streams in constant memory.
 
@@ -34,7 +37,7 @@ def correct(
     calibration : Path
         calibration.json of the device.
     output : Path
-        File (.parquet, .csv, .csv.gz) for one recording, folder for several.
+        File (.parquet, .csv, .csv.gz) for one recording; folder for several, made where it is missing.
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan).
     opening : Opening
@@ -48,23 +51,21 @@ def correct(
         Exit code.
     """
     from undrift.calibration.store import read_calibration
-    from undrift.cli.output import console, progress, write_json
+    from undrift.cli.output import console, write_json
 
     if not records:
         raise InputError("correct: wanted one recording or more, got none; name them before --calibration")
     model = read_calibration(calibration)
-    targets = _targets(records, output)
-    results: list[tuple[Path, Path, CorrectorState, list[str]]] = []
+    targets = _targets(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".undrift-") as held, progress() as shown:
-        parts = [Path(held) / target.name for target in targets]
-        for record, part, target in zip(records, parts, targets, strict=True):
-            task = shown.add_task(record.name, total=_rows(record))
-            state, said = _correct_one(record, part, model, policy, opening, partial(shown.advance, task))
-            results.append((record, target, state, said))
-        for part, target in zip(parts, targets, strict=True):  # all are whole by now: a bad recording writes nothing
-            part.replace(target)
+    made = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    try:
+        results = _correct_all(records, targets, partial(_correct_one, model=model, policy=policy, opening=opening))
+    except BaseException:
+        if made:
+            folder.rmdir()
+        raise
     if json:
         rows = [
             {
@@ -80,15 +81,33 @@ def correct(
         return 0
     out = console()
     for record, target, state, said in results:
-        out.print(f"{record} -> {target}: {state.samples} samples", markup=False)
+        out.print(f"{record} -> {target}: {state.samples} samples in rad/s and m/s2", markup=False)
         for text in said:
             out.print(f"  warning: {text}", markup=False)
     return 0
 
 
-def _targets(records: tuple[Path, ...], output: Path) -> list[Path]:
+def _correct_all(
+    records: tuple[Path, ...], targets: list[Path], correct_one: "Callable[..., tuple[CorrectorState, list[str]]]"
+) -> list[tuple[Path, Path, "CorrectorState", list[str]]]:
+    """Correct into a hidden folder beside the targets; they appear when all are whole."""
+    from undrift.cli.output import progress
+
+    results = []
+    with tempfile.TemporaryDirectory(dir=targets[0].parent, prefix=".undrift-") as held, progress() as shown:
+        parts = [Path(held) / target.name for target in targets]
+        for record, part, target in zip(records, parts, targets, strict=True):
+            task = shown.add_task(record.name, total=_rows(record))
+            state, said = correct_one(record, part, advance=partial(shown.advance, task))
+            results.append((record, target, state, said))
+        for part, target in zip(parts, targets, strict=True):
+            part.replace(target)
+    return results
+
+
+def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, ...]) -> list[Path]:
     """Return the file that each recording is written to."""
-    if len(records) == 1 and output.name.lower().endswith((".parquet", ".csv", ".csv.gz")):
+    if len(records) == 1 and output.name.lower().endswith(ENDINGS):
         targets = [output]
     else:
         if output.suffix and not output.is_dir():
@@ -96,21 +115,23 @@ def _targets(records: tuple[Path, ...], output: Path) -> list[Path]:
                 "a folder for several recordings" if len(records) > 1 else "a name ending in .parquet, .csv or .csv.gz"
             )
             raise InputError(f"output: wanted {wanted}, got {output}; name it so")
-        targets = [output / (record.name.split(".")[0] + ".parquet") for record in records]
+        checked_folder(output)
+        targets = [output / (name_of(record) + ".parquet") for record in records]
     doubled = sorted({t.name for t in targets if targets.count(t) > 1})
     if doubled:
         raise InputError(
             f"output: wanted another name for each recording, got {', '.join(doubled)} twice; correct them apart"
         )
-    sources = {record.resolve() for record in records}
-    if any(target.resolve() in sources for target in targets):
-        raise InputError(f"output: wanted another file than the recording itself, got {output}; raw readings are kept")
+    if output in targets or output.is_dir():
+        for target in targets:
+            checked_output(target, endings=ENDINGS, reads=(*records, *read))
     return targets
 
 
 def _correct_one(
     record: Path,
     part: Path,
+    *,
     model: "Calibration",
     policy: Literal["raise", "hold", "nan"],
     opening: Opening,

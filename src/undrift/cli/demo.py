@@ -8,6 +8,9 @@ import json as text_json
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from undrift.cli.opening import Flag
+from undrift.errors import InputError
+
 if TYPE_CHECKING:
     from undrift.calibration.model import Calibration
     from undrift.sim import Demo
@@ -29,7 +32,7 @@ class Check(NamedTuple):
         return bool(self.value <= self.limit)
 
 
-def demo(*, out: Path = Path("demo"), quick: bool = False, json: bool = False) -> int:
+def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -> int:
     """Calibrate a simulated device, correct a sit-to-stand, and compare it with the optics.
 
     Parameters
@@ -55,9 +58,11 @@ def demo(*, out: Path = Path("demo"), quick: bool = False, json: bool = False) -
     from undrift.io.recording import read_record, write_record
     from undrift.io.reference import read_reference, write_reference
     from undrift.io.session import read_session, write_session
+    from undrift.report.files import write_whole
     from undrift.sim import demo_session
     from undrift.validation import TrialSettings, validate_trial
 
+    _check_fresh(out)
     with waiting("simulating, calibrating, validating"):
         made = demo_session(np.random.default_rng(SEED), quick=quick)
         write_session(made.session, out / "session")
@@ -81,9 +86,7 @@ def demo(*, out: Path = Path("demo"), quick: bool = False, json: bool = False) -
         "study": None,
         "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
     }
-    (out / "summary.json").write_text(
-        text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    write_whole(out / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
     _report(out / "report.html", calibration, (before, after), checks)
     if json:
         write_json(summary)
@@ -93,8 +96,25 @@ def demo(*, out: Path = Path("demo"), quick: bool = False, json: bool = False) -
             shown.print(
                 f"{'pass' if check.passed else 'FAIL'}  {check.name}: {check.value:.3g} (at most {check.limit:.3g})"
             )
+        for key, name in (("rmse_pitch_deg", "rms"), ("max_abs_pitch_deg", "largest")):
+            shown.print(
+                f"      pitch error, {name}: {getattr(before.figures, key):.2f} deg with the data sheet's scale and the rest "
+                f"offset, {getattr(after.figures, key):.2f} deg calibrated",
+                markup=False,
+            )
         shown.print(f"Wrote {out}: look at {out / 'report.html'}", markup=False)
     return 0 if all(check.passed for check in checks) else 1
+
+
+def _check_fresh(out: Path) -> None:
+    """Refuse a folder that holds somebody's own files."""
+    from undrift.cli.writing import checked_folder
+
+    checked_folder(out)
+    if out.is_dir() and any(out.iterdir()) and not (out / "summary.json").is_file():
+        raise InputError(
+            f"{out}: wanted a new folder, or that of an earlier demo, got one with other files; name another"
+        )
 
 
 def _checks(made: "Demo", calibration: "Calibration", before: "Trial", after: "Trial") -> list[Check]:

@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from undrift.cli.opening import Opening
+from undrift.cli.opening import Flag, Opening
 
 if TYPE_CHECKING:
     from undrift.io.describe import Description
 
 
 def info(
-    file: Path, /, *, opening: Opening = Opening(), up: Literal["y", "z"] | None = None, json: bool = False
+    file: Path, /, *, opening: Opening = Opening(), up: Literal["y", "z"] | None = None, json: Flag = False
 ) -> int:
     """Say what a recording, session, calibration or reference holds: rates, units, spans, gaps, stills found.
 
@@ -30,9 +30,13 @@ def info(
     int
         Exit code.
     """
+    from undrift.cli.listing import is_plain_folder, show_folder
     from undrift.cli.output import write_json
     from undrift.io.describe import describe
 
+    if is_plain_folder(file):
+        show_folder(file, json=json)
+        return 0
     found = describe(file, opening.columns(), settings=opening.settings(), up=up)
     stills, reason = _stills(file, found, opening)
     if json:
@@ -82,7 +86,7 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
     from undrift.cli.output import console
 
     out = console()
-    out.print(f"[bold]{found.path}[/bold]: {found.kind} ({found.format})", soft_wrap=True)
+    out.print(f"{found.path}: {found.kind} ({found.format})", markup=False)
     out.print(f"  {found.summary}", markup=False)
     for name, unit in found.units:
         out.print(f"  {name}: {unit}", markup=False)
@@ -99,7 +103,7 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
         spans = ", ".join(f"{start:.1f}-{stop:.1f}" for start, stop in stills[:8])
         out.print(f"  still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
     elif reason:
-        out.print(f"  no still phase: {reason}", markup=False)
+        out.print(f"  {reason}", markup=False)
     for problem in found.problems:
         if problem != found.summary:
             out.print(f"  problem: {problem}", markup=False)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Opening
+from undrift.cli.opening import Flag, Opening
 
 if TYPE_CHECKING:
     from undrift.calibration.noise import AxisNoise, NoiseFit
@@ -20,7 +20,7 @@ def noise(
     stop_s: float | None = None,
     figure: Annotated[Path | None, Parameter(name=["--figure", "-o"])] = None,
     opening: Opening = Opening(),
-    json: bool = False,
+    json: Flag = False,
 ) -> int:
     """Angle random walk, bias instability, rate random walk of a device at rest, each with its 95 % interval.
 
@@ -30,8 +30,10 @@ def noise(
         Recording at rest; hours show more than minutes.
     calibration : Path or None
         calibration.json: turns counts into rad/s and m/s2 first.
-    start_s, stop_s : float or None
-        Take this stretch of the recording only, s.
+    start_s : float or None
+        Take the recording from here only, s on its own clock.
+    stop_s : float or None
+        Take the recording up to here only, s on its own clock.
     figure : Path or None
         Allan plot to write: .svg, .png or .pdf.
     opening : Opening
@@ -46,7 +48,11 @@ def noise(
     """
     from undrift.calibration.noise import fit_noise
     from undrift.cli.output import show_verdict, waiting, write_json
+    from undrift.cli.writing import checked_output
+    from undrift.report.figures import PICTURES
 
+    if figure is not None:
+        checked_output(figure, endings=PICTURES, reads=(record, calibration))
     with waiting("reading and fitting"):
         readings = opening.read(record)
         if start_s is not None or stop_s is not None:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from undrift.io.columns import ColumnMap
     from undrift.io.recording import ReadSettings
     from undrift.record import Record
+
+Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 
 
 @Parameter(name="*")
@@ -89,3 +91,30 @@ class Opening:
                 f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"
             )
         return records[0]
+
+
+def check_physical(record: "Record", path: Path) -> None:
+    """Refuse counts and volts where nothing says what they are worth.
+
+    Parameters
+    ----------
+    record : Record
+        As read, without a calibration.
+    path : Path
+        Where it was read.
+
+    Raises
+    ------
+    InputError
+        A gyroscope or accelerometer in counts or volts.
+    """
+    from undrift.errors import InputError
+    from undrift.units import is_physical
+
+    held = (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit))
+    for name, values, unit in held:
+        if values is not None and not is_physical(unit):
+            raise InputError(
+                f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
+                "say --calibration calibration.json"
+            )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Opening
+from undrift.cli.opening import Flag, Opening, check_physical
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -26,7 +26,7 @@ def orient(
     forward: Side = "+x",
     up: Side = "+z",
     opening: Opening = Opening(),
-    json: bool = False,
+    json: Flag = False,
 ) -> int:
     """Initial tilt and strapdown: quaternions, inclination, heading, sagittal pitch.
 
@@ -42,8 +42,10 @@ def orient(
         "rest" takes off the mean rate of the still phase.
     heading_deg : float
         Heading at the still phase, deg.
-    forward, up : str
-        Device axes that point forward and up on the upright segment: they define the pitch.
+    forward : str
+        Device axis that points forward on the upright segment: with --up it defines the pitch.
+    up : str
+        Device axis that points up on the upright segment.
     opening : Opening
         How to read a foreign recording.
     json : bool
@@ -55,10 +57,12 @@ def orient(
         Exit code.
     """
     from undrift.cli.output import console, write_json
+    from undrift.cli.writing import checked_output
     from undrift.io.angles import write_orientation
     from undrift.orientation.orient import OrientSettings
     from undrift.orientation.orient import orient as find
 
+    checked_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
     readings, model = opening.read(record), None
     if calibration is not None:
         from undrift.calibration.store import read_calibration
@@ -66,6 +70,8 @@ def orient(
 
         held = read_calibration(calibration)
         readings, model = correct_checked(readings, held).record, held.accel
+    else:
+        check_physical(readings, record)
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     found = find(readings, settings=settings, accel_model=model)
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)

@@ -26,11 +26,11 @@ def console() -> "Console":
     Returns
     -------
     Console
-        120 columns wide where stdout is not a terminal.
+        As wide as a table needs where stdout is not a terminal.
     """
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else 120, highlight=False, soft_wrap=not sys.stdout.isatty())
+    return Console(width=None if sys.stdout.isatty() else 400, highlight=False, soft_wrap=not sys.stdout.isatty())
 
 
 def progress() -> "Progress":
@@ -62,7 +62,7 @@ def table(title: str, *columns: str) -> "Table":
     title : str
         Heading.
     *columns : str
-        Column heads, with units.
+        Column heads; a unit in brackets goes on a line of its own. Where space is short the first column folds.
 
     Returns
     -------
@@ -74,7 +74,8 @@ def table(title: str, *columns: str) -> "Table":
 
     made = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
     for k, column in enumerate(columns):
-        made.add_column(column, justify="right" if k else "left", no_wrap=True, overflow="fold")
+        head = column.replace(" (", "\n(")
+        made.add_column(head, justify="right" if k else "left", no_wrap=k > 0, overflow="fold")
     return made
 
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Opening
+from undrift.cli.opening import Flag, Opening, check_physical
+from undrift.cli.writing import checked_folder, name_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,10 +29,10 @@ SHOWN = (
 
 def validate(
     *records: Path,
-    reference: tuple[Path, ...] = (),
+    reference: Annotated[tuple[Path, ...], Parameter(show_default=False)] = (),
     calibration: Path | None = None,
     calibrate_from: Literal["reference"] | None = None,
-    leave_one_out: Annotated[bool, Parameter(negative="")] = False,
+    leave_one_out: Flag = False,
     offset: Literal["none", "rest"] | None = None,
     adc: Literal["auto", "none"] = "auto",
     forward: Side = "+x",
@@ -40,7 +41,7 @@ def validate(
     reference_up: Literal["y", "z"] | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     opening: Opening = Opening(),
-    json: bool = False,
+    json: Flag = False,
 ) -> int:
     """Compare recordings with an optical reference: lag, errors in degrees, agreement over trials.
 
@@ -60,8 +61,10 @@ def validate(
         "rest" takes off the mean rate of the rest before the motion, "none" does not. Without a calibration: rest.
     adc : str
         "auto" gives back what the ADC's rounding took, where it shows; "none" leaves the codes.
-    forward, up : str
-        Body axes that point forward and up on the upright segment: they define the pitch.
+    forward : str
+        Body axis that points forward on the upright segment: with --up it defines the pitch.
+    up : str
+        Body axis that points up on the upright segment.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
     reference_up : str or None
@@ -87,12 +90,17 @@ def validate(
         raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
     if calibrate_from is not None and calibration is not None:
         raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+    if output is not None:
+        checked_folder(output)
     labels = tuple(markers.split(",")) if markers else None
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up)
     with waiting("reading, aligning and integrating"):
         pairs = _pairs(records, reference, labels, reference_up, opening)
-        names = [record.name.split(".")[0] for record in records]
+        if calibration is None and calibrate_from is None:
+            for (readings, _), path in zip(pairs, records, strict=True):
+                check_physical(readings, path)
+        names = [name_of(record) for record in records]
         result, fitted = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
     told = validation_json(result) | {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     if output is not None:
@@ -190,11 +198,12 @@ def _write(folder: Path, result: "Validation", told: dict[str, object], fitted: 
 
     from undrift.calibration.store import write_calibration
     from undrift.cli.output import plain
+    from undrift.report.files import write_whole
     from undrift.report.validation import write_validation_report
 
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "validation.json").write_text(json.dumps(plain(told), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    folder.mkdir(exist_ok=True)
     write_validation_report(result, folder / "report.html")
+    write_whole(folder / "validation.json", json.dumps(plain(told), indent=1, allow_nan=False) + "\n")
     if fitted is not None:
         write_calibration(fitted, folder / "calibration.json")
 
@@ -225,8 +234,10 @@ def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: 
             "these recordings made the calibration that they judge: say --leave-one-out for an honest figure",
             markup=False,
         )
-    for trial in result.trials:
-        for note in trial.notes:
-            out.print(f"  {trial.recording}: {note}", markup=False)
+    notes = dict.fromkeys(note for trial in result.trials for note in trial.notes)
+    for note in notes:
+        told = [trial.recording for trial in result.trials if note in trial.notes]
+        who = f"all {len(told)} recordings" if 1 < len(told) == len(result.trials) else ", ".join(told)
+        out.print(f"  {who}: {note}", markup=False)
     if output is not None:
         out.print(f"Wrote {output}: look at report.html", markup=False)

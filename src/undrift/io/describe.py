@@ -278,8 +278,8 @@ def _session(path: Path) -> Description:
         path=str(path),
         kind="session",
         format="session",
-        summary=f"{session.kind} of {session.serial}: {len(session.records)} recordings, {len(session.stills)} stills, "
-        f"{len(session.turns)} turns",
+        summary=f"{session.kind} of {session.serial}: {_count(session.records, 'recording')}, "
+        f"{_count(session.stills, 'still')}, {_count(session.turns, 'turn')}",
         rows=sum(len(record) for record in session.records),
         sample_rate_hz=session.records[0].sample_rate_hz,
         duration_s=sum(record.duration_s for record in session.records),
@@ -319,6 +319,10 @@ def _settings(path: Path, kind: Format) -> Description:
         else "a value"
     )
     return Description(path=str(path), kind="settings", format=kind, summary=f"JSON, not a recording: {names}")
+
+
+def _count(items: tuple[object, ...], what: str) -> str:
+    return f"{len(items)} {what}{'s' * (len(items) != 1)}"
 
 
 def _unread(path: Path, kind: Format) -> Description:

@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.report.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
+PICTURES = (".svg", ".png", ".pdf")
 AXIS_COLOURS = ("#c23b3b", "#2f8f4e", "#2b62b3")  # x, y, z
 _STYLE: Any = {  # matplotlib types every key by name
     "font.size": 9.0,
@@ -92,12 +95,21 @@ def save_figure(figure: "Figure", path: Path) -> None:
     figure : Figure
         What to draw.
     path : Path
-        Where to.
+        Where to. It appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        Another ending.
     """
     import matplotlib as mpl
 
+    if path.suffix.lower() not in PICTURES:
+        raise InputError(f"{path}: wanted a name ending in .svg, .png or .pdf, got another; name the format so")
+    buffer = io.BytesIO()
     with mpl.rc_context(_STYLE):
-        figure.savefig(path, dpi=130)
+        figure.savefig(buffer, dpi=130, format=path.suffix[1:].lower())
+    write_whole(path, buffer.getvalue())
 
 
 def draw_comparison(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from undrift import __version__
 from undrift.calibration.model import Verdict
+from undrift.report.files import write_whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,4 +53,4 @@ def write_page(
 
     template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
     text = template.render(title=title, lead=lead, sections=sections, verdict=verdict, version=__version__)
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, text)
