@@ -59,7 +59,8 @@ def rotations_between(
     rotation: FloatArray,
     sums: FloatArray,
 ) -> None:
-    # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j]; the rate of sample k holds on (k-1, k].
+    # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j];
+    # the rate of sample k holds on (k-1, k].
     # rotation (9 J,): R of the end body frame seen in the start body frame, row by row.
     # sums (36 J,): per move, sum of R dt times d for d = (1, u_x - o_x, u_y - o_y, u_z - o_z), nine numbers each,
     # from which the derivative by matrix and offset follows: the small rotation in the start frame is sum R dw dt.
