@@ -107,7 +107,16 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
     for problem in found.problems:
         if problem != found.summary:
             out.print(f"  problem: {problem}", markup=False)
+    for hint in _hints(found):
+        out.print(f"  {hint}", markup=False)
+
+
+def _hints(found: "Description") -> list[str]:
+    """Return what to type next, in the words of the command line."""
     if found.kind == "table" and "columns = {" in found.summary:
-        out.print(
-            "  write that into map.toml, one entry a line, and say: undrift info FILE --map map.toml", markup=False
-        )
+        return ["write that into map.toml, one entry a line, and say: undrift info FILE --map map.toml"]
+    if found.kind == "table" and found.format == "apdm":
+        return [f"say: undrift info FILE --sensor {found.columns[0]}"]
+    if found.kind == "table" and found.format == "ximu":
+        return ["say: undrift info FILE --sample-rate-hz 256"]
+    return []

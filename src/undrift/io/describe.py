@@ -141,7 +141,6 @@ def describe_record(record: Record, *, path: str = "", kind: Format = "csv", bui
         Of kind "recording".
     """
     dropped, repaired = (0, 0) if built is None else (built.dropped_rows, built.repaired_rows)
-    temp = None if record.temp_c is None or np.isnan(record.temp_c).all() else record.temp_c
     rate = record.sample_rate_hz
     return Description(
         path=path,
@@ -155,9 +154,16 @@ def describe_record(record: Record, *, path: str = "", kind: Format = "csv", bui
         columns=native_columns(record)[0],
         units=_units(record),
         gaps=gaps_of(record),
-        temp_c=None if temp is None else (float(np.nanmin(temp)), float(np.nanmax(temp))),
+        temp_c=_temperatures(record),
         problems=find_symptoms(record, dropped_rows=dropped, repaired_rows=repaired),
     )
+
+
+def _temperatures(*records: Record) -> tuple[float, float] | None:
+    """Return the lowest and the highest temperature, None where there is none."""
+    seen = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
+    every = np.concatenate(seen) if seen else np.empty(0)
+    return (float(every.min()), float(every.max())) if len(every) else None
 
 
 def _units(record: Record) -> tuple[tuple[str, str], ...]:
@@ -286,6 +292,7 @@ def _session(path: Path) -> Description:
         columns=native_columns(session.records[0])[0],
         units=_units(session.records[0]),
         gaps=sum(gaps_of(record) for record in session.records),
+        temp_c=_temperatures(*session.records),
         problems=problems,
     )
 

@@ -1,0 +1,163 @@
+"""undrift calibrate: real sessions written as session.toml, and the simulated bench."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cli_bench import contents
+from data import data_path, show
+from undrift.calibration.store import read_calibration
+
+KEYS = {
+    "kind",
+    "format",
+    "device",
+    "reference_temp_c",
+    "gravity_m_s2",
+    "gyro",
+    "accel",
+    "drift",
+    "adc",
+    "noise",
+    "verdict",
+}
+TRIAD_KEYS = {
+    "method", "unit_in", "unit_out", "matrix", "offset", "g_sensitivity", "parameters", "covariance", "rms_residual", "count",
+    "rank", "condition", "valid_range",
+}  # fmt: skip
+HEAD = '[session]\nkind = "calibration"\nserial = "{serial}"\ngravity_m_s2 = {gravity}\n'
+
+
+def written(folder, serial, recordings, *, gravity=9.81, pieces=""):
+    folder.mkdir()
+    text = HEAD.format(serial=serial, gravity=gravity) + "".join(f"[[recording]]\n{entry}\n" for entry in recordings)
+    (folder / "session.toml").write_text(text + pieces)
+    return folder
+
+
+def test_three_boards_turned_by_hand(undrift, tmp_path):
+    for unit in range(3):
+        path = data_path("multipos_mpu9150", f"imu{unit}.log.gz")
+        entry = (
+            f'file = "{path}"\nsample_rate_hz = 100\nheader = false\ndelimiter = " "\n'
+            'columns = { accel = [0, 1, 2], gyro = [3, 4, 5] }\nunits = { accel = "m/s2", gyro = "rad/s" }'
+        )
+        told = undrift.good("calibrate", written(tmp_path / f"{unit}", f"imu{unit}", [entry]), "--json").json()
+        assert told.keys() >= KEYS
+        assert told["accel"].keys() == told["gyro"].keys() >= TRIAD_KEYS
+        assert told["accel"]["method"].startswith("multi-position")
+        rms_mg = told["accel"]["rms_residual"] / 9.80665 * 1e3
+        show(f"unit {unit}: |a| after the fit, mg rms", rms_mg, "0.30 (SOURCE.md: 0.17-0.29)")
+        assert rms_mg <= 0.30
+        assert told["verdict"]["status"] == "good"
+
+
+def test_the_xsens_logs_side_by_side_are_calibrated_as_published(undrift, tmp_path):
+    files = [str(data_path("multipos_xsens", f"xsens_{name}.txt.gz")) for name in ("acc", "gyro")]
+    entry = (
+        f'file = {json.dumps(files)}\nheader = false\ndelimiter = " "\n'
+        "columns = [{ time = 0, accel = [1, 2, 3] }, { time = 0, gyro = [1, 2, 3] }]\n"
+        'units = { time = "s", accel = "count", gyro = "count" }'
+    )
+    session = written(tmp_path / "s", "xsens", [entry])
+    answer = undrift.good("calibrate", session, "-o", tmp_path / "xsens.json")
+    assert "verdict: good" in answer.out
+    assert f"undrift correct RECORD --calibration {tmp_path / 'xsens.json'}" in answer.out
+    model = read_calibration(tmp_path / "xsens.json").accel
+    per_g = model.scale_factor * 9.81
+    show("counts per g", np.round(per_g, 0), "3983/4045/4028 within 2 % (SOURCE.md, another gravity)")
+    np.testing.assert_allclose(per_g, [3983.0, 4045.0, 4028.0], rtol=0.03)
+    assert model.rms_residual < 1.2e-3  # SOURCE.md: 0.10 mg rms
+
+
+def test_the_ferraris_session_with_its_stated_faces_and_turns(undrift, tmp_path):
+    ranges = json.loads(data_path("ferraris_nilspod", "example_ferraris_session_list.json").read_text())
+    pieces = ""
+    for name, part in ranges.items():
+        span = f"start_s = {part['start'] / 102.4}\nstop_s = {part['end'] / 102.4}\n"
+        if name.endswith("rot"):
+            pieces += f'[[turn]]\naxis = "{name[0]}"\nangle_deg = -360.0\n{span}'
+        else:
+            pieces += f'[[still]]\nface = "{"+" if name[2] == "p" else "-"}{name[0]}"\n{span}'
+    entry = (
+        f'file = "{data_path("ferraris_nilspod", "example_ferraris_session.csv")}"\nsample_rate_hz = 102.4\n'
+        'columns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
+        'units = { gyro = "dps", accel = "m/s2" }'
+    )
+    told = undrift.good("calibrate", written(tmp_path / "s", "03f5", [entry], pieces=pieces), "--json").json()
+    assert told["gyro"]["method"].startswith("known-rotation")
+    assert told["accel"]["method"].startswith("six-face")
+    scale = np.linalg.norm(np.linalg.inv(np.array(told["accel"]["matrix"])), axis=1)
+    np.testing.assert_allclose(scale, [0.99674587, 1.00243762, 1.02339535], atol=3e-4)  # GOLDENS, K_a of imucal
+    paper = undrift.good("calibrate", tmp_path / "s", "--mode", "paper", "--json").json()
+    assert paper["accel"]["method"] == "six-face/paper"
+
+
+def test_eleven_still_recordings_are_one_session_and_the_verdict_says_what_was_not_seen(undrift, tmp_path):
+    folder = data_path("multipos_mpu6050_bicycle")
+    entries = [
+        f'file = "{path}"\ncolumns = {{ time = "t_s", gyro = "gyro_rad_s", accel = "acc_raw", temp = "temp_degC" }}\n'
+        'units = { time = "s", gyro = "rad/s", accel = "count", temp = "degC" }'
+        for path in sorted(folder.glob("*.npz"))
+    ]
+    session = written(tmp_path / "s", "bicycle", entries, gravity=9.80665)
+    assert "11 recordings" in undrift.good("info", session).out
+    told = undrift.good("calibrate", session, "--json").json()
+    assert told["verdict"]["status"] == "marginal"
+    assert any("cross-axis terms were not observable" in reason for reason in told["verdict"]["reasons"])
+    np.testing.assert_allclose(
+        np.array(told["accel"]["offset"]) / 16.384, [58.0, -6.0, -123.0], atol=2.0
+    )  # mg, SOURCE.md
+
+
+def test_a_worn_recording_is_refused_for_want_of_a_still_phase(undrift, tmp_path):
+    entry = (
+        f'file = "{data_path("worn_lowback", "HA_001_Test11.csv.gz")}"\nsample_rate_hz = 100\n'
+        'columns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
+        'units = { gyro = "dps", accel = "g" }'
+    )
+    session = written(tmp_path / "s", "worn", [entry])
+    before = contents(tmp_path)
+    assert "still" in undrift.refused("calibrate", session, "-o", tmp_path / "c.json")
+    assert contents(tmp_path) == before
+
+
+def test_the_bench_is_calibrated_by_every_way_that_it_allows(undrift, bench, tmp_path):
+    session = bench / "session"
+    answer = undrift.good("calibrate", session)
+    assert "Nothing was written" in answer.out
+    for head in ("m x", "offset", "scale factor", "(count per rad/s)", "(count per m/s2)"):
+        assert head in answer.out
+    told = undrift.good("calibrate", session, "--json", "-o", tmp_path / "c.json").json()
+    assert told["gyro"]["method"] == "rate-table/affine"
+    assert json.loads((tmp_path / "c.json").read_text())["gyro"] == told["gyro"]
+    for words in (["--accel", "six-face"], ["--gyro", "rate-table"], ["--mode", "affine"], ["--latitude-deg", "45"]):
+        assert undrift.good("calibrate", session, *words, "--json").json()["verdict"]["status"] in ("good", "marginal")
+    turned = undrift.good("calibrate", session, "--latitude-deg", "45", "--json").json()
+    assert turned["gyro"]["offset"] != told["gyro"]["offset"]
+
+
+def test_a_way_that_the_session_does_not_allow_is_refused_in_one_line(undrift, bench):
+    assert "wanted" in undrift.refused("calibrate", bench / "session", "--gyro", "known-rotation")
+    assert "wanted" in undrift.refused("calibrate", bench / "session", "--accel", "multi-position")
+
+
+def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    from undrift.calibration import procedure
+    from undrift.calibration.model import Verdict
+
+    good = procedure.calibrate
+    bad = Verdict(status="bad", reasons=("the table slipped",))
+    monkeypatch.setattr(procedure, "calibrate", lambda *a, **k: replace(good(*a, **k), verdict=bad))
+    answer = undrift("calibrate", bench / "session", "-o", tmp_path / "c.json")
+    assert (answer.code, answer.err) == (1, "")
+    assert "verdict: bad\n  - the table slipped" in answer.out
+    assert read_calibration(tmp_path / "c.json").verdict.status == "bad"
+
+
+@pytest.mark.parametrize("word", ["session", "session/session.toml"])
+def test_a_session_is_named_by_its_folder_or_its_file(undrift, bench, word):
+    assert undrift.good("calibrate", bench / word, "--json").json()["verdict"]["status"] == "good"

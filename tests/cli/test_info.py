@@ -1,0 +1,138 @@
+"""undrift info: every public recording, and the keys that other programs rely on."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from cli_bench import contents
+from data import DATA, data_path
+
+KEYS = {
+    "kind", "format", "rows", "sample_rate_hz", "duration_s", "columns", "units", "gaps", "temp_c", "stills", "problems",
+}  # fmt: skip
+EVERY = sorted(str(path.relative_to(DATA)) for path in DATA.rglob("*")) if DATA.is_dir() else []
+KINDS = (  # the first pattern that fits
+    (r"(^|/)(SOURCE|BDS_README|PDS_README)\.md$|LICENSE$", {"text"}),
+    (r"\.hdf5$|(ngimu|ximu3)$|(ngimu/sensors|ximu3/Inertial|IMU\.csv)", {"recording"}),
+    (r"\.(c3d|trc)(\.gz)?$", {"markers"}),
+    (r"\.json$", {"settings"}),
+    (r"\.(cwa|bin)$", {"binary"}),
+    (r"\.(npz|csv|txt|log)(\.gz)?$|ximu$", {"table"}),
+    (r"^[^.]*$", {"folder"}),
+)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_every_public_file_and_folder_is_told(undrift, name):
+    path = data_path(name)
+    told = undrift.good("info", path, "--json").json()
+    assert told.keys() >= KEYS
+    expected = next(kinds for pattern, kinds in KINDS if re.search(pattern, name))
+    assert told["kind"] in expected
+    if told["kind"] == "recording":
+        assert told["rows"] > 100
+        assert 49.0 < told["sample_rate_hz"] < 300.0
+        assert {"time", "gyro", "accel"} <= told["units"].keys()
+        assert all(start < stop for start, stop in told["stills"])
+        assert told["stills"] or told["no_still_because"]
+    text = undrift.good("info", path).out
+    assert text.startswith(f"{path}: {told['kind']}")
+    assert len(text.splitlines()) >= 2
+    if told["kind"] == "table" and "needs a map" in told["summary"]:
+        assert "--map map.toml" in text
+
+
+def test_a_recording_of_broad_in_full(undrift):
+    told = undrift.good("info", data_path("broad", "02_undisturbed_slow_rotation_B.hdf5"), "--json").json()
+    assert (told["format"], told["rows"], told["gaps"], told["temp_c"], told["problems"]) == (
+        "broad",
+        53240,
+        0,
+        None,
+        [],
+    )
+    assert told["sample_rate_hz"] == pytest.approx(2000 / 7, abs=1e-3)  # SOURCE.md: 285.714 Hz
+    assert told["units"] == {"time": "s", "gyro": "rad/s", "accel": "m/s2", "mag": "uT"}
+    assert len(told["stills"]) == 2
+    assert 26.0 < told["stills"][0][1] < 48.0  # SOURCE.md: 26-48 s of rest before the movement
+    assert "96.8 % seen" in told["summary"]
+
+
+def test_a_worn_sensor_has_no_still_phase_and_the_reason_is_said_once(undrift, tmp_path):
+    (tmp_path / "map.toml").write_text(
+        'sample_rate_hz = 100\ncolumns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
+        'units = { gyro = "dps", accel = "g" }\n'
+    )
+    path = data_path("worn_lowback", "HA_001_Test11.csv.gz")
+    answer = undrift.good("info", path, "--map", tmp_path / "map.toml")
+    assert answer.out.count("no still phase") == 1
+    assert "wander by gyro 0.83 dps" in answer.out
+    told = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
+    assert (told["rows"], told["stills"]) == (13759, [])  # SOURCE.md: 137 s at 100 Hz
+
+
+def test_what_a_file_needs_is_said_in_words_of_the_command_line_and_then_it_reads(undrift):
+    apdm, ximu = data_path("wearable_formats", "opensim_apdm_imuData01.csv.gz"), data_path("wearable_formats", "ximu")
+    assert "undrift info FILE --sensor Static" in undrift.good("info", apdm).out
+    assert undrift.good("info", apdm, "--sensor", "Upper", "--json").json()["rows"] == 1024
+    assert "undrift info FILE --sample-rate-hz 256" in undrift.good("info", ximu).out
+    assert undrift.good("info", ximu, "--sample-rate-hz", 256, "--json").json()["rows"] == 12626
+    squat = data_path("c3d", "squat.c3d.gz")
+    assert "which axis points up" in undrift.good("info", squat).out
+    assert undrift.good("info", squat, "--up", "y", "--json").json()["problems"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "word"),
+    [
+        ("session", "session", "1 recording, 9 stills, 12 turns"),
+        ("session/session.toml", "session", "1 recording, 9 stills, 12 turns"),
+        ("trial.parquet", "recording", "100 Hz"),
+        ("reference.parquet", "reference", "poses at 100 Hz"),
+        ("calibration.json", "calibration", "format 1"),
+        ("summary.json", "settings", "checks"),
+        ("report.html", "text", "doctype"),
+    ],
+)
+def test_what_undrift_writes_is_told(undrift, bench, name, kind, word):
+    told = undrift.good("info", bench / name, "--json").json()
+    assert told["kind"] == kind
+    assert word in told["summary"]
+    if kind in ("session", "recording"):
+        assert told["stills"]
+        assert told["units"]["accel"] == "count"
+        assert told["temp_c"][0] < told["temp_c"][1]
+
+
+def test_a_folder_is_listed_file_by_file_with_damage_named(undrift, bench, tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "walk.parquet").write_bytes((bench / "trial.parquet").read_bytes())
+    (tmp_path / "torn.parquet").write_bytes((bench / "trial.parquet").read_bytes()[:500])
+    before = contents(tmp_path)
+    told = undrift.good("info", tmp_path, "--json").json()
+    assert told.keys() >= KEYS
+    assert told["kind"] == "folder"
+    assert [(file["name"], file["kind"]) for file in told["files"]] == [
+        ("sub", "folder"), ("torn.parquet", "damaged"), ("walk.parquet", "recording"),
+    ]  # fmt: skip
+    assert len(told["problems"]) == 1
+    assert "3 entries: 1 damaged, 1 folder, 1 recording" in undrift.good("info", tmp_path).out
+    assert "got an empty folder" in undrift.refused("info", tmp_path / "sub")
+    assert contents(tmp_path) == before
+
+
+def test_names_with_brackets_are_shown_as_they_are(undrift, bench, tmp_path):
+    path = tmp_path / "[red]walk.parquet"
+    path.write_bytes((bench / "trial.parquet").read_bytes())
+    assert str(path) in undrift.good("info", path).out
+    assert (
+        str(path)
+        in undrift.good("correct", path, "--calibration", bench / "calibration.json", "-o", tmp_path / "o").out
+    )
+
+
+def test_every_public_folder_was_found():
+    if EVERY:
+        assert sum("/" not in name for name in EVERY) == len([p for p in Path(DATA).iterdir()])
+        assert len(EVERY) > 80

@@ -1,0 +1,97 @@
+"""The command line called in process, and what a folder holds: shared by the tests of commands."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from undrift.cli.app import run
+from undrift.io.recording import read_record, write_record
+from undrift.record import Record
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a call came to."""
+
+    code: int
+    out: str
+    err: str
+
+    def json(self) -> dict[str, Any]:
+        """Return the one object on stdout."""
+        assert self.out.count("\n") == 1
+        assert self.out.endswith("}\n")
+        held = json.loads(self.out)
+        assert isinstance(held, dict)
+        return held
+
+
+class Undrift:
+    """Calls undrift and takes what it wrote."""
+
+    def __init__(self, capsys):
+        self.capsys = capsys
+
+    def __call__(self, *words) -> Answer:
+        self.capsys.readouterr()
+        code = run([str(word) for word in words])
+        out, err = self.capsys.readouterr()
+        return Answer(code, out, err)
+
+    def good(self, *words) -> Answer:
+        """Return the answer to a call that must succeed without a word on stderr."""
+        answer = self(*words)
+        assert (answer.code, answer.err) == (0, ""), answer
+        return answer
+
+    def refused(self, *words) -> str:
+        """Return the one line of a call that must be refused."""
+        answer = self(*words)
+        assert (answer.code, answer.out) == (2, ""), answer
+        assert answer.err.startswith("undrift: ")
+        assert answer.err.endswith("\n")
+        assert answer.err.count("\n") == 1, answer.err
+        assert len(answer.err) < 1200
+        assert "Traceback" not in answer.err
+        return answer.err
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Return every file and folder with its bytes."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+def corrected_csv(folder: Path, path: Path) -> Record:
+    """Write the demo's corrected trial as CSV."""
+    record = read_record(folder / "corrected.parquet")
+    write_record(record, path)
+    return record
+
+
+def lines_of(path: Path) -> list[list[str]]:
+    """Return the cells of a CSV, head first."""
+    return [line.split(",") for line in path.read_text().splitlines()]
+
+
+def write_lines(path: Path, lines: list[list[str]]) -> None:
+    """Write cells as CSV."""
+    path.write_text("\n".join(",".join(cells) for cells in lines) + "\n")
+
+
+def at_rest(folder: Path, path: Path, *, seconds: float = 120.0, seed: int = 1) -> Record:
+    """Write a device at rest, white noise alone: a CSV in rad/s and m/s2."""
+    rng = np.random.default_rng(seed)
+    n = int(100 * seconds)
+    record = Record(
+        time=np.arange(n) / 100.0,
+        gyro=rng.normal(0.0, 1e-3, (n, 3)),
+        accel=rng.normal(0.0, 1e-2, (n, 3)) + [0.0, 0.0, 9.80665],
+    )
+    write_record(record, folder / path)
+    return record
