@@ -17,5 +17,5 @@ def test_the_schema_in_docs_is_the_one_of_the_models() -> None:
 def test_every_source_file_that_docs_name_exists() -> None:
     for page in (ROOT / "docs").glob("*.md"):
         for name in re.findall(r"[\w/]+\.py\b", page.read_text()):
-            places = (ROOT / "src" / "undrift" / name, ROOT / name)
+            places = (ROOT / "src" / "undrift" / name, ROOT / "tests" / name, ROOT / name)
             assert any(place.exists() for place in places), f"{page.name} names {name}"
