@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more tha
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist worksteal --durations=12
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/test_correct.py tests/test_filters.py tests/orientation
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/test_correct.py tests/test_stream.py tests/test_filters.py tests/orientation
 
 check: $(INSTALLED)
 	$(BIN)/ruff check src tests benchmarks

@@ -1,112 +1,18 @@
-"""correct: the five steps against a plain twin, streams against batches, and what it refuses."""
+"""correct: the five steps against a plain twin, buffers, threads, and what it refuses."""
 
-import warnings
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import twins
-from undrift.calibration.model import (
-    AdcModel,
-    Calibration,
-    DriftTables,
-    DynamicDrift,
-    ScaleDrift,
-    StaticDrift,
-    TriadModel,
-)
-from undrift.correct import Corrector, DriftRangeWarning, correct, correct_checked
-from undrift.drift.lookup import even_nodes
+from tuned import GAP, ROUNDINGS, STEPS, WILD, N, device, record, tables
+from undrift.calibration.model import AdcModel
+from undrift.correct import DriftRangeWarning, correct, correct_checked
 from undrift.errors import DriftRangeError, InputError
-from undrift.record import Record
 
-N = 203  # odd, so that no vector width divides it; small, so that the tests also run without the compiler
 # Twin and kernel do the same sums in another order and with fused products: a few units in the last place of values near 10.
 CLOSE = 1e-13
-
-
-def triad(rng, unit_in, unit_out, scale, offset, g=None):
-    return TriadModel(
-        method="test",
-        unit_in=unit_in,
-        unit_out=unit_out,
-        matrix=(np.eye(3) + rng.normal(size=(3, 3)) * 0.02) * scale,
-        offset=rng.normal(size=3) * offset,
-        g_sensitivity=g,
-        covariance=np.zeros((12, 12)),
-        rms_residual=0.0,
-        count=12,
-        rank=12,
-        condition=1.0,
-        valid_range=(-1.0, 1.0),
-    )
-
-
-def device(*, g=True, unit="count", **changes):
-    rng = np.random.default_rng(3)
-    of_g = rng.normal(size=(3, 3)) * 1e-3 if g else None
-    rate = 1e-3 if unit == "count" else 1.0
-    values = {
-        "device": "A",
-        "reference_temp_c": 25.0,
-        "gravity_m_s2": 9.81,
-        "gyro": triad(rng, unit if unit == "count" else "rad/s", "rad/s", rate, 30.0 * 1e-3 / rate, of_g),
-        "accel": triad(rng, unit if unit == "count" else "m/s2", "m/s2", 5e-3 if unit == "count" else 1.0, 30.0),
-        **changes,
-    }
-    return Calibration(**values)
-
-
-STEPS = np.linspace(18.0, 75.0, 115)
-GAP = np.radians(np.concatenate((-np.arange(90, 9, -5), np.arange(10, 91, 5))))  # the paper's grid: none below 10 deg/s
-WILD = np.array([17.0, 18.3, 25.0, 40.71, 80.0])  # no common step: searched
-
-
-def tables(*, static=STEPS, scale=None, dynamic=(STEPS, GAP), accel=True):
-    rng = np.random.default_rng(4)
-
-    def small(*shape):
-        return rng.normal(size=shape)
-
-    offsets = matrices = errors = None
-    if static is not None:
-        offset = small(len(static), 3) * 30.0
-        offsets = StaticDrift(temp_c=static, gyro_offset=offset, accel_offset=offset[::-1] if accel else None)
-    if scale is not None:
-        matrix = np.eye(3) + small(len(scale), 3, 3) * 0.02
-        matrices = ScaleDrift(temp_c=scale, gyro_matrix=matrix * 1e-3, accel_matrix=matrix * 5e-3 if accel else None)
-    if dynamic is not None:
-        error = small(len(dynamic[0]), len(dynamic[1]), 3) * 0.01
-        errors = DynamicDrift(temp_c=dynamic[0], turn_rate=dynamic[1], error=error)
-    return DriftTables(static=offsets, scale=matrices, dynamic=errors)
-
-
-def record(n=N, *, seed=1, low=20.0, high=70.0, unit="count", **changes):
-    rng = np.random.default_rng(seed)
-    scale = 1.0 if unit == "count" else 1e-3
-    gyro = np.round(rng.normal(size=(n, 3)) * 600.0) * scale
-    gyro[:3] = 0.0
-    values = {
-        "time": np.arange(n) * 0.01,
-        "gyro": gyro,
-        "accel": np.round(rng.normal(size=(n, 3)) * 1000.0) * scale,
-        "temp_c": rng.uniform(low, high, n),
-        "gyro_unit": "count" if unit == "count" else "rad/s",
-        "accel_unit": "count" if unit == "count" else "m/s2",
-        **changes,
-    }
-    return Record(**values)
-
-
-ROUNDINGS = [
-    None,
-    AdcModel(gyro_lsb=[1, 1, 1], accel_lsb=[2, 2, 2], gyro_rounding="toward_zero", accel_rounding="floor"),
-    AdcModel(gyro_lsb=[1, 1, 1], accel_lsb=[1, 1, 1], gyro_rounding="nearest", accel_rounding="toward_zero"),
-]
 
 
 @pytest.mark.parametrize("adc", ROUNDINGS, ids=["unknown", "truncated", "nearest"])
@@ -192,8 +98,6 @@ def test_a_corrected_record_is_not_corrected_twice():
     once = correct(record(unit="si", temp_c=None), c)
     with pytest.raises(InputError, match="wanted raw readings, got a corrected record"):
         correct(once, c)
-    with pytest.raises(InputError, match="wanted raw readings, got a corrected record"):
-        Corrector(c).push(once)
 
 
 def test_a_triad_without_a_model_passes_nominal_values_and_says_so():
@@ -301,64 +205,3 @@ def test_a_buffer_of_another_shape_is_refused():
         InputError, match=r"wanted writeable float64 buffers of shape \(203, 3\) in C order, got float64 \(5, 3\)"
     ):
         correct(record(temp_c=None), device(), out=(np.empty((5, 3)), np.empty((N, 3))))
-
-
-STREAMED = [
-    (device(drift=d, adc=a, g=g), record(low=10.0, high=80.0))
-    for d in (None, tables(), tables(static=WILD, scale=WILD))
-    for a in ROUNDINGS[:2]
-    for g in (False, True)
-]
-BATCHES = [correct_checked(r, c, policy="hold") for c, r in STREAMED]
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    which=st.integers(0, len(STREAMED) - 1),
-    cuts=st.sets(st.integers(2, N - 2)),
-    policy=st.sampled_from(["hold", "nan"]),
-)
-def test_a_stream_equals_the_batch_to_the_last_bit(which, cuts, policy):
-    (c, r), bounds = STREAMED[which], [0, *(k for k in sorted(cuts) if k - 1 not in cuts), N]  # two samples or more
-    batch = BATCHES[which].record if policy == "hold" else correct_checked(r, c, policy="nan").record
-    corrector = Corrector(c, policy)
-    pieces = []
-    for start, stop in pairwise(bounds):
-        pieces.append(corrector.push_checked(r.part(start, stop)).record)
-        saved, corrector = corrector.state, Corrector(c, policy)  # as after a restart
-        corrector.state = saved
-    assert np.concatenate([p.gyro for p in pieces]).tobytes() == batch.gyro.tobytes()
-    assert np.concatenate([p.accel for p in pieces]).tobytes() == batch.accel.tobytes()
-    assert corrector.state.samples == N
-    assert corrector.state.samples_outside == BATCHES[which].outside.sum()
-
-
-def test_a_chunk_that_comes_again_is_refused_and_the_state_stays():
-    r, corrector = record(temp_c=None), Corrector(device())
-    corrector.push(r.part(0, 50))
-    before = corrector.state
-    with pytest.raises(
-        InputError, match=r"wanted a chunk that begins after 0.49 s, got one from 0.4 s; push chunks in order"
-    ):
-        corrector.push(r.part(40, 60))
-    assert corrector.state == before
-
-
-def test_a_stream_warns_as_the_batch_does():
-    corrector = Corrector(device(drift=tables(dynamic=None)), "hold")
-    with pytest.warns(DriftRangeWarning, match="outside the drift table"):
-        corrector.push(record(low=80.0, high=90.0))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        strict = Corrector(device(drift=tables()))
-        with pytest.raises(DriftRangeError):
-            strict.push(record(low=80.0, high=90.0))
-    assert strict.state.samples == 0
-
-
-def test_even_grids_are_found_where_there_is_one():
-    assert len(even_nodes(STEPS)) == 115
-    assert len(even_nodes(GAP)) == 37  # the gap between -10 and 10 deg/s filled with three nodes
-    assert len(even_nodes(np.array([0.0, 2.0, 5.0]))) == 6  # the smallest gap is two steps
-    assert even_nodes(WILD) is None
-    assert even_nodes(np.array([0.0, 1e-6, 1.0])) is None  # too fine

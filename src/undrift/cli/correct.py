@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from undrift.calibration.model import Calibration
-    from undrift.correct import CorrectorState
+    from undrift.stream import CorrectorState
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 
@@ -137,9 +137,9 @@ def _correct_one(
     opening: Opening,
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", list[str]]:
-    from undrift.correct import Corrector
     from undrift.io.parquet import ParquetWriter
     from undrift.io.recording import iter_record, write_record
+    from undrift.stream import Corrector
 
     corrector, said = Corrector(model, policy), dict[str, None]()
     if not part.name.endswith(".parquet"):

@@ -4,7 +4,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration
-from undrift.drift.lookup import Plans, TriadPlan
+from undrift.drift.plan import Plans, TriadPlan
 from undrift.errors import DriftRangeError
 from undrift.record import Record
 

@@ -80,12 +80,28 @@ def affine_pair(
     x: FloatArray, y: FloatArray, out: FloatArray, out_a: FloatArray,
     m: FloatArray, o: FloatArray, h: FloatArray, n: FloatArray, p: FloatArray, q: FloatArray, g: FloatArray,
 ) -> None:  # fmt: skip
-    # a = N (y + q sign(y) - p), w = M (x + h sign(x) - o) - G a, a block at a time: the second look at it costs no memory
-    for start in range(0, x.size, BLOCK):
-        stop = min(start + BLOCK, x.size)
-        affine(y[start:stop], out_a[start:stop], n, p, q)
-        affine(x[start:stop], out[start:stop], m, o, h)
-        subtract_g(out_a[start:stop], out[start:stop], g)
+    # a = N (y + q sign(y) - p), w = M (x + h sign(x) - o) - G a
+    if h[0] != 0.0 or h[1] != 0.0 or h[2] != 0.0 or q[0] != 0.0 or q[1] != 0.0 or q[2] != 0.0:
+        for start in range(0, x.size, BLOCK):  # a block at a time: the second look at it costs no memory
+            stop = min(start + BLOCK, x.size)
+            affine(y[start:stop], out_a[start:stop], n, p, q)
+            affine(x[start:stop], out[start:stop], m, o, h)
+            subtract_g(out_a[start:stop], out[start:stop], g)
+        return
+    m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
+    n0, n1, n2, n3, n4, n5, n6, n7, n8 = n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8]
+    g0, g1, g2, g3, g4, g5, g6, g7, g8 = g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8]
+    o0, o1, o2, p0, p1, p2 = o[0], o[1], o[2], p[0], p[1], p[2]
+    for k in range(ZERO, np.uint64(x.size), THREE):  # one loop: each reading is fetched once, each result written once
+        y0, y1, y2 = y[k] - p0, y[k + ONE] - p1, y[k + TWO] - p2
+        x0, x1, x2 = x[k] - o0, x[k + ONE] - o1, x[k + TWO] - o2
+        a0 = n0 * y0 + n1 * y1 + n2 * y2
+        a1 = n3 * y0 + n4 * y1 + n5 * y2
+        a2 = n6 * y0 + n7 * y1 + n8 * y2
+        out_a[k], out_a[k + ONE], out_a[k + TWO] = a0, a1, a2
+        out[k] = m0 * x0 + m1 * x1 + m2 * x2 - (g0 * a0 + g1 * a1 + g2 * a2)
+        out[k + ONE] = m3 * x0 + m4 * x1 + m5 * x2 - (g3 * a0 + g4 * a1 + g5 * a2)
+        out[k + TWO] = m6 * x0 + m7 * x1 + m8 * x2 - (g6 * a0 + g7 * a1 + g8 * a2)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")

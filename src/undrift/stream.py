@@ -1,0 +1,119 @@
+"""Correct a stream: the model of correct.py, chunk by chunk, with nothing to carry but how far it has come.
+
+No step of the model looks at another sample, so chunks of any length give the bits of the batch. What is kept between chunks are
+the plans (the calibration made ready for the kernels) and the state, which may be saved and put back.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.calibration.model import Calibration
+from undrift.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
+from undrift.drift.plan import Plans, plan_record
+from undrift.errors import InputError
+from undrift.record import Record
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectorState:
+    """How far a stream has come: enough to go on elsewhere.
+
+    Parameters
+    ----------
+    samples : int
+        Corrected so far.
+    samples_outside : int
+        Of those, outside the tuning tables.
+    last_time : float
+        Time of the last sample, s; minus infinity before the first.
+    """
+
+    samples: int = 0
+    samples_outside: int = 0
+    last_time: float = -np.inf
+
+
+class Corrector:
+    """Correct a stream chunk by chunk; the result equals the batch to the last bit.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The device's model.
+    policy : str
+        "raise", "hold" or "nan", as for ``correct``.
+    reference_span_c : float
+        As for ``correct_checked``, degC.
+    """
+
+    def __init__(
+        self, calibration: Calibration, policy: Policy = "raise", *, reference_span_c: float = REFERENCE_SPAN_C
+    ) -> None:
+        self._calibration, self._policy, self._span = calibration, policy, reference_span_c
+        self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
+        self.state = CorrectorState()  # may be saved, and put back by assignment
+
+    def push(self, chunk: Record) -> Record:
+        """Correct the next chunk.
+
+        Parameters
+        ----------
+        chunk : Record
+            Raw readings that follow the last chunk.
+
+        Returns
+        -------
+        Record
+            The same samples, corrected.
+
+        Raises
+        ------
+        InputError
+            As for ``correct``, or a chunk that does not follow the last one in time; the state is as before.
+        DriftRangeError
+            As for ``correct``; the state is as before.
+        """
+        corrected = self.push_checked(chunk)
+        for text in corrected.warnings:
+            warnings.warn(text, DriftRangeWarning, stacklevel=2)
+        return corrected.record
+
+    def push_checked(self, chunk: Record) -> Corrected:
+        """Correct the next chunk and say where the calibration did not cover it.
+
+        Parameters
+        ----------
+        chunk : Record
+            Raw readings that follow the last chunk.
+
+        Returns
+        -------
+        Corrected
+            The same samples, corrected, with mask, warnings and notes of this chunk.
+
+        Raises
+        ------
+        InputError
+            As for ``push``.
+        DriftRangeError
+            As for ``push``.
+        """
+        if chunk.time[0] <= self.state.last_time:
+            raise InputError(
+                f"corrector: wanted a chunk that begins after {self.state.last_time:.6g} s, got one from {chunk.time[0]:.6g} s; "
+                "push chunks in order, each once"
+            )
+        key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
+        if key not in self._plans or chunk.state == "corrected":
+            self._plans[key] = plan_record(chunk, self._calibration)
+        done = correct_planned(
+            chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span
+        )
+        self.state = CorrectorState(
+            samples=self.state.samples + len(chunk),
+            samples_outside=self.state.samples_outside + int(done.outside.sum()),
+            last_time=float(chunk.time[-1]),
+        )
+        return done

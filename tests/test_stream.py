@@ -1,0 +1,75 @@
+"""Corrector: a stream gives the bits of the batch, warns as it does, and refuses what comes again."""
+
+import warnings
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tuned import ROUNDINGS, WILD, N, device, record, tables
+from undrift.correct import DriftRangeWarning, correct, correct_checked
+from undrift.errors import DriftRangeError, InputError
+from undrift.stream import Corrector
+
+STREAMED = [
+    (device(drift=d, adc=a, g=g), record(low=10.0, high=80.0))
+    for d in (None, tables(), tables(static=WILD, scale=WILD))
+    for a in ROUNDINGS[:2]
+    for g in (False, True)
+]
+BATCHES = [correct_checked(r, c, policy="hold") for c, r in STREAMED]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    which=st.integers(0, len(STREAMED) - 1),
+    cuts=st.sets(st.integers(2, N - 2)),
+    policy=st.sampled_from(["hold", "nan"]),
+)
+def test_a_stream_equals_the_batch_to_the_last_bit(which, cuts, policy):
+    (c, r), bounds = STREAMED[which], [0, *(k for k in sorted(cuts) if k - 1 not in cuts), N]  # two samples or more
+    batch = BATCHES[which].record if policy == "hold" else correct_checked(r, c, policy="nan").record
+    corrector = Corrector(c, policy)
+    pieces = []
+    for start, stop in pairwise(bounds):
+        pieces.append(corrector.push_checked(r.part(start, stop)).record)
+        saved, corrector = corrector.state, Corrector(c, policy)  # as after a restart
+        corrector.state = saved
+    assert np.concatenate([p.gyro for p in pieces]).tobytes() == batch.gyro.tobytes()
+    assert np.concatenate([p.accel for p in pieces]).tobytes() == batch.accel.tobytes()
+    assert corrector.state.samples == N
+    assert corrector.state.samples_outside == BATCHES[which].outside.sum()
+
+
+def test_a_chunk_that_comes_again_is_refused_and_the_state_stays():
+    r, corrector = record(temp_c=None), Corrector(device())
+    corrector.push(r.part(0, 50))
+    before = corrector.state
+    with pytest.raises(
+        InputError, match=r"wanted a chunk that begins after 0.49 s, got one from 0.4 s; push chunks in order"
+    ):
+        corrector.push(r.part(40, 60))
+    assert corrector.state == before
+
+
+def test_a_stream_warns_as_the_batch_does():
+    corrector = Corrector(device(drift=tables(dynamic=None)), "hold")
+    with pytest.warns(DriftRangeWarning, match="outside the drift table"):
+        corrector.push(record(low=80.0, high=90.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        strict = Corrector(device(drift=tables()))
+        with pytest.raises(DriftRangeError):
+            strict.push(record(low=80.0, high=90.0))
+    assert strict.state.samples == 0
+
+
+def test_a_stream_refuses_a_corrected_record():
+    c = device(unit="si", drift=None)
+    raw, corrector = record(unit="si", temp_c=None), Corrector(c)
+    corrector.push(raw.part(0, 50))  # the plans of these units are made
+    with pytest.raises(InputError, match="wanted raw readings, got a corrected record"):
+        corrector.push(correct(raw.part(50, N), c))
+    assert corrector.state.samples == 50
