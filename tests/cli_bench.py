@@ -91,7 +91,7 @@ def at_rest(folder: Path, path: Path, *, seconds: float = 120.0, seed: int = 1) 
     record = Record(
         time=np.arange(n) / 100.0,
         gyro=rng.normal(0.0, 1e-3, (n, 3)),
-        accel=rng.normal(0.0, 1e-2, (n, 3)) + [0.0, 0.0, 9.80665],
+        accel=rng.normal(0.0, 1e-2, (n, 3)) + np.array([0.0, 0.0, 9.80665]),
     )
     write_record(record, folder / path)
     return record

@@ -47,7 +47,7 @@ def noise(
         Exit code.
     """
     from undrift.calibration.noise import fit_noise
-    from undrift.cli.output import show_verdict, waiting, write_json
+    from undrift.cli.output import console, show_verdict, waiting, write_json
     from undrift.cli.writing import checked_output
     from undrift.report.figures import PICTURES
 
@@ -73,6 +73,8 @@ def noise(
     _show("gyroscopes", found.gyro, ("angle random walk", "bias instability", "rate random walk"))
     _show("accelerometers", found.accel, ("velocity random walk", "bias instability", "acceleration random walk"))
     show_verdict(found.verdict)
+    if figure is not None:
+        console().print(f"Wrote {figure}", markup=False)
     return 0
 
 

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.orientation.orient import Orientation
 
-Side = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 
 
 def orient(

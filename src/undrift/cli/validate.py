@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from undrift.record import Record, Reference
     from undrift.validation import TrialSettings, Validation
 
-Side = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 SHOWN = (
     ("rmse_total_deg", "total"),
     ("rmse_inclination_deg", "inclination"),

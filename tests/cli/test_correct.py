@@ -1,0 +1,100 @@
+"""undrift correct: one recording, many, every ending, and nothing half done."""
+
+import numpy as np
+import pytest
+
+from cli_bench import contents
+from undrift.io.recording import read_record, write_record
+
+
+@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz"])
+def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tmp_path, name):
+    answer = undrift.good(
+        "correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / name
+    )
+    made, known = read_record(tmp_path / name), read_record(bench / "corrected.parquet")
+    assert (made.state, made.gyro_unit, made.accel_unit) == ("corrected", "rad/s", "m/s2")
+    np.testing.assert_allclose(made.gyro, known.gyro, atol=1e-12, rtol=0.0)  # rad/s, rounding alone
+    assert answer.out == f"{bench / 'trial.parquet'} -> {tmp_path / name}: {len(known)} samples in rad/s and m/s2\n"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_several_recordings_go_into_a_folder_under_their_own_names(undrift, bench, tmp_path):
+    raw = read_record(bench / "trial.parquet")
+    for name in ("walk.v1.csv", "walk.v2.csv.gz", "sit.parquet"):
+        write_record(raw, tmp_path / name)
+    records = [tmp_path / name for name in ("walk.v1.csv", "walk.v2.csv.gz", "sit.parquet")]
+    calibration = ["--calibration", bench / "calibration.json"]
+    told = undrift.good("correct", *records, *calibration, "-o", tmp_path / "out", "--json").json()
+    assert [row["output"] for row in told["recordings"]] == [
+        str(tmp_path / "out" / name) for name in ("walk.v1.parquet", "walk.v2.parquet", "sit.parquet")
+    ]
+    assert all(set(row) >= {"recording", "samples", "samples_outside", "warnings"} for row in told["recordings"])
+    assert {row["samples"] for row in told["recordings"]} == {len(raw)}
+    assert all(read_record(row["output"]).state == "corrected" for row in told["recordings"])
+    before = contents(tmp_path / "out")
+    undrift.good("correct", *records, *calibration, "-o", tmp_path / "out")  # again: the same bytes
+    assert contents(tmp_path / "out") == before
+
+
+def test_one_bad_recording_among_good_ones_writes_nothing_at_all(undrift, bench, tmp_path):
+    torn = tmp_path / "torn.parquet"
+    torn.write_bytes((bench / "trial.parquet").read_bytes()[:5000])
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "trial.parquet").write_text("older result")
+    before = contents(tmp_path)
+    for out in ("new", "kept"):
+        line = undrift.refused(
+            "correct", bench / "trial.parquet", torn, "--calibration", bench / "calibration.json", "-o", tmp_path / out
+        )
+        assert "torn.parquet" in line
+        assert contents(tmp_path) == before
+
+
+def test_a_recording_at_another_temperature_is_corrected_with_a_warning_on_stdout(undrift, bench, tmp_path):
+    raw = read_record(bench / "trial.parquet")
+    from dataclasses import replace
+
+    write_record(replace(raw, temp_c=raw.temp_c + 15.0), tmp_path / "warm.parquet")
+    answer = undrift.good(
+        "correct", tmp_path / "warm.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "c.csv"
+    )
+    assert "  warning: " in answer.out
+    assert "degC" in answer.out
+
+
+def test_what_correct_refuses(undrift, bench, tmp_path):
+    raw = read_record(bench / "trial.parquet")
+    (tmp_path / "a").mkdir()
+    for name in ("x.csv", "x.parquet", "a/x.csv"):
+        write_record(raw, tmp_path / name)
+    before = contents(tmp_path)
+    calibration = ["--calibration", bench / "calibration.json"]
+
+    def refused(*words):
+        line = undrift.refused("correct", *words)
+        assert contents(tmp_path) == before
+        return line
+
+    assert "wanted one recording or more" in refused(*calibration, "-o", tmp_path / "o.csv")
+    assert "--calibration" in refused(tmp_path / "x.csv", "-o", tmp_path / "o.csv")
+    assert "--output" in refused(tmp_path / "x.csv", *calibration)
+    assert "got a corrected record" in refused(bench / "corrected.parquet", *calibration, "-o", tmp_path / "o.csv")
+    assert "than those that are read" in refused(tmp_path / "x.csv", *calibration, "-o", tmp_path / "x.csv")
+    assert "than those that are read" in refused(tmp_path / "x.parquet", *calibration, "-o", tmp_path)
+    twice = (tmp_path / "x.csv", tmp_path / "a" / "x.csv")
+    assert "x.parquet twice" in refused(*twice, *calibration, "-o", tmp_path / "o")
+    assert "a folder for several recordings" in refused(*twice, *calibration, "-o", tmp_path / "o.csv")
+    assert "wanted a name ending in .parquet, .csv or .csv.gz" in refused(
+        twice[0], *calibration, "-o", tmp_path / "o.txt"
+    )
+    assert "got a folder" in refused(twice[0], *calibration, "-o", _folder(tmp_path, before))
+    assert 'Invalid value "drop" for --policy' in refused(
+        twice[0], *calibration, "-o", tmp_path / "o.csv", "--policy", "drop"
+    )
+
+
+def _folder(tmp_path, before):
+    (tmp_path / "f.csv").mkdir()
+    before["f.csv"] = None
+    return tmp_path / "f.csv"

@@ -1,0 +1,80 @@
+"""undrift noise: coefficients with their intervals, and the Allan plot."""
+
+import numpy as np
+import pytest
+
+from cli_bench import at_rest, contents
+from data import data_path, show
+
+MAP = (
+    'sample_rate_hz = 100\nskip_rows = 4\ncolumns = { gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"] }\n'
+    'units = { gyro = "count", accel = "count" }\n'
+)
+
+
+def test_a_board_at_rest_for_seven_minutes(undrift, tmp_path):
+    (tmp_path / "map.toml").write_text(MAP)
+    path = data_path("static_mpu6050", "example_data_tinit_calc.csv.gz")
+    told = undrift.good("noise", path, "--map", tmp_path / "map.toml", "--json").json()
+    assert told.keys() >= {"gyro", "accel", "taus_s", "adev"}
+    assert [axis["axis"] for axis in told["gyro"]] == ["x", "y", "z"]
+    for axis in told["gyro"] + told["accel"]:
+        for name in ("angle_random_walk", "bias_instability", "rate_random_walk"):
+            assert axis[name].keys() == {"value", "interval", "unit", "reason"}
+        assert axis["angle_random_walk"]["interval"][0] < axis["angle_random_walk"]["value"]
+    walk = [axis["angle_random_walk"]["value"] / 131.0 for axis in told["gyro"]]  # 131 counts per deg/s, SOURCE.md
+    show(
+        "angle random walk, deg/s/sqrt(Hz)",
+        np.round(walk, 5),
+        "0.005 in the data sheet of the MPU-6050, within a factor of 3",
+    )
+    assert all(0.005 / 3.0 < value < 0.005 * 3.0 for value in walk)
+    assert len(told["taus_s"]) == len(told["adev"]["gyro"]) == len(told["adev"]["accel"])
+
+
+@pytest.mark.parametrize("name", ["a.svg", "a.png", "a.pdf", "A.SVG"])
+def test_the_allan_plot_is_written_in_the_format_of_its_name(undrift, tmp_path, name):
+    at_rest(tmp_path, "rest.csv")
+    answer = undrift.good("noise", tmp_path / "rest.csv", "-o", tmp_path / name)
+    start = (tmp_path / name).read_bytes()[:400]
+    assert {"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF"}[name[-3:].lower()] in start
+    assert {path.name for path in tmp_path.iterdir()} == {"rest.csv", name}
+    assert "angle random walk" in answer.out
+    assert "(rad/s/sqrt(Hz))" in answer.out
+    assert "verdict: " in answer.out
+    assert str(tmp_path / name) in answer.out
+
+
+def test_a_stretch_is_cut_out_and_known_noise_is_found(undrift, tmp_path):
+    at_rest(tmp_path, "rest.csv")
+    told = undrift.good("noise", tmp_path / "rest.csv", "--start-s", "10", "--stop-s", "110", "--json").json()
+    assert told["duration_s"] == pytest.approx(100.0, abs=0.02)
+    for axis in told["gyro"]:
+        low, high = axis["angle_random_walk"]["interval"]
+        # 1e-3 rad/s at 100 Hz is 1e-4 rad/s/sqrt(Hz); three intervals of 95 %, so a margin of a half-width
+        assert low - (high - low) / 2.0 < 1e-4 < high + (high - low) / 2.0
+
+
+def test_counts_are_made_physical_by_a_calibration(undrift, bench):
+    words = ["noise", bench / "trial.parquet", "--stop-s", "5"]
+    assert undrift.good(*words, "--json").json()["units"]["gyro"] == "count"
+    told = undrift.good(*words, "--calibration", bench / "calibration.json", "--json").json()
+    assert told["units"] == {"gyro": "rad/s", "accel": "m/s2"}
+
+
+def test_what_noise_refuses(undrift, bench, tmp_path):
+    at_rest(tmp_path, "rest.csv")
+    (tmp_path / "old.svg").write_text("kept")
+    before = contents(tmp_path)
+
+    def refused(*words):
+        line = undrift.refused("noise", *words)
+        assert contents(tmp_path) == before
+        return line
+
+    assert "wanted a device at rest" in refused(bench / "trial.parquet", "-o", tmp_path / "old.svg")
+    assert "wanted a name ending in .svg, .png or .pdf" in refused(tmp_path / "rest.csv", "-o", tmp_path / "rest.csv")
+    assert "make it first" in refused(tmp_path / "rest.csv", "-o", tmp_path / "none" / "a.svg")
+    assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "500")
+    assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "50", "--stop-s", "40")
+    assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "nan")

@@ -1,0 +1,99 @@
+"""undrift orient: angles of corrected and of raw recordings."""
+
+import numpy as np
+import pytest
+
+from cli_bench import contents
+from data import data_path, show
+from undrift.io.angles import COLUMNS
+from undrift.io.reference import read_reference
+
+
+def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tmp_path):
+    first = undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "a.csv")
+    told = undrift.good(
+        "orient",
+        bench / "trial.parquet",
+        "--calibration",
+        bench / "calibration.json",
+        "-o",
+        tmp_path / "b.parquet",
+        "--json",
+    ).json()
+    a, b = read_reference(tmp_path / "a.csv"), read_reference(tmp_path / "b.parquet")
+    np.testing.assert_allclose(a.q_nb, b.q_nb, atol=1e-9)
+    assert (tmp_path / "a.csv").read_text().splitlines()[0].replace('"', "").split(",") == list(COLUMNS)
+    assert told.keys() >= {
+        "samples",
+        "still",
+        "tilt_uncertainty_deg",
+        "offset_dps",
+        "inclination_deg",
+        "pitch_deg",
+        "recording",
+    }
+    assert told["samples"] == len(a)
+    low, high = told["pitch_deg"]
+    assert 0.0 < low < high < 60.0
+    assert f"pitch: {low:.2f} to {high:.2f} deg" in first.out
+
+
+def test_heading_offset_and_body_axes_are_taken(undrift, bench, tmp_path):
+    path = bench / "corrected.parquet"
+    plain = undrift.good("orient", path, "-o", tmp_path / "a.csv", "--json").json()
+    rest = undrift.good(
+        "orient", path, "-o", tmp_path / "b.csv", "--offset", "rest", "--heading-deg", "90", "--json"
+    ).json()
+    assert plain["offset_dps"] == [0.0, 0.0, 0.0]
+    assert any(rest["offset_dps"])
+    heading = np.loadtxt(tmp_path / "b.csv", delimiter=",", skiprows=1)[:, COLUMNS.index("heading_deg")]
+    assert abs(np.median(heading[:100]) - 90.0) < 0.5
+    side = undrift.good("orient", path, "-o", tmp_path / "c.csv", "--forward", "-x", "--up", "+z", "--json").json()
+    np.testing.assert_allclose(side["pitch_deg"], [-plain["pitch_deg"][1], -plain["pitch_deg"][0]], atol=1e-6)
+
+
+def test_a_real_wearable_is_oriented(undrift, tmp_path):
+    answer = undrift.good("orient", data_path("wearable_formats", "ngimu"), "-o", tmp_path / "n.csv.gz")
+    show("ngimu", answer.out)
+    assert "499 samples" in answer.out
+    assert len(read_reference(tmp_path / "n.csv.gz")) == 499
+
+
+def test_what_orient_refuses(undrift, bench, tmp_path):
+    (tmp_path / "mine.csv").write_text("kept")
+    before = contents(tmp_path)
+
+    def refused(*words):
+        line = undrift.refused("orient", *words)
+        assert contents(tmp_path) == before
+        return line
+
+    corrected = bench / "corrected.parquet"
+    assert "say --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
+    assert "--output" in refused(corrected)
+    assert "wanted a name ending in .parquet, .csv or .csv.gz" in refused(corrected, "-o", tmp_path / "o.xls")
+    assert "than those that are read" in refused(corrected, "-o", corrected)
+    assert "up" in refused(corrected, "-o", tmp_path / "o.csv", "--up", "+x")
+    assert "wanted a recording" in refused(bench / "calibration.json", "-o", tmp_path / "mine.csv")
+
+
+@pytest.mark.parametrize("inside", ["recording_0.parquet", "session.toml"])
+def test_a_recording_of_the_session_that_is_read_is_not_written_over(undrift, bench, inside):
+    path = bench / "session" / inside
+    before = path.read_bytes()
+    line = undrift.refused("orient", bench / "session", "--calibration", bench / "calibration.json", "-o", path)
+    assert "wanted" in line
+    assert path.read_bytes() == before
+
+
+def test_a_worn_recording_without_a_still_phase_says_so(undrift, tmp_path):
+    (tmp_path / "map.toml").write_text(
+        'sample_rate_hz = 100\ncolumns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
+        'units = { gyro = "dps", accel = "g" }\n'
+    )
+    worn = data_path("worn_lowback", "HA_001_Test11.csv.gz")
+    before = contents(tmp_path)
+    assert "wanted a still phase" in undrift.refused(
+        "orient", worn, "--map", tmp_path / "map.toml", "-o", tmp_path / "o.csv"
+    )
+    assert contents(tmp_path) == before
