@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from data import show
+from undrift.calibration.fit.noise import noise_of_means
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, face_means, fit_six_face, polynomial_filter
 from undrift.calibration.fit.tilt import estimate_tilt, tilted_sigma
 from undrift.calibration.plausibility import face_vectors
@@ -135,7 +136,7 @@ def test_windows_of_six_seconds_are_averaged_with_their_noise():
     assert poses.faces == FACES
     middle = record.accel[100:700]
     np.testing.assert_allclose(poses.reading[0], middle.mean(axis=0), rtol=1e-12)
-    # 66 spare blocks tell the noise of a mean, 0.03 / sqrt(600), to 9 %; 27 % is three sigma
+    # 60 spare blocks tell the noise of a mean, 0.03 / sqrt(600), to 9 %; 27 % is three sigma
     np.testing.assert_allclose(poses.noise, 0.03 / np.sqrt(600.0), rtol=0.27)
 
 
@@ -180,6 +181,74 @@ def test_level_faces_are_not_called_tilted_and_tilted_ones_are_measured():
 def test_a_tilt_loads_cross_axes_with_its_sine_and_the_own_axis_with_its_cosine():
     sigma = tilted_sigma(UP, np.zeros((6, 3)), np.full(3, G), 0.01)
     np.testing.assert_allclose(sigma[0], [G * 1e-4, G * 1e-2, G * 1e-2])
+
+
+def test_noise_counts_what_a_polynomial_took_from_each_window():
+    rng = np.random.default_rng(6)
+    windows = [polynomial_filter(rng.standard_normal((600, 3)), 1)[1] for _ in range(400)]
+    noise = noise_of_means(windows, [50] * 400, removed=2)
+    # 12,000 spare blocks: 0.65 %, and three of those; one parameter a window instead of two would make it 4.7 % too small
+    np.testing.assert_allclose(noise, 1.0 / np.sqrt(600.0), rtol=0.02)
+
+
+@pytest.mark.parametrize("mode", ["affine", "levelled"])
+def test_readings_without_any_noise_are_weighed_alike(mode):
+    fit = fit_six_face(faces(noise=0.0), gravity=G, settings=SixFaceSettings(mode=mode))
+    np.testing.assert_allclose(fit.model.forward_matrix, FORWARD, atol=1e-13)
+    assert fit.verdict.reasons == ()
+
+
+def test_levelled_on_level_faces_is_plain_least_squares_to_the_last_digit():
+    levelled = fit_six_face(faces(), gravity=G)
+    plain = fit_six_face(faces(), gravity=G, settings=SixFaceSettings(mode="affine"))
+    assert levelled.tilt == 0.0
+    np.testing.assert_array_equal(levelled.model.matrix, plain.model.matrix)
+    np.testing.assert_array_equal(levelled.model.covariance, plain.model.covariance)
+
+
+def test_a_large_tilt_is_said_and_makes_the_fit_marginal():
+    rng = np.random.default_rng(7)
+    crooked = np.where(UP == 0.0, G * np.radians(1.0) * rng.standard_normal((6, 3)), 0.0)
+    poses = FaceMeans(reading=faces().reading + crooked @ FORWARD.T, faces=FACES, noise=np.full((6, 3), 0.002))
+    fit = fit_six_face(poses, gravity=G)
+    assert fit.tilt == pytest.approx(np.radians(1.0), rel=0.9)  # six spare equations: three times 29 %
+    assert fit.verdict.status == "marginal"
+    assert fit.verdict.reasons == (
+        f"the faces are tilted by {np.degrees(fit.tilt):.2f} deg (1 sigma) against the plane or each other; six faces cannot tell "
+        "that from misaligned sensors, and the off-diagonal uncertainty holds it: add nine or more free poses to do better",
+    )
+
+
+@pytest.mark.parametrize("scale", [208.8, 1e-3])
+def test_levelled_does_not_depend_on_the_unit_of_the_readings(scale):
+    rng = np.random.default_rng(8)
+    crooked = np.where(UP == 0.0, G * np.radians(0.1) * rng.standard_normal((6, 3)), 0.0)
+    reading, noise = faces().reading + crooked @ FORWARD.T, np.full((6, 3), 0.002)
+    si = fit_six_face(FaceMeans(reading=reading, faces=FACES, noise=noise), gravity=G)
+    other = fit_six_face(FaceMeans(reading=scale * reading, faces=FACES, noise=scale * noise, unit="count"), gravity=G)
+    assert other.tilt == pytest.approx(si.tilt, rel=1e-9)
+    unit = np.array([1.0 / scale] * 9 + [scale] * 3)
+    np.testing.assert_allclose(other.model.standard_uncertainty, si.model.standard_uncertainty * unit, rtol=1e-9)
+    np.testing.assert_allclose(other.model.offset, scale * si.model.offset, rtol=1e-9)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.005, 0.01, 0.02, 0.05, 0.25])
+def test_intervals_of_a_levelled_fit_hold_also_where_tilt_and_noise_are_alike(tilt_deg):
+    # 2 mm/s2 of noise are 0.012 deg of tilt.
+    rng = np.random.default_rng(9)
+    inside = []
+    for _ in range(400):
+        forward = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
+        turn = np.radians(tilt_deg) * rng.standard_normal((6, 3))
+        a = UP + np.cross(turn, UP)
+        a *= G / np.linalg.norm(a, axis=1, keepdims=True)
+        reading = a @ forward.T + OFFSET + 0.002 * rng.standard_normal((6, 3))
+        model = fit_six_face(FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 0.002)), gravity=G).model
+        error = np.concatenate(((model.matrix - np.linalg.inv(forward)).ravel(), model.offset - OFFSET))
+        inside.append(np.abs(error) <= 1.959964 * model.standard_uncertainty)
+    share = float(np.mean(inside))
+    show(f"tilt {tilt_deg} deg: coverage of 95 % intervals", f"{share:.4f}", (0.93, 0.97))
+    assert 0.93 <= share <= 0.97  # 4,800 intervals, twelve a device share its tilt: standard error 0.4 %
 
 
 def closed_form(reading):

@@ -10,7 +10,7 @@ BLOCK_S = 0.5  # means of this length count as independent of each other
 _LEAST_SPARE = 6  # fewer spare blocks than this say nothing
 
 
-def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int]) -> FloatArray | None:
+def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int], removed: int = 1) -> FloatArray | None:
     """Return the standard deviation of the mean of each window.
 
     Each window is cut into blocks; the variance of block means about their window's mean is pooled over all windows, and the
@@ -22,6 +22,8 @@ def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int]) -> Float
         Readings, or what a filter left of them.
     sizes : sequence of int
         Samples in a block of each window.
+    removed : int
+        Parameters fitted to each window: the mean alone, or those of the polynomial that was taken off.
 
     Returns
     -------
@@ -31,10 +33,10 @@ def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int]) -> Float
     square, spare = np.zeros(3), 0
     for values, size in zip(windows, sizes, strict=True):
         count = len(values) // size
-        if count > 1:
+        if count > removed:
             means = values[: count * size].reshape(count, size, 3).mean(axis=1)
             square += ((means - means.mean(axis=0)) ** 2).sum(axis=0)
-            spare += count - 1
+            spare += count - removed
     if spare < _LEAST_SPARE:
         return None
     share = np.array([size / max(1, len(values)) for values, size in zip(windows, sizes, strict=True)])
