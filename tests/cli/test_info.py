@@ -1,7 +1,6 @@
 """undrift info: every public recording, and the keys that other programs rely on."""
 
 import re
-from pathlib import Path
 
 import pytest
 

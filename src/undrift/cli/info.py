@@ -119,4 +119,6 @@ def _hints(found: "Description") -> list[str]:
         return [f"say: undrift info FILE --sensor {found.columns[0]}"]
     if found.kind == "table" and found.format == "ximu":
         return ["say: undrift info FILE --sample-rate-hz 256"]
+    if found.kind == "markers" and any("points up" in problem for problem in found.problems):
+        return ["say: undrift info FILE --up y, and undrift validate RECORD --reference FILE --reference-up y"]
     return []

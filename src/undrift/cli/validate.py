@@ -156,7 +156,6 @@ def _pairs(
     opening: Opening,
 ) -> list[tuple["Record", "Reference"]]:
     from undrift.io.detect import detect
-    from undrift.io.reference import read_reference
 
     if not reference and all(detect(record) == "broad" for record in records):
         reference = records
@@ -165,10 +164,31 @@ def _pairs(
             f"validate: wanted one reference for each recording, got {len(reference)} for {len(records)}; "
             "say --reference once for each, in the same order"
         )
-    return [
-        (opening.read(record), read_reference(poses, labels=labels, up=up))
-        for record, poses in zip(records, reference, strict=True)
-    ]
+    return [(opening.read(record), _poses(poses, labels, up)) for record, poses in zip(records, reference, strict=True)]
+
+
+def _poses(path: Path, labels: tuple[str, ...] | None, up: Literal["y", "z"] | None) -> "Reference":
+    """Read a reference; what a file of markers needs is asked for in the words of the command line."""
+    from undrift.io.detect import detect
+    from undrift.io.markers import pose_from_cluster
+    from undrift.io.reference import read_markers, read_reference
+
+    if detect(path) not in ("trc", "c3d"):
+        return read_reference(path)
+    try:
+        markers = read_markers(path, up=up)
+    except InputError as error:
+        if up is not None or "points up" not in str(error):
+            raise
+        raise InputError(
+            f"{path}: wanted the axis that points up, got none; say --reference-up y or --reference-up z"
+        ) from error
+    if labels is None:
+        raise InputError(
+            f"{path}: wanted the labels of one rigid cluster, got none; say --markers with three or more, commas between, of "
+            f"{', '.join(markers.labels)}"
+        )
+    return pose_from_cluster(markers, labels)
 
 
 def _judged(
@@ -237,7 +257,7 @@ def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: 
     notes = dict.fromkeys(note for trial in result.trials for note in trial.notes)
     for note in notes:
         told = [trial.recording for trial in result.trials if note in trial.notes]
-        who = f"all {len(told)} recordings" if 1 < len(told) == len(result.trials) else ", ".join(told)
+        who = "every recording" if 1 < len(told) == len(result.trials) else ", ".join(told)
         out.print(f"  {who}: {note}", markup=False)
     if output is not None:
         out.print(f"Wrote {output}: look at report.html", markup=False)

@@ -1,0 +1,192 @@
+"""undrift validate: BROAD, simulated trials, and markers as the reference."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cli_bench import contents
+from data import data_path, show
+from trc_text import trc
+from undrift.calibration.store import read_calibration
+from undrift.correct import correct
+from undrift.io.recording import write_record
+from undrift.io.reference import write_reference
+from undrift.sim import random_device, simulate_trial, true_calibration
+
+B = [
+    "02_undisturbed_slow_rotation_B.hdf5", "05_undisturbed_slow_rotation_with_breaks_B.hdf5", "07_undisturbed_fast_rotation_B.hdf5",
+    "09_undisturbed_fast_rotation_with_breaks_B.hdf5",
+]  # fmt: skip
+FIGURES = {
+    "lag_ms", "rmse_total_deg", "rmse_inclination_deg", "rmse_heading_deg", "rmse_pitch_deg", "max_abs_pitch_deg", "end_total_deg",
+    "end_inclination_deg", "drift_deg_per_min", "valid_optics",
+}  # fmt: skip
+
+
+def broad(*names):
+    return [data_path("broad", name) for name in names]
+
+
+def end(told):
+    return told["mean"]["end_total_deg"]
+
+
+def test_broad_by_each_way_of_taking_the_offset(undrift):
+    told = {
+        (offset, adc): undrift.good("validate", *broad(*B[:3]), "--offset", offset, "--adc", adc, "--json").json()
+        for offset in ("none", "rest")
+        for adc in ("none", "auto")
+    }
+    for key, one in told.items():
+        show(f"BROAD B 02 05 07, offset and adc {key}: end error, deg", f"{end(one):.2f}")
+        assert [trial["recording"] for trial in one["trials"]] == [name.removesuffix(".hdf5") for name in B[:3]]
+        assert all(trial.keys() >= FIGURES for trial in one["trials"])
+        assert one["mean"].keys() == one["median"].keys() >= FIGURES
+        assert (one["offset"], one["adc"]) == key
+        assert one["agreement"].keys() >= {"bias_deg", "limits_deg", "icc", "icc_interval"}
+        assert one["agreement"]["limits_deg"][0] < one["agreement"]["bias_deg"] < one["agreement"]["limits_deg"][1]
+    assert end(told["rest", "auto"]) < end(told["rest", "none"]) < end(told["none", "none"])
+    for trial in told["rest", "none"]["trials"]:
+        assert 3.5 < trial["lag_ms"] < 4.8  # SOURCE.md: 4.14 +- 0.04 ms
+
+
+def test_without_a_word_the_rest_offset_is_taken_off_and_the_table_is_whole(undrift):
+    answer = undrift.good("validate", *broad(*B[:3]))
+    assert "(offset: rest)" in answer.out
+    for word in (
+        "inclination",
+        "end total",
+        "lag ms",
+        "optics %",
+        B[0].removesuffix(".hdf5"),
+        B[1].removesuffix(".hdf5"),
+        "median",
+    ):
+        assert word in answer.out
+    assert "agreement on mean inclination over 3 trials" in answer.out
+
+
+def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_path):
+    words = ["--calibrate-from", "reference", "--leave-one-out"]
+    out = tmp_path / "report"
+    answer = undrift.good("validate", *broad(*B), *words, "-o", out, "--json")
+    assert {path.name for path in out.iterdir()} == {"validation.json", "report.html", "calibration.json"}
+    told = json.loads((out / "validation.json").read_text())
+    show("BROAD B, leave one out, mean end error, deg", f"{end(told):.2f}", 1.5)
+    assert end(told) < 1.5
+    assert told["leave_one_out"] is True
+    assert read_calibration(out / "calibration.json").gyro is not None
+    page = (out / "report.html").read_text()
+    assert page.count("<svg") == 5  # four courses and the agreement
+    assert "Agreement over trials" in page
+    assert answer.json() == told
+
+
+def test_a_fit_judged_on_its_own_recordings_says_so(undrift):
+    answer = undrift.good("validate", *broad(*B[:2]), "--calibrate-from", "reference")
+    assert "say --leave-one-out for an honest figure" in answer.out
+
+
+def test_raw_and_corrected_are_judged_alike(undrift, bench):
+    words = ["--reference", bench / "reference.parquet", "--json", "--offset", "none"]
+    raw = undrift.good("validate", bench / "trial.parquet", "--calibration", bench / "calibration.json", *words).json()
+    done = undrift.good("validate", bench / "corrected.parquet", *words).json()
+    for key in FIGURES:
+        assert raw["mean"][key] == pytest.approx(done["mean"][key], abs=1e-6)
+    show("sit-to-stand, largest pitch error, deg", raw["mean"]["max_abs_pitch_deg"], 0.75)
+    assert raw["mean"]["max_abs_pitch_deg"] < 0.75
+    assert raw["agreement"] is None
+    turned = undrift.good("validate", bench / "corrected.parquet", *words, "--forward", "-x").json()
+    assert turned["mean"]["rmse_pitch_deg"] == pytest.approx(done["mean"]["rmse_pitch_deg"], abs=0.02)
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory):
+    """A free motion, corrected by the truth, with three markers on the board in TRC, C3D and as poses."""
+    import ezc3d
+
+    folder = tmp_path_factory.mktemp("free")
+    rng = np.random.default_rng(5)
+    device = random_device(rng)
+    trial = simulate_trial("free", device, rng=rng)
+    write_record(correct(trial.record, true_calibration(device)), folder / "free.parquet")
+    write_reference(trial.reference, folder / "poses.parquet")
+    reference = trial.reference
+    w, v = reference.q_nb[:, :1, None], reference.q_nb[:, None, 1:]
+    board = np.array([[0.06, 0.0, 0.0], [-0.04, 0.05, 0.01], [-0.03, -0.05, 0.0], [0.0, 0.02, 0.06]])[None]
+    t = 2.0 * np.cross(v, board)
+    points = board + w * t + np.cross(v, t) + (0.0 if reference.position is None else reference.position[:, None])
+    points = points - np.nanmean(points, axis=(0, 1)) + [0.0, 0.0, 1.0]
+    labels = ["M1", "M2", "M3", "M4"]
+    rate = reference.sample_rate_hz
+    y_up = np.stack((points[..., 1], points[..., 2], points[..., 0]), axis=2)  # x right, y up, z to the viewer
+    (folder / "free.trc").write_text(trc(y_up, labels, rate=rate))
+    made = ezc3d.c3d()
+    made["parameters"]["POINT"]["RATE"]["value"] = [rate]
+    made["parameters"]["POINT"]["LABELS"]["value"] = labels
+    made["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    held = np.ones((4, 4, len(points)))
+    held[:3] = 1000.0 * np.moveaxis(points, 2, 0).transpose(0, 2, 1)
+    made["data"]["points"] = held
+    made.write(str(folder / "free.c3d"))
+    return folder
+
+
+@pytest.mark.parametrize(("name", "up"), [("free.trc", "y"), ("free.c3d", "z")])
+def test_markers_are_as_good_a_reference_as_poses(undrift, free, name, up):
+    words = ["--offset", "none", "--json"]
+    known = undrift.good("validate", free / "free.parquet", "--reference", free / "poses.parquet", *words).json()
+    told = undrift.good(
+        "validate",
+        free / "free.parquet",
+        "--reference",
+        free / name,
+        "--markers",
+        "M1,M2,M3,M4",
+        "--reference-up",
+        up,
+        *words,
+    ).json()
+    show(f"{name}: total error, deg rms", told["mean"]["rmse_total_deg"], known["mean"]["rmse_total_deg"])
+    # a cluster's axes are its own: the turn from them to the device's is fitted, to some hundredths of a degree
+    assert told["mean"]["rmse_total_deg"] == pytest.approx(known["mean"]["rmse_total_deg"], abs=0.1)
+    assert told["mean"]["rmse_total_deg"] < 1.0
+
+
+def test_what_a_marker_file_needs_is_asked_for_in_words_of_the_command_line(undrift, free):
+    record = free / "free.parquet"
+    assert "M1, M2, M3, M4" in undrift.refused(
+        "validate", record, "--reference", free / "free.c3d", "--reference-up", "z"
+    )
+    assert "--reference-up" in undrift.refused(
+        "validate", record, "--reference", free / "free.trc", "--markers", "M1,M2,M3"
+    )
+    line = undrift.refused(
+        "validate", record, "--reference", free / "free.trc", "--markers", "M1,M2,Q9", "--reference-up", "y"
+    )
+    assert "Q9" in line
+
+
+def test_what_validate_refuses(undrift, bench, tmp_path):
+    (tmp_path / "file").write_text("kept")
+    before = contents(tmp_path)
+    trial, reference = bench / "trial.parquet", ["--reference", bench / "reference.parquet"]
+    calibration = ["--calibration", bench / "calibration.json"]
+
+    def refused(*words):
+        line = undrift.refused("validate", *words)
+        assert contents(tmp_path) == before
+        return line
+
+    assert "wanted one recording or more, got none" in refused()
+    assert "got 0 for 1" in refused(trial)
+    assert "got 1 for 2" in refused(trial, trial, *reference)
+    assert "--leave-one-out wants --calibrate-from reference" in refused(trial, *reference, "--leave-one-out")
+    assert "got both; choose one" in refused(trial, *reference, *calibration, "--calibrate-from", "reference")
+    assert "say --calibration calibration.json" in refused(trial, *reference)
+    assert "wanted columns time_s, q_w" in refused(trial, "--reference", trial, *calibration)
+    assert "got a file of that name" in refused(trial, *reference, *calibration, "-o", tmp_path / "file")
+    assert "make it first" in refused(trial, *reference, *calibration, "-o", tmp_path / "a" / "b")
+    assert "wanted" in refused(trial, *reference, *calibration, "-o", tmp_path / "new", "--forward", "+z")
+    assert "wanted" in refused(*broad(B[0]), "--calibrate-from", "reference", "--leave-one-out", "-o", tmp_path / "new")
