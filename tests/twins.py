@@ -16,7 +16,7 @@ def table(nodes, values, x):
 def rounded(u, lsb, mode):
     if lsb is None or mode == "nearest":
         return u
-    return u + 0.5 * lsb * (np.sign(u) if mode == "toward_zero" else 1.0)
+    return u + 0.5 * lsb * (np.sign(u) * (np.abs(u) > 0.5 * lsb) if mode == "toward_zero" else 1.0)
 
 
 def triad(u, temp, model: TriadModel, offsets, matrices):

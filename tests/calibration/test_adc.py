@@ -106,3 +106,11 @@ def test_the_broad_gyroscopes_truncate_toward_zero(trial):
     np.testing.assert_allclose(step, 2000.0 / 32767.0, rtol=1e-4)
     assert found.rounding == "toward_zero"
     np.testing.assert_allclose(force.lsb, 0.0049, rtol=0.03)
+
+
+def test_code_zero_stays_zero_under_the_dust_that_a_change_of_axes_leaves() -> None:
+    lsb = np.full(3, 0.061)
+    codes = np.array([[1e-17, -1e-17, 0.0], [0.061, -0.061, 0.122]])
+    given_back = without_truncation(codes, lsb, "toward_zero")
+    assert np.array_equal(given_back[0], codes[0])
+    assert given_back[1] == pytest.approx([0.0915, -0.0915, 0.1525], abs=1e-15)

@@ -221,9 +221,10 @@ def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) 
     Returns
     -------
     array, shape (N, 3)
-        u + lsb / 2 * sign(u) for toward_zero, u + lsb / 2 for floor.
+        u + lsb / 2 * sign(u) for toward_zero, u + lsb / 2 for floor. Code 0 stays 0, also where a change of axes or unit has
+        left dust on it: below half a step there is no other code.
     """
     if rounding == "nearest":
         return values
-    direction = np.sign(values) if rounding == "toward_zero" else 1.0
+    direction = np.sign(values) * (np.abs(values) > 0.5 * lsb) if rounding == "toward_zero" else 1.0
     return np.asarray(values + 0.5 * lsb * direction)

@@ -44,7 +44,7 @@ class Tables(NamedTuple):
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, h: FloatArray) -> None:
-    # out = M (x + h sign(x) - o); h is zero unless codes were truncated toward zero
+    # out = M (x + h sign(x) - o); h is zero unless codes were truncated toward zero, and code 0, |x| < h, stays
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     o0, o1, o2, h0, h1, h2 = o[0], o[1], o[2], h[0], h[1], h[2]
     if h0 == 0.0 and h1 == 0.0 and h2 == 0.0:  # the signs would cost half as much again
@@ -56,9 +56,9 @@ def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, h: Floa
         return
     for k in range(ZERO, np.uint64(x.size), THREE):
         x0, x1, x2 = x[k], x[k + ONE], x[k + TWO]
-        x0 = x0 + (math.copysign(h0, x0) if x0 != 0.0 else 0.0) - o0
-        x1 = x1 + (math.copysign(h1, x1) if x1 != 0.0 else 0.0) - o1
-        x2 = x2 + (math.copysign(h2, x2) if x2 != 0.0 else 0.0) - o2
+        x0 = x0 + (math.copysign(h0, x0) if abs(x0) > h0 else 0.0) - o0
+        x1 = x1 + (math.copysign(h1, x1) if abs(x1) > h1 else 0.0) - o1
+        x2 = x2 + (math.copysign(h2, x2) if abs(x2) > h2 else 0.0) - o2
         out[k] = m0 * x0 + m1 * x1 + m2 * x2
         out[k + ONE] = m3 * x0 + m4 * x1 + m5 * x2
         out[k + TWO] = m6 * x0 + m7 * x1 + m8 * x2
@@ -166,9 +166,9 @@ def tabulated(
             i += SIX
             m6, m7, m8 = pm[i] + f * pm[i + ONE], pm[i + TWO] + f * pm[i + THREE], pm[i + FOUR] + f * pm[i + FOUR + ONE]
         x0, x1, x2 = x[q], x[q + ONE], x[q + TWO]
-        x0 = x0 + (math.copysign(h0, x0) if x0 != 0.0 else 0.0) - o0
-        x1 = x1 + (math.copysign(h1, x1) if x1 != 0.0 else 0.0) - o1
-        x2 = x2 + (math.copysign(h2, x2) if x2 != 0.0 else 0.0) - o2
+        x0 = x0 + (math.copysign(h0, x0) if abs(x0) > h0 else 0.0) - o0
+        x1 = x1 + (math.copysign(h1, x1) if abs(x1) > h1 else 0.0) - o1
+        x2 = x2 + (math.copysign(h2, x2) if abs(x2) > h2 else 0.0) - o2
         w0 = m0 * x0 + m1 * x1 + m2 * x2
         w1 = m3 * x0 + m4 * x1 + m5 * x2
         w2 = m6 * x0 + m7 * x1 + m8 * x2

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.adc import without_truncation
 from undrift.calibration.model import AdcModel
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
@@ -181,14 +182,11 @@ def restored(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
     Returns
     -------
     array, shape (N, 3)
-        Half a step further from zero (toward_zero) or up (floor). Code 0 stays 0, also where a change of axes or unit
-        has left dust on it.
+        As ``without_truncation`` gives them.
     """
-    if adc is None or adc.gyro_lsb is None or adc.gyro_rounding == "nearest":
+    if adc is None or adc.gyro_lsb is None:
         return gyro
-    if adc.gyro_rounding == "floor":
-        return gyro + 0.5 * adc.gyro_lsb
-    return gyro + 0.5 * adc.gyro_lsb * np.sign(gyro) * (np.abs(gyro) > 0.25 * adc.gyro_lsb)
+    return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
 
 
 def window_equations(recording: Recording, guess: GyroGuess, offset: FloatArray, reach: int) -> Windows:
