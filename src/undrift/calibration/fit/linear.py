@@ -80,6 +80,7 @@ def fit_forward(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | No
             rank=rank,
         )
     spread = np.ones_like(readings) if sigma is None else np.broadcast_to(sigma, readings.shape)
+    spread = np.maximum(spread, 1e-9 * np.abs(readings).max())  # a channel without any scatter still has a last digit
     theta = np.empty((3, 4))
     covariance = np.zeros((12, 12))
     for row in range(3):
