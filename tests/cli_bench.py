@@ -75,8 +75,8 @@ def corrected_csv(folder: Path, path: Path) -> Record:
 
 
 def lines_of(path: Path) -> list[list[str]]:
-    """Return the cells of a CSV, head first."""
-    return [line.split(",") for line in path.read_text().splitlines()]
+    """Return the cells of a CSV, head first, without undrift's mark."""
+    return [line.split(",") for line in path.read_text().splitlines() if not line.startswith("#")]
 
 
 def write_lines(path: Path, lines: list[list[str]]) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from undrift.calibration.model import Calibration
+    from undrift.record import Record
     from undrift.stream import CorrectorState
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
@@ -139,20 +140,39 @@ def _correct_one(
 ) -> tuple["CorrectorState", list[str]]:
     from undrift.io.parquet import ParquetWriter
     from undrift.io.recording import iter_record, write_record
-    from undrift.stream import Corrector
+    from undrift.stream import Corrector, read_ahead
 
     corrector, said = Corrector(model, policy), dict[str, None]()
     if not part.name.endswith(".parquet"):
         done = corrector.push_checked(opening.read(record))
         write_record(done.record, part)
-        return corrector.state, [*done.warnings, *done.notes]
+        return corrector.state, [*_doubts(done.record, model), *done.warnings, *done.notes]
     with ParquetWriter(part) as writer:
-        for chunk in iter_record(record, opening.columns(), settings=opening.settings()):
+        for chunk in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
             done = corrector.push_checked(chunk)
             writer.write(done.record)
+            said.update(dict.fromkeys(() if said else _doubts(done.record, model)))  # the first chunk tells
             said.update(dict.fromkeys((*done.warnings, *done.notes)))
             advance(len(chunk))
     return corrector.state, list(said)
+
+
+def _doubts(done: "Record", model: "Calibration") -> list[str]:
+    """Return what makes one doubt that the right columns were read in the right unit."""
+    from undrift.io.symptoms import GRAVITY_RANGE, median_accel_g
+
+    named = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
+    doubts = [
+        f"no {what} in the recording, though the calibration has one: check the names of its columns"
+        for what, triad, values in named
+        if triad is not None and values is None
+    ]
+    median = median_accel_g(done)
+    if median < GRAVITY_RANGE[0] or median > GRAVITY_RANGE[1]:
+        doubts.append(
+            f"the median of the corrected specific force is {median:.3g} g, far from 1 g: check the unit and the device"
+        )
+    return doubts
 
 
 def _rows(record: Path) -> int | None:

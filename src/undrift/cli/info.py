@@ -90,6 +90,10 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
     out.print(f"  {found.summary}", markup=False)
     for name, unit in found.units:
         out.print(f"  {name}: {unit}", markup=False)
+    if found.kind in ("recording", "session"):
+        for name in ("gyro", "accel"):
+            if name not in dict(found.units):
+                out.print(f"  {name}: none")
     if found.columns and found.kind != "recording":
         shown = ", ".join(found.columns[:12]) + (
             f", ... {len(found.columns)} in all" if len(found.columns) > 12 else ""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening
+from undrift.cli.opening import Flag, Opening, check_gravity
 
 if TYPE_CHECKING:
     from undrift.calibration.noise import AxisNoise, NoiseFit
@@ -64,6 +64,7 @@ def noise(
             from undrift.correct import correct_checked
 
             readings = correct_checked(readings, read_calibration(calibration)).record
+        check_gravity(readings, record)
         found = fit_noise(readings)
     if figure is not None:
         _draw(found, figure, record.name)

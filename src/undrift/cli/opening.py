@@ -118,3 +118,29 @@ def check_physical(record: "Record", path: Path) -> None:
                 f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
                 "say --calibration calibration.json"
             )
+
+
+def check_gravity(record: "Record", path: Path) -> None:
+    """Refuse accelerations that cannot be in the unit that is stated: the answer would look like one and be wrong.
+
+    Parameters
+    ----------
+    record : Record
+        Readings of a worn or resting device; counts and volts are passed.
+    path : Path
+        Where they were read.
+
+    Raises
+    ------
+    InputError
+        A median under half or over twice that of gravity.
+    """
+    from undrift.errors import InputError
+    from undrift.io.symptoms import median_accel_g
+
+    median = median_accel_g(record)
+    if median < 0.5 or median > 2.0:
+        raise InputError(
+            f"{path}: wanted a specific force of about 1 g, got a median of {median:.3g} g; check the unit and the scale of the "
+            "accelerometer"
+        )

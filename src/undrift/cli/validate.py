@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening, check_physical
+from undrift.cli.opening import Flag, Opening, check_gravity, check_physical
 from undrift.cli.writing import checked_folder, name_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.calibration.model import Calibration
     from undrift.record import Record, Reference
-    from undrift.validation import TrialSettings, Validation
+    from undrift.validation import Trial, TrialSettings, Validation
 
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 SHOWN = (
@@ -100,8 +100,11 @@ def validate(
         if calibration is None and calibrate_from is None:
             for (readings, _), path in zip(pairs, records, strict=True):
                 check_physical(readings, path)
+                check_gravity(readings, path)
         names = [name_of(record) for record in records]
         result, fitted = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
+    for trial in result.trials:
+        _check_scale(trial)
     told = validation_json(result) | {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     if output is not None:
         _write(output, result, told, fitted)
@@ -189,6 +192,18 @@ def _poses(path: Path, labels: tuple[str, ...] | None, up: Literal["y", "z"] | N
             f"{', '.join(markers.labels)}"
         )
     return pose_from_cluster(markers, labels)
+
+
+def _check_scale(trial: "Trial") -> None:
+    """Refuse a device that turned another number of times as fast as its reference: degrees taken for radians, most likely."""
+    import numpy as np
+
+    times = 1.0 / float(np.linalg.norm(trial.lag.matrix, ord=2))  # the matrix maps readings to the reference's rate
+    if not 0.5 < times < 2.0:
+        raise InputError(
+            f"{trial.recording}: wanted rates in the unit that is stated, got {times:.3g} times those of the reference; check the "
+            "unit and the scale of the gyroscope"
+        )
 
 
 def _judged(

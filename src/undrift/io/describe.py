@@ -1,7 +1,7 @@
 """describe: what a file holds, in one value. It answers for every file that exists and is not damaged."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +118,12 @@ def describe(
         return needs
     built = read_built(path, columns, settings=settings)
     found = describe_record(built.record, path=str(path), kind=kind, built=built)
+    if columns is None and kind in ("csv", "parquet"):
+        names = sniff(path).names if kind == "csv" else parquet_names(path)
+        unread = [name for name in names if name not in found.columns]
+        if unread:
+            problem = f"columns that are not undrift's own names were not read: {', '.join(unread[:12])}"
+            found = replace(found, problems=(*found.problems, problem))
     return _with_optics(found, read_broad(path)[1]) if kind == "broad" else found
 
 
@@ -176,8 +182,6 @@ def _units(record: Record) -> tuple[tuple[str, str], ...]:
 
 
 def _with_optics(found: Description, reference: Reference) -> Description:
-    from dataclasses import replace
-
     seen = 100.0 * float(reference.valid.mean())
     return replace(found, summary=f"{found.summary}, with optical poses ({seen:.1f} % seen)")
 

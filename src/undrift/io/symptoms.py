@@ -71,12 +71,28 @@ def gaps_of(record: Record) -> int:
     return int(gap.sum())
 
 
-def _gravity(record: Record) -> list[str]:
+def median_accel_g(record: Record) -> float:
+    """Return the median length of the specific force.
+
+    Parameters
+    ----------
+    record : Record
+        As read.
+
+    Returns
+    -------
+    float
+        g; NaN without an accelerometer in physical units.
+    """
     if record.accel is None or not is_physical(record.accel_unit):
-        return []
+        return float("nan")
     size = np.linalg.norm(record.accel, axis=1) * (si_factor(record.accel_unit, "accel") / STANDARD_GRAVITY)
-    median = float(np.nanmedian(size))
-    if GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
+    return float(np.nanmedian(size)) if np.isfinite(size).any() else float("nan")
+
+
+def _gravity(record: Record) -> list[str]:
+    median = median_accel_g(record)
+    if np.isnan(median) or GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
         return []
     times = f"{1 / median:.3g} times too small" if 0.0 < median < 1.0 else f"{median:.3g} times too large"
     return [f"median |accel| is {median:.3g} g where a body at rest reads 1 g: wrong unit or scale ({times})"]
