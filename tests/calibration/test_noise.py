@@ -111,10 +111,20 @@ def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
 
 
 def test_a_filtered_record_is_fitted_with_a_stated_departure() -> None:
-    record = noisy(60_000, 0.005, 0.0, seed=6)
+    record = noisy(60_000, 0.0005, 0.0, seed=6)  # 0.03 deg/s/sqrt(Hz): a poor gyroscope
     assert record.gyro is not None
     smooth = np.apply_along_axis(lambda y: np.convolve(y, np.ones(8) / 8.0, mode="same"), 0, record.gyro)
     fit = fit_noise(Record(time=record.time, gyro=smooth))
     assert fit.gyro[0].model_error >= 0.1
     assert fit.verdict.status == "marginal"
     assert "departs from the model" in fit.verdict.reasons[-1]
+
+
+def test_a_device_that_is_carried_about_is_not_at_rest() -> None:
+    time = np.arange(6000) / 100.0
+    swing = np.sin(2.0 * np.pi * 0.8 * time)[:, None] * np.array([0.5, 0.2, 0.1])
+    record = Record(time=time, gyro=swing + np.random.default_rng(1).normal(0.0, 1e-3, swing.shape))
+    with pytest.raises(
+        InputError, match=r"wanted a device at rest, got gyro readings that wander by 0\.\d+ rad/s within 1 s"
+    ):
+        fit_noise(record)

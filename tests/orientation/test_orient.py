@@ -1,5 +1,7 @@
 """orient: the whole way from readings to angles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -84,8 +86,18 @@ def test_what_cannot_be_oriented_is_refused():
     rng = np.random.default_rng(2)
     shaken = Record(time=record.time, gyro=rng.normal(size=(600, 3)), accel=record.accel + rng.normal(size=(600, 3)))
     with pytest.raises(
-        InputError, match=r"orient: wanted a still phase, got none: .*; give one, or record with a pause"
+        InputError, match=r"orient: wanted a still phase, got none: .*; name a stretch at rest, or record"
     ):
         orient(shaken)
     with pytest.raises(InputError, match="rate: wanted a physical unit, got count"):
         orient(Record(time=record.time, gyro=record.gyro, accel=record.accel, gyro_unit="count"))
+
+
+def test_a_hole_in_time_or_a_dead_axis_is_refused() -> None:
+    record, *_ = moved()
+    late = np.where(np.arange(len(record)) < 400, record.time, record.time + 5.0)
+    with pytest.raises(InputError, match=r"wanted readings without holes over 0.1 s, got 1, the first of 5.0"):
+        orient(replace(record, time=late))
+    assert record.gyro is not None
+    with pytest.raises(InputError, match="wanted three gyroscopes that turn, got x at one value throughout"):
+        orient(replace(record, gyro=record.gyro * [0.0, 1.0, 1.0]))

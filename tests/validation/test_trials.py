@@ -82,3 +82,15 @@ def test_calls_that_cannot_be_are_refused(pairs):
         validate_trials(pairs, names=("a",))
     with pytest.raises(InputError, match="wanted two recordings of a device or more, got 1"):
         validate_leave_one_out(pairs[:1])
+
+
+def test_a_recording_cannot_judge_itself(pairs):
+    with pytest.raises(InputError, match="got number 2 with the readings of number 1"):
+        validate_leave_one_out([pairs[0], pairs[0]])
+
+
+def test_recordings_of_two_devices_are_told_apart():
+    one = make_recording(np.random.default_rng(4), Device(), turn_s=40.0)
+    other = make_recording(np.random.default_rng(5), Device(offset=np.radians([0.0, 0.4, 0.0])), turn_s=40.0)
+    notes = validate_leave_one_out([one, other]).trials[0].notes
+    assert any("apart at rest: several devices" in note for note in notes)

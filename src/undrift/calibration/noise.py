@@ -25,7 +25,8 @@ from undrift.calibration.allan import AllanDeviation, allan_deviation
 from undrift.calibration.model import AXES, NoiseModel, Status, Verdict
 from undrift.errors import InputError
 from undrift.record import Record
-from undrift.units import Quantity, is_physical, si_factor
+from undrift.segments.still import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
+from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
 SIGNIFICANT = 2.0  # standard deviations above zero
@@ -232,6 +233,26 @@ def _check_rest(values: FloatArray, record: Record, what: str) -> None:
             "cut out a stretch at rest",
             first_s=at,
         )
+    unit = record.gyro_unit if what == "gyro" else record.accel_unit
+    if is_physical(unit):
+        quantity: Quantity = "rate" if what == "gyro" else "accel"
+        wander, noise = (spread * si_factor(unit, quantity) for spread in _wander(values, width))
+        limit = BENCH_RATE_LIMIT if what == "gyro" else BENCH_ACCEL_LIMIT
+        if wander > max(limit, 3.0 * noise):
+            raise InputError(
+                f"noise: wanted a device at rest, got {what} readings that wander by {wander:.3g} {SI_UNIT[quantity]} within "
+                f"{width / record.sample_rate_hz:.2g} s, where a bench allows {limit:.2g}; lay the device down",
+                wander=wander,
+            )
+
+
+def _wander(values: FloatArray, width: int) -> tuple[float, float]:
+    """Return the typical spread of tenths of windows of ``width`` samples, and what white noise alone would make of it."""
+    tenth, count = max(1, width // 10), len(values) // width
+    tenths = values[: count * width].reshape(count, width, 3)[:, : width // tenth * tenth]
+    means = tenths.reshape(count, -1, tenth, 3).mean(axis=2)
+    white = float(np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth))
+    return float(np.median(np.sqrt(means.var(axis=1).sum(axis=1)))), white
 
 
 def _columns(curves: list[AllanDeviation], like: AllanDeviation) -> FloatArray:

@@ -17,6 +17,8 @@ from undrift.orientation.tilt import Tilt, initial_tilt
 from undrift.record import Record
 from undrift.session import Face, Still
 
+LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrientSettings:
@@ -113,11 +115,12 @@ def orient(
     Raises
     ------
     InputError
-        No gyroscope, no still phase, gaps, or readings in counts.
+        No gyroscope, no still phase, gaps, holes in time, a dead axis, or readings in counts.
     """
     record = record.in_si()
     if record.gyro is None:
         raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
+    _check_whole(record.time, record.gyro)
     still = _first_still(record) if still is None else still
     tilt = initial_tilt(record, still, heading=settings.heading, accel_model=accel_model)
     offset = record.gyro[still.start : still.stop].mean(axis=0) if settings.offset == "rest" else np.zeros(3)
@@ -134,12 +137,33 @@ def orient(
     )
 
 
+def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
+    """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
+    steps = np.diff(time)
+    holes = np.flatnonzero(steps > max(LONGEST_HOLE_S, 5.0 * float(np.median(steps))))
+    if len(holes):
+        at = int(holes[0])
+        raise InputError(
+            f"orient: wanted readings without holes over {LONGEST_HOLE_S:g} s, got {len(holes)}, the first of {steps[at]:.3g} s at "
+            f"{time[at]:.6g} s; after a hole the orientation is unknown: orient each stretch with a rest of its own",
+            hole_s=float(steps[at]),
+        )
+    dead = [axis for axis, moves in zip("xyz", np.ptp(gyro, axis=0) > 0.0, strict=True) if not moves]
+    if dead and len(dead) < 3:
+        raise InputError(
+            f"orient: wanted three gyroscopes that turn, got {', '.join(dead)} at one value throughout; check them"
+        )
+
+
 def _first_still(record: Record) -> Still:
     from undrift.segments import find_still
 
     found = find_still(record)
     if not found.stills:
-        raise InputError(f"orient: wanted a still phase, got none: {found.reason}; give one, or record with a pause")
+        reason = found.reason.removeprefix("no still phase: ")
+        raise InputError(
+            f"orient: wanted a still phase, got none: {reason}; name a stretch at rest, or record with a pause"
+        )
     return found.stills[0]
 
 

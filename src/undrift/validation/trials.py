@@ -17,6 +17,7 @@ from undrift.validation.figures import Figures
 from undrift.validation.trial import TRIAL_SETTINGS, Trial, TrialSettings, validate_trial
 
 LEAST_FOR_AGREEMENT = 3
+ONE_DEVICE_DPS = 0.1  # what one warm device reads at rest repeats within 0.01-0.02 deg/s over a session, BROAD
 REFERENCE_SETTINGS = ReferenceSettings()
 
 Pair = tuple[Record, Reference]
@@ -141,6 +142,7 @@ def validate_leave_one_out(
         Fewer than two recordings; and all that ``leave_one_out`` and ``validate_trial`` raise.
     """
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    _check_different(records)
     adc = device_adc(records) if settings.adc == "auto" else None
     held = leave_one_out(records, references, settings=fit_settings, adc=adc, lag_settings=settings.lag)
     calibrations = [
@@ -161,7 +163,33 @@ def validate_leave_one_out(
             record, reference, calibration=calibration, settings=replace(settings, offset="none"), name=name
         )
         trials.append(replace(trial, notes=(*trial.notes, h.extrapolation)) if h.extrapolation else trial)
+    apart = _told_apart(held)
+    if apart:
+        trials = [replace(trial, notes=(*trial.notes, apart)) for trial in trials]
     return _summed(tuple(trials), held)
+
+
+def _check_different(records: Sequence[Record]) -> None:
+    for later in range(1, len(records)):
+        for earlier in range(later):
+            one, other = records[earlier].gyro, records[later].gyro
+            if one is not None and other is not None and np.array_equal(one, other, equal_nan=True):
+                raise InputError(
+                    f"leave-one-out: wanted different recordings, got number {later + 1} with the readings of number "
+                    f"{earlier + 1}; a recording cannot judge itself: name each once"
+                )
+
+
+def _told_apart(held: tuple[HeldOut, ...]) -> str:
+    """Return a sentence where the recordings do not look like one device, by what each reads at rest."""
+    rest = np.array([(h.model.offset - h.fit.motion_offset) for h in held])
+    spread = float(np.linalg.norm(held[0].model.matrix @ (rest.max(axis=0) - rest.min(axis=0)))) / RADIAN_PER_DEGREE
+    if spread <= ONE_DEVICE_DPS:
+        return ""
+    return (
+        f"the recordings read up to {spread:.2g} deg/s apart at rest: several devices, or one that was not warmed up; "
+        "leave-one-out speaks of one device only"
+    )
 
 
 def _summed(trials: tuple[Trial, ...], held_out: tuple[HeldOut, ...] = ()) -> Validation:
