@@ -176,6 +176,7 @@ def _doubts(done: "Record", model: "Calibration") -> list[str]:
 
 
 def _rows(record: Path) -> int | None:
+    from undrift.io.detect import detect
     from undrift.io.parquet import parquet_rows
 
-    return parquet_rows(record) if record.suffix == ".parquet" and record.is_file() else None
+    return parquet_rows(record) if detect(record) == "parquet" else None

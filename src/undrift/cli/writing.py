@@ -16,7 +16,7 @@ def checked_output(path: Path, *, endings: tuple[str, ...], reads: Iterable[Path
     endings : tuple of str
         How its name may end.
     reads : iterable of Path or None
-        What the command reads: none of these files, nor one of those in these folders, is written over.
+        What the command reads: none of these files, nor a recording in these folders, is written over.
 
     Returns
     -------
@@ -85,18 +85,15 @@ def name_of(path: Path) -> str:
 
 
 def _holds(read: Path, target: Path) -> bool:
-    from undrift.io.detect import detect
-    from undrift.io.session import read_session
+    from undrift.io.session import NAME, read_session
 
-    if not read.exists():
-        return False
-    if read.is_dir() and any(target.samefile(file) for file in read.iterdir()):
-        return True
-    if target.samefile(read):
-        return True
-    if read.is_dir() and detect(read) == "session":
-        return any(target.samefile(read / name) for name, _ in read_session(read).inputs)
-    return False
+    if not read.is_dir():
+        return read.exists() and target.samefile(read)
+    if (read / NAME).is_file():
+        names = [NAME, *(name for name, _ in read_session(read).inputs)]
+    else:
+        names = [file.name for file in read.iterdir()]  # of a device that records into a folder
+    return any(target.samefile(read / name) for name in names)
 
 
 def _either(endings: tuple[str, ...]) -> str:

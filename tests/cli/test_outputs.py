@@ -1,0 +1,132 @@
+"""Where results may go: never over what is read, never into a folder that is not there, and whole or not at all."""
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from cli_bench import contents
+from undrift.cli.writing import name_of
+
+WRITERS = {  # the call, and the ending of what it writes
+    "calibrate": (["calibrate", "{bench}/session"], ".json"),
+    "correct": (["correct", "{bench}/trial.parquet", "--calibration", "{bench}/calibration.json"], ".csv"),
+    "orient": (["orient", "{bench}/corrected.parquet"], ".csv"),
+    "noise": (["noise", "{bench}/trial.parquet", "--stop-s", "5"], ".svg"),
+    "validate": (["validate", "{bench}/corrected.parquet", "--reference", "{bench}/reference.parquet"], ""),
+}
+
+
+def words_of(command, bench, output):
+    words, _ = WRITERS[command]
+    return [*(word.format(bench=bench) for word in words), "-o", output]
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_a_folder_that_is_not_there_is_not_made_up(undrift, bench, tmp_path, command):
+    ending = WRITERS[command][1]
+    line = undrift.refused(*words_of(command, bench, tmp_path / "none" / "deep" / f"result{ending}"))
+    assert "make it first" in line
+    assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_a_file_that_stands_where_a_folder_should_is_left(undrift, bench, tmp_path, command):
+    (tmp_path / "file").write_text("mine")
+    undrift.refused(*words_of(command, bench, tmp_path / "file" / f"result{WRITERS[command][1]}"))
+    assert contents(tmp_path) == {"file": b"mine"}
+
+
+@pytest.mark.parametrize("command", [command for command in WRITERS if command != "validate"])
+def test_a_folder_of_the_name_of_the_result_is_left(undrift, bench, tmp_path, command):
+    output = tmp_path / f"result{WRITERS[command][1]}"
+    output.mkdir()
+    assert "got a folder" in undrift.refused(*words_of(command, bench, output))
+    assert contents(tmp_path) == {output.name: None}
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_a_result_replaces_the_older_one_and_leaves_no_scraps(undrift, bench, tmp_path, command):
+    output = tmp_path / f"result{WRITERS[command][1]}"
+    undrift.good(*words_of(command, bench, output))
+    first = contents(tmp_path)
+    undrift.good(*words_of(command, bench, output))
+    assert contents(tmp_path).keys() == first.keys()
+    assert not any(name.startswith(".") or ".part" in name for name in first)
+
+
+@pytest.fixture
+def plain_user():
+    """A folder that all may read, and a user who is not root; the folder goes afterwards."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    root = os.geteuid() == 0
+    yield folder
+    if root:
+        os.seteuid(0)
+    for path in (folder, *folder.rglob("*")):
+        path.chmod(0o755)
+    shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_a_folder_that_may_not_be_written_is_one_line(undrift, bench, plain_user, command):
+    held = plain_user / "bench"
+    shutil.copytree(bench, held)
+    for path in (held, *held.rglob("*")):
+        path.chmod(0o755)
+    locked = plain_user / "locked"
+    locked.mkdir()
+    locked.chmod(0o555)
+    if os.geteuid() == 0:
+        os.seteuid(65534)
+    line = undrift.refused(*words_of(command, held, locked / f"result{WRITERS[command][1]}"))
+    assert "locked" in line
+    assert "ermission" in line
+    assert list(locked.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["info", "calibrate", "correct", "orient", "noise", "validate"])
+def test_a_file_that_may_not_be_read_is_one_line(undrift, bench, plain_user, command):
+    held = plain_user / "bench"
+    shutil.copytree(bench, held)
+    for path in (held, *held.rglob("*")):
+        path.chmod(0o777)
+    for name in ("session/recording_0.parquet", "trial.parquet", "corrected.parquet"):
+        (held / name).chmod(0o000)
+    if os.geteuid() == 0:
+        os.seteuid(65534)
+    words = ["info", held / "trial.parquet"]
+    if command != "info":
+        words = words_of(command, held, held / f"result{WRITERS[command][1]}")
+    assert "rights" in undrift.refused(*words)
+    assert not list(held.glob("result*"))
+
+
+def test_a_link_to_what_is_read_is_what_is_read(undrift, bench, tmp_path):
+    shutil.copytree(bench, tmp_path / "b")
+    link = tmp_path / "link.parquet"
+    link.symlink_to(tmp_path / "b" / "corrected.parquet")
+    before = contents(tmp_path)
+    assert "than those that are read" in undrift.refused(*words_of("orient", tmp_path / "b", link))
+    assert contents(tmp_path) == before
+
+
+def test_a_calibration_may_lie_beside_its_session_and_be_made_anew(undrift, bench, tmp_path):
+    shutil.copytree(bench / "session", tmp_path / "s")
+    for _ in range(2):
+        undrift.good("calibrate", tmp_path / "s", "-o", tmp_path / "s" / "calibration.json")
+    assert (tmp_path / "s" / "session.toml").read_bytes() == (bench / "session" / "session.toml").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("walk.csv", "walk"), ("walk.v2.csv.gz", "walk.v2"), ("02_slow.hdf5", "02_slow"), ("a.b", "a.b"), (".csv", ".csv"),
+        ("imu0.log.gz", "imu0"), ("folder", "folder"),
+    ],
+)  # fmt: skip
+def test_recordings_are_named_without_their_endings(name, expected):
+    assert name_of(Path("some") / name) == expected
