@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tuned import ROUNDINGS, WILD, N, device, record, tables
 from undrift.correct import DriftRangeWarning, correct, correct_checked
 from undrift.errors import DriftRangeError, InputError
-from undrift.stream import Corrector
+from undrift.stream import Corrector, read_ahead
 
 STREAMED = [
     (device(drift=d, adc=a, g=g), record(low=10.0, high=80.0))
@@ -73,3 +73,34 @@ def test_a_stream_refuses_a_corrected_record():
     with pytest.raises(InputError, match="wanted raw readings, got a corrected record"):
         corrector.push(correct(raw.part(50, N), c))
     assert corrector.state.samples == 50
+
+
+def test_chunks_read_ahead_come_in_order_once_and_what_reading_raises_comes_in_its_place():
+    r = record(temp_c=None)
+    parts = [r.part(k, k + 20) for k in range(0, 100, 20)]
+
+    def broken():
+        yield from parts
+        raise InputError("the file is cut here")
+
+    chunks = read_ahead(broken())
+    assert [id(next(chunks)) for _ in parts] == [id(c) for c in parts]
+    with pytest.raises(InputError, match="the file is cut here"):
+        next(chunks)
+    assert [id(c) for c in read_ahead(iter(parts))] == [id(c) for c in parts]
+    assert list(read_ahead(iter([]))) == []
+
+
+def test_reading_ahead_takes_one_chunk_more_than_was_asked_for_and_no_other():
+    taken = []
+
+    def counted():
+        for k in range(0, 100, 20):
+            taken.append(k)
+            yield record(temp_c=None).part(k, k + 20)
+
+    chunks = read_ahead(counted())
+    next(chunks)
+    next(chunks)
+    chunks.close()  # waits for the one that is being read
+    assert taken == [0, 20, 40]

@@ -1,10 +1,13 @@
 """Correct a stream: the model of correct.py, chunk by chunk, with nothing to carry but how far it has come.
 
 No step of the model looks at another sample, so chunks of any length give the bits of the batch. What is kept between chunks are
-the plans (the calibration made ready for the kernels) and the state, which may be saved and put back.
+the plans (the calibration made ready for the kernels) and the state, which may be saved and put back. Chunks from a file can be
+read ahead: the next one while this one is corrected.
 """
 
 import warnings
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,3 +120,23 @@ class Corrector:
             last_time=float(chunk.time[-1]),
         )
         return done
+
+
+def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
+    """Read the next chunk in a second thread while the caller works on this one.
+
+    Parameters
+    ----------
+    chunks : iterator of Record
+        As a file gives them.
+
+    Yields
+    ------
+    Record
+        The same chunks in the same order; what reading raises is raised in the chunk's place.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, chunks, None)
+        while (chunk := coming.result()) is not None:
+            coming = pool.submit(next, chunks, None)
+            yield chunk
