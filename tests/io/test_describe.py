@@ -87,7 +87,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without three axes"),
         ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),
         ("x.csv", "ax,ay,az,gx,gy,gz\n" + "0,0,1,0,0,0\n" * 2, "table", 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"]'),
-        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", 'time = "s", accel = "g" }, delimiter = " ", header = false'),
+        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", 'time = "?", accel = "?" }, delimiter = " ", header = false'),
         ("z.csv", "put\n" + "20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n" * 2, "table", "temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6]"),
         ("u.txt", "gx\tgy\tgz\tq\n0\t0\t1\t4\n0\t0\t1\t4\n", "table", 'delimiter = "\\t"'),
     ],

@@ -10,7 +10,12 @@ from undrift.io.text import Text, open_text
 _FORCE = re.compile(r"GRF|COP|FREEMOMENT|^[FM][xyz]\[")
 _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(r"^(q_?)?[wxyz]( element)?$", re.IGNORECASE)
-_UNIT = {"time": "s", "gyro": "dps", "accel": "g", "temp": "degC"}
+_UNITS = {  # what a name may say of its unit; "?" where it says nothing, which a reader refuses
+    "time": (("us", r"\(?\bus\b|_us\b"), ("ms", r"\bms\b|_ms\b"), ("s", r"\bs\b|_s\b|sec")),
+    "gyro": (("rad/s", r"rad[_/ ]?s"), ("dps", r"dps|deg[_/ ]?s"), ("count", r"raw|count|lsb")),
+    "accel": (("m/s2", r"m[_/]?s\^?2"), ("mg", r"\bmg\b|_mg\b"), ("g", r"\(g\)|_g\b"), ("count", r"raw|count|lsb")),
+    "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
+}
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
     "accel": re.compile(r"^(a|acc|accel|accelerometer)[ _.]?([xyz])\b", re.IGNORECASE),
@@ -99,7 +104,7 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
 
 
 def example_map(names: tuple[str, ...], *, text: Text | None = None, arrays: tuple[str, ...] = ()) -> str:
-    """Return an example of the map that a table needs; the units in it are placeholders to correct.
+    """Return an example of the map that a table needs; a unit that no name tells is "?", for a person to fill in.
 
     Parameters
     ----------
@@ -135,13 +140,20 @@ def example_map(names: tuple[str, ...], *, text: Text | None = None, arrays: tup
     )
     if time is not None:
         keys = {"time": f'"{time}"', **keys}
+    temp = next((name for name in names if re.match(r"^(board |die )?temp", name.strip(), re.IGNORECASE)), None)
+    if temp is not None:
+        keys["temp"] = f'"{temp}"'
     keys = keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
-    units = ", ".join(f'{channel} = "{_UNIT[channel]}"' for channel in keys)
+    units = ", ".join(f'{channel} = "{_unit_of(channel, value)}"' for channel, value in keys.items())
     rate = "" if "time" in keys else ", sample_rate_hz = ?"
     return (
         f"columns = {{ {columns} }}, units = {{ {units} }}{rate}{_layout_keys(None if text is None else text.layout)}"
     )
+
+
+def _unit_of(channel: str, names: str) -> str:
+    return next((unit for unit, said in _UNITS[channel] if re.search(said, names, re.IGNORECASE)), "?")
 
 
 def _by_position(text: Text) -> dict[str, str]:
