@@ -1,0 +1,6 @@
+"""``python -m undrift``: the command line, where the script is not on the path."""
+
+from undrift.cli.app import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""What becomes of errors, and the program as a process."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from data import data_path
+from undrift import __version__
+from undrift.cli import app as program
+from undrift.errors import InputError, LimitError, NotObservable, RigFault
+
+
+def process(*words, **more):
+    call = [sys.executable, "-m", "undrift", *map(str, words)]
+    return subprocess.run(call, capture_output=True, text=True, timeout=120, check=False, **more)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (InputError("wanted a, got b;\n  do c"), 2, "undrift: wanted a, got b; do c\n"),
+        (NotObservable("m_xy: wanted poses, got none; add some"), 2, "undrift: m_xy: wanted poses, got none; add some\n"),
+        (RigFault("axis 1: following error; home it"), 3, "undrift: axis 1: following error; home it\n"),
+        (LimitError("wanted 90 deg/s or less, got 900"), 3, "undrift: wanted 90 deg/s or less, got 900\n"),
+        (PermissionError(13, "Not you", "a.csv"), 2, "undrift: a.csv: Not you; check the path and its permissions\n"),
+        (KeyboardInterrupt(), 130, "undrift: stopped; nothing was left half written\n"),
+    ],
+)  # fmt: skip
+def test_every_kind_of_error_has_its_exit_code_and_one_line(undrift, monkeypatch, error, code, line):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr(program, "app", fail)
+    answer = undrift("info")
+    assert (answer.code, answer.out, answer.err) == (code, "", line)
+
+
+def test_a_defect_is_not_hidden(monkeypatch):
+    def fail(*_, **__):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(program, "app", fail)
+    with pytest.raises(ZeroDivisionError):
+        program.run(["info"])
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["bogus"], 'Unknown command "bogus"'),
+        (["info"], "FILE requires an argument. Say undrift info --help."),
+        (["info", "a", "b"], "wanted fewer words, got also b; say undrift info --help"),
+        (["info", "--bogus", "a"], "Unknown option: --bogus"),
+        (["calibrate"], "SESSION requires an argument. Say undrift calibrate --help."),
+        (["calibrate", "s", "--gyro", "by-eye"], 'Invalid value "by-eye" for --gyro. Choose from: "rate-table"'),
+        (["calibrate", "s", "--latitude-deg", "north"], 'unable to convert "north" into float'),
+        (["correct", "a.csv", "-o", "b.csv"], "--calibration requires an argument"),
+        (["orient", "a.csv"], "--output requires an argument"),
+        (["validate", "a.csv", "--adc", "some"], 'Invalid value "some" for --adc'),
+        (["noise", "a.csv", "--start-s"], "--start-s requires an argument"),
+        (["demo", "extra"], "wanted fewer words, got also extra; say undrift demo --help"),
+        (["--json"], 'Unknown command "--json"'),
+    ],
+)
+def test_a_wrong_call_is_told_in_one_line(undrift, words, expected):
+    line = undrift.refused(*words)
+    assert expected in line
+    assert "--help" in line
+
+
+def test_without_a_command_the_help_is_shown(undrift):
+    assert "Usage: undrift COMMAND" in undrift.good().out
+    assert undrift.good("--version").out == f"{__version__}\n"
+
+
+def test_main_exits_with_the_code(undrift, monkeypatch):
+    with pytest.raises(SystemExit) as exit_:
+        program.main(["info", "nowhere.csv"])
+    assert exit_.value.code == 2
+    monkeypatch.setattr(sys, "argv", ["undrift", "--version"])
+    with pytest.raises(SystemExit) as exit_:
+        program.main()
+    assert exit_.value.code == 0
+
+
+def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
+    path = data_path("broad", "02_undisturbed_slow_rotation_B.hdf5")
+    done = process("info", path, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["rows"] == 53240
+    done = process("orient", path, "-o", "angles.csv", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [p.name for p in tmp_path.iterdir()] == ["angles.csv"]
+    done = process("correct", path, "--calibration", "none.json", "-o", "c.parquet", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("undrift: none.json: wanted a calibration file, got No such file")
+    assert done.stderr.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["angles.csv"]
+
+
+def test_a_reader_that_stops_early_makes_no_noise():
+    path = data_path("c3d", "duplicate_labels.c3d")
+    command = f"{sys.executable} -m undrift info {path} | head -c 1"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stderr == ""
+
+
+def test_a_table_is_whole_in_a_narrow_terminal_and_in_a_pipe():
+    import io
+
+    from rich.console import Console
+
+    from undrift.cli.output import table
+
+    made = table("title", "recording", "inclination (deg)", "pitch (deg)", "end total (deg)", "lag (ms)")
+    made.add_row("05_undisturbed_slow_rotation_with_breaks_B", "1.11", "0.71", "1.46", "4.17")
+    for width in (60, 400):
+        text = io.StringIO()
+        Console(file=text, width=width).print(made)
+        for word in ("inclination", "end total", "1.11", "0.71", "1.46", "4.17"):
+            assert word in text.getvalue()
+        assert "…" not in text.getvalue()
+        assert all(len(line) <= width for line in text.getvalue().splitlines())
+
+
+def test_json_knows_what_results_are_made_of():
+    import numpy as np
+
+    from undrift.cli.output import plain
+
+    held = {
+        "a": np.array([1.0, np.nan]),
+        "b": (np.int64(2), np.bool_(True)),
+        "c": float("inf"),
+        4: {"x"},
+        "e": None,
+        "f": 1j,
+    }
+    assert plain(held) == {"a": [1.0, None], "b": [2, True], "c": None, "4": ["x"], "e": None, "f": "1j"}

@@ -1,0 +1,53 @@
+"""Every command is in the README and answers --help; help needs nothing heavy."""
+
+import importlib
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from undrift.cli.app import COMMANDS, run
+from undrift.cli.opening import Opening
+
+ROOT = Path(__file__).parents[2]
+HEAVY = {"numpy", "scipy", "pandas", "numba", "matplotlib", "pyarrow", "h5py", "ezc3d", "jinja2"}
+
+
+def test_the_readme_has_a_row_for_every_command_and_no_other() -> None:
+    rows = re.findall(r"^\| `undrift (\w+)[^`]*` \|", (ROOT / "README.md").read_text(), re.M)
+    assert sorted(rows) == sorted(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_answers_help_with_each_of_its_options_explained(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([name, "--help"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.startswith(f"Usage: undrift {name}")
+    assert "--json" in out
+    assert "--no-" not in out
+    for held in (getattr(importlib.import_module(f"undrift.cli.{name}"), name), Opening):
+        together = re.findall(r"^ *(\w+(?:, \w+)+) : ", held.__doc__ or "", re.M)
+        assert together == [], "options that share a paragraph lose their help"
+
+
+def test_every_command_has_a_file_and_a_test_of_its_own() -> None:
+    for name in COMMANDS:
+        assert (ROOT / "src" / "undrift" / "cli" / f"{name}.py").is_file()
+        assert (ROOT / "tests" / "cli" / f"test_{name}.py").is_file()
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)])
+def test_help_imports_nothing_heavy(words: list[str]) -> None:
+    code = (
+        "import json, sys; from undrift.cli.app import run; "
+        f"run({words!r}); print(); print(json.dumps(sorted({{name.split('.')[0] for name in sys.modules}})))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    loaded = set(json.loads(done.stdout.splitlines()[-1]))
+    assert not loaded & HEAVY
