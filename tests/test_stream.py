@@ -66,6 +66,19 @@ def test_a_stream_warns_as_the_batch_does():
     assert strict.state.samples == 0
 
 
+@pytest.mark.parametrize("drift", [None, tables(), tables(static=None)], ids=["constant", "tables", "dynamic"])
+def test_a_stream_says_at_its_end_what_the_batch_says_and_each_once(drift):
+    c, r = device(drift=drift), record(low=10.0, high=80.0)
+    corrector = Corrector(c, "hold")
+    for start in range(0, N, 29):
+        corrector.push_checked(r.part(start, start + 29))
+        saved, corrector = corrector.state, Corrector(c, "hold")
+        corrector.state = saved
+    batch = correct_checked(r, c, policy="hold").warnings
+    assert batch
+    assert corrector.warnings == batch
+
+
 def test_a_stream_refuses_a_corrected_record():
     c = device(unit="si", drift=None)
     raw, corrector = record(unit="si", temp_c=None), Corrector(c)

@@ -24,16 +24,15 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration
 from undrift.drift.buffers import Buffers, adopt, flat, out_buffers
-from undrift.drift.coverage import find_outside, notes_on, rate_warnings, temperature_warnings
+from undrift.drift.coverage import NOWHERE, UNMOVED, Reach, Span, find_outside, notes_on, reach_of, warnings_on
 from undrift.drift.pieces import in_pieces
 from undrift.drift.plan import Plans, TriadPlan, plan_record
 from undrift.record import Record
 
 Policy = Literal["raise", "hold", "nan"]
-Span = tuple[float, float]  # least and greatest rate that met the dynamic table, rad/s
 
 REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
-NOTHING, NO_RATE = np.empty(0), (np.inf, -np.inf)
+NOTHING = np.empty(0)
 
 
 def _evaluate_triad(plan: TriadPlan, u: FloatArray, temp: FloatArray, a: FloatArray, w: FloatArray) -> Span:
@@ -47,7 +46,7 @@ def _evaluate_triad(plan: TriadPlan, u: FloatArray, temp: FloatArray, a: FloatAr
     affine(u, w, plan.matrix, plan.offset, plan.half_step)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
         subtract_g(a, w, g)  # step 4: w - G a
-    return NO_RATE
+    return NOWHERE
 
 
 def _evaluate(record: Record, plans: Plans, outputs: Buffers, start: int, stop: int) -> Span:
@@ -62,10 +61,10 @@ def _evaluate(record: Record, plans: Plans, outputs: Buffers, start: int, stop: 
     if gyro is not None and accel is not None and g is not None and gyro.tables is None and accel.tables is None:
         of_accel = (accel.matrix, accel.offset, accel.half_step)  # both triads in one pass over the memory
         affine_pair(u, v, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
-        return NO_RATE
+        return NOWHERE
     if accel is not None:  # first, since step 4 wants a
         _evaluate_triad(accel, v, temp, NOTHING, a)
-    return NO_RATE if gyro is None else _evaluate_triad(gyro, u, temp, NOTHING if g is None else a, w)
+    return NOWHERE if gyro is None else _evaluate_triad(gyro, u, temp, NOTHING if g is None else a, w)
 
 
 class DriftRangeWarning(UserWarning):
@@ -86,12 +85,15 @@ class Corrected:
         What went beyond the calibration: temperature, span of the constant offsets, rate.
     notes : tuple of str
         What was done that a reader may not expect: a triad without a model, another serial number.
+    reach : Reach
+        How far temperature and rate went, where the calibration cares.
     """
 
     record: Record
     outside: BoolArray
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    reach: Reach = UNMOVED
 
     @property
     def seconds_outside(self) -> float:
@@ -225,9 +227,12 @@ def correct_planned(
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    said = (
-        *temperature_warnings(record, calibration, plans, outside, reference_span_c),
-        *rate_warnings(plans[0], min(low for low, _ in spans), max(high for _, high in spans)),
+    turn_rate = (min(low for low, _ in spans), max(high for _, high in spans))
+    reach = reach_of(record, calibration, plans, outside, turn_rate)
+    return Corrected(
+        record=adopt(record, plans, outputs),
+        outside=outside,
+        warnings=warnings_on(reach, calibration, reference_span_c),
+        notes=notes_on(record, calibration),
+        reach=reach,
     )
-    done, notes = adopt(record, plans, outputs), notes_on(record, calibration)
-    return Corrected(record=done, outside=outside, warnings=said, notes=notes)

@@ -14,6 +14,7 @@ import numpy as np
 
 from undrift.calibration.model import Calibration
 from undrift.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
+from undrift.drift.coverage import UNMOVED, Reach, warnings_on
 from undrift.drift.plan import Plans, plan_record
 from undrift.errors import InputError
 from undrift.record import Record
@@ -31,11 +32,14 @@ class CorrectorState:
         Of those, outside the tuning tables.
     last_time : float
         Time of the last sample, s; minus infinity before the first.
+    reach : Reach
+        How far temperature and rate went so far, where the calibration cares.
     """
 
     samples: int = 0
     samples_outside: int = 0
     last_time: float = -np.inf
+    reach: Reach = UNMOVED
 
 
 class Corrector:
@@ -57,6 +61,11 @@ class Corrector:
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
         self.state = CorrectorState()  # may be saved, and put back by assignment
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Where the stream so far went beyond the calibration: what the batch would say, each once."""
+        return warnings_on(self.state.reach, self._calibration, self._span)
 
     def push(self, chunk: Record) -> Record:
         """Correct the next chunk.
@@ -118,6 +127,7 @@ class Corrector:
             samples=self.state.samples + len(chunk),
             samples_outside=self.state.samples_outside + int(done.outside.sum()),
             last_time=float(chunk.time[-1]),
+            reach=self.state.reach.joined(done.reach),
         )
         return done
 

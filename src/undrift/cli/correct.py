@@ -152,9 +152,9 @@ def _correct_one(
             done = corrector.push_checked(chunk)
             writer.write(done.record)
             said.update(dict.fromkeys(() if said else _doubts(done.record, model)))  # the first chunk tells
-            said.update(dict.fromkeys((*done.warnings, *done.notes)))
+            said.update(dict.fromkeys(done.notes))
             advance(len(chunk))
-    return corrector.state, list(said)
+    return corrector.state, [*said, *corrector.warnings]
 
 
 def _doubts(done: "Record", model: "Calibration") -> list[str]:

@@ -1,12 +1,62 @@
 """Where a calibration does not cover a record: temperatures beyond its tables, rates beyond them, constant offsets stretched."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration
-from undrift.drift.plan import Plans, TriadPlan
+from undrift.drift.plan import Plans
 from undrift.errors import DriftRangeError
 from undrift.record import Record
+
+Span = tuple[float, float]  # least and greatest
+NOWHERE: Span = (np.inf, -np.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How far readings went, as far as the calibration cares; of a record, or of all chunks of a stream so far.
+
+    Parameters
+    ----------
+    seconds_outside : float
+        Time spent beyond the tuning tables, s.
+    temp_c : tuple of float
+        Least and greatest temperature, degC; infinite the wrong way round where nothing depends on it.
+    departure_c : float
+        How far the temperature left the one at which constant offsets were found, degC; 0 where no offset is constant.
+    turn_rate : tuple of float
+        Least and greatest measured rate that met the dynamic table, rad/s; infinite the wrong way round without one.
+    """
+
+    seconds_outside: float = 0.0
+    temp_c: Span = NOWHERE
+    departure_c: float = 0.0
+    turn_rate: Span = NOWHERE
+
+    def joined(self, later: "Reach") -> "Reach":
+        """Return the reach of both.
+
+        Parameters
+        ----------
+        later : Reach
+            Of the chunk that follows.
+
+        Returns
+        -------
+        Reach
+            Of the stream with it.
+        """
+        return Reach(
+            seconds_outside=self.seconds_outside + later.seconds_outside,
+            temp_c=(min(self.temp_c[0], later.temp_c[0]), max(self.temp_c[1], later.temp_c[1])),
+            departure_c=max(self.departure_c, later.departure_c),
+            turn_rate=(min(self.turn_rate[0], later.turn_rate[0]), max(self.turn_rate[1], later.turn_rate[1])),
+        )
+
+
+UNMOVED = Reach()  # before the first sample
 
 
 def find_outside(record: Record, plans: Plans, *, allowed: bool) -> BoolArray:
@@ -52,10 +102,8 @@ def find_outside(record: Record, plans: Plans, *, allowed: bool) -> BoolArray:
     return mask
 
 
-def temperature_warnings(
-    record: Record, calibration: Calibration, plans: Plans, outside: BoolArray, reference_span_c: float
-) -> tuple[str, ...]:
-    """Say where the temperature left the tables, or the span in which constant offsets hold.
+def reach_of(record: Record, calibration: Calibration, plans: Plans, outside: BoolArray, turn_rate: Span) -> Reach:
+    """Find how far a record went.
 
     Parameters
     ----------
@@ -67,6 +115,40 @@ def temperature_warnings(
         Gyroscopes and accelerometers.
     outside : array, shape (N,)
         As found by ``find_outside``.
+    turn_rate : tuple of float
+        Least and greatest measured rate that met the dynamic table, rad/s.
+
+    Returns
+    -------
+    Reach
+        Of these samples.
+    """
+    reference = calibration.reference_temp_c
+    tables = any(plan is not None and plan.tables is not None for plan in plans)
+    constant = np.isfinite(reference) and any(
+        plan is not None and model is not None and (plan.tables is None or plan.tables.offset.size == 0)
+        for plan, model in zip(plans, (calibration.gyro, calibration.accel), strict=True)
+    )
+    if record.temp_c is None or not (tables or constant):
+        return Reach(turn_rate=turn_rate)
+    least, greatest = _extremes(record.temp_c)
+    return Reach(
+        seconds_outside=float(outside.sum()) / record.sample_rate_hz if outside.any() else 0.0,
+        temp_c=(least, greatest),
+        departure_c=max(greatest - reference, reference - least) if constant else 0.0,
+        turn_rate=turn_rate,
+    )
+
+
+def warnings_on(reach: Reach, calibration: Calibration, reference_span_c: float) -> tuple[str, ...]:
+    """Say where readings left the tables, or the span in which constant offsets hold.
+
+    Parameters
+    ----------
+    reach : Reach
+        How far they went.
+    calibration : Calibration
+        The device's model.
     reference_span_c : float
         How far from the reference temperature constant offsets hold, degC.
 
@@ -76,53 +158,26 @@ def temperature_warnings(
         Nothing, or a sentence each.
     """
     said: list[str] = []
-    temp = record.temp_c
-    if temp is None:
-        return ()
-    if outside.any():
-        least, greatest = _extremes(temp)
+    if reach.seconds_outside > 0.0:
         said.append(
-            f"{outside.sum() / record.sample_rate_hz:.1f} s lie outside the drift table: {least:.1f} to {greatest:.1f} degC "
+            f"{reach.seconds_outside:.1f} s lie outside the drift table: {reach.temp_c[0]:.1f} to {reach.temp_c[1]:.1f} degC "
             "were recorded"
         )
-    constant = any(
-        plan is not None and model is not None and (plan.tables is None or plan.tables.offset.size == 0)
-        for plan, model in zip(plans, (calibration.gyro, calibration.accel), strict=True)
-    )
-    reference = calibration.reference_temp_c
-    if constant and np.isfinite(reference):
-        least, greatest = _extremes(temp)
-        departure = max(greatest - reference, reference - least)
-        if departure > reference_span_c:
-            said.append(
-                f"the temperature departs by up to {departure:.1f} degC from {reference:.1f} degC, where the constant offsets "
-                f"hold; a tuning table is needed beyond {reference_span_c:g} degC"
-            )
+    if reach.departure_c > reference_span_c:
+        said.append(
+            f"the temperature departs by up to {reach.departure_c:.1f} degC from {calibration.reference_temp_c:.1f} degC, where "
+            f"the constant offsets hold; a tuning table is needed beyond {reference_span_c:g} degC"
+        )
+    dynamic = calibration.drift.dynamic if calibration.drift else None
+    if dynamic is not None and (
+        reach.turn_rate[0] < dynamic.turn_rate[0] or reach.turn_rate[1] > dynamic.turn_rate[-1]
+    ):
+        least, greatest, low, high = np.degrees((*reach.turn_rate, dynamic.turn_rate[0], dynamic.turn_rate[-1]))
+        said.append(
+            f"rates reached {least:.1f} to {greatest:.1f} deg/s, the dynamic table ends at {low:.1f} and {high:.1f} deg/s and "
+            "was held there"
+        )
     return tuple(said)
-
-
-def rate_warnings(gyro: TriadPlan | None, least: float, greatest: float) -> tuple[str, ...]:
-    """Say where the rate left the dynamic table.
-
-    Parameters
-    ----------
-    gyro : TriadPlan or None
-        The gyroscopes.
-    least, greatest : float
-        Least and greatest measured rate, rad/s.
-
-    Returns
-    -------
-    tuple of str
-        Nothing, or one sentence.
-    """
-    if gyro is None or (least >= gyro.rate_range[0] and greatest <= gyro.rate_range[1]):
-        return ()
-    low, high = (np.degrees(r) for r in gyro.rate_range)
-    return (
-        f"rates reached {np.degrees(least):.1f} to {np.degrees(greatest):.1f} deg/s, the dynamic table ends at {low:.1f} and "
-        f"{high:.1f} deg/s and was held there",
-    )
 
 
 def notes_on(record: Record, calibration: Calibration) -> tuple[str, ...]:
