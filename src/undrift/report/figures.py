@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
 PICTURES = (".svg", ".png", ".pdf")
+_UNDATED: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}  # the same bytes for the same figure
 AXIS_COLOURS = ("#c23b3b", "#2f8f4e", "#2b62b3")  # x, y, z
 _STYLE: Any = {  # matplotlib types every key by name
     "font.size": 9.0,
@@ -108,7 +109,7 @@ def save_figure(figure: "Figure", path: Path) -> None:
         raise InputError(f"{path}: wanted a name ending in .svg, .png or .pdf, got another; name the format so")
     buffer = io.BytesIO()
     with mpl.rc_context(_STYLE):
-        figure.savefig(buffer, dpi=130, format=path.suffix[1:].lower())
+        figure.savefig(buffer, dpi=130, format=path.suffix[1:].lower(), metadata=_UNDATED.get(path.suffix.lower()))
     write_whole(path, buffer.getvalue())
 
 

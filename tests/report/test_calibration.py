@@ -1,0 +1,84 @@
+"""Numbers with their uncertainty, and the tables of a calibration."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from undrift import calibrate
+from undrift.report.calibration import calibration_sections, concise, triad_heads, triad_notes, triad_rows
+from undrift.sim import random_device, simulate_session
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "text"),
+    [
+        (0.99643, 0.00011, "0.99643(11)"),
+        (1.0, 0.0123, "1.000(12)"),
+        (100.02147, 0.00035, "100.02147(35)"),  # GUM, 7.2.2: 100.021 47(35) g
+        (-489.82, 0.14, "-489.82(14)"),
+        (0.5371, 0.00996, "0.5371(100)"),
+        (33123.8, 0.24, "33123.80(24)"),
+        (1234.5, 12.0, "1234(12)"),
+        (1234.5, 120.0, "1234(120)"),
+        (0.0, 0.001, "0.0000(10)"),
+        (1.0, 0.0, "1"),
+        (0.25, float("nan"), "0.25"),
+        (0.25, float("inf"), "0.25"),
+        (2.0, 1e-12, "2(1e-12)"),
+    ],
+)
+def test_the_uncertainty_stands_in_brackets_in_units_of_the_last_digits(value, uncertainty, text):
+    assert concise(value, uncertainty) == text
+
+
+def read_back(text):
+    value, _, rest = text.partition("(")
+    places = len(value.partition(".")[2])
+    return float(value), float(rest.rstrip(")")) * 10.0**-places
+
+
+def test_what_is_printed_reads_back_to_half_a_digit():
+    rng = np.random.default_rng(1)
+    for value, size in zip(rng.normal(0.0, 10.0, 500), 10.0 ** rng.uniform(-7.0, 1.9, 500), strict=True):
+        shown, sigma = read_back(concise(value, size))
+        assert abs(sigma / size - 1.0) <= 0.051  # two digits, the second rounded
+        assert abs(shown - value) <= 0.051 * size + 0.5 * (size >= 10.0)
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    rng = np.random.default_rng(11)
+    return calibrate(simulate_session("bench", random_device(rng), rng=rng))
+
+
+def test_every_triad_has_three_rows_under_heads_with_units(calibration):
+    for triad in (calibration.gyro, calibration.accel):
+        heads, rows = triad_heads(triad), triad_rows(triad)
+        assert [row[0] for row in rows] == ["x", "y", "z"]
+        assert all(len(row) == len(heads) == 6 for row in rows)
+        assert triad.unit_in in heads[4]
+        assert f"{triad.unit_in} per {triad.unit_out}" in heads[5]
+        for k, row in enumerate(rows):
+            shown, sigma = read_back(row[1 + k])
+            assert shown == pytest.approx(
+                triad.matrix[k, k], abs=0.51 * 10.0 ** -len(row[1 + k].partition("(")[0].partition(".")[2])
+            )
+            assert 0.0 < sigma < 0.1 * abs(shown)
+
+
+def test_notes_give_residual_rank_range_and_g_sensitivity(calibration):
+    notes = triad_notes(calibration.gyro)
+    assert "rad/s rms over" in notes[0]
+    assert f"rank {calibration.gyro.rank}" in notes[0]
+    assert (len(notes) == 2) == (calibration.gyro.g_sensitivity is not None)
+    assert len(triad_notes(replace(calibration.gyro, g_sensitivity=np.full((3, 3), 1e-4)))) == 2
+    assert (
+        "up to 0.0001 rad/s per m/s2" in triad_notes(replace(calibration.gyro, g_sensitivity=np.full((3, 3), 1e-4)))[1]
+    )
+
+
+def test_a_section_for_each_triad_that_was_fitted(calibration):
+    titles = [section.title for section in calibration_sections(calibration)]
+    assert [title.split(":")[0] for title in titles] == ["Accelerometers", "Gyroscopes"]
+    assert len(calibration_sections(replace(calibration, gyro=None))) == 1

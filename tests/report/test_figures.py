@@ -1,0 +1,122 @@
+"""Pictures: they draw without a warning, say what they show in text, and are the same twice."""
+
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from undrift.errors import InputError
+from undrift.report.figures import (
+    draw_agreement,
+    draw_allan,
+    draw_comparison,
+    draw_residuals,
+    new_figure,
+    save_figure,
+    svg_of,
+)
+
+rng = np.random.default_rng(3)
+
+
+def comparison(*, gaps=True):
+    time = np.linspace(0.0, 10.0, 500)
+    optics = 20.0 * np.sin(time)
+    if gaps:
+        optics[100:150] = np.nan
+    device = optics + 0.1 * rng.normal(size=500)
+    errors = [(name, device - optics) for name in ("total", "inclination", "pitch")]
+    return draw_comparison(time, device, optics, errors, title="walk: sagittal pitch")
+
+
+def allan(*, gaps=False):
+    taus = np.geomspace(0.01, 100.0, 30)
+    deviation = np.outer(1.0 / np.sqrt(taus), [1.0, 2.0, 3.0])
+    if gaps:
+        deviation[20:, 1] = np.nan
+    return draw_allan(taus, deviation, ["gyro x", "gyro y", "gyro z"], unit="rad/s", title="rest: Allan deviation")
+
+
+DRAWN = {
+    "comparison": (
+        comparison,
+        ["optics", "device", "total", "inclination", "pitch (deg)", "error (deg)", "time (s)", "walk: sagittal pitch"],
+    ),
+    "agreement": (
+        lambda: draw_agreement(rng.normal(size=8), rng.normal(size=8), -0.12, (-1.5, 1.3), unit="trial"),
+        ["bias -0.12 deg", "device - optics (deg)", "mean of device and optics (deg), one point a trial"],
+    ),
+    "allan": (allan, ["gyro x", "gyro y", "gyro z", "averaging time (s)", "Allan deviation (rad/s)", "white noise, slope -1/2"]),
+    "allan with gaps": (lambda: allan(gaps=True), ["gyro y"]),
+    "residuals": (
+        lambda: draw_residuals(rng.normal(size=30), unit="m/s2", title="six faces"),
+        ["residual (m/s2)", "six faces", "count", "pose, dwell or window"],
+    ),
+    "residuals of three axes": (
+        lambda: draw_residuals(rng.normal(size=(30, 3)), unit="rad/s", title="turns"),
+        ["residual (rad/s)", ">x<", ">y<", ">z<"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_picture_says_in_text_what_it_shows(name):
+    draw, labels = DRAWN[name]
+    text = svg_of(draw())
+    for label in labels:
+        assert label in text, label
+    root = ET.fromstring(text)  # whole XML, without a head
+    assert root.tag.endswith("svg")
+    assert "<path" in text
+    assert "nan" not in re.sub(r"[a-zA-Z]nan|nan[a-zA-Z]", "", text)
+
+
+def test_the_same_results_give_the_same_bytes():
+    assert svg_of(allan()) == svg_of(allan())
+
+
+def test_an_angle_that_wraps_is_not_joined_across():
+    time = np.arange(100.0)
+    angle = (time * 10.0 + 180.0) % 360.0 - 180.0
+    figure = draw_comparison(time, angle, angle, [("total", 0.0 * time)], title="turning")
+    drawn = figure.axes[0].lines[0].get_ydata()
+    assert np.isnan(drawn).sum() == 3  # at 180, 540 and 900 deg
+    assert np.nanmax(np.abs(np.diff(drawn))) <= 10.0 + 1e-9
+    np.testing.assert_array_equal(angle, (time * 10.0 + 180.0) % 360.0 - 180.0)  # the caller's array is untouched
+
+
+def test_a_figure_without_any_optics_still_draws():
+    nothing = np.full(50, np.nan)
+    figure = draw_comparison(np.arange(50.0), np.zeros(50), nothing, [("total", nothing)], title="unseen")
+    assert "unseen" in svg_of(figure)
+
+
+def test_panels_stand_row_by_row():
+    figure, axes = new_figure(2, columns=2)
+    assert len(axes) == 4
+    assert figure.get_size_inches()[0] == pytest.approx(8.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "start"), [("a.svg", b"<?xml"), ("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.PNG", b"\x89PNG")]
+)
+def test_a_figure_is_saved_by_its_ending(tmp_path, name, start):
+    save_figure(allan(), tmp_path / name)
+    first = (tmp_path / name).read_bytes()
+    assert first.startswith(start)
+    save_figure(allan(), tmp_path / name)
+    assert (tmp_path / name).read_bytes() == first
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_another_ending_is_refused_and_nothing_is_written(tmp_path):
+    with pytest.raises(InputError, match=r"wanted a name ending in \.svg, \.png or \.pdf, got another"):
+        save_figure(allan(), tmp_path / "a.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError) as error:
+        save_figure(allan(), tmp_path / "none" / "a.svg")
+    assert error.value.filename == str(tmp_path / "none" / "a.svg")
