@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.calibration.fit.dwells import DwellSettings, dwell_means, middles
+from undrift.calibration.fit.gravity_turns import check_turns_gravity
 from undrift.calibration.fit.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
 from undrift.calibration.fit.noise import block_size, noise_of_means
 from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
@@ -168,6 +169,7 @@ def _known_rotation(seen: Observed, paper: bool, accel: TriadFit | None) -> Outc
         scale_tolerance=seen.settings.scale_tolerance,
     )
     fit = fit_known_rotation(data, gravity=seen.session.gravity_m_s2, settings=settings)
+    check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)
     return Outcome(fit=fit, method="known-rotation", reasons=said)
 
 

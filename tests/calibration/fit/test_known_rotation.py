@@ -71,7 +71,7 @@ def test_the_closed_form_is_the_same_for_even_windows_and_leans_on_uneven_ones()
 
 def test_a_reversed_turn_is_named_with_the_angle_that_would_be_right():
     wrong = data(angle=ANGLE * np.array([1.0, -1.0, 1.0]))
-    with pytest.raises(Implausible, match=r"the turn about y reversed .* give its angle as y \+360 deg") as caught:
+    with pytest.raises(Implausible, match=r"the turn about y reversed; .* give its angle as y \+360 deg") as caught:
         fit_known_rotation(wrong, gravity=G)
     assert caught.value.reversed == ("y",)
 
@@ -161,3 +161,18 @@ def test_gaps_are_left_out_at_rest_and_refused_in_a_turn():
     gyro[:10] = np.nan
     with pytest.raises(InputError, match=r"wanted readings at rest on face \+z, got 0; choose another stretch"):
         rotation_data([Record(time=time, gyro=gyro, accel=accel)], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))
+
+
+def test_exchanged_columns_are_named_and_not_taken_for_reversed_turns():
+    exchanged = replace(
+        data(),
+        reading=data().reading[:, [1, 0, 2]],
+        rest=replace(data().rest, reading=data().rest.reading[:, [1, 0, 2]]),
+    )
+    with pytest.raises(Implausible, match=r"got \+y, \+x, \+z: columns x and y exchanged, or the axes of the turns"):
+        fit_known_rotation(exchanged, gravity=G)
+    told = replace(
+        exchanged, angle=exchanged.angle * np.array([-1.0, -1.0, 1.0])
+    )  # as the advice on signs was followed
+    with pytest.raises(Implausible, match=r"got -y, -x, \+z: columns x and y exchanged, and x and y reversed"):
+        fit_known_rotation(told, gravity=G)

@@ -164,7 +164,7 @@ def test_the_uncertainty_of_one_axis_is_the_scatter_of_many_fits():
 
 def test_a_left_handed_or_misstated_gyroscope_is_refused():
     with pytest.raises(
-        Implausible, match=r"gyroscope: wanted right-handed axes, got a left-handed triad \(reversed: z\)"
+        Implausible, match=r"got \+x, \+y, -z: column z reversed, or the sign of the turns about z; correct the order"
     ):
         fit_rate_table(dwells(k=K @ np.diag([1.0, 1.0, -1.0])))
     with pytest.raises(Implausible, match="within 3 % of the stated sensitivity"):

@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.axis_order import check_axis_order, nearest_signed_permutation
 from undrift.calibration.fit.result import TriadFit, inverse_jacobian, scaled_condition
 from undrift.calibration.fit.six_face import FaceMeans
 from undrift.calibration.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
@@ -266,15 +267,18 @@ def _rest_residuals(data: RotationData, rest: FloatArray, gravity: float) -> Flo
 
 
 def _check_turns(forward: FloatArray, data: RotationData, settings: KnownRotationSettings) -> None:
-    reversed_ = [k for k in range(3) if forward[k, k] < 0.0]
+    seen = nearest_signed_permutation(forward)
+    if not np.diag(seen).all():
+        check_axis_order(forward, "known rotation", against="turns")
+    reversed_ = [k for k in range(3) if seen[k, k] < 0.0]
     if reversed_:
         axes = ", ".join(AXES[k] for k in reversed_)
         angles = ", ".join(
             f"{AXES[k]} {-data.angle[data.axis.index(AXES[k])] / RADIAN_PER_DEGREE:+g} deg" for k in reversed_
         )
         raise Implausible(
-            f"known rotation: wanted gyroscopes that read + for a turn about their +axis, got the turn about {axes} reversed "
-            f"(a left-handed triad); if the device was turned the other way give its angle as {angles}, else change the sign of "
+            f"known rotation: wanted gyroscopes that read + for a turn about their +axis, got the turn about {axes} reversed; "
+            f"if the device was turned the other way give its angle as {angles}, else change the sign of "
             "that column",
             reversed=tuple(AXES[k] for k in reversed_),
         )

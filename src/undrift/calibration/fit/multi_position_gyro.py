@@ -27,6 +27,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.axis_order import check_axis_order
 from undrift.calibration.fit.excess import excess_variance
 from undrift.calibration.fit.multi_position_turns import (
     Directions,
@@ -40,7 +41,7 @@ from undrift.calibration.fit.multi_position_turns import (
 )
 from undrift.calibration.fit.result import TriadFit, scaled_condition
 from undrift.calibration.model import MATRIX_NAMES, Status, TriadModel, Verdict
-from undrift.calibration.plausibility import check_handedness, check_scale_factor
+from undrift.calibration.plausibility import check_scale_factor
 from undrift.errors import NotObservable, PoorFit
 from undrift.record import Record
 from undrift.session import Still
@@ -310,7 +311,7 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
     rate = (moves.gyro[_inside(moves)] - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
-    check_handedness(np.linalg.inv(matrix), "gyro against accel")
+    check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
     model = TriadModel(
         method="multi-position",
         unit_in=unit_in,

@@ -17,12 +17,13 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.axis_order import check_axis_order
 from undrift.calibration.fit.dwells import DwellMeans
 from undrift.calibration.fit.linear import fit_forward, fit_paper, offset_warning, triad_from_forward
 from undrift.calibration.fit.linearity import Linearity, linearity
 from undrift.calibration.fit.result import TriadFit
 from undrift.calibration.model import AXES, Verdict
-from undrift.calibration.plausibility import axis_vectors, check_handedness, check_scale_factor
+from undrift.calibration.plausibility import axis_vectors, check_scale_factor
 from undrift.earth import EARTH_RATE
 from undrift.errors import InputError, NotObservable
 from undrift.session import Axis
@@ -155,7 +156,7 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
             forward, method=method, unit_in=dwells.unit, unit_out="rad/s", valid_range=span, verdict=Verdict()
         )
         verdict = Verdict()
-    check_handedness(fit.model.forward_matrix, "gyroscope")
+    check_axis_order(fit.model.forward_matrix, "rate table", against="turns")
     _check_scale(fit.model.scale_factor, dwells.unit, settings, "gyroscope")
     return RateTableFit(
         model=fit.model,
