@@ -151,7 +151,8 @@ def _correct_one(
         for chunk in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
             done = corrector.push_checked(chunk)
             writer.write(done.record)
-            said.update(dict.fromkeys(() if said else _doubts(done.record, model)))  # the first chunk tells
+            if corrector.state.samples == len(chunk):  # the first chunk tells
+                said.update(dict.fromkeys(_doubts(done.record, model)))
             said.update(dict.fromkeys(done.notes))
             advance(len(chunk))
     return corrector.state, [*said, *corrector.warnings]
