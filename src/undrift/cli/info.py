@@ -118,7 +118,10 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
 def _hints(found: "Description") -> list[str]:
     """Return what to type next, in the words of the command line."""
     if found.kind == "table" and "columns = {" in found.summary:
-        return ["write that into map.toml, one entry a line, put the unit where it says "?", and say: undrift info FILE --map map.toml"]
+        return [
+            "write that into map.toml, one entry a line, put what is true where it says ?, and say: "
+            "undrift info FILE --map map.toml"
+        ]
     if found.kind == "table" and found.format == "apdm":
         return [f"say: undrift info FILE --sensor {found.columns[0]}"]
     if found.kind == "table" and found.format == "ximu":
