@@ -37,11 +37,14 @@ def test_every_kind_of_error_has_its_exit_code_and_one_line(undrift, monkeypatch
     assert (answer.code, answer.out, answer.err) == (code, "", line)
 
 
-def test_a_defect_is_not_hidden(monkeypatch):
+def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkeypatch):
     def fail(*_, **__):
-        raise ZeroDivisionError
+        raise ZeroDivisionError("float division")
 
     monkeypatch.setattr(program, "app", fail)
+    monkeypatch.delenv("UNDRIFT_TRACEBACK", raising=False)
+    assert "internal error: ZeroDivisionError: float division; please report it" in undrift.refused("info")
+    monkeypatch.setenv("UNDRIFT_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
         program.run(["info"])
 

@@ -177,12 +177,17 @@ UNITS = {
 }
 
 
-@pytest.mark.parametrize("fault", UNITS)
-@pytest.mark.parametrize("command", ["orient", "validate", "noise"])
+SHOWN = [  # a device at rest turns at its offset alone: nothing tells noise the unit of the gyroscope
+    (command, fault)
+    for command in ("orient", "validate", "noise")
+    for fault in UNITS
+    if (command, fault[:3]) != ("noise", "dps")
+]
+
+
+@pytest.mark.parametrize(("command", "fault"), SHOWN)
 def test_a_wrong_unit_is_refused_where_it_shows(undrift, bench, sound, tmp_path, command, fault):
     channel, factor = UNITS[fault]
-    if command == "noise" and channel == "gyro":
-        pytest.skip("a device at rest turns at its offset alone: nothing tells the unit")
     write_record(read_record(bench / "corrected.parquet"), tmp_path / "good.csv")
     lines = lines_of(sound / "rest.csv" if command == "noise" else tmp_path / "good.csv")
     (tmp_path / "good.csv").unlink()
