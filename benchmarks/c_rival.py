@@ -29,7 +29,7 @@ void matrices(const double *restrict x, const double *restrict y, double *restri
   }
 }
 
-/* the bytes alone, by the stores of a loop that computes; a library's copy spares fetching what it overwrites */
+/* the bytes alone, by the stores of a loop that computes, where a library's copy may take other instructions */
 __attribute__((optimize("no-tree-loop-distribute-patterns")))
 void copies(const double *restrict x, const double *restrict y, double *restrict w, double *restrict a, int64_t count) {
   for (int64_t k = 0; k < 3 * count; k++) { w[k] = x[k]; a[k] = y[k]; }
