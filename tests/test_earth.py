@@ -4,6 +4,7 @@ import pytest
 
 from data import show
 from undrift.earth import EARTH_RATE, gravity_at
+from undrift.errors import InputError
 
 
 def test_normal_gravity_at_equator_and_pole_is_that_of_wgs_84():
@@ -25,3 +26,17 @@ def test_gravity_falls_with_height_as_the_inverse_square_of_distance():
 
 def test_the_earth_turns_once_in_a_sidereal_day():
     assert pytest.approx(86164.1, abs=0.1) == 2 * 3.141592653589793 / EARTH_RATE
+
+
+@pytest.mark.parametrize(
+    ("latitude_deg", "height_m", "words"),
+    [
+        (91.0, 0.0, "latitude_deg: wanted -90 to 90 deg, got 91; south is negative"),
+        (float("nan"), 0.0, "latitude_deg: wanted -90 to 90 deg, got nan"),
+        (45.0, 2e5, "height_m: wanted -5000 to 100000 m above the ellipsoid, got 200000; give it in metres"),
+        (45.0, float("nan"), "height_m: wanted .* got nan"),
+    ],
+)
+def test_a_place_that_is_not_on_earth_is_refused(latitude_deg, height_m, words):
+    with pytest.raises(InputError, match=words):
+        gravity_at(latitude_deg, height_m)

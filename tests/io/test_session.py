@@ -104,6 +104,39 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
             "angle_deg = 1\nturn_rate_dps = 2",
             r"line 21: \[\[turn\]\] 2: wanted turn_rate_dps or angle_deg",
         ),
+        (
+            "angle_deg = -360.0",
+            "angle_deg = nan",
+            r"line 22: \[\[turn\]\] 2, angle_deg: wanted a finite number, got nan",
+        ),
+        (
+            "angle_deg = -360.0",
+            "angle_deg = 0",
+            r"line 21: \[\[turn\]\] 2: wanted angle_deg other than 0, got 0; state",
+        ),
+        (
+            "turn_rate_dps = 90.0",
+            "turn_rate_dps = inf",
+            r"\[\[turn\]\] 1, turn_rate_dps: wanted a finite number, got inf",
+        ),
+        ("temp_c = 25.0", "temp_c = nan", r"\[\[turn\]\] 1, temp_c: wanted a finite number, got nan"),
+        ("temp_c = 25.0", "temp_c = -300.0", r"temp_c: wanted greater than or equal to -273.15, got -300.0"),
+        ("start_s = 1.0", "start_s = nan", r"\[\[still\]\] 1, start_s: wanted a finite number, got nan"),
+        (
+            "gravity_m_s2 = 9.80665",
+            "latitude_deg = 200.0\nheight_m = 0",
+            "latitude_deg: wanted -90 to 90 deg, got 200; south",
+        ),
+        (
+            "gravity_m_s2 = 9.80665",
+            "latitude_deg = 45.0\nheight_m = nan",
+            r"\[session\], height_m: wanted a finite number",
+        ),
+        (
+            "gravity_m_s2 = 9.80665",
+            "latitude_deg = 45.0\nheight_m = 1e7",
+            "height_m: wanted -5000 to 100000 m above .* got 1e",
+        ),
         ("stop_s = 1.6\n", "", r"line 10: \[\[still\]\] 1, stop_s: wanted this key, got none"),
         (
             "stop_s = 1.6",

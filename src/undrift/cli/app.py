@@ -1,9 +1,11 @@
 """``undrift``: the commands, and what becomes of errors.
 
 Exit codes: 0 done; 1 done but the verdict is bad; 2 the input or the call is wrong (one line on stderr); 3 a rig or device
-failed. A command is imported only when it is called, so that ``undrift --help`` answers at once.
+failed. An error that nobody foresaw is one line too, with code 2; UNDRIFT_TRACEBACK=1 in the environment shows where it
+arose. A command is imported only when it is called, so that ``undrift --help`` answers at once.
 """
 
+import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -84,6 +86,14 @@ def run(arguments: Sequence[str]) -> int:
         )
     except KeyboardInterrupt:
         return complain("stopped; nothing was left half written", code=130)
+    except Exception as error:
+        if os.environ.get("UNDRIFT_TRACEBACK") == "1":
+            raise
+        return complain(
+            f"internal error: {type(error).__name__}: {error}; please report it with the command (UNDRIFT_TRACEBACK=1 shows "
+            "where)",
+            code=2,
+        )
     return code if isinstance(code, int) else 0
 
 

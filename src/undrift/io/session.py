@@ -15,6 +15,7 @@ units = { time = "s", accel = "count", gyro = "count" }
 """
 
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -33,6 +34,8 @@ from undrift.session import Axis, Face, Kind, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
 NAME = "session.toml"
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Celsius = Annotated[float, Field(ge=-273.15, allow_inf_nan=False)]
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
@@ -53,9 +56,9 @@ class HeadEntry(Entry):
 
     kind: Kind
     serial: str
-    gravity_m_s2: float | None = None
-    latitude_deg: float | None = None
-    height_m: float | None = None
+    gravity_m_s2: Finite | None = None
+    latitude_deg: Finite | None = None
+    height_m: Finite | None = None
 
 
 class RecordingEntry(MapEntry):
@@ -86,10 +89,10 @@ class PieceEntry(Entry):
         Chamber set-point, degC.
     """
 
-    start_s: float
-    stop_s: float
+    start_s: Finite
+    stop_s: Finite
     recording: int = 0
-    temp_c: float | None = None
+    temp_c: Celsius | None = None
 
 
 class StillEntry(PieceEntry):
@@ -118,8 +121,8 @@ class TurnEntry(PieceEntry):
     """
 
     axis: Axis | None = None
-    turn_rate_dps: float | None = None
-    angle_deg: float | None = None
+    turn_rate_dps: Finite | None = None
+    angle_deg: Finite | None = None
 
 
 class SessionFile(Entry):
@@ -280,6 +283,10 @@ def _turn(path: Path, text: str, number: int, entry: TurnEntry, records: list[Re
     where = _where(path, text, ("turn", number))
     if entry.turn_rate_dps is not None and entry.angle_deg is not None:
         raise FileFormatError(f"{where}: wanted turn_rate_dps or angle_deg, got both; keep the one that was measured")
+    if entry.angle_deg == 0.0:
+        raise FileFormatError(
+            f"{where}: wanted angle_deg other than 0, got 0; state the angle turned, 360 for a full turn"
+        )
     start, stop = _samples(where, entry, records)
     return Turn(
         start=start,
