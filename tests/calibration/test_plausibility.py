@@ -43,6 +43,14 @@ def test_a_face_recorded_twice_is_named():
         check_faces(twice, FACES)
 
 
+@pytest.mark.parametrize(("wrong", "apart"), [("-y", "1.9"), ("-z", "1.")])
+def test_a_label_stated_twice_is_named_with_what_is_missing(wrong, apart):
+    labels = tuple("+y" if face == wrong else face for face in FACES)
+    words = rf"face \+y: stated twice, readings {apart}\d* g apart; {wrong} missing: one of the two is another face"
+    with pytest.raises(Implausible, match=words):
+        check_faces(READING, labels)
+
+
 @pytest.mark.parametrize(("a", "b"), [(0, 2), (1, 4), (3, 5)])
 def test_two_swapped_faces_are_named(a, b):
     swapped = READING.copy()

@@ -17,6 +17,7 @@ from undrift.session import FACES, Axis, Face
 # A gain this close to a whole factor is a unit, a range or a sample rate, not a sensor.
 _FACTORS = (2.0, 4.0, 8.0, 16.0)
 _SATURATED_RUN = 5  # samples in a row at the same extreme reading
+_REPEAT_APART = 0.5  # g; 29 deg: no repeated face leans so far
 _FAR_FROM_REST = 50.0  # steps between the extreme and the median before a run counts as saturation
 
 
@@ -105,8 +106,9 @@ def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> 
 def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     """Raise when the labels of a six-face session contradict its readings.
 
-    Duplicated: two poses with different labels read the same. Swapped: exchanging the readings of two labels makes the
-    affine fit at least five times better, or a face reads less along its axis than the opposite one.
+    Duplicated: two poses with different labels read the same, or two with the same label do not. Swapped: exchanging the
+    readings of two labels makes the affine fit at least five times better, or a face reads less along its axis than the
+    opposite one.
 
     Parameters
     ----------
@@ -131,6 +133,7 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
                 faces=(faces[a], faces[b]),
                 apart_g=apart / radius,
             )
+    _check_repeats(means, faces, radius)
     present = [f for f in FACES if f in faces]
     before = _affine_misfit(means, up)
     if len(present) < 5 or before < 0.2 * radius:
@@ -256,6 +259,20 @@ def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
     """
     have = Counter(faces)
     return tuple(f for f in FACES if not have[f])
+
+
+def _check_repeats(means: FloatArray, faces: Sequence[Face], radius: float) -> None:
+    for a, b in itertools.combinations(range(len(faces)), 2):
+        apart = float(np.linalg.norm(means[a] - means[b])) / radius
+        if faces[a] == faces[b] and apart > _REPEAT_APART:
+            missing = missing_faces(faces)
+            lacking = f"; {' and '.join(missing)} missing" if missing else ""
+            raise Implausible(
+                f"face {faces[a]}: stated twice, readings {apart:.2f} g apart{lacking}: one of the two is another face, "
+                "correct its label",
+                faces=(faces[a], faces[b]),
+                apart_g=apart,
+            )
 
 
 def _check_opposites(means: FloatArray, up: FloatArray, faces: Sequence[Face]) -> None:

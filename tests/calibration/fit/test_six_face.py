@@ -1,5 +1,7 @@
 """Six faces: the note's equations, the affine fit, and tilted faces against its rivals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,24 @@ def test_mode_paper_is_equation_three_to_the_last_digit():
     np.testing.assert_allclose(fit.model.matrix, np.linalg.inv(FORWARD), atol=1e-13)
     assert fit.model.offset.tolist() == [0.0, 0.0, 0.0]
     assert fit.verdict.reasons == ()
+
+
+def test_mode_paper_says_that_its_uncertainty_leaves_the_tilt_out():
+    rng = np.random.default_rng(51)
+    tilt = np.radians(0.5) * rng.standard_normal((6, 3))
+    reading = (UP + np.cross(tilt, UP)) @ FORWARD.T
+    poses = FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 1e-3))
+    fit = fit_six_face(poses, gravity=G, settings=SixFaceSettings(mode="paper"))
+    told = [
+        r
+        for r in fit.verdict.reasons
+        if r.startswith("mode paper takes the faces for level, and they are tilted by 0.")
+    ]
+    assert len(told) == 1
+    assert "which their stated uncertainty leaves out; use mode levelled" in told[0]
+    assert fit.verdict.status != "good"
+    unknown = fit_six_face(replace(poses, noise=None), gravity=G, settings=SixFaceSettings(mode="paper"))
+    assert not any("takes the faces for level" in r for r in unknown.verdict.reasons)
 
 
 @pytest.mark.parametrize(("offset_g", "loss_percent"), [(0.05, 0.74), (0.1, 2.9), (0.5, 43.0)])

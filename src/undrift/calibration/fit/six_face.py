@@ -144,9 +144,8 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, settings: SixFaceSettings 
     method = f"six-face/{settings.mode}"
     if settings.mode == "paper":
         fit = fit_paper(up, poses.reading, poses.noise, method=method, unit_in=poses.unit, unit_out="m/s2")
-        fit = SixFaceFit(
-            model=fit.model, residuals=fit.residuals, verdict=offset_warning(fit, up, poses.reading, poses.noise)
-        )
+        said = offset_warning(fit, up, poses.reading, poses.noise).also(_untold_tilt(poses, up))
+        fit = SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=said)
     else:
         forward, tilt, verdict = _affine(poses, up, gravity, settings)
         plain = triad_from_forward(
@@ -252,14 +251,14 @@ def _check(poses: FaceMeans, gravity: float, settings: SixFaceSettings) -> None:
             f"six faces: wanted one reading (3,) for each of {len(poses.faces)} faces, got {poses.reading.shape}"
         )
     check_pose_count(len(poses.faces), 5, "labelled faces")
+    if is_physical(poses.unit):
+        check_gravity(poses.reading * si_factor(poses.unit, "accel"), gravity)
+    check_faces(poses.reading, poses.faces)
     missing = missing_faces(poses.faces)
     if len(missing) > (0 if settings.mode == "paper" else 1):
         raise NotObservable(
             f"six faces: wanted all six, got none for {', '.join(missing)}; record the missing faces", missing=missing
         )
-    if is_physical(poses.unit):
-        check_gravity(poses.reading * si_factor(poses.unit, "accel"), gravity)
-    check_faces(poses.reading, poses.faces)
     if settings.mode == "levelled" and poses.noise is None:
         raise InputError(
             "six faces, mode levelled: wanted the noise of each mean, got none; give it, or use mode affine"
@@ -294,6 +293,22 @@ def _tilt_verdict(tilt: float) -> Verdict:
         "tell that from misaligned sensors, and the off-diagonal uncertainty holds it: add nine or more free poses to do better"
     )
     return Verdict(status="marginal" if tilt > _LARGE_TILT else "good", reasons=(told,))
+
+
+def _untold_tilt(poses: FaceMeans, up: FloatArray) -> Verdict:
+    # The closed form takes the faces for level, and so does its covariance.
+    if poses.noise is None:
+        return Verdict()
+    noise = np.maximum(poses.noise, _ROUNDING * np.abs(poses.reading).max())
+    tilt = fit_tilted(up, poses.reading, noise, fit_forward(up, poses.reading, noise))[1]
+    if tilt == 0.0:
+        return Verdict()
+    told = (
+        f"mode paper takes the faces for level, and they are tilted by {tilt / RADIAN_PER_DEGREE:.2f} deg (1 sigma) against the "
+        f"plane or each other: the off-diagonal terms are uncertain by about {tilt:.2g} of the gain, which their stated "
+        "uncertainty leaves out; use mode levelled"
+    )
+    return Verdict(status="marginal", reasons=(told,))
 
 
 def _excess(plain: ForwardFit, noise: FloatArray | None) -> Verdict:
