@@ -188,3 +188,105 @@ def test_truncated_codes_get_their_half_step_back_before_the_fit():
     assert plain.adc is None
     truth = 0.061 * np.array([3.3, -2.3, 4.3])
     assert np.abs(found.gyro.offset - truth).max() < 0.2 * np.abs(plain.gyro.offset - truth).max()
+
+
+def units_of(session, number, gyro_unit, accel_unit):
+    records = list(session.records)
+    records[number] = records[number].in_units(gyro_unit, accel_unit)
+    return replace(session, records=tuple(records))
+
+
+def rests_of(count, unit="rad/s"):
+    rng = np.random.default_rng(25)
+    shifts = 0.001 * rng.standard_normal((count, 3))
+    records = tuple(
+        Record(
+            time=np.arange(1000) / 100.0,
+            gyro=np.array([0.03, -0.02, 0.01]) + shift + 0.001 * rng.standard_normal((1000, 3)),
+            accel=np.array([0.0, 0.0, 9.81]) + 0.02 * rng.standard_normal((1000, 3)),
+            gyro_unit=unit,
+        )
+        for shift in shifts
+    )
+    return Session(kind="static", serial="", gravity_m_s2=9.81, records=records)
+
+
+def test_recordings_in_several_units_give_the_same_answer_as_in_one():
+    alike = rests_of(5)
+    plain = calibrate(alike)
+    mixed = calibrate(units_of(alike, 0, "dps", "g"))  # the model takes the unit of the first recording
+    assert (mixed.gyro.unit_in, plain.gyro.unit_in) == ("dps", "rad/s")
+    np.testing.assert_allclose(mixed.gyro.offset * np.pi / 180.0, plain.gyro.offset, rtol=1e-9)
+    np.testing.assert_allclose(
+        mixed.gyro.covariance[9:, 9:] * (np.pi / 180.0) ** 2, plain.gyro.covariance[9:, 9:], rtol=1e-6, atol=1e-30
+    )
+    later = calibrate(units_of(alike, 3, "dps", "mg"))
+    np.testing.assert_allclose(later.gyro.offset, plain.gyro.offset, rtol=1e-9)
+
+
+def test_counts_beside_a_physical_unit_are_refused_with_the_recording():
+    alike = rests_of(3)
+    records = (*alike.records[:2], replace(alike.records[2], gyro_unit="count"))
+    with pytest.raises(
+        InputError, match="recording 2: wanted gyro readings in rad/s as in recording 0, got count; nothing"
+    ):
+        calibrate(replace(alike, records=records))
+    records = (replace(alike.records[0], gyro=None), *records[1:])
+    with pytest.raises(InputError, match="recording 2: wanted gyro readings in rad/s as in recording 1, got count"):
+        calibrate(replace(alike, records=records))
+
+
+def test_the_offset_at_rest_is_as_uncertain_as_the_rests_scatter():
+    found = calibrate(rests_of(9))
+    assert found.accel is None  # nine rests in one pose: the gyroscopes' offset is kept all the same
+    sigma = np.sqrt(np.diag(found.gyro.covariance)[9:])
+    # shifts of 0.001 between nine switch-ons: 0.00033; samples alone would say 0.00001
+    assert ((sigma > 1.5e-4) & (sigma < 8e-4)).all()
+    assert (np.abs(found.gyro.offset - [0.03, -0.02, 0.01]) < 3.0 * sigma).all()
+
+
+def test_a_missing_turn_leaves_the_accelerometer_and_the_offset():
+    session = made("ferraris")
+    without = replace(session, turns=tuple(t for t in session.turns if t.axis != "y"))
+    found = calibrate(without)
+    assert found.accel.method == "six-face/levelled"
+    assert found.gyro is None  # counts: no scale
+    assert found.verdict.status == "marginal"
+    assert any(r.startswith("gyroscope: known rotation: ") and "got none about y" in r for r in found.verdict.reasons)
+    assert any("at rest it reads (" in r and "cannot be kept in a calibration" in r for r in found.verdict.reasons)
+    with pytest.raises(NotObservable, match="got none about y"):
+        calibrate(without, gyro="known-rotation")
+
+
+def test_mode_paper_says_where_it_was_not_used():
+    found = calibrate(made("multi_position"), mode="paper")
+    assert found.verdict.status != "good"
+    told = "accelerometer: mode paper is a mode of six faces and was not used by multi-position"
+    assert any(r.startswith(told) for r in found.verdict.reasons)
+    assert any(r.startswith("gyroscope: mode paper was not used by multi-position") for r in found.verdict.reasons)
+
+
+def test_pauses_that_were_too_short_are_counted():
+    rng = np.random.default_rng(26)
+    n, gyro, accel = 100, [], []
+    for k in range(12):
+        up = rng.standard_normal(3)
+        held = 400 if k == 0 else 100
+        gyro += [np.zeros((held, 3)), 2.0 * rng.standard_normal((n, 3))]
+        accel += [np.tile(9.81 * up / np.linalg.norm(up), (held, 1)), 9.81 + 3.0 * rng.standard_normal((n, 3))]
+    gyro, accel = np.vstack(gyro), np.vstack(accel)
+    record = Record(
+        time=np.arange(len(gyro)) / 100.0,
+        gyro=gyro + 0.001 * rng.standard_normal(gyro.shape),
+        accel=accel + 0.01 * rng.standard_normal(accel.shape),
+    )
+    found = calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,)))
+    told = "recording 0: 11 pauses were shorter than the 2 s that a pose must be held; hold each for 3 s or more"
+    assert told in found.verdict.reasons
+    assert any("got 1 rest; record" in r or "got 1 rest and" in r for r in found.verdict.reasons)
+
+
+@pytest.mark.parametrize("latitude_deg", [float("nan"), 91.0])
+def test_a_latitude_that_is_none_is_refused(latitude_deg):
+    with pytest.raises(InputError, match=r"wanted latitude_deg from -90 to 90, got (nan|91); south is negative"):
+        calibrate(rests_of(1), settings=CalibrateSettings(latitude_deg=latitude_deg))

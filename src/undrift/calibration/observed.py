@@ -5,13 +5,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.fit.noise import block_size
 from undrift.calibration.plausibility import check_gravity
+from undrift.calibration.rest_mean import mean_of_rests
+from undrift.calibration.stillness import check_counted_once, check_stills
+from undrift.errors import InputError
 from undrift.segments import StillSettings, faces_of, find_still, find_turns, still_means
-from undrift.session import Session, Still, Turn
-from undrift.units import is_physical, si_factor
+from undrift.session import FACES, Session, Still, Turn
+from undrift.units import Quantity, is_physical, si_factor
 
 _FULL_TURN = 2.0 * np.pi  # rad
 _NEAR_FULL = 0.1  # a turn this near a whole number, relative, counts as whole
+_FEW = 9  # stills: with fewer, pauses that were too short are worth a word
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,21 +100,27 @@ class Observed:
     def rest_rate(self) -> tuple[FloatArray, FloatArray]:
         """Return the mean rate reading over all rests and its variance.
 
+        Rests that scatter beyond their own noise count by that scatter (``rest_mean.py``).
+
         Returns
         -------
         mean : array, shape (3,)
             Unit of the gyroscopes; NaN without rest.
         variance : array, shape (3,)
-            Of that mean, from sample noise.
+            Of that mean.
         """
-        rest = [
-            gyro[s.start : s.stop] for s in self.stills if (gyro := self.session.records[s.recording].gyro) is not None
-        ]
-        if not rest:
+        windows, sizes = [], []
+        for still in self.stills:
+            record = self.session.records[still.recording]
+            if record.gyro is not None:
+                window = record.gyro[still.start : still.stop]
+                window = window[~np.isnan(window).any(axis=1)]
+                if len(window):
+                    windows.append(window)
+                    sizes.append(block_size(record.sample_rate_hz))
+        if not windows:
             return np.full(3, np.nan), np.full(3, np.nan)
-        values = np.concatenate(rest)
-        values = values[~np.isnan(values).any(axis=1)]
-        return np.asarray(values.mean(axis=0)), np.asarray(values.var(axis=0, ddof=1) / len(values))
+        return mean_of_rests(windows, sizes)
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns.
@@ -187,21 +198,105 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     Raises
     ------
     Implausible
-        The specific force at rest is not gravity: wrong unit or range.
+        The specific force at rest is not gravity: wrong unit or range; a still that does not rest.
+    InputError
+        Units that cannot be compared; a recording, still or turn that is there twice.
     """
-    stills, reasons = session.stills, []
+    session = in_one_unit(session)
+    check_counted_once(session)
+    stills = session.stills
+    reasons: list[str] = []
     if not stills:
-        for number, record in enumerate(session.records):
-            search = find_still(record, settings.still, recording=number)
-            stills = (*stills, *search.stills)
-            if not search.stills:
-                reasons.append(f"recording {number}: {search.reason}")
+        stills, reasons = _found(session, settings.still)
         stills = _labelled(session, stills)
+        if len(stills) < _FEW and len({s.face for s in stills} - {None}) < len(FACES):
+            short = [_told_short(session, number, stills, settings.still) for number in range(len(session.records))]
+            reasons += filter(None, short)
     for number, record in enumerate(session.records):
         own = [s for s in stills if s.recording == number]
         if own and record.accel is not None and is_physical(record.accel_unit):
             check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
+    reasons += check_stills(session, stills, stated=bool(session.stills))
     return Observed(session=session, settings=settings, stills=stills, found=not session.stills, reasons=tuple(reasons))
+
+
+def in_one_unit(session: Session) -> Session:
+    """Return the session with each triad in one unit: that of the first recording that has the triad.
+
+    Parameters
+    ----------
+    session : Session
+        As read.
+
+    Returns
+    -------
+    Session
+        The same where the units are alike.
+
+    Raises
+    ------
+    InputError
+        Counts or volts beside another unit: nothing tells what a count is.
+    """
+    quantities: tuple[Quantity, Quantity] = ("rate", "accel")
+    wanted = [_common_unit(session, quantity) for quantity in quantities]
+    records = tuple(
+        replace(r.in_units(wanted[0], wanted[1]), gyro_unit=wanted[0], accel_unit=wanted[1])
+        if (r.gyro_unit, r.accel_unit) != (wanted[0], wanted[1])
+        else r
+        for r in session.records
+    )
+    return replace(session, records=records)
+
+
+def _common_unit(session: Session, quantity: Quantity) -> str:
+    rate = quantity == "rate"
+    units = [
+        (number, record.gyro_unit if rate else record.accel_unit)
+        for number, record in enumerate(session.records)
+        if (record.gyro if rate else record.accel) is not None
+    ]
+    if not units:
+        return session.records[0].gyro_unit if rate else session.records[0].accel_unit
+    first, unit = units[0]
+    for number, other in units:
+        if other != unit and not (is_physical(other) and is_physical(unit)):
+            raise InputError(
+                f"recording {number}: wanted {'gyro' if rate else 'accel'} readings in {unit} as in recording {first}, got "
+                f"{other}; nothing tells how they compare: give all recordings one unit, or the scale of the columns"
+            )
+    return unit
+
+
+def _found(session: Session, settings: StillSettings) -> tuple[tuple[Still, ...], list[str]]:
+    stills: tuple[Still, ...] = ()
+    reasons: list[str] = []
+    for number, record in enumerate(session.records):
+        search = find_still(record, settings, recording=number)
+        stills = (*stills, *search.stills)
+        if not search.stills:
+            reasons.append(f"recording {number}: {search.reason}")
+    return stills, reasons
+
+
+def _told_short(session: Session, number: int, stills: tuple[Still, ...], settings: StillSettings) -> str:
+    # Pauses too short for a still, seen through a window of a fifth of its length.
+    record = session.records[number]
+    if len(record) < 2.0 * settings.window_s * record.sample_rate_hz:
+        return ""
+    shorter = replace(settings, window_s=settings.window_s / 5.0, min_duration_s=settings.min_duration_s / 10.0)
+    own = [s for s in stills if s.recording == number]
+    short = [
+        s
+        for s in find_still(record, shorter, recording=number).stills
+        if not any(s.start < o.stop and o.start < s.stop for o in own)
+    ]
+    if len(short) < 3:
+        return ""
+    return (
+        f"recording {number}: {len(short)} pauses were shorter than the {settings.window_s + settings.min_duration_s:g} s that a "
+        "pose must be held; hold each for 3 s or more"
+    )
 
 
 def _labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:

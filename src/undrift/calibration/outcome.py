@@ -8,6 +8,8 @@ from undrift.arrays import FloatArray
 from undrift.calibration.fit.result import TriadFit
 from undrift.calibration.model import Verdict
 
+_SHORT = 40  # characters: shorter sentences may well be alike
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
@@ -41,6 +43,35 @@ class Outcome:
             With all of them.
         """
         return replace(self, reasons=(*reasons, *self.reasons))
+
+
+def said_once(reasons: tuple[str, ...]) -> tuple[str, ...]:
+    """Return sentences without doubled heads, and without telling twice what ails both triads.
+
+    A sentence whose body, past its heads ("gyroscope by multi-position: "), an earlier one holds already is cut to its head
+    and a reference to that.
+
+    Parameters
+    ----------
+    reasons : tuple of str
+        Sentences, accelerometer first.
+
+    Returns
+    -------
+    tuple of str
+        One for each, less those that are the same throughout.
+    """
+    said: list[str] = []
+    for reason in reasons:
+        parts = reason.split(": ")
+        parts = [part for k, part in enumerate(parts) if k == 0 or part != parts[k - 1]]
+        head, body = parts[0], ": ".join(parts[1:])
+        whole = ": ".join(parts)
+        if whole in said:
+            continue
+        repeated = len(parts) > 1 and len(body) > _SHORT and any(body in earlier for earlier in said)
+        said.append(f"{head}: not observable, for the reason said of the accelerometer" if repeated else whole)
+    return tuple(said)
 
 
 def with_offset(fit: TriadFit, offset: FloatArray, variance: FloatArray) -> TriadFit:

@@ -17,11 +17,11 @@ from undrift.arrays import FloatArray
 from undrift.calibration.adc import adc_model, identify_adc, without_truncation
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, face_means, fit_six_face
 from undrift.calibration.model import AdcModel, Calibration, Provenance, Verdict
-from undrift.calibration.observed import CalibrateSettings, Observed, observe
-from undrift.calibration.outcome import Outcome, with_offset
+from undrift.calibration.observed import CalibrateSettings, Observed, in_one_unit, observe
+from undrift.calibration.outcome import Outcome, said_once, with_offset
 from undrift.calibration.plausibility import missing_faces
 from undrift.calibration.procedure_gyro import GyroMethod, calibrate_gyro
-from undrift.errors import InputError, NotObservable
+from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.record import Record
 from undrift.session import Session
 from undrift.units import is_physical, si_factor
@@ -69,12 +69,14 @@ def calibrate(
     InputError
         A method or mode that is not one.
     """
-    _check_choices(accel, gyro, mode)
+    _check_choices(accel, gyro, mode, settings.latitude_deg)
+    session = in_one_unit(session)
     adc = _adc(session) if settings.identify_adc else None
     seen = observe(_untruncated(session, adc), settings)
     accel_outcome = _calibrate_accel(seen, accel, mode)
-    gyro_outcome = calibrate_gyro(seen, gyro, paper=mode == "paper", accel=accel_outcome.fit)
-    reasons = (*seen.reasons, *accel_outcome.reasons, *gyro_outcome.reasons)
+    gyro_outcome = _calibrate_gyro(seen, gyro, mode, accel_outcome)
+    ignored = _ignored(mode, accel_outcome, gyro_outcome)
+    reasons = said_once((*seen.reasons, *accel_outcome.reasons, *gyro_outcome.reasons, *ignored))
     if accel_outcome.fit is None and gyro_outcome.fit is None:
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that serve: {'; '.join(reasons)}")
     return Calibration(
@@ -89,7 +91,9 @@ def calibrate(
     )
 
 
-def _check_choices(accel: str | None, gyro: str | None, mode: str | None) -> None:
+def _check_choices(accel: str | None, gyro: str | None, mode: str | None, latitude_deg: float | None) -> None:
+    if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
+        raise InputError(f"calibrate: wanted latitude_deg from -90 to 90, got {latitude_deg:g}; south is negative")
     for value, known, name in (
         (accel, ("six-face", "multi-position"), "accel"),
         (gyro, ("rate-table", "known-rotation", "multi-position", "rest"), "gyro"),
@@ -121,10 +125,56 @@ def _calibrate_accel(seen: Observed, method: AccelMethod | None, mode: Mode | No
     lacking = f" and none with {', '.join(missing)} up" if seen.faced else ""
     return Outcome(
         reasons=(
-            f"accelerometer not observable: wanted rests on six faces or {_LEAST_POSES} free poses, got {len(seen.stills)} rests"
-            f"{lacking}; record the missing ones",
+            f"accelerometer not observable: wanted rests on six faces or {_LEAST_POSES} free poses, "
+            f"got {_counted(len(seen.stills))}{lacking}; record the missing ones",
         )
     )
+
+
+def _calibrate_gyro(seen: Observed, method: GyroMethod | None, mode: Mode | None, accel: Outcome) -> Outcome:
+    paper = mode == "paper"
+    if method is not None:
+        return calibrate_gyro(seen, method, paper=paper, accel=accel.fit)
+    try:
+        outcome = calibrate_gyro(seen, None, paper=paper, accel=accel.fit)
+    except NotObservable as error:
+        outcome = _rest_alone(seen).after(f"gyroscope: {error}")
+    return (
+        outcome if outcome.fit is not None else replace(outcome, reasons=(*outcome.reasons, *_offset_in_counts(seen)))
+    )
+
+
+def _rest_alone(seen: Observed) -> Outcome:
+    try:
+        return calibrate_gyro(seen, "rest", paper=False, accel=None)
+    except NotObservable:
+        return Outcome()
+
+
+def _offset_in_counts(seen: Observed) -> tuple[str, ...]:
+    # A model turns readings into rad/s: an offset without a scale has no place in it, and a feigned scale would be used.
+    unit = seen.session.records[0].gyro_unit
+    offset, variance = seen.rest_rate()
+    if is_physical(unit) or np.isnan(offset).any():
+        return ()
+    told = ", ".join(f"{v:.5g}" for v in offset)
+    return (
+        f"gyroscope: at rest it reads ({told}) {unit} to within {float(np.sqrt(variance.max())):.2g}; without a scale that offset "
+        "cannot be kept in a calibration: give the scale of the columns, or record turns",
+    )
+
+
+def _ignored(mode: Mode | None, accel: Outcome, gyro: Outcome) -> tuple[str, ...]:
+    said: list[str] = []
+    if mode in ("paper", "levelled") and accel.fit is not None and accel.method != "six-face":
+        said.append(
+            f"accelerometer: mode {mode} is a mode of six faces and was not used by {accel.method}; rest on all six faces for it"
+        )
+    if mode == "paper" and gyro.fit is not None and gyro.method == "multi-position":
+        said.append(
+            f"gyroscope: mode paper was not used by {gyro.method}; record turns by known rates or angles for it"
+        )
+    return tuple(said)
 
 
 def _six_face(seen: Observed, mode: Mode | None) -> Outcome:
@@ -169,13 +219,17 @@ def _scale_and_offset(seen: Observed, why: str) -> Outcome:
         fit = fit_multi_position_session(
             seen.session, settings=MultiPositionSettings(cross_axis=False, gyro="none")
         ).accel
-    except NotObservable as error:
+    except (NotObservable, PoorFit) as error:
         return Outcome(reasons=(f"accelerometer by {error}",))
     return Outcome(
         fit=fit,
         method="multi-position",
         reasons=(f"accelerometer: scale and offset alone were fitted, cross-axis terms were not observable: {why}",),
     )
+
+
+def _counted(rests: int) -> str:
+    return "1 rest" if rests == 1 else f"{rests} rests"
 
 
 def _adc(session: Session) -> AdcModel | None:

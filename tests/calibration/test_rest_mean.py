@@ -1,0 +1,48 @@
+"""Mean of rests: its stated variance is the one that repeated experiments show."""
+
+import numpy as np
+import pytest
+
+from undrift.calibration.rest_mean import mean_of_rests
+
+
+def covered(rng, count, between, *, correlated=0.0, length=2000, trials=300):
+    """Return the share of 95 % intervals that hold the truth, here zero."""
+    held = 0
+    for _ in range(trials):
+        windows = []
+        for _ in range(count):
+            noise = rng.standard_normal((length, 3))
+            if correlated:
+                noise += correlated * np.repeat(rng.standard_normal((length // 50, 3)), 50, axis=0)
+            windows.append(noise + between * rng.standard_normal(3))
+        mean, variance = mean_of_rests(windows, [50] * count)
+        held += int((np.abs(mean) <= 1.96 * np.sqrt(variance)).sum())
+    return held / (3 * trials)
+
+
+@pytest.mark.parametrize(
+    ("count", "between", "correlated"),
+    [(1, 0.0, 0.0), (1, 0.0, 1.0), (11, 0.0, 0.0), (11, 1.0, 0.0), (4, 1.0, 0.0), (11, 0.1, 1.0)],
+)
+def test_intervals_hold_whether_rests_scatter_or_not(count, between, correlated):
+    share = covered(np.random.default_rng(41), count, between, correlated=correlated)
+    print(f"{count} rests, scatter {between}, correlated {correlated}: {100 * share:.1f} % of 95 % intervals hold")
+    # 900 intervals scatter by 0.7 %; the larger of two block lengths is a little too wide on white noise
+    assert 0.92 <= share <= 0.995
+
+
+def test_scatter_between_rests_is_not_taken_for_noise_of_samples():
+    rng = np.random.default_rng(42)
+    windows = [0.01 * rng.standard_normal((2400, 3)) + shift for shift in np.linspace(-0.1, 0.1, 11)]
+    variance = mean_of_rests(windows, [50] * 11)[1]
+    white = 0.01**2 / (11 * 2400)
+    # standard deviation of the shifts 0.066 over sqrt(11), times Student's factor 1.14
+    np.testing.assert_allclose(np.sqrt(variance), 0.0663 / np.sqrt(11) * 1.137, rtol=0.02)
+    assert (variance > 100.0 * white).all()
+
+
+def test_readings_without_any_scatter_have_none():
+    mean, variance = mean_of_rests([np.ones((200, 3)), np.ones((300, 3))], [50, 50])
+    np.testing.assert_array_equal(mean, 1.0)
+    np.testing.assert_array_equal(variance, 0.0)

@@ -1,0 +1,146 @@
+"""Stillness: a stated still must rest, and nothing counts twice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data import data_path
+from made import one_line
+from undrift.calibration.observed import CalibrateSettings, observe
+from undrift.calibration.procedure import calibrate
+from undrift.calibration.stillness import check_stills
+from undrift.errors import Implausible, InputError
+from undrift.record import Record
+from undrift.session import FACES, Session, Still, Turn
+from undrift.units import RADIAN_PER_DEGREE
+
+RATE = 100.0
+HOLD = 600  # samples of each face
+
+
+def faces(creep_dps=0.0, *, unit="rad/s", accel_unit="m/s2", sway=None):
+    """Six faces of 6 s each; every one turns at creep_dps about a horizontal axis."""
+    rng = np.random.default_rng(31)
+    accel, gyro, stills = [], [], []
+    seconds = np.arange(HOLD) / RATE
+    for number, face in enumerate(FACES):
+        up = np.zeros(3)
+        up["xyz".index(face[1])] = 1.0 if face[0] == "+" else -1.0
+        side = np.roll(up, 1)
+        angle = creep_dps * RADIAN_PER_DEGREE * seconds[:, None]
+        accel.append(9.81 * (np.cos(angle) * up + np.sin(angle) * side))
+        gyro.append(np.tile(np.cross(side, up) * creep_dps * RADIAN_PER_DEGREE, (HOLD, 1)))
+        stills.append(Still(start=number * HOLD, stop=(number + 1) * HOLD, face=face))
+    gyro = np.vstack(gyro) + [0.01, -0.02, 0.015] + 0.002 * rng.standard_normal((6 * HOLD, 3))
+    accel = np.vstack(accel) + [0.2, -0.1, 0.1] + 0.02 * rng.standard_normal((6 * HOLD, 3))
+    if sway is not None:
+        number, size = sway
+        gyro[number * HOLD : number * HOLD + 200] += size * np.sin(2.0 * np.pi * 2.0 * seconds[:200, None])
+    record = Record(
+        time=np.arange(6 * HOLD) / RATE,
+        gyro=gyro if unit == "rad/s" else gyro / RADIAN_PER_DEGREE * (1.0 if unit == "dps" else 16.4),
+        accel=accel * (1.0 if accel_unit == "m/s2" else 400.0),
+        gyro_unit=unit,
+        accel_unit=accel_unit,
+    )
+    return Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,), stills=tuple(stills))
+
+
+def test_six_faces_at_rest_pass_without_a_word():
+    assert observe(faces(), CalibrateSettings()).reasons == ()
+    assert observe(faces(unit="count", accel_unit="count"), CalibrateSettings()).reasons == ()
+
+
+@pytest.mark.parametrize("creep_dps", [1.0, 3.0])
+def test_stills_that_creep_are_refused_by_their_tilt(creep_dps):
+    with pytest.raises(
+        Implausible, match=r"\[\[still\]\] \d \(recording 0, .* s\): wanted a device at rest, got a tilt of"
+    ) as told:
+        observe(faces(creep_dps), CalibrateSettings())
+    one_line(told)
+
+
+def test_stills_that_creep_a_little_are_said_and_make_the_verdict_marginal():
+    found = calibrate(faces(0.25))  # 1 deg from the first to the last third of 6 s, the limit is 0.5
+    assert found.verdict.status == "marginal"
+    told = [r for r in found.verdict.reasons if "is not quite still: a tilt of" in r]
+    assert len(told) == 1
+    assert ", and 5 more likewise; shorten it" in told[0]
+
+
+@pytest.mark.parametrize(("unit", "accel_unit"), [("rad/s", "m/s2"), ("dps", "m/s2"), ("count", "count")])
+def test_a_still_that_begins_before_the_device_was_put_down_is_refused_by_its_sway(unit, accel_unit):
+    session = faces(unit=unit, accel_unit=accel_unit, sway=(2, 0.5))
+    with pytest.raises(
+        Implausible, match=r"\[\[still\]\] 3 \(recording 0, 12.0-18.0 s\): .*got readings that sway by up to"
+    ):
+        observe(session, CalibrateSettings())
+
+
+def test_a_slow_turn_about_the_vertical_shows_in_the_mean_rate_alone():
+    session = faces()
+    gyro = np.array(session.records[0].gyro)
+    gyro[HOLD : 2 * HOLD, 0] += 3.0 * RADIAN_PER_DEGREE
+    turning = replace(session, records=(replace(session.records[0], gyro=gyro),))
+    with pytest.raises(
+        Implausible, match=r"\[\[still\]\] 2 .*got a mean rate 3 deg/s off that of the other stills; it turns"
+    ):
+        observe(turning, CalibrateSettings())
+    thermal = replace(turning, kind="thermal")  # offsets differ between temperatures, and that is what it records
+    assert observe(thermal, CalibrateSettings()).reasons == ()
+    stills = tuple(replace(s, temp_c=20.0 + 10.0 * k) for k, s in enumerate(session.stills))
+    assert check_stills(replace(turning, stills=stills), stills, stated=True) == ()
+
+
+def test_a_recording_in_the_wrong_unit_is_refused_among_found_stills():
+    one = faces().records[0]
+    rests = tuple(replace(one, time=one.time[:HOLD], gyro=one.gyro[k : k + HOLD], accel=one.accel[k : k + HOLD])
+                  for k in range(0, 6 * HOLD, HOLD))  # fmt: skip
+    wrong = (replace(rests[0], gyro=rests[0].gyro + np.array([0.12, 0.0, 0.0])), *rests[1:])
+    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=wrong)
+    with pytest.raises(Implausible, match=r"still found \(recording 0, 0.0-6.0 s\): .*its unit is not theirs"):
+        observe(session, CalibrateSettings())
+
+
+def test_the_same_recording_twice_is_refused():
+    session = faces()
+    twice = replace(session, records=session.records * 2)
+    with pytest.raises(
+        InputError, match="recording 1: wanted new readings, got those of recording 0 again; take one of"
+    ) as told:
+        observe(twice, CalibrateSettings())
+    one_line(told)
+    other = replace(session.records[0], gyro=session.records[0].gyro + 1e-4, accel=None)
+    assert len(observe(replace(session, records=(session.records[0], other)), CalibrateSettings()).stills) == 6
+
+
+def test_the_same_still_or_turn_twice_is_refused_and_neighbours_pass():
+    session = faces()
+    again = Still(start=30, stop=HOLD - 10, face="+x")
+    with pytest.raises(
+        InputError, match=r"\[\[still\]\] 7 .*shares 100 % of its samples with \[\[still\]\] 1; take one"
+    ):
+        observe(replace(session, stills=(*session.stills, again)), CalibrateSettings())
+    turns = tuple(Turn(start=k, stop=k + 50, axis="x", angle=1.0) for k in (0, 100, 101))
+    with pytest.raises(InputError, match=r"\[\[turn\]\] 3 .*shares 98 % of its samples with \[\[turn\]\] 2"):
+        observe(replace(session, turns=turns), CalibrateSettings())
+    assert observe(replace(session, turns=turns[:2]), CalibrateSettings()).reasons == ()
+
+
+def test_the_ferraris_recording_is_refused_where_a_still_begins_too_early():
+    """The +x face of the shared session lies from 5.3 s on; 1.0 to 14.0 s holds the putting down too."""
+    path = data_path("ferraris_nilspod", "example_ferraris_session.csv")
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    record = Record(
+        time=np.arange(len(table)) / 102.4,
+        gyro=np.column_stack([table[f"gyr_{a}"] for a in "xyz"]),
+        accel=np.column_stack([table[f"acc_{a}"] for a in "xyz"]),
+        gyro_unit="dps",
+    )
+    good = Still(start=540, stop=1271, face="+x")
+    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,), stills=(good,))
+    assert observe(session, CalibrateSettings()).reasons == ()
+    early = replace(session, stills=(replace(good, start=102, stop=1434),))
+    with pytest.raises(Implausible, match=r"\[\[still\]\] 1 .*got readings that sway by up to 159 deg/s rms"):
+        observe(early, CalibrateSettings())
