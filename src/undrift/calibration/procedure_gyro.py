@@ -14,8 +14,9 @@ from undrift.calibration.fit.dwells import DwellSettings, dwell_means, middles
 from undrift.calibration.fit.gravity_turns import check_turns_gravity
 from undrift.calibration.fit.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
 from undrift.calibration.fit.noise import block_size, noise_of_means
+from undrift.calibration.fit.rate_outlier import check_dwells
 from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
-from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_table
+from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_table, imposed_rates
 from undrift.calibration.fit.result import TriadFit
 from undrift.calibration.model import TriadModel, Verdict
 from undrift.calibration.observed import Observed
@@ -108,10 +109,16 @@ def _rate_table(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
         scale_tolerance=seen.settings.scale_tolerance,
     )
     dwells = dwell_means(seen.session.records, seen.session.turns, DwellSettings(settle_s=seen.settings.settle_s))
+    rests = None if accel is None else _rest_means(seen, accel.model)
+    check_dwells(
+        dwells,
+        imposed_rates(dwells, settings.latitude_deg),
+        rests=rests,
+        numbers=tuple(k for k, t in enumerate(seen.session.turns, 1) if t.axis is not None and t.turn_rate is not None),
+    )
     if not (paper and seen.settings.remove_offset):
         fit = fit_rate_table(dwells, settings)
         if not paper:
-            rests = None if accel is None else _rest_means(seen, accel.model)
             fit = fit_with_rests(fit, dwells, rests, latitude_deg=settings.latitude_deg)
         return Outcome(fit=fit, method="rate-table")
     offset, variance = seen.rest_rate()
@@ -132,7 +139,7 @@ def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
     noise = noise_of_means(windows, [block_size(part.sample_rate_hz) for part in parts])
     turning = [t for t in seen.session.turns if t.axis is not None and t.turn_rate is not None]
     turns = [records[t.recording].part(t.start, t.stop) for t in turning]
-    if noise is None or any(turn.accel is None for turn in turns):
+    if noise is None or not turns or any(turn.accel is None for turn in turns):
         return None
     dwell_force, force = (
         (np.array([np.nanmean(part.accel, axis=0) for part in group]) - accel.offset) @ accel.matrix.T  # type: ignore[arg-type]

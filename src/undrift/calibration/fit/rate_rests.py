@@ -19,10 +19,17 @@ from undrift.calibration.fit.dwells import DwellMeans
 from undrift.calibration.fit.rate_table import RateTableFit, imposed_rates
 from undrift.calibration.fit.result import inverse_jacobian, scaled_condition
 from undrift.calibration.fit.wandering import Wandering, fit_wandering
-from undrift.calibration.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
+from undrift.calibration.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Status, TriadModel, Verdict
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 CHANCE = 1e-3
+# Limits of a verdict: above the first it is marginal, above the second bad.
+DOUBT_PERCENT = (0.5, 5.0)  # of scale, 1 sigma: 0.5 % is 2 deg in a full turn; 5 % is no better than most makers' word
+WANDER_DPS = (0.1, 2.0)  # in a minute: 0.1 deg/s ends 3 deg off after that minute; no warm-up reaches 2 deg/s
+MISS_PERCENT = (
+    0.5,
+    3.0,
+)  # rms, of the largest rate: parts are linear within 0.2 %; 3 % is a false rate or a stuck table
 _ROUNDING = 1e-9  # of the largest reading: a mean is not known better than the filter's arithmetic, whatever its noise
 
 
@@ -117,12 +124,12 @@ def _refined(fit: RateTableFit, design: FloatArray, readings: FloatArray, found:
         rank=3 * rank,
         condition=condition,
     )
-    verdict = fit.verdict.also(Verdict(reasons=_said(model, found, widen)))
+    verdict = fit.verdict.also(_judged(model, found, widen, float(np.abs(fit.turn_rate).max())))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
 
 
-def _said(model: TriadModel, found: list[Wandering], widen: float) -> tuple[str, ...]:
-    said = []
+def _judged(model: TriadModel, found: list[Wandering], widen: float, largest: float) -> Verdict:
+    said, marks = [], []
     if model.g_sensitivity is not None:
         felt = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
         said.append(
@@ -130,17 +137,38 @@ def _said(model: TriadModel, found: list[Wandering], widen: float) -> tuple[str,
             "corrected specific force"
         )
     walk = float(np.linalg.norm(model.matrix, 2)) * max(one.walk for one in found) / RADIAN_PER_DEGREE
+    wander = walk * 60.0**0.5
     if walk > 0.0:
+        marks.append(_mark(wander, WANDER_DPS))
         said.append(
-            f"the offset wandered during the session, by {walk * 60.0**0.5:.2g} deg/s in a minute (1 sigma): it holds for the "
-            "middle of the session; warm the device up before, and bracket the dwells with rests"
+            f"the offset wandered during the session, by {wander:.2g} deg/s in a minute (1 sigma{_wanted(wander, WANDER_DPS, '')}): it "
+            "holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
         )
-    if widen > 1.0:
+    misses = 100.0 * model.rms_residual / largest
+    marks.append(_mark(misses, MISS_PERCENT))
+    if widen > 1.0 or misses > MISS_PERCENT[0]:
         said.append(
-            f"the readings scatter {widen**0.5:.1f} times as much about the model as their noise explains (vibration, "
-            "non-linearity, or a table that turns unevenly): the uncertainty is widened by that"
+            f"the readings scatter {widen**0.5:.1f} times as much about the model as their noise explains, and miss it by "
+            f"{misses:.2g} % of the largest rate{_wanted(misses, MISS_PERCENT, ' %', ' (', ')')} (vibration, non-linearity, or a "
+            "table that turns unevenly): the uncertainty is widened by that"
         )
-    return tuple(said)
+    sigma = model.standard_uncertainty[:9].reshape(3, 3)
+    doubt = 100.0 * float((sigma @ np.abs(model.forward_matrix)).max())
+    marks.append(_mark(doubt, DOUBT_PERCENT))
+    if doubt > DOUBT_PERCENT[0]:
+        said.append(
+            f"an element of the gyroscope matrix is uncertain by {doubt:.2g} % (wanted {DOUBT_PERCENT[0]:g}): turn at more rates, "
+            "dwell longer, and look at the residual of each dwell"
+        )
+    return Verdict(status=max(marks, key=("good", "marginal", "bad").index, default="good"), reasons=tuple(said))
+
+
+def _mark(value: float, limits: tuple[float, float]) -> Status:
+    return "bad" if value > limits[1] else "marginal" if value > limits[0] else "good"
+
+
+def _wanted(value: float, limits: tuple[float, float], unit: str, before: str = "; ", after: str = "") -> str:
+    return f"{before}wanted {limits[0]:g}{unit}{after}" if value > limits[0] else ""
 
 
 def _chance(degrees_of_freedom: int) -> float:
