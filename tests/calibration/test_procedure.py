@@ -95,6 +95,17 @@ def test_turns_about_one_axis_alone_are_named():
     found = calibrate(only)
     assert found.gyro is None
     assert any("turns at known rates about x alone do not show the other axes" in r for r in found.verdict.reasons)
+    assert any(r.startswith("gyroscope: turns about x: scale factor ") for r in found.verdict.reasons)
+    assert not any("fit_rate_axis" in r or "=" in r for r in found.verdict.reasons)
+    with pytest.raises(NotObservable, match=r"gyroscope by rate-table: .* about x alone do not show the other axes"):
+        calibrate(only, gyro="rate-table")
+
+
+def test_turns_by_angles_without_accelerometer_readings_ask_for_those():
+    session = made("ferraris")
+    numb = replace(session, records=tuple(replace(r, accel=None) for r in session.records))
+    with pytest.raises(NotObservable, match="turns by known angles need accelerometer readings at rest on six faces"):
+        calibrate(numb)
 
 
 def test_what_was_asked_for_and_is_not_there_is_refused():

@@ -6,6 +6,7 @@ multi-position   moves between nine still phases or more
 rest             the offset alone, where the unit is physical
 """
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from undrift.calibration.fit.dwells import DwellSettings, dwell_means, middles
 from undrift.calibration.fit.gravity_turns import check_turns_gravity
 from undrift.calibration.fit.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
 from undrift.calibration.fit.noise import block_size, noise_of_means
+from undrift.calibration.fit.rate_axes import fit_rate_axes, scale_verdict, told_axis
 from undrift.calibration.fit.rate_outlier import check_dwells
 from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
 from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_table, imposed_rates
@@ -21,7 +23,7 @@ from undrift.calibration.fit.result import TriadFit
 from undrift.calibration.model import TriadModel, Verdict
 from undrift.calibration.observed import Observed
 from undrift.calibration.outcome import Outcome, with_offset
-from undrift.errors import NotObservable
+from undrift.errors import CalibrationError, NotObservable
 from undrift.session import Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -62,8 +64,16 @@ def calibrate_gyro(seen: Observed, method: GyroMethod | None, *, paper: bool, ac
         outcome = _by(method, seen, paper, accel)
         if outcome.fit is None:
             raise NotObservable(f"gyroscope by {method}: " + "; ".join(outcome.reasons))
+        return _held_to_unit(outcome)
+    return _held_to_unit(_chosen(seen, paper, accel))
+
+
+def _held_to_unit(outcome: Outcome) -> Outcome:
+    if outcome.fit is None:
         return outcome
-    return _chosen(seen, paper, accel)
+    model = outcome.fit.model
+    verdict = outcome.fit.verdict.also(scale_verdict(model.scale_factor, model.unit_in))
+    return replace(outcome, fit=replace(outcome.fit, verdict=verdict))
 
 
 def _by(method: GyroMethod, seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
@@ -79,26 +89,26 @@ def _chosen(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
     angled = any(t.angle is not None for t in seen.session.turns)
     said: list[str] = []
     if rated:
-        if {"x", "y", "z"} <= set(rated):
-            return _rate_table(seen, paper, accel)
-        said.append(
-            f"gyroscope: turns at known rates about {' and '.join(rated)} alone do not show the other axes: mount the device on "
-            "each axis in turn"
-        )
+        outcome = _rate_table(seen, paper, accel)
+        if outcome.fit is not None:
+            return outcome
+        said.extend(outcome.reasons)
     elif angled or seen.full_turns():
         outcome = _known_rotation(seen, paper, accel)
         if outcome.fit is not None:
             return outcome
         said.extend(outcome.reasons)
-    elif plateaus := seen.plateaus():
-        said.append(
-            f"gyroscope: {plateaus} steady turns were found; state the turn_rate_dps and axis of each to use them"
-        )
-    elif len(seen.stills) >= 9:
-        outcome = _multi_position(seen)
-        if outcome.fit is not None:
-            return outcome
-        said.extend(outcome.reasons)
+    else:
+        plateaus = seen.plateaus()
+        if len(seen.stills) >= _LEAST_STILLS:
+            outcome = _multi_position(seen) if not plateaus else _despite_plateaus(seen)
+            if outcome.fit is not None:
+                return outcome
+            said.extend(outcome.reasons if not plateaus else ())
+        if plateaus:
+            said.append(
+                f"gyroscope: {plateaus} steady turns were found; state the turn_rate_dps and axis of each to use them"
+            )
     return _rest(seen).after(*said)
 
 
@@ -109,6 +119,15 @@ def _rate_table(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
         scale_tolerance=seen.settings.scale_tolerance,
     )
     dwells = dwell_means(seen.session.records, seen.session.turns, DwellSettings(settle_s=seen.settings.settle_s))
+    stated = sorted(set(dwells.axis))
+    if 0 < len(stated) < 3:
+        shown = fit_rate_axes(dwells, settings)
+        odd = [r for fit in shown for r in scale_verdict(np.array([fit.scale_factor]), dwells.unit, fit.axis).reasons]
+        alone = (
+            f"turns at known rates about {' and '.join(stated)} alone do not show the other axes: mount the device on "
+        )
+        alone += "each axis in turn"
+        return Outcome(reasons=tuple(f"gyroscope: {r}" for r in (alone, *(told_axis(fit) for fit in shown), *odd)))
     rests = None if accel is None else _rest_means(seen, accel.model)
     check_dwells(
         dwells,
@@ -155,6 +174,13 @@ def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
 
 
 def _known_rotation(seen: Observed, paper: bool, accel: TriadFit | None) -> Outcome:
+    if all(r.accel is None for r in seen.session.records):
+        return Outcome(
+            reasons=(
+                "gyroscope: turns by known angles need accelerometer readings at rest on six faces, to tell what gravity adds to "
+                "the gyroscopes: map the accel columns, or turn at known rates",
+            )
+        )
     if accel is None or len({s.face for s in seen.faced}) < 6:
         return Outcome(reasons=("gyroscope: turns by known angles need rests on all six faces too: record them",))
     turns = tuple(t for t in seen.session.turns if t.angle is not None)
@@ -195,6 +221,14 @@ def _multi_position(seen: Observed) -> Outcome:
         own = fit.accel.verdict.reasons
         return Outcome(reasons=tuple(r for r in fit.verdict.reasons if r not in own))
     return Outcome(fit=fit.gyro, method="multi-position")
+
+
+def _despite_plateaus(seen: Observed) -> Outcome:
+    # Slow moves between poses are steady too; on a rate table without its rates the poses do not serve, for any reason.
+    try:
+        return _multi_position(seen)
+    except CalibrationError:
+        return Outcome()
 
 
 def _rest(seen: Observed) -> Outcome:

@@ -196,5 +196,5 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
         axis = AXES[int(np.abs(vectors[:, 0]).argmax())]
         return f"all poses lie near one plane: add poses with the {axis} axis up and with it down"
     if set(unseen) <= {"m_xy", "m_xz", "m_yz"}:
-        return "add poses between the faces (edges and corners up), or fit scale and offset alone (cross_axis=False)"
+        return "add poses between the faces (edges and corners up), or fit scale and offset alone"
     return "add poses on the sides, edges and corners that are missing"

@@ -141,8 +141,9 @@ def _judged(model: TriadModel, found: list[Wandering], widen: float, largest: fl
     if walk > 0.0:
         marks.append(_mark(wander, WANDER_DPS))
         said.append(
-            f"the offset wandered during the session, by {wander:.2g} deg/s in a minute (1 sigma{_wanted(wander, WANDER_DPS, '')}): it "
-            "holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
+            f"the offset wandered during the session, by {wander:.2g} deg/s in a minute "
+            f"(1 sigma{_wanted(wander, WANDER_DPS, '')}): "
+            "it holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
         )
     misses = 100.0 * model.rms_residual / largest
     marks.append(_mark(misses, MISS_PERCENT))

@@ -141,7 +141,7 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
     if lacking:
         raise NotObservable(
             f"rate table: wanted dwells about x, y and z, got none about {', '.join(lacking)}; mount the device with "
-            f"{', '.join(lacking)} along the table's axis, or use fit_rate_axis for the axes there are",
+            f"{', '.join(lacking)} along the table's axis",
             missing=tuple(lacking),
         )
     rates = imposed_rates(dwells, settings.latitude_deg)
