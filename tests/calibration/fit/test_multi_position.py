@@ -250,3 +250,34 @@ def test_jitter_and_walk_of_the_offset_are_told_apart() -> None:
     for gyro, walks in ((record.gyro, False), (swaying, False), (warming, True)):
         prior = offset_prior(cut_moves((replace(record, gyro=gyro),), MOTION.stills, MOTION.stills))
         assert bool(prior.drift.any()) is walks
+
+
+def test_an_offset_that_drifts_is_said_and_widens_its_uncertainty() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    drift = (
+        np.radians(1.0) * (record.time - record.time.mean())[:, None] / np.ptp(record.time)
+    )  # 1 deg/s over the session
+    drifting = replace(record, gyro=record.gyro + drift)
+    fit = fit_multi_position(drifting, gravity=G, stills=MOTION.stills)
+    steady = fit_multi_position(record, gravity=G, stills=MOTION.stills)
+    assert fit.gyro is not None
+    assert steady.gyro is not None
+    assert steady.verdict.status == "good"
+    assert fit.verdict.status == "marginal"
+    assert any("the offset drifted by" in r and "(wanted 0.2)" in r for r in fit.verdict.reasons)
+    sigma = fit.gyro.model.standard_uncertainty[9:]
+    # a straight drift of 1 deg/s has a standard deviation of 0.29 deg/s; the stills are not spread evenly
+    np.testing.assert_allclose(np.degrees(sigma), 0.29, rtol=0.25)
+    np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=0.005)  # followed, not taken for gain
+
+
+def test_a_range_that_is_too_small_is_named_before_the_scale_is() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    assert record.accel is not None
+    top = 0.7 * float(np.abs(record.gyro).max())
+    with pytest.raises(Implausible, match=r"gyroscope in moves between poses [xyz]: wanted readings inside the range"):
+        fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
+    with pytest.raises(Implausible, match=r"accelerometer in still poses [xyz]: wanted readings inside the range"):
+        fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)

@@ -20,6 +20,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.axis_order import check_axis_order, nearest_signed_permutation
+from undrift.calibration.fit.full_range import check_range
 from undrift.calibration.fit.result import TriadFit, inverse_jacobian, scaled_condition
 from undrift.calibration.fit.six_face import FaceMeans
 from undrift.calibration.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
@@ -174,6 +175,8 @@ def rotation_data(
     ------
     InputError
         A recording lacks one of the two triads, or a turn has gaps.
+    Implausible
+        A gyroscope that sticks at the end of its range in a turn.
     """
     means, samples, faces, square, spare = [], [], [], np.zeros(3), 0
     for still in stills:
@@ -200,6 +203,7 @@ def rotation_data(
             raise InputError(
                 f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again"
             )
+        check_range([gyro[turn.start : turn.stop]], f"gyroscope in the turn about {turn.axis}")
         step = _steps(record.time)[turn.start : turn.stop]
         reading.append(step @ gyro[turn.start : turn.stop])
         force.append(step @ ((accel[turn.start : turn.stop] - offset) @ matrix.T))

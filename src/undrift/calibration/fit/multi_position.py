@@ -26,6 +26,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.fit.full_range import check_range
 from undrift.calibration.fit.multi_position_accel import check_count, judged
 from undrift.calibration.fit.multi_position_gyro import fit_gyro_between_stills
 from undrift.calibration.fit.norm import NormFit, fit_norm
@@ -241,6 +242,7 @@ def _fit(
         raise PoorFit(
             "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
         )
+    check_range([levels[s.recording].values[s.start : s.stop] for s in chosen.stills], "accelerometer in still poses")
     accel = judged(chosen.fit, chosen.reading, records[0].accel_unit)
     found = stated is None and settings.rule == "coverage"
     cores = _cores(levels, chosen.stills, shortest) if found else chosen.stills

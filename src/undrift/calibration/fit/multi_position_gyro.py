@@ -29,6 +29,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.axis_order import check_axis_order
 from undrift.calibration.fit.excess import excess_variance
+from undrift.calibration.fit.full_range import check_range
 from undrift.calibration.fit.multi_position_turns import (
     Directions,
     Moves,
@@ -49,6 +50,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 WEAKEST = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
 TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate shows as a factor
+DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
 Weights = Literal["noise", "equal"]
 
 
@@ -127,6 +129,10 @@ def fit_gyro_between_stills(
             "turn the device by 90 deg or more about another axis between still poses of one recording",
             moves=len(moves.first),
         )
+    check_range(
+        [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)],
+        "gyroscope in moves between poses",
+    )
     prior = offset_prior(moves)
     if weights == "equal":
         rest = (
@@ -309,6 +315,8 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
         )
     matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
+    total = covariance * np.outer(carry, carry)
+    total[9:, 9:] += np.diag((problem.prior.drift**2).mean(axis=0))  # one offset stands for all of the session
     rate = (moves.gyro[_inside(moves)] - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
     check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
@@ -318,7 +326,7 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
         unit_out="rad/s",
         matrix=matrix,
         offset=offset,
-        covariance=covariance * np.outer(carry, carry),
+        covariance=total,
         rms_residual=float(np.sqrt(np.mean(residuals**2))),
         count=2 * len(moves.first),
         rank=problem.free,
@@ -327,7 +335,9 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     )
     if is_physical(unit_in):
         check_scale_factor(model.scale_factor * si_factor(unit_in, "rate"), 1.0, TOLERANCE, "gyro")
-    return TriadFit(model=model, residuals=residuals, verdict=_verdict(rms_angle, covariance, p))
+    return TriadFit(
+        model=model, residuals=residuals, verdict=_verdict(rms_angle, covariance, p).also(_drifted(problem, matrix))
+    )
 
 
 def _verdict(rms_angle: float, covariance: FloatArray, p: FloatArray) -> Verdict:
@@ -346,3 +356,16 @@ def _verdict(rms_angle: float, covariance: FloatArray, p: FloatArray) -> Verdict
             f"an element of the gyroscope matrix is uncertain by {doubt:.2g} % (wanted 0.5): make more and larger turns"
         )
     return Verdict(status=status, reasons=tuple(reasons))
+
+
+def _drifted(problem: _Problem, matrix: FloatArray) -> Verdict:
+    span = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
+    if span <= DRIFT_DPS[0]:
+        return Verdict()
+    return Verdict(
+        status="bad" if span > DRIFT_DPS[1] else "marginal",
+        reasons=(
+            f"the offset drifted by {span:.2g} deg/s during the session (wanted {DRIFT_DPS[0]:g}): it was followed from still to "
+            "still, the one kept is their mean, and its uncertainty holds the drift; warm the device up before",
+        ),
+    )
