@@ -297,6 +297,20 @@ def test_pauses_that_were_too_short_are_counted():
     assert any("got 1 rest; record" in r or "got 1 rest and" in r for r in found.verdict.reasons)
 
 
+def test_a_device_that_sways_throughout_is_not_told_of_pauses():
+    rng = np.random.default_rng(27)
+    time = np.arange(6000) / 100.0
+    sway = np.where(np.sin(2.0 * np.pi * time / 4.0) > 0.0, 1.0, 0.05)[:, None]
+    record = Record(
+        time=time,
+        gyro=sway * rng.standard_normal((6000, 3)),
+        accel=[0.0, 0.0, 9.81] + sway * rng.standard_normal((6000, 3)),
+    )
+    with pytest.raises(NotObservable, match="no still phase") as told:
+        calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,)))
+    assert "pauses" not in str(told.value)
+
+
 @pytest.mark.parametrize("latitude_deg", [float("nan"), 91.0])
 def test_a_latitude_that_is_none_is_refused(latitude_deg):
     with pytest.raises(InputError, match=r"wanted latitude_deg from -90 to 90, got (nan|91); south is negative"):
