@@ -8,7 +8,7 @@ from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.orientation.strapdown import integrate_strapdown
 from undrift.sim import draw_task
 
-TASKS = ("sit_to_stand", "posturography", "free")
+TASKS = ("sit_to_stand", "posturography", "free", "step")
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -51,5 +51,5 @@ def _rates(name: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_a_task_that_is_not_one_is_refused() -> None:
-    with pytest.raises(InputError, match="wanted one of sit_to_stand, posturography, free, got 'dance'"):
+    with pytest.raises(InputError, match="wanted one of sit_to_stand, posturography, free, step, got 'dance'"):
         draw_task("dance", rng=np.random.default_rng(0))  # type: ignore[arg-type]

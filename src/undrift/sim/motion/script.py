@@ -179,6 +179,7 @@ class Script:
             q_nb=q,
             rate_b=rate + earth_b,
             mean_rate_b=mean_rate(time, q, rate[0]) + earth_b,
+            angular_acceleration_b=rotation_acceleration - np.cross(rate, earth_b),
             force_b=rotate(inverse, np.broadcast_to([0.0, 0.0, gravity_m_s2], (n, 3))) + swing,
             gravity_m_s2=gravity_m_s2,
             stills=tuple(self.stills),
