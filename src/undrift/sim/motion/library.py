@@ -25,6 +25,9 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 TaskName = Literal["sit_to_stand", "posturography", "free", "step"]
 DEGREE = RADIAN_PER_DEGREE
 POSTUROGRAPHY_S = 50.0
+LOUDEST = (
+    1.385  # peak of the acceleration's spectrum over the sine's frequency, where the envelope peaks at half a period
+)
 
 
 def draw_task(name: TaskName, *, rng: np.random.Generator, subject: Subject | None = None, rest_s: float = 6.0) -> Task:
@@ -96,8 +99,8 @@ def _sit_to_stand(who: Performance, rest_s: float) -> Task:
             *_settling(who, 0.5, turn, stop),
         ),
         yaw=(_there_and_back(who, "sit_to_stand yaw", rest_s, duration), *_settling(who, 0.3, turn, stop)),
-        forward=(Step(rest_s, 0.6 * duration, 0.18 * who.height),),
-        up=(Step(off, 0.45 * duration, 0.21 * who.height),),
+        forward=(Step(rest_s, 0.52 * duration, 0.18 * who.height),),
+        up=(Step(off, 0.42 * duration, 0.21 * who.height),),
     )
 
 
@@ -145,11 +148,11 @@ def _knocks(who: Performance, share: float, instants_s: tuple[float, ...]) -> tu
 
 
 def _knock(acceleration: float, frequency_hz: float, start_s: float) -> Burst:
-    """Return a burst with a given peak acceleration, m/s2, that rings for about two periods."""
-    peak_s = 0.5 / frequency_hz
-    unit = Burst(1.0, frequency_hz, 0.0, peak_s)
+    """Return a burst of a given peak acceleration, m/s2, whose acceleration is loudest at a given frequency."""
+    peak_s = 0.5 * LOUDEST / frequency_hz
+    unit = Burst(1.0, frequency_hz / LOUDEST, 0.0, peak_s)
     largest = float(np.abs(unit.at(np.linspace(0.0, 8.0 * peak_s, 2001))[2]).max())
-    return Burst(acceleration / largest, frequency_hz, start_s, peak_s)
+    return Burst(acceleration / largest, frequency_hz / LOUDEST, start_s, peak_s)
 
 
 def _posturography(who: Performance, rest_s: float) -> Task:

@@ -10,6 +10,7 @@ random phases; every derivative is then exact, and the sum is scaled to the want
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,11 +93,42 @@ def draw_sway(draw: np.random.Generator, balance: Balance, *, rms: float, span: 
     Sway
         Sum of sinusoids.
     """
-    edges = np.geomspace(*BAND_HZ, LINES + 1)
+    return draw_lines(draw, lambda f: sway_spectrum(balance, f), band_hz=BAND_HZ, rms=rms, span=span)
+
+
+def draw_lines(
+    draw: np.random.Generator,
+    spectrum: Callable[[FloatArray], FloatArray],
+    *,
+    band_hz: tuple[float, float],
+    rms: float,
+    span: tuple[float, float],
+) -> Sway:
+    """Draw a stretch of Gaussian noise with a given spectrum, as sinusoids.
+
+    Parameters
+    ----------
+    draw : Generator
+        Amplitudes, frequencies within their bands, phases.
+    spectrum : callable
+        Power spectral density at frequencies in Hz, up to a constant.
+    band_hz : (float, float)
+        Lowest and highest frequency, Hz.
+    rms : float
+        About the mean, over the span, rad or m.
+    span : (float, float)
+        First and last instant, s; it swells and ebbs within it.
+
+    Returns
+    -------
+    Sway
+        48 sinusoids.
+    """
+    edges = np.geomspace(*band_hz, LINES + 1)
     frequencies = edges[:-1] + np.diff(edges) * draw.uniform(size=LINES)
-    amplitudes = np.sqrt(sway_spectrum(balance, frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
+    amplitudes = np.sqrt(spectrum(frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
     phases = draw.uniform(0.0, 2.0 * math.pi, LINES)
-    time = np.arange(span[0], span[1], 0.05)
+    time = np.arange(span[0], span[1], 0.1 / band_hz[1])
     plain = Sway(_floats(amplitudes), _floats(frequencies), _floats(phases), *span, SWELL_S)
     scale = rms / float(np.std(plain.at(time)[0]))
     return Sway(_floats(scale * amplitudes), plain.frequencies_hz, plain.phases, *span, SWELL_S)
