@@ -184,15 +184,11 @@ def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings(
     time, seen = reference.time, reference.valid
     if reference.position is not None:
         seen = seen & np.isfinite(reference.position).all(axis=1)
-    stretches = find_stretches(
-        time, seen, gap_s=settings.gap_s, trim_s=settings.trim_s, end_trim_s=settings.end_trim_s
-    )
+    stretches = find_stretches(time, seen, gap_s=settings.gap_s, trim_s=settings.trim_s, end_trim_s=settings.end_trim_s)
     step = 1.0 / reference.sample_rate_hz
     pieces = []
     for stretch in stretches:
-        t, q = time[stretch.rows], reference.q_nb[stretch.rows]
-        flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-        q = q * np.append(1.0, np.cumprod(flips))[:, None]
+        t, q = time[stretch.rows], signed(reference.q_nb[stretch.rows])
         position = None
         if reference.position is not None:
             position = _smooth(t, reference.position[stretch.rows], step, settings.position_cutoff_hz, settings.order)
@@ -254,14 +250,55 @@ def motion_from_poses(
     return spline.at(start + np.arange(int((stop - start) * rate + 1e-6) + 1) / rate, gravity_m_s2)
 
 
+def signed(q: FloatArray) -> FloatArray:
+    """Return quaternions without jumps of sign.
+
+    Parameters
+    ----------
+    q : array, shape (K, 4)
+        Unit quaternions w-x-y-z, no gaps, less than a whole turn apart.
+
+    Returns
+    -------
+    array, shape (K, 4)
+        The same rotations.
+    """
+    flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    same: FloatArray = q * np.append(1.0, np.cumprod(flips))[:, None]
+    return same
+
+
+def evenly(time: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return values on an even grid: as they are where they lie on one, else drawn to it by a cubic.
+
+    Parameters
+    ----------
+    time : array, shape (K,)
+        s, with short gaps or jitter.
+    values : array, shape (K, C)
+        Any unit.
+    step : float
+        Of the grid, about, s.
+
+    Returns
+    -------
+    time : array, shape (L,)
+        s, even.
+    values : array, shape (L, C)
+        As given.
+    """
+    count = round((time[-1] - time[0]) / step) + 1
+    even = np.linspace(time[0], time[-1], count)
+    if len(time) == count and np.abs(time - even).max() <= _EVEN * step:
+        return even, values
+    from scipy.interpolate import CubicSpline
+
+    return even, CubicSpline(time, values)(even)
+
+
 def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float | None, order: int) -> "BSpline":
     if cutoff_hz is None:
         return quintic(time, values)
-    count = round((time[-1] - time[0]) / step) + 1
-    even = np.linspace(time[0], time[-1], count)
-    if len(time) != count or np.abs(time - even).max() > _EVEN * step:
-        from scipy.interpolate import CubicSpline
-
-        values = CubicSpline(time, values)(even)
-    rate = (count - 1) / (time[-1] - time[0])
-    return quintic(even, zero_phase(values, cutoff_hz, sample_rate_hz=float(rate), order=order))
+    even, values = evenly(time, values, step)
+    rate = float((len(even) - 1) / (even[-1] - even[0]))
+    return quintic(even, zero_phase(values, cutoff_hz, sample_rate_hz=rate, order=order))
