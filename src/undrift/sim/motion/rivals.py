@@ -45,12 +45,16 @@ class RivalSettings:
         Length of each run at one frequency, and of the robot's motion over six, s.
     tilt_sd : float
         Error of each mounting about each axis, rad.
-    trolley_hz, piston_hz : tuple of float
-        Frequencies of the runs, Hz.
-    trolley_stroke, piston_stroke : float
-        Amplitude of the sinusoid, m.
+    trolley_hz : tuple of float
+        Frequencies of the trolley's runs, Hz.
+    trolley_stroke : float
+        Amplitude of its sinusoid, m.
     shake : float
-        Displacement rms by which an uneven rail shakes the trolley upwards and sideways, m.
+        Displacement rms by which an uneven rail shakes it upwards and sideways, m.
+    piston_hz : tuple of float
+        Frequencies of the piston's runs, Hz.
+    piston_stroke : float
+        Amplitude of its sinusoid, m.
     plane_angles : tuple of float
         Inclinations, rad.
     robot_turn : (float, float, float)
