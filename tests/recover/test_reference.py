@@ -12,7 +12,7 @@ from recover.bound import DEVICES, Array, Tally, carried, white_device
 from recover.test_multi_position import rotation_matrices
 from undrift.calibration.fit.reference import ReferenceSettings, Weights, fit_reference
 from undrift.calibration.model import TriadModel
-from undrift.sim import OpticsSettings, SimulatedDevice, draw_task, read, see
+from undrift.sim import DeviceModel, OpticsSettings, draw_task, see, simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.units import STANDARD_GRAVITY
 
@@ -22,8 +22,8 @@ TASK = draw_task("free", rng=np.random.default_rng(0))
 MOTION = TASK.at(np.arange(round(TASK.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
 
 
-def fitted(device: SimulatedDevice, rng: np.random.Generator, weights: Weights, optics: OpticsSettings) -> TriadModel:
-    record = read(device, MOTION, rng=rng).record
+def fitted(device: DeviceModel, rng: np.random.Generator, weights: Weights, optics: OpticsSettings) -> TriadModel:
+    record = simulate_device(device, MOTION, rng=rng).record
     settings = ReferenceSettings(offset="common", weights=weights, stride_s=STRIDE_S)
     return fit_reference((record,), (see(TASK, rng=rng, settings=optics),), settings=settings).triad.model
 
@@ -45,7 +45,7 @@ def physical_information(motion: Motion, pose_sd: float, random_walk: float) -> 
     return np.einsum("iap,iaq->pq", steps, np.einsum("ij,jaq->iaq", np.linalg.inv(covariance), steps))
 
 
-def bound(device: SimulatedDevice, information: Array) -> Array:
+def bound(device: DeviceModel, information: Array) -> Array:
     gain = device.gyro.forward_matrix
     to_physical = np.zeros((12, 12))
     to_physical[:9, :9] = np.kron(np.eye(3), gain.T)  # E = dM K
@@ -53,7 +53,7 @@ def bound(device: SimulatedDevice, information: Array) -> Array:
     return carried(lambda x: x, np.zeros(12), 1.0, np.linalg.inv(to_physical.T @ information @ to_physical))
 
 
-def error_of(model: TriadModel, device: SimulatedDevice) -> Array:
+def error_of(model: TriadModel, device: DeviceModel) -> Array:
     wrong = model.matrix - np.linalg.inv(device.gyro.forward_matrix)
     return np.concatenate((wrong.ravel(), model.offset - device.gyro.raw_offset))
 
