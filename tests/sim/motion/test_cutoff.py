@@ -60,6 +60,16 @@ def test_against_a_gyroscope_noise_and_lost_motion_balance():
     assert 4.0 <= chosen.cutoff_hz <= 15.0
 
 
+def test_cameras_that_are_noisier_in_motion_have_no_crossing_and_it_says_so():
+    poses = swung(1e-3)
+    rng = np.random.default_rng(9)
+    shake = quaternion_of(rng.normal(0.0, 1e-2, (4000, 3)) * poses.moving[:, None])
+    noisy = replace(poses, q_nb=quaternion_product(poses.q_nb, shake))
+    chosen = choose_cutoff(noisy, method="rest")
+    assert chosen.cutoff_hz == pytest.approx(35.0)
+    assert "no crossing, choose another method" in chosen.reason
+
+
 def test_a_rest_can_be_stated():
     marked, unmarked = swung(), replace(swung(), moving=None)
     stated = choose_cutoff(unmarked, method="rest", settings=CutoffSettings(rest_s=(0.0, 10.0)))

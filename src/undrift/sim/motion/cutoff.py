@@ -184,7 +184,11 @@ def _by_rest(reference: Reference, signal: Signal, settings: CutoffSettings) -> 
     frequency = np.fft.rfftfreq(length, 1.0 / rate)
     use = (frequency >= settings.lowest_hz) & (frequency <= _TOP * rate)
     above = np.flatnonzero(use & (spectra[1] > settings.noise_factor * spectra[0]))
-    chosen = float(frequency[min(above[-1] + 1, len(frequency) - 1)]) if above.size else settings.lowest_hz
+    last = float(frequency[use][-1])
+    chosen = float(frequency[above[-1] + 1]) if above.size else settings.lowest_hz
+    if chosen > last:  # cameras are noisier in motion than at rest
+        reason = f"up to {last:.1f} Hz, the highest tried, the motion has more than {settings.noise_factor:g} times the power"
+        return Cutoff(cutoff_hz=last, method="rest", reason=f"{reason} of the rest: no crossing, choose another method")
     return Cutoff(
         cutoff_hz=chosen,
         method="rest",
