@@ -16,6 +16,7 @@ from undrift.sim.device.truth import nominal_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.library import TaskName, draw_task
 from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.subject import Subject
 from undrift.sim.optics import OpticsSettings, see
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -114,13 +115,14 @@ def simulate_trial(
     gravity_m_s2: float = STANDARD_GRAVITY,
     optics: OpticsSettings | None = None,
     temp_c: float | tuple[float, float] | None = None,
+    subject: Subject | None = None,
 ) -> SimulatedTrial:
     """Return a test trial of a simulated device with its optical reference.
 
     Parameters
     ----------
     task : str
-        sit_to_stand, posturography or free.
+        sit_to_stand, posturography, free or step.
     device : DeviceModel
         The sensors.
     rng : Generator
@@ -133,13 +135,15 @@ def simulate_trial(
         What the cameras do.
     temp_c : float or (float, float), optional
         Board temperature, degC, as in ``simulate_session``.
+    subject : Subject, optional
+        Who performs it, one of a ``cohort``; somebody unknown where not given.
 
     Returns
     -------
     SimulatedTrial
         Record, reference and truth.
     """
-    performed = draw_task(task, rng=rng)
+    performed = draw_task(task, rng=rng, subject=subject)
     time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
     motion = performed.at(time, gravity_m_s2)
     record = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion))).record
