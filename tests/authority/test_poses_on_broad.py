@@ -3,8 +3,8 @@
 Limits: mean over the eight trials of 2.8 deg/s at 20 Hz and 0.17 m/s2 at 10 Hz, per axis, after delay, rotation, offset, 3 x 3 and
 lever arm. They were set by an earlier analysis of the same files whose low-pass was a second-order Butterworth that was 3 dB
 down at 20 Hz in EACH of its two passes, orientation and position alike: 16.0 Hz for both passes together, as undrift counts.
-With that filter on both sides its figures come back trial by trial, so it is the filter of the limits. Camera noise grows so
-steeply with frequency that the sharper default at a true 20 Hz leaves more of it: those figures are shown beside.
+With that filter on both sides its figures come back trial by trial, so it is the filter of the limits. Noise of
+the poses grows steeply with frequency, so the sharper default at a true 20 Hz leaves more: that figure is shown beside.
 """
 
 from functools import cache
