@@ -40,7 +40,7 @@ def device_of(twin: Twin, *, sample_rate_hz: float, serial: str = "") -> DeviceM
         Readings in rad/s and m/s2. An accelerometer that was not fitted is ideal.
     """
     model, half = twin.gyro.triad.model, 0.5 / sample_rate_hz
-    gyro = _chain(model.matrix, model.offset, twin.gyro_noise, "rad/s")
+    gyro = chain_of(model.matrix, model.offset, twin.gyro_noise, "rad/s")
     if twin.adc is not None and twin.adc.gyro_lsb is not None:
         step = float(np.mean(twin.adc.gyro_lsb))
         reference = step * 2.0 ** (_BITS - 1)
@@ -48,7 +48,7 @@ def device_of(twin: Twin, *, sample_rate_hz: float, serial: str = "") -> DeviceM
     accel, late = SensorChain(unit="m/s2", scale=Scale(nominal_sensitivity=1.0)), twin.delay
     if twin.accel is not None:
         late = twin.delay + twin.accel.delay
-        accel = _chain(twin.accel.model.matrix, twin.accel.model.offset, twin.accel_noise, "m/s2")
+        accel = chain_of(twin.accel.model.matrix, twin.accel.model.offset, twin.accel_noise, "m/s2")
         accel = replace(accel, lever_arm=LeverArm(arms=np.tile(twin.accel.lever_arm, (3, 1))))
     return DeviceModel(
         serial=serial,
@@ -86,7 +86,7 @@ def drawn_gyro(device: DeviceModel, twin: Twin, rng: np.random.Generator) -> Dev
     wander = twin.settings.motion_offset_spread**2
     spread[range(9, 12), range(9, 12)] += wander
     step = rng.multivariate_normal(np.zeros(12), spread, method="eigh")
-    chain = _chain(model.matrix + step[:9].reshape(3, 3), model.offset + step[9:], None, "rad/s")
+    chain = chain_of(model.matrix + step[:9].reshape(3, 3), model.offset + step[9:], None, "rad/s")
     return replace(device, gyro=replace(device.gyro, scale=chain.scale, offset=chain.offset))
 
 
@@ -108,7 +108,25 @@ def with_offset(device: DeviceModel, offset: FloatArray) -> DeviceModel:
     return replace(device, gyro=replace(device.gyro, offset=Offset(constant=offset)))
 
 
-def _chain(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, unit: str) -> SensorChain:
+def chain_of(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, unit: str) -> SensorChain:
+    """Return the chain whose readings a correction matrix and offset undo.
+
+    Parameters
+    ----------
+    matrix : array, shape (3, 3)
+        Corrected = matrix (reading - offset).
+    offset : array, shape (3,)
+        Unit of the reading.
+    noise : RestNoise or None
+        White noise.
+    unit : str
+        Of the reading: rad/s or m/s2.
+
+    Returns
+    -------
+    SensorChain
+        Scale, axes, offset and noise.
+    """
     forward = np.linalg.inv(matrix)
     gain = np.linalg.norm(forward, axis=1)
     return SensorChain(

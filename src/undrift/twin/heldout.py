@@ -238,12 +238,30 @@ def window_errors(stage: Stage, one: FloatArray, other: FloatArray, length_s: fl
     """
     known = stage.match.moving & (np.asarray(stage.motion.valid) > 0.0)
     known &= np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
-    rows = [_run_errors(stage.motion, one, other, slice(int(a), int(b)), length_s) for a, b in runs(known)]
+    rows = [run_errors(stage.motion, one, other, slice(int(a), int(b)), length_s) for a, b in runs(known)]
     table = np.concatenate([r for r in rows if len(r)] or [np.empty((0, 5))])
     return WindowErrors(pitch=table[:, 0], tilt=table[:, 1], end=table[:, 2:])
 
 
-def _run_errors(motion: Motion, one: FloatArray, other: FloatArray, rows: slice, length_s: float) -> FloatArray:
+def run_errors(motion: Motion, one: FloatArray, other: FloatArray, rows: slice, length_s: float) -> FloatArray:
+    """Compare two rates over every window of one stretch.
+
+    Parameters
+    ----------
+    motion : Motion
+        Known throughout the stretch.
+    one, other : array, shape (N, 3)
+        Corrected rates, rad/s.
+    rows : slice
+        The stretch.
+    length_s : float
+        Length of the windows, s.
+
+    Returns
+    -------
+    array, shape (W, 5)
+        Largest difference of pitch and of tilt, difference at the end about each axis, rad.
+    """
     time, q = motion.time[rows], motion.q_nb[rows]
     rate = motion.sample_rate_hz
     samples, stride = round(length_s * rate), max(1, round(STRIDE_S * rate))
