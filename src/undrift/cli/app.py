@@ -18,6 +18,7 @@ COMMANDS = {
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Initial tilt and strapdown: orientation, inclination, sagittal pitch.",
     "validate": "Compare with an optical reference, in degrees.",
+    "twin": "Fit the device model to a real device, and see how far it carries.",
     "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }

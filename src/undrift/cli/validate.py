@@ -79,6 +79,7 @@ def validate(
         Exit code.
     """
     from undrift.cli.output import waiting, write_json
+    from undrift.cli.pairs import read_pairs
     from undrift.validation import TrialSettings
 
     if not records:
@@ -91,7 +92,7 @@ def validate(
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up)
     with waiting("reading, aligning and integrating"):
-        pairs = _pairs(records, reference, labels, reference_up, opening)
+        pairs = read_pairs(records, reference, labels, reference_up, opening, command="validate")
         names = [record.name.split(".")[0] for record in records]
         result, fitted = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
     told = validation_json(result) | {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
@@ -138,29 +139,6 @@ def validation_json(result: "Validation") -> dict[str, object]:
         "median": asdict(result.median),
         "agreement": agreement,
     }
-
-
-def _pairs(
-    records: tuple[Path, ...],
-    reference: tuple[Path, ...],
-    labels: tuple[str, ...] | None,
-    up: Literal["y", "z"] | None,
-    opening: Opening,
-) -> list[tuple["Record", "Reference"]]:
-    from undrift.io.detect import detect
-    from undrift.io.reference import read_reference
-
-    if not reference and all(detect(record) == "broad" for record in records):
-        reference = records
-    if len(reference) != len(records):
-        raise InputError(
-            f"validate: wanted one reference for each recording, got {len(reference)} for {len(records)}; "
-            "say --reference once for each, in the same order"
-        )
-    return [
-        (opening.read(record), read_reference(poses, labels=labels, up=up))
-        for record, poses in zip(records, reference, strict=True)
-    ]
 
 
 def _judged(

@@ -13,7 +13,7 @@ import numpy as np
 from undrift.segments.still import runs
 from undrift.sim.device.model import DeviceModel
 from undrift.twin.device import drawn_gyro
-from undrift.twin.fit import Prepared
+from undrift.twin.fit import Prepared, fit_prepared
 from undrift.twin.heldout import Stage, WindowErrors, hold_out, plain, run_errors, window_errors
 
 DRAWS = 5
@@ -58,7 +58,8 @@ def contributions(
     Returns
     -------
     tuple of Part
-        White noise, ADC, uncertainty of the fit, poses at rest, what is unexplained, and the whole.
+        White noise, ADC, uncertainty of the fit, poses at rest, what is unexplained, the whole, and the whole with a twin
+        fitted to the held-out recording itself: no better twin is to be had from these poses.
 
     Raises
     ------
@@ -94,7 +95,12 @@ def contributions(
         pitch=_rest_of(whole.pitch, [p.pitch for p in known]),
         tilt=_rest_of(whole.tilt, [p.tilt for p in known]),
     )
-    return (*parts, left, whole)
+    itself = hold_out(prepared, number, twin=fit_prepared(prepared, chosen=[number], brief=True))
+    same = itself.corrected(itself.match.gyro, itself.offset)
+    own = _part("found with a twin of this recording", window_errors(
+        itself, same, itself.simulated(itself.device, rng), length_s
+    ))  # fmt: skip
+    return (*parts, left, whole, own)
 
 
 def _at_rest(stage: Stage, length_s: float) -> WindowErrors:

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError
 from undrift.frames import quaternion_of, quaternion_product, rotate
 from undrift.orientation.strapdown import integrate_strapdown
 from undrift.sim.device.model import DeviceModel
@@ -125,9 +124,7 @@ def _simulated(stage: Stage, rng: np.random.Generator, draws: int) -> FloatArray
     for d in range(draws):
         device, change = _drawn(stage, rng)
         fed = rate + inside[:, None] * change
-        said = simulate_device(device, _turning(time, fed), rng=rng).record.gyro
-        if said is None:
-            raise InputError("twin: wanted a device with gyroscopes, got none")
+        said = np.asarray(simulate_device(device, _turning(time, fed), rng=rng).record.gyro, dtype=np.float64)
         rest = said[:first].mean(axis=0)
         for k, offset in enumerate((np.zeros(3), rest)):
             q = integrate_strapdown(said[first:] - offset, time[first:], tilted)

@@ -133,9 +133,7 @@ class Stage:
         array, shape (N, 3)
             rad/s, frame of the optical body.
         """
-        said = simulate_device(device, self.motion, rng=rng).record.gyro
-        if said is None:
-            raise InputError("twin: wanted a device with gyroscopes, got none")
+        said = np.asarray(simulate_device(device, self.motion, rng=rng).record.gyro, dtype=np.float64)
         adc = self.twin.adc if device.gyro.adc is not None else None
         offset = self.twin.gyro.triad.model.offset
         return self.corrected(restored(said, adc), offset)
