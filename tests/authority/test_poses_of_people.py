@@ -112,9 +112,7 @@ def test_every_trial_runs_through_the_device_of_the_note(trial):
     gain, offset = np.linalg.lstsq(design, pitch[lag : stop + lag])[0]
     left = np.degrees(np.std(pitch[lag : stop + lag] - design @ [gain, offset]))
     peaks = np.degrees(np.abs(true).max()), np.degrees(np.abs(pitch - offset).max())
-    show(
-        f"{trial}: peak trunk pitch rate true, read, deg/s", f"{peaks[0]:.1f}, {peaks[1]:.1f}", "within 1 deg/s"
-    )
+    show(f"{trial}: peak trunk pitch rate true, read, deg/s", f"{peaks[0]:.1f}, {peaks[1]:.1f}", "within 1 deg/s")
     show("   gain; delay, ms; left, deg/s rms", f"{gain:.3f}; {lag}; {left:.2f}", "1 +- 0.01; 17 to 23; 1")
     assert not said.gyro.saturated.any()
     assert not said.accel.saturated.any()
