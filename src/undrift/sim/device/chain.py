@@ -10,7 +10,7 @@ sensitivity would make of the output. The reading at zero noise, linear, at the 
 ``u = S (C x + o) + null`` with S the gain of the whole chain and C the scale's matrix.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -160,3 +160,21 @@ class SensorChain:
             amplifier=open_amplifier if needed else None,
             adc=None,
         )
+
+
+def effects_of(chain: SensorChain) -> tuple[str, ...]:
+    """Return the names of the effects that are switched on, in their order.
+
+    Parameters
+    ----------
+    chain : SensorChain
+        Sensors.
+
+    Returns
+    -------
+    tuple of str
+        Names of fields.
+    """
+    names = [f.name for f in fields(chain) if f.name not in ("unit", "scale") and getattr(chain, f.name) is not None]
+    at = names.index("lever_arm") + 1 if "lever_arm" in names else 0
+    return (*names[:at], "scale", *names[at:])

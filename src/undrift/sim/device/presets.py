@@ -101,7 +101,9 @@ def preset_grade(name: str) -> Grade:
     for sheet in SHEETS:
         if sheet.name == name:
             return _digital(sheet)
-    raise InputError(f"preset: wanted one of {', '.join(PRESETS)}, got '{name}'; name one of them or give a device.json")
+    raise InputError(
+        f"preset: wanted one of {', '.join(PRESETS)}, got '{name}'; name one of them or give a device.json"
+    )
 
 
 def _digital(sheet: Sheet) -> Grade:

@@ -64,8 +64,22 @@ class Sheet:
 SHEETS = (
     Sheet(
         "mpu6050",
-        GyroSheet(2000.0, 16.4, 20.0, 0.05, 3.0, 0.03, 0.2, 2.0, 0.005, 8.0, 0.1, "found; offset drift assumed, in-run known"),
-        AccelSheet(8.0, 4096.0, 50.0, 0.8, 3.0, 0.02, 0.5, 2.0, 400.0, 0.05, "found; z-axis figures of offset and drift left out"),
+        GyroSheet(
+            2000.0, 16.4, 20.0, 0.05, 3.0, 0.03, 0.2, 2.0, 0.005, 8.0, 0.1, "found; offset drift assumed, in-run known"
+        ),
+        AccelSheet(
+            8.0,
+            4096.0,
+            50.0,
+            0.8,
+            3.0,
+            0.02,
+            0.5,
+            2.0,
+            400.0,
+            0.05,
+            "found; z-axis figures of offset and drift left out",
+        ),
     ),
     Sheet(
         "icm20948",
@@ -94,7 +108,20 @@ SHEETS = (
     ),
     Sheet(
         "xsens_mti1",
-        GyroSheet(2000.0, 0.0, 0.1, 0.003, 0.1, 0.003, 0.1, 0.1, 0.007, 10.0, 0.001, "found; residual offset and drift assumed"),
+        GyroSheet(
+            2000.0,
+            0.0,
+            0.1,
+            0.003,
+            0.1,
+            0.003,
+            0.1,
+            0.1,
+            0.007,
+            10.0,
+            0.001,
+            "found; residual offset and drift assumed",
+        ),
         AccelSheet(16.0, 0.0, 2.0, 0.03, 0.1, 0.002, 0.5, 0.1, 120.0, 0.03, "found; residual offset and drift assumed"),
     ),
     Sheet(

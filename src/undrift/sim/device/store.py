@@ -141,7 +141,7 @@ def _units(owner: str, unit_out: str) -> dict[str, str]:
 
 def _key(field: Any, units: Mapping[str, str]) -> str:
     unit = field.metadata.get("unit", "")
-    return field.name + ("_" + unit.format_map(units) if unit else "")
+    return str(field.name) + ("_" + unit.format_map(units) if unit else "")
 
 
 def _out_unit(chain: Mapping[str, Any]) -> str:
