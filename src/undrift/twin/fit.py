@@ -257,13 +257,13 @@ def fit_prepared(
     accel = None if prepared.accel is None else solve_accel(
         prepared.accel, chosen=number, cutoff_hz=settings.accel_cutoff_hz
     )  # fmt: skip
-    rests = [m.rest for m in matches]
+    rests, codes = [m.rest for m in matches], prepared.accel_codes
     twin = Twin(
         gyro=gyro,
         accel=accel,
         adc=prepared.adc,
-        gyro_noise=rest_noise(rests, "gyro"),
-        accel_noise=rest_noise(rests, "accel"),
+        gyro_noise=rest_noise(rests, "gyro", step=_step(None if prepared.adc is None else prepared.adc.gyro_lsb)),
+        accel_noise=rest_noise(rests, "accel", step=_step(None if codes is None else codes.lsb)),
         parameters=(),
         gyro_residual_rms=np.empty(0),
         gyro_signal_rms=np.empty(0),
@@ -328,6 +328,10 @@ def _parameters(
     codes = None if records[0].gyro is None else identify_adc(records[0].gyro)
     rounding = None if twin.adc is None or twin.adc.gyro_lsb is None else twin.adc.gyro_rounding
     return tuple(found + _adc("gyro", codes, rounding, "rad/s") + _adc("accel", prepared.accel_codes, None, "m/s2"))
+
+
+def _step(lsb: FloatArray | None) -> float:
+    return 0.0 if lsb is None else float(np.mean(lsb))
 
 
 def _motion_error(gyro: ReferenceFit) -> FloatArray:

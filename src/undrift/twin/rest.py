@@ -46,7 +46,7 @@ class RestNoise:
     bandwidth_above_hz: float
 
 
-def rest_noise(records: Sequence[Record], channel: str) -> RestNoise | None:
+def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) -> RestNoise | None:
     """Return white noise and bandwidth of a triad from recordings at rest.
 
     Parameters
@@ -55,6 +55,8 @@ def rest_noise(records: Sequence[Record], channel: str) -> RestNoise | None:
         Rests of one device.
     channel : str
         "gyro" or "accel".
+    step : float
+        Of the codes, unit of the readings: their own noise, step^2 / 12, is taken off.
 
     Returns
     -------
@@ -76,7 +78,9 @@ def rest_noise(records: Sequence[Record], channel: str) -> RestNoise | None:
     weight = np.array(counts, float) / sum(counts)
     chosen = (f >= BAND[0] * 0.5 * rate) & (f <= BAND[1] * 0.5 * rate)
     density = np.einsum("r,rfi->fi", weight, np.array(spectra)[:, chosen])
-    return _likely(f[chosen], density, 0.8 * sum(counts), rate)  # Hann windows that half overlap: about 0.8 independent
+    return _likely(
+        f[chosen], density, 0.8 * sum(counts), (rate, step)
+    )  # Hann windows that half overlap: about 0.8 independent
 
 
 def _periodogram(values: FloatArray, rate: float) -> tuple[FloatArray, FloatArray, int]:
@@ -90,7 +94,8 @@ def _periodogram(values: FloatArray, rate: float) -> tuple[FloatArray, FloatArra
     return np.fft.rfftfreq(_SEGMENT, 1.0 / rate), density, count
 
 
-def _likely(f: FloatArray, density: FloatArray, averaged: float, rate: float) -> RestNoise:
+def _likely(f: FloatArray, density: FloatArray, averaged: float, sampling: tuple[float, float]) -> RestNoise:
+    rate, step = sampling
     trials = np.geomspace(0.1, 10.0, 400) * 0.5 * rate  # beyond 1 the noise folds back: no bandwidth, only a limit
     cost = np.array([_cost(density / _shape(f, b)[:, None], _shape(f, b), averaged) for b in trials])
     flat = _cost(density, np.ones(len(f)), averaged)
@@ -101,7 +106,8 @@ def _likely(f: FloatArray, density: FloatArray, averaged: float, rate: float) ->
     if flat - cost[best] > _BETTER and best > 0 and trials[best] < 0.45 * rate:
         bandwidth, error = float(trials[best]), 0.5 * float(near[-1] - near[0])
     shape = np.ones(len(f)) if np.isnan(bandwidth) else _shape(f, bandwidth)
-    level = np.sqrt(0.5 * (density / shape[:, None]).mean(axis=0))
+    square = 0.5 * (density / shape[:, None]).mean(axis=0) - step**2 / (12.0 * rate)
+    level = np.sqrt(np.maximum(square, 0.0))
     independent = averaged * len(f) * 2.0 / 3.0  # neighbouring bins of a Hann window share
     return RestNoise(
         random_walk=level,
