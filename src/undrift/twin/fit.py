@@ -369,7 +369,7 @@ def _accel_parameters(twin: Twin, reason: str) -> list[TwinParameter]:
 def _noise_parameters(prefix: str, noise: RestNoise | None, unit: str, rate: float) -> list[TwinParameter]:
     name = "angle_random_walk" if prefix == "gyro" else "velocity_random_walk"
     if noise is None:
-        why = "no rest of four seconds or more without gaps"
+        why = "no rest of 1024 samples or more without gaps in which every reading changes"
         return [unknown(f"{prefix}_{name}", unit, why), unknown(f"{prefix}_bandwidth", "Hz", why)]
     found = [
         known(f"{prefix}_{name}_{a}", noise.random_walk[i], noise.random_walk_error[i], unit)

@@ -2,7 +2,7 @@
 
 White noise N through the device's own second-order Butterworth low-pass of bandwidth f_b leaves the one-sided density::
 
-    S(f) = 2 N^2 / (1 + (f / f_b)^4)
+    S(f) = 2 N^2 / (1 + (f / f_b)^4), and its images at multiples of the sample rate
 
 Averaged periodograms scatter as chi-square, so the Whittle likelihood sum(log S + P / S) is maximised over f_b, N^2 in closed
 form. Only the upper part of the band counts: hands and floors move a device at low frequency. Where no bandwidth is better
@@ -19,6 +19,7 @@ from undrift.record import Record
 
 BAND = (0.35, 0.95)  # of half the sample rate
 _SEGMENT = 256  # samples
+_IMAGES = 3  # of the spectrum on either side
 _BETTER = 9.0  # chi-square, one degree of freedom, three standard deviations
 _LIMIT = 4.0  # the same, two
 
@@ -61,7 +62,7 @@ def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) ->
     Returns
     -------
     RestNoise or None
-        None where no rest is long enough, or the triad is missing.
+        None where no rest is long enough, the triad is missing, or a reading never changes.
     """
     spectra, counts = [], []
     f: FloatArray = np.empty(0)
@@ -70,6 +71,8 @@ def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) ->
         values = getattr(record, channel)
         if values is None or len(values) < 4 * _SEGMENT or not np.isfinite(values).all():
             continue
+        if not values.std(axis=0).all():
+            continue  # readings that never change hold no noise
         f, density, averaged = _periodogram(values, rate)
         spectra.append(density)
         counts.append(averaged)
@@ -97,7 +100,7 @@ def _periodogram(values: FloatArray, rate: float) -> tuple[FloatArray, FloatArra
 def _likely(f: FloatArray, density: FloatArray, averaged: float, sampling: tuple[float, float]) -> RestNoise:
     rate, step = sampling
     trials = np.geomspace(0.1, 10.0, 400) * 0.5 * rate  # beyond 1 the noise folds back: no bandwidth, only a limit
-    cost = np.array([_cost(density / _shape(f, b)[:, None], _shape(f, b), averaged) for b in trials])
+    cost = np.array([_cost(density / _shape(f, b, rate)[:, None], _shape(f, b, rate), averaged) for b in trials])
     flat = _cost(density, np.ones(len(f)), averaged)
     best = int(np.argmin(cost))
     bandwidth = error = float("nan")
@@ -105,7 +108,7 @@ def _likely(f: FloatArray, density: FloatArray, averaged: float, sampling: tuple
     above = float(trials[cost <= min(flat, cost[best]) + _LIMIT].min())
     if flat - cost[best] > _BETTER and best > 0 and trials[best] < 0.45 * rate:
         bandwidth, error = float(trials[best]), 0.5 * float(near[-1] - near[0])
-    shape = np.ones(len(f)) if np.isnan(bandwidth) else _shape(f, bandwidth)
+    shape = np.ones(len(f)) if np.isnan(bandwidth) else _shape(f, bandwidth, rate)
     square = 0.5 * (density / shape[:, None]).mean(axis=0) - step**2 / (12.0 * rate)
     level = np.sqrt(np.maximum(square, 0.0))
     independent = averaged * len(f) * 2.0 / 3.0  # neighbouring bins of a Hann window share
@@ -118,8 +121,10 @@ def _likely(f: FloatArray, density: FloatArray, averaged: float, sampling: tuple
     )
 
 
-def _shape(f: FloatArray, bandwidth: float) -> FloatArray:
-    shape: FloatArray = 1.0 / (1.0 + (f / bandwidth) ** 4)
+def _shape(f: FloatArray, bandwidth: float, rate: float) -> FloatArray:
+    # What lies above half the sample rate folds back into the band.
+    images = np.abs(f[:, None] + rate * np.arange(-_IMAGES, _IMAGES + 1))
+    shape: FloatArray = (1.0 / (1.0 + (images / bandwidth) ** 4)).sum(axis=1)
     return shape
 
 
