@@ -72,7 +72,9 @@ def test_poses_give_back_the_device_without_noise(weights: Weights) -> None:
 def test_error_of_a_thousand_devices_reaches_the_bound_and_its_intervals_hold() -> None:
     rng = np.random.default_rng(2)
     tally = Tally.of("reference, noise weights")
-    information = physical_information(MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.random_walk[0]))
+    information = physical_information(
+        MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.white_noise.random_walk[0])
+    )
     for _ in range(DEVICES):
         device = white_device(rng)
         model = fitted(device, rng, "noise", OPTICS)
@@ -83,7 +85,9 @@ def test_error_of_a_thousand_devices_reaches_the_bound_and_its_intervals_hold() 
 def test_long_windows_pay_for_their_patience_with_less_than_half_more_error_where_noise_is_white() -> None:
     rng = np.random.default_rng(3)
     tally = Tally.of("reference, windows")
-    information = physical_information(MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.random_walk[0]))
+    information = physical_information(
+        MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.white_noise.random_walk[0])
+    )
     for _ in range(100):
         device = white_device(rng)
         model = fitted(device, rng, "windows", OPTICS)

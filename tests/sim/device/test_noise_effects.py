@@ -9,7 +9,9 @@ from data import show
 from devices import chain, device_of, run, still_motion
 from undrift.calibration.allan import allan_deviation
 from undrift.sim.device.instability import BiasInstability
+from undrift.sim.device.low_pass import LowPass
 from undrift.sim.device.noise import RandomWalk, WhiteNoise
+from undrift.sim.device.sampling import Sampling
 
 N, RATE_HZ = 400_000, 100.0
 
@@ -32,6 +34,22 @@ def test_white_noise_falls_with_the_root_of_the_time(rest) -> None:  # type: ign
     ratio = deviations(gyro, taus) * np.sqrt(taus) / 0.002  # type: ignore[arg-type]
     show("white noise: Allan deviation over N / sqrt(tau)", np.round(ratio, 3), "1 +- 0.02")
     np.testing.assert_allclose(ratio, 1.0, atol=0.02)  # 4 standard errors at 1 s: 4 / sqrt(2 * 3 * 4000 * 1.5)
+
+
+@pytest.mark.parametrize("averaging", ["instant", "interval"])
+def test_white_noise_off_the_grid_is_that_of_the_devices_own_rate(averaging: str) -> None:
+    clock = Sampling(sample_rate_hz=80.0, clock_error=1e-3, gyro_averaging=averaging)  # type: ignore[arg-type]
+    device = device_of(chain(white_noise=WhiteNoise(random_walk=np.full(3, 0.002))), sampling=clock)
+    gyro = run(device, still_motion(100_000, RATE_HZ)).record.gyro
+    sd = np.std(gyro)  # type: ignore[arg-type]
+    assert sd == pytest.approx(0.002 * math.sqrt(80.0), rel=4.0 / math.sqrt(6.0 * 80_000))
+
+
+def test_white_noise_behind_a_low_pass_keeps_its_level_at_low_frequency() -> None:
+    low_pass = LowPass(cutoff_hz=np.full(3, 10.0))
+    device = device_of(chain(white_noise=WhiteNoise(random_walk=np.full(3, 0.002)), low_pass=low_pass))
+    gyro = run(device, still_motion(N, RATE_HZ)).record.gyro
+    assert deviations(gyro, [1.0])[0] == pytest.approx(0.002, rel=0.04)  # type: ignore[arg-type]
 
 
 def test_a_random_walk_rises_with_the_root_of_the_time(rest) -> None:  # type: ignore[no-untyped-def]

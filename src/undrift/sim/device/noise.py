@@ -1,7 +1,7 @@
 """White noise and random walk: ``y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j``, f the samples per second.
 
-N and K as IEEE Std 952 states them: Allan deviation N / sqrt(tau) and K sqrt(tau / 3). White noise is white up to half the
-rate of the motion's grid; what a converter makes of it is the business of low-pass and sampling.
+N and K as IEEE Std 952 states them: Allan deviation N / sqrt(tau) and K sqrt(tau / 3). Behind a
+low-pass white noise is drawn on the motion's grid, else on the device's own samples: f is the rate of these.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class RandomWalk:
         settle(self)
 
 
-def with_white_noise(x: FloatArray, effect: WhiteNoise, scene: Scene, rng: np.random.Generator) -> FloatArray:
+def with_white_noise(x: FloatArray, effect: WhiteNoise, step_s: float, rng: np.random.Generator) -> FloatArray:
     """Return a signal with white noise.
 
     Parameters
@@ -55,8 +55,8 @@ def with_white_noise(x: FloatArray, effect: WhiteNoise, scene: Scene, rng: np.ra
         Nominal input units.
     effect : WhiteNoise
         Its size.
-    scene : Scene
-        With the sample rate.
+    step_s : float
+        Time from sample to sample, s.
     rng : Generator
         Stream of this effect.
 
@@ -65,7 +65,7 @@ def with_white_noise(x: FloatArray, effect: WhiteNoise, scene: Scene, rng: np.ra
     array, shape (N, 3)
         Nominal input units.
     """
-    noise: FloatArray = rng.standard_normal(x.shape) * (effect.random_walk / np.sqrt(scene.step_s))
+    noise: FloatArray = rng.standard_normal(x.shape) * (effect.random_walk / np.sqrt(step_s))
     return x + noise
 
 

@@ -196,6 +196,11 @@ class _Sampler:
     delay_s: FloatArray
     averaging: Averaging
 
+    @property
+    def period_s(self) -> float:
+        stamped = self.ticks.stamped_s
+        return float((stamped[-1] - stamped[0]) / (len(stamped) - 1))
+
     def take(self, x: FloatArray, time: FloatArray) -> FloatArray:
         if self.on_grid:
             return x
@@ -215,13 +220,19 @@ def _triad(
     """Return the readings of one triad and the truth about them."""
     found: list[Contribution] = []
     x = true
-    for effect, stage in _stages(chain, scene, streams, sampler.name):
+    late = chain.white_noise if chain.low_pass is None and not sampler.on_grid else None
+    early = replace(chain, white_noise=None) if late else chain
+    for effect, stage in _stages(early, scene, streams, sampler.name):
         y = stage(x)
         found.append(Contribution(effect=effect, value=sampler.on_ticks(y - x, scene.time)))
         x = y
     taken = sampler.take(x, scene.time)
     if not sampler.on_grid:
         found.append(Contribution(effect="sampling", value=taken - sampler.on_ticks(x, scene.time)))
+    if late:  # nothing but the sampling limits its band: independent from sample to sample, whatever the motion's grid
+        noisy = with_white_noise(taken, late, sampler.period_s, streams.of(f"{sampler.name}_white"))
+        found.append(Contribution(effect="white_noise", value=noisy - taken))
+        taken = noisy
     amplifier, sensitivity = chain.amplifier, chain.scale.nominal_sensitivity
     reading = amplifier.null + amplifier.gain * sensitivity * taken if amplifier else sensitivity * taken
     held = np.zeros(reading.shape, dtype=bool)
@@ -266,7 +277,7 @@ def _stages(chain: SensorChain, scene: Scene, streams: Streams, name: str) -> li
 def _noise_stages(chain: SensorChain, scene: Scene, streams: Streams, name: str) -> list[tuple[str, Stage]]:
     stages: list[tuple[str, Stage]] = []
     if white := chain.white_noise:
-        stages.append(("white_noise", lambda x: with_white_noise(x, white, scene, streams.of(f"{name}_white"))))
+        stages.append(("white_noise", lambda x: with_white_noise(x, white, scene.step_s, streams.of(f"{name}_white"))))
     if flicker := chain.instability:
         stages.append(("instability", lambda x: with_instability(x, flicker, scene, streams.of(f"{name}_instability"))))
     if walk := chain.random_walk:
