@@ -36,6 +36,8 @@ def fitted(device: str) -> Twin:
 
 
 def test_residuals_against_the_optics_stay_below_the_prototype():
+    # Second order forward and back, 6 dB down at the cut-off, as the prototype's figures come back trial by trial. A fourth-order
+    # low-pass leaves 2.86 deg/s (6 dB down) or 3.12 deg/s (3 dB down): the limit stands with the convention.
     gyro = np.degrees(np.concatenate([fitted(d).gyro_residual_rms for d in DEVICES]))
     signal = np.degrees(np.concatenate([fitted(d).gyro_signal_rms for d in DEVICES]))
     accel = np.concatenate([fitted(d).accel.residual_rms for d in DEVICES])
@@ -94,7 +96,9 @@ def test_held_out_windows_differ_by_what_the_poses_are_worth():
     show(
         "5 s windows, difference at the end, median per axis, deg", np.round(np.median(ends, axis=0), 3).tolist(), 0.15
     )
-    assert np.median(medians) < 0.45
+    assert (
+        np.median(medians) < 0.45
+    )  # what is found, with a little room: it guards against getting worse, the aim is 0.15
     assert max(medians) < 0.55
     assert np.median(ends, axis=0).max() < 0.15
 
