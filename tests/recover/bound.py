@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data import show
-from undrift.sim import SimulatedDevice, random_device
+from undrift.sim import DeviceModel, random_device
 
 DEVICES = 1000
 RMSE_LIMIT = 1.05  # times the bound
@@ -60,14 +60,14 @@ def inverse_model(theta: Array) -> Array:
     return np.concatenate((np.linalg.inv(theta[:9].reshape(3, 3)).ravel(), theta[9:12], theta[12:]))
 
 
-def white_device(rng: np.random.Generator, *, g_sensitivity: bool = False) -> SimulatedDevice:
+def white_device(rng: np.random.Generator, *, g_sensitivity: bool = False) -> DeviceModel:
     """Return a consumer-grade device whose noise is white: the noise of the bound."""
     device = random_device(rng)
-    still, feigned = np.zeros(3), device.gyro.g_sensitivity if g_sensitivity else np.zeros((3, 3))
+    feigned = device.gyro.g_sensitivity if g_sensitivity else None
     return replace(
         device,
-        gyro=replace(device.gyro, lsb=0.0, bias_walk=still, full_scale=np.inf, g_sensitivity=feigned),
-        accel=replace(device.accel, lsb=0.0, bias_walk=still, full_scale=np.inf),
+        gyro=replace(device.gyro, adc=None, random_walk=None, g_sensitivity=feigned),
+        accel=replace(device.accel, adc=None, random_walk=None),
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from data import show
 from undrift.calibration.adc import identify_adc
 from undrift.sim import random_device, simulate_trial
-from undrift.sim.device.device import Rounding
+from undrift.sim.device.adc import Rounding
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -20,13 +20,13 @@ def test_step_and_rounding_of_a_logger_in_a_quarter_of_an_hour_of_motion(
 ) -> None:
     rng = np.random.default_rng(seed)
     device = random_device(rng, grade="wearable")
-    device = replace(device, gyro=replace(device.gyro, rounding=rounding))
+    device = replace(device, gyro=replace(device.gyro, adc=replace(device.gyro.adc, rounding=rounding)))
     # 285.7 Hz over some 8,000 codes: two samples a minute, a code and an axis.
     minutes = [simulate_trial("free", device, rng=rng, sample_rate_hz=285.7).record.gyro for _ in range(16)]
     found = identify_adc(np.concatenate([gyro for gyro in minutes if gyro is not None]))
     show(f"{rounding}: samples at code 0 over those expected, each axis", f"{found.ratio} +- {found.ratio_uncertainty}")
     assert found.lsb is not None
-    np.testing.assert_allclose(found.lsb, device.gyro.lsb, rtol=1e-6)  # deg/s; floating point alone blurs it
+    np.testing.assert_allclose(found.lsb, device.gyro.adc.step, rtol=1e-6)  # deg/s; floating point alone blurs it
     assert found.rounding == told  # floor is nearest with half a step of offset: codes alone cannot tell
 
 
@@ -40,5 +40,5 @@ def test_a_minute_of_motion_says_that_it_is_too_short() -> None:
 def test_readings_that_were_never_codes_lie_on_no_grid() -> None:
     rng = np.random.default_rng(1)
     device = random_device(rng, grade="wearable")
-    device = replace(device, gyro=replace(device.gyro, lsb=0.0))
+    device = replace(device, gyro=replace(device.gyro, adc=None))
     assert identify_adc(simulate_trial("free", device, rng=rng).record.gyro).lsb is None  # type: ignore[arg-type]

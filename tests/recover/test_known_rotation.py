@@ -18,7 +18,7 @@ from undrift.calibration.fit.known_rotation import (
     rotation_data,
 )
 from undrift.calibration.model import TriadModel
-from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read
+from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
 from undrift.sim.motion.script import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
@@ -28,17 +28,17 @@ MOTION = bench_motion("ferraris", rng=np.random.default_rng(0), settings=BENCH)
 FACES = [replace(still, start=still.stop - 99) for still in MOTION.stills if still.face is not None]
 
 
-def fitted(device: SimulatedDevice, rng: np.random.Generator, mode: KnownRotationMode = "affine") -> TriadModel:
-    record = read(device, MOTION, rng=rng).record
+def fitted(device: DeviceModel, rng: np.random.Generator, mode: KnownRotationMode = "affine") -> TriadModel:
+    record = simulate_device(device, MOTION, rng=rng).record
     matrix, offset = np.linalg.inv(device.accel.forward_matrix), device.accel.raw_offset
     data = rotation_data((record,), FACES, MOTION.turns, matrix=matrix, offset=offset)
     return fit_known_rotation(data, gravity=STANDARD_GRAVITY, settings=KnownRotationSettings(mode=mode)).model
 
 
-def truth(device: SimulatedDevice) -> Array:
+def truth(device: DeviceModel) -> Array:
     gyro = device.gyro
     return np.concatenate(
-        (gyro.forward_matrix.ravel(), gyro.raw_offset, (gyro.sensitivity[:, None] * gyro.g_sensitivity).ravel())
+        (gyro.forward_matrix.ravel(), gyro.raw_offset, (gyro.gain * gyro.g_sensitivity.matrix).ravel())
     )
 
 
@@ -59,9 +59,9 @@ def statistics(theta: Array) -> Array:
     return np.array(faces + turns)
 
 
-def bound(device: SimulatedDevice) -> Array:
+def bound(device: DeviceModel) -> Array:
     theta = truth(device)
-    variance = (device.gyro.sensitivity * device.gyro.random_walk) ** 2 * BENCH.sample_rate_hz
+    variance = device.gyro.raw_random_walk**2 * BENCH.sample_rate_hz
     faces = np.array([1.0 / (s.stop - s.start) for s in FACES])
     turns = np.array([(t.stop - t.start) / BENCH.sample_rate_hz**2 for t in MOTION.turns])
     spread = np.concatenate((faces, turns))[:, None] * variance

@@ -14,7 +14,7 @@ from undrift.calibration.fit.multi_position_accel import fit_poses
 from undrift.calibration.fit.multi_position_gyro import fit_gyro_between_stills
 from undrift.frames import quaternion_product
 from undrift.record import Record
-from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read
+from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.script import turn_quaternion
 from undrift.units import STANDARD_GRAVITY
@@ -80,7 +80,7 @@ def _end(rate: Array, dt: float) -> tuple[Array, Array]:
     return whole, np.einsum("jab,jibc->jiac", whole, to_start)
 
 
-def triangular_truth(device: SimulatedDevice) -> tuple[Array, Array, Array, Array]:
+def triangular_truth(device: DeviceModel) -> tuple[Array, Array, Array, Array]:
     """Return accelerometer p (m upper row by row, offset), gyroscope M and o, and the rotation from the case axes."""
     q, r = np.linalg.qr(np.linalg.inv(device.accel.forward_matrix))
     sign = np.sign(np.diag(r))
@@ -102,13 +102,13 @@ def accel_means(theta: Array) -> Array:
     return np.linalg.solve(m, STANDARD_GRAVITY * directions(theta[9:]).T).T + theta[6:9]
 
 
-def bounds(device: SimulatedDevice, moves: Moves) -> tuple[Array, Array]:
+def bounds(device: DeviceModel, moves: Moves) -> tuple[Array, Array]:
     """Return the bound of p (9) from the stills alone and of M, o (12) from everything, standard deviations."""
     p, gyro, _, turn = triangular_truth(device)
     up = moves.up @ turn.T
     theta = np.concatenate((p, np.arctan2(up[:, 1], up[:, 0]), np.arcsin(up[:, 2])))
     steps = np.concatenate((np.full(6, 1e-4 * p[0]), np.full(3, 1e-2), np.full(2 * POSES, 1e-5)))
-    variance = (device.accel.sensitivity * device.accel.random_walk) ** 2 * SETTINGS.sample_rate_hz
+    variance = device.accel.raw_random_walk**2 * SETTINGS.sample_rate_hz
     accel = jacobian(accel_means, theta, steps)
     stills = information(accel, (variance / moves.samples[:, None]).ravel())
     alone = np.linalg.inv(stills[:9, :9] - stills[:9, 9:] @ np.linalg.solve(stills[9:, 9:], stills[9:, :9]))
@@ -120,7 +120,7 @@ def bounds(device: SimulatedDevice, moves: Moves) -> tuple[Array, Array]:
     lean = jacobian(directions, theta[9:], 1e-5).reshape(POSES, 3, -1)
     design = np.concatenate((by_matrix, -by_rate @ gyro, turned @ lean[:-1] - lean[1:]), axis=2)
     across = np.linalg.svd(up[1:, None, :])[2][:, 1:]  # (J, 2, 3): two unit vectors across
-    sigma = turn.T @ gyro * (device.gyro.sensitivity * device.gyro.random_walk) * np.sqrt(SETTINGS.sample_rate_hz)
+    sigma = turn.T @ gyro * device.gyro.raw_random_walk * np.sqrt(SETTINGS.sample_rate_hz)
     noise = np.einsum("jacbd,bd->jac", moves.spread, sigma @ sigma.T)
     covariance = across @ (turn @ noise @ turn.T) @ across.transpose(0, 2, 1)
     design = across @ design
@@ -130,7 +130,7 @@ def bounds(device: SimulatedDevice, moves: Moves) -> tuple[Array, Array]:
     of_turns = np.einsum("jap,jaq->pq", design, np.linalg.solve(covariance, design))
     places = np.concatenate((np.arange(12), np.arange(21, 21 + 2 * POSES)))
     whole[np.ix_(places, places)] += of_turns
-    rest = (device.gyro.sensitivity * device.gyro.random_walk) ** 2 * SETTINGS.sample_rate_hz / moves.samples.sum()
+    rest = device.gyro.raw_random_walk**2 * SETTINGS.sample_rate_hz / moves.samples.sum()
     whole[np.arange(9, 12), np.arange(9, 12)] += 1.0 / rest
     together = np.linalg.inv(whole[:12, :12] - whole[:12, 12:] @ np.linalg.solve(whole[12:, 12:], whole[12:, :12]))
     return np.sqrt(np.diag(alone)), np.sqrt(np.diag(together))
@@ -146,7 +146,7 @@ def test_poses_and_turns_give_back_the_device_without_noise() -> None:
     for _ in range(5):
         device = white_device(rng).without_noise()
         motion = bench_motion("multi_position", rng=rng, settings=SETTINGS)
-        record = read(device, motion, rng=rng).record
+        record = simulate_device(device, motion, rng=rng).record
         p, gyro, offset, _ = triangular_truth(device)
         accel = fit_poses(still_means(record, motion), gravity=STANDARD_GRAVITY).model
         np.testing.assert_allclose(accel.matrix[UPPER], p[:6], atol=1e-10 * p[0])  # rounding of 1e-16 times condition
@@ -164,8 +164,8 @@ def test_error_of_a_thousand_devices_reaches_the_bound_and_its_intervals_hold() 
             motion = bench_motion("multi_position", rng=rng, settings=SETTINGS)
             moves = moves_of(motion)
         device = white_device(rng)
-        record = read(device, motion, rng=rng).record
-        sd = device.accel.sensitivity * device.accel.random_walk * np.sqrt(50.0 / moves.samples[:, None])
+        record = simulate_device(device, motion, rng=rng).record
+        sd = device.accel.raw_random_walk * np.sqrt(50.0 / moves.samples[:, None])
         p, matrix, offset, _ = triangular_truth(device)
         accel = fit_poses(still_means(record, motion), gravity=STANDARD_GRAVITY, standard_errors=sd).model
         gyro = fit_gyro_between_stills((record,), motion.stills, accel).model

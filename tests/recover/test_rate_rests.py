@@ -16,7 +16,8 @@ from undrift.calibration.fit.dwells import DwellMeans, dwell_means, middles
 from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
 from undrift.calibration.fit.rate_table import RateTableFit, fit_rate_table
 from undrift.calibration.procedure import calibrate
-from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read, simulate_session, true_calibration
+from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device, simulate_session, true_calibration
+from undrift.sim.device.noise import RandomWalk
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.script import unit_vector
 from undrift.units import STANDARD_GRAVITY
@@ -70,17 +71,18 @@ def walk_of(rng: np.random.Generator, q: Array) -> Array:
     return walk
 
 
-def feigned(device: SimulatedDevice) -> Array:
+def feigned(device: DeviceModel) -> Array:
     """Return H: reading per m/s2."""
-    return device.gyro.sensitivity[:, None] * device.gyro.g_sensitivity
+    felt = device.gyro.g_sensitivity
+    return np.zeros((3, 3)) if felt is None else device.gyro.gain * felt.matrix
 
 
-def white(device: SimulatedDevice) -> Array:
+def white(device: DeviceModel) -> Array:
     """Return the white noise of one second, (3,)."""
-    return device.gyro.sensitivity * device.gyro.random_walk
+    return device.gyro.raw_random_walk
 
 
-def fitted(device: SimulatedDevice, rng: np.random.Generator, walk: float) -> RateTableFit:
+def fitted(device: DeviceModel, rng: np.random.Generator, walk: float) -> RateTableFit:
     """Return the fit to noisy means of a device whose offset walks by ``walk`` times its white noise."""
     p = plan()
     sigma = white(device) / np.sqrt(p.length_s)[:, None]
@@ -102,12 +104,12 @@ def report(theta: Array) -> Array:
     return np.concatenate((matrix.ravel(), theta[9:12], felt))
 
 
-def truth(device: SimulatedDevice) -> Array:
+def truth(device: DeviceModel) -> Array:
     theta = (device.gyro.forward_matrix.ravel(), device.gyro.raw_offset)
-    return np.concatenate((*theta, feigned(device).ravel()) if device.gyro.g_sensitivity.any() else theta)
+    return np.concatenate((*theta, feigned(device).ravel()) if device.gyro.g_sensitivity is not None else theta)
 
 
-def bound(device: SimulatedDevice, walk: float) -> Array:
+def bound(device: DeviceModel, walk: float) -> Array:
     """Return the Cramer-Rao bound of what is reported, where sigma and q are known."""
     p, theta = plan(), truth(device)
 
@@ -240,11 +242,12 @@ def test_the_offset_of_a_simulated_recording_is_that_of_the_middle_of_its_sessio
         rng = np.random.default_rng(seed)
         device = white_device(rng)
         still = device.gyro
-        q = 0.3 * still.random_walk
-        walking = replace(device, gyro=replace(still, bias_walk=q))
+        assert still.white_noise is not None
+        walk_of_offset = RandomWalk(bias_walk=0.3 * still.white_noise.random_walk)
+        walking = replace(device, gyro=replace(still, random_walk=walk_of_offset))
         # The same generator gives the same noise: what differs is the walk.
-        record = read(walking, motion, rng=np.random.default_rng(seed)).record
-        walk = record.gyro - read(device, motion, rng=np.random.default_rng(seed)).record.gyro  # type: ignore[operator]
+        record = simulate_device(walking, motion, rng=np.random.default_rng(seed)).record
+        walk = record.gyro - simulate_device(device, motion, rng=np.random.default_rng(seed)).record.gyro  # type: ignore[operator]
         fit, middle = fitted_recording(device, record, motion)
         at = int(np.searchsorted(record.time, middle))
         apart.append((fit.model.offset - device.gyro.raw_offset - walk[at]) / fit.model.standard_uncertainty[9:12])
@@ -259,7 +262,7 @@ def test_the_offset_of_a_simulated_recording_is_that_of_the_middle_of_its_sessio
     assert off > 3.0
 
 
-def fitted_recording(device: SimulatedDevice, record, motion: Motion) -> tuple[RateTableFit, float]:  # type: ignore[no-untyped-def]
+def fitted_recording(device: DeviceModel, record, motion: Motion) -> tuple[RateTableFit, float]:  # type: ignore[no-untyped-def]
     """Return the fit to the means of a recording, and the middle of its session."""
     dwells = dwell_means((record,), motion.turns)
     parts = [slice(still.start, still.stop) for still in motion.stills]

@@ -8,7 +8,7 @@ import pytest
 from recover.bound import DEVICES, Array, Tally, carried, information, inverse_model, jacobian, white_device
 from undrift.calibration.fit.dwells import DwellMeans, dwell_means
 from undrift.calibration.fit.rate_table import RateTableMode, RateTableSettings, fit_rate_table
-from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read
+from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
 from undrift.sim.motion.script import unit_vector
 
 BENCH = BenchSettings(
@@ -29,11 +29,11 @@ def settled(start: int) -> int:
     return start + round(SETTLE_S * BENCH.sample_rate_hz)
 
 
-def means_of(device: SimulatedDevice, rng: np.random.Generator) -> DwellMeans:
+def means_of(device: DeviceModel, rng: np.random.Generator) -> DwellMeans:
     """Return plain means of the settled dwells, with the noise that is in them: a spline filter leaves the mean alone."""
-    gyro = read(device, MOTION, rng=rng).record.gyro
+    gyro = simulate_device(device, MOTION, rng=rng).record.gyro
     assert gyro is not None
-    sd = device.gyro.sensitivity * device.gyro.random_walk * np.sqrt(BENCH.sample_rate_hz)
+    sd = device.gyro.raw_random_walk * np.sqrt(BENCH.sample_rate_hz)
     counts = np.array([[t.stop - settled(t.start)] for t in MOTION.turns])
     return DwellMeans(
         reading=np.array([gyro[settled(t.start) : t.stop].mean(axis=0) for t in MOTION.turns]),
@@ -45,11 +45,11 @@ def means_of(device: SimulatedDevice, rng: np.random.Generator) -> DwellMeans:
     )
 
 
-def truth(device: SimulatedDevice) -> Array:
+def truth(device: DeviceModel) -> Array:
     return np.concatenate((device.gyro.forward_matrix.ravel(), device.gyro.raw_offset))
 
 
-def bound(device: SimulatedDevice, dwells: DwellMeans, free: int = 12) -> Array:
+def bound(device: DeviceModel, dwells: DwellMeans, free: int = 12) -> Array:
     theta = truth(device)[:free]
 
     def mean(x: Array) -> Array:
@@ -66,8 +66,8 @@ def test_dwells_give_back_the_device_without_noise(mode: RateTableMode) -> None:
     rng = np.random.default_rng(1)
     device = white_device(rng).without_noise()
     if mode == "paper":
-        device = replace(device, gyro=replace(device.gyro, offset=np.zeros(3)))
-    record = read(device, MOTION, rng=rng).record
+        device = replace(device, gyro=replace(device.gyro, offset=None))
+    record = simulate_device(device, MOTION, rng=rng).record
     model = fit_rate_table(dwell_means((record,), MOTION.turns), RateTableSettings(mode=mode)).model
     # The spline solves normal equations of condition 1e6: 1e-10 of the reading.
     np.testing.assert_allclose(model.forward_matrix, device.gyro.forward_matrix, atol=1e-8 * 940)
@@ -80,7 +80,7 @@ def test_the_earth_rate_is_taken_out_where_the_latitude_is_known() -> None:
     bench = BenchSettings(sample_rate_hz=50.0, still_s=0.5, dwell_s=2.32, turn_rates=(np.pi,), latitude_deg=41.9)
     # Settled dwells last 2 s, one whole turn: what is level averages out.
     motion = bench_motion("rate_table", rng=rng, settings=bench)
-    record = read(device, motion, rng=rng).record
+    record = simulate_device(device, motion, rng=rng).record
     with_earth = fit_rate_table(dwell_means((record,), motion.turns), RateTableSettings(latitude_deg=41.9)).model
     without = fit_rate_table(dwell_means((record,), motion.turns)).model
     missed = np.abs(with_earth.offset - device.gyro.raw_offset).max()
@@ -110,7 +110,7 @@ def test_the_noise_of_dwells_is_told_from_the_readings() -> None:
     estimated, stated = [], []
     for _ in range(20):
         device = white_device(rng)
-        record = read(device, MOTION, rng=rng).record
+        record = simulate_device(device, MOTION, rng=rng).record
         noise, known = dwell_means((record,), MOTION.turns).noise, means_of(device, rng).noise
         assert noise is not None
         assert known is not None

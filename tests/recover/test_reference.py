@@ -12,7 +12,7 @@ from recover.bound import DEVICES, Array, Tally, carried, white_device
 from recover.test_multi_position import rotation_matrices
 from undrift.calibration.fit.reference import ReferenceSettings, Weights, fit_reference
 from undrift.calibration.model import TriadModel
-from undrift.sim import OpticsSettings, SimulatedDevice, draw_task, read, see
+from undrift.sim import DeviceModel, OpticsSettings, draw_task, see, simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.units import STANDARD_GRAVITY
 
@@ -22,8 +22,8 @@ TASK = draw_task("free", rng=np.random.default_rng(0))
 MOTION = TASK.at(np.arange(round(TASK.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
 
 
-def fitted(device: SimulatedDevice, rng: np.random.Generator, weights: Weights, optics: OpticsSettings) -> TriadModel:
-    record = read(device, MOTION, rng=rng).record
+def fitted(device: DeviceModel, rng: np.random.Generator, weights: Weights, optics: OpticsSettings) -> TriadModel:
+    record = simulate_device(device, MOTION, rng=rng).record
     settings = ReferenceSettings(offset="common", weights=weights, stride_s=STRIDE_S)
     return fit_reference((record,), (see(TASK, rng=rng, settings=optics),), settings=settings).triad.model
 
@@ -45,7 +45,7 @@ def physical_information(motion: Motion, pose_sd: float, random_walk: float) -> 
     return np.einsum("iap,iaq->pq", steps, np.einsum("ij,jaq->iaq", np.linalg.inv(covariance), steps))
 
 
-def bound(device: SimulatedDevice, information: Array) -> Array:
+def bound(device: DeviceModel, information: Array) -> Array:
     gain = device.gyro.forward_matrix
     to_physical = np.zeros((12, 12))
     to_physical[:9, :9] = np.kron(np.eye(3), gain.T)  # E = dM K
@@ -53,7 +53,7 @@ def bound(device: SimulatedDevice, information: Array) -> Array:
     return carried(lambda x: x, np.zeros(12), 1.0, np.linalg.inv(to_physical.T @ information @ to_physical))
 
 
-def error_of(model: TriadModel, device: SimulatedDevice) -> Array:
+def error_of(model: TriadModel, device: DeviceModel) -> Array:
     wrong = model.matrix - np.linalg.inv(device.gyro.forward_matrix)
     return np.concatenate((wrong.ravel(), model.offset - device.gyro.raw_offset))
 
@@ -72,7 +72,9 @@ def test_poses_give_back_the_device_without_noise(weights: Weights) -> None:
 def test_error_of_a_thousand_devices_reaches_the_bound_and_its_intervals_hold() -> None:
     rng = np.random.default_rng(2)
     tally = Tally.of("reference, noise weights")
-    information = physical_information(MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.random_walk[0]))
+    information = physical_information(
+        MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.white_noise.random_walk[0])
+    )
     for _ in range(DEVICES):
         device = white_device(rng)
         model = fitted(device, rng, "noise", OPTICS)
@@ -83,7 +85,9 @@ def test_error_of_a_thousand_devices_reaches_the_bound_and_its_intervals_hold() 
 def test_long_windows_pay_for_their_patience_with_less_than_half_more_error_where_noise_is_white() -> None:
     rng = np.random.default_rng(3)
     tally = Tally.of("reference, windows")
-    information = physical_information(MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.random_walk[0]))
+    information = physical_information(
+        MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.white_noise.random_walk[0])
+    )
     for _ in range(100):
         device = white_device(rng)
         model = fitted(device, rng, "windows", OPTICS)

@@ -10,7 +10,7 @@ from recover.bound import DEVICES, RMSE_LIMIT, Array, Tally, carried, informatio
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceMode, SixFaceSettings, face_means, fit_six_face
 from undrift.calibration.model import TriadModel
 from undrift.session import FACES
-from undrift.sim import BenchSettings, SimulatedDevice, bench_motion, read
+from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
 from undrift.sim.motion.script import unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -19,20 +19,20 @@ UP = STANDARD_GRAVITY * np.array([unit_vector(face) for face in FACES])
 LEVEL = bench_motion("six_face", rng=np.random.default_rng(0), settings=BENCH)
 
 
-def poses_of(device: SimulatedDevice, rng: np.random.Generator, tilt: float = 0.0) -> FaceMeans:
+def poses_of(device: DeviceModel, rng: np.random.Generator, tilt: float = 0.0) -> FaceMeans:
     motion = bench_motion("six_face", rng=rng, settings=replace(BENCH, tilt_sd=tilt)) if tilt else LEVEL
-    return face_means((read(device, motion, rng=rng).record,), motion.stills)
+    return face_means((simulate_device(device, motion, rng=rng).record,), motion.stills)
 
 
 def fitted(poses: FaceMeans, mode: SixFaceMode) -> TriadModel:
     return fit_six_face(poses, gravity=STANDARD_GRAVITY, settings=SixFaceSettings(mode=mode)).model
 
 
-def truth(device: SimulatedDevice) -> Array:
+def truth(device: DeviceModel) -> Array:
     return np.concatenate((device.accel.forward_matrix.ravel(), device.accel.raw_offset))
 
 
-def bound(device: SimulatedDevice, tilt: float, free: int = 12) -> Array:
+def bound(device: DeviceModel, tilt: float, free: int = 12) -> Array:
     """Return the bound of matrix and offset: tilts are marginalised as noise across gravity, seen through K."""
     theta = truth(device)
     gain = device.accel.forward_matrix
@@ -41,7 +41,7 @@ def bound(device: SimulatedDevice, tilt: float, free: int = 12) -> Array:
         return UP @ x[:9].reshape(3, 3).T + np.append(x, np.zeros(12 - len(x)))[9:12]
 
     samples = np.array([300] + [299] * 5)
-    noise = np.diag((device.accel.sensitivity * device.accel.random_walk) ** 2 * BENCH.sample_rate_hz)
+    noise = np.diag(device.accel.raw_random_walk**2 * BENCH.sample_rate_hz)
     across = tilt**2 * (STANDARD_GRAVITY**2 * np.eye(3) - UP[:, :, None] * UP[:, None, :])
     covariance = noise / samples[:, None, None] + gain @ across @ gain.T
     design = jacobian(mean, theta[:free], 1.0)  # linear: any step is exact
@@ -64,7 +64,7 @@ def check_groups(tally: Tally) -> None:
         assert ratio <= RMSE_LIMIT, name
 
 
-def error_of(model: TriadModel, device: SimulatedDevice) -> Array:
+def error_of(model: TriadModel, device: DeviceModel) -> Array:
     return np.concatenate((model.matrix.ravel(), model.offset)) - inverse_model(truth(device))
 
 
@@ -73,7 +73,7 @@ def test_six_faces_give_back_the_device_without_noise(mode: SixFaceMode) -> None
     rng = np.random.default_rng(1)
     device = white_device(rng).without_noise()
     if mode == "paper":
-        device = replace(device, accel=replace(device.accel, offset=np.zeros(3)))
+        device = replace(device, accel=replace(device.accel, offset=None))
     model = fitted(poses_of(device, rng), mode)
     np.testing.assert_allclose(model.forward_matrix, device.accel.forward_matrix, atol=1e-9 * 418)  # rounding
     np.testing.assert_allclose(model.offset, device.accel.raw_offset, atol=1e-8)

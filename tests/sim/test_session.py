@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from undrift.sim import BenchSettings, demo_session, random_device, simulate_session, simulate_trial
+from undrift.sim import BenchSettings, cohort, demo_session, random_device, simulate_session, simulate_trial
+from undrift.sim.motion.subject import GROUP_SIZE
 
 
 def test_a_session_without_labels_keeps_its_readings() -> None:
@@ -30,6 +31,21 @@ def test_a_trial_holds_record_reference_and_truth_of_one_motion() -> None:
     assert len(trial.record) == len(trial.motion)
     assert trial.reference.valid.mean() > 0.95
     assert trial.record.gyro_unit == "count"
+
+
+def test_a_subject_performs_the_trial_its_own_way() -> None:
+    device = random_device(np.random.default_rng(1))
+    short, tall = sorted(cohort("testing", rng=np.random.default_rng(3)), key=lambda person: person.height)[
+        :: GROUP_SIZE - 1
+    ]
+    rises = []
+    for subject in (short, tall):
+        trial = simulate_trial("sit_to_stand", device, rng=np.random.default_rng(2), subject=subject)
+        position = trial.reference.position
+        assert position is not None
+        rises.append(float(np.nanmedian(position[-50:, 2])))
+    # 0.21 of 1.52 m and of 1.83 m; the cameras' noise of tenths of a millimetre is averaged
+    np.testing.assert_allclose(rises, [0.21 * 1.52, 0.21 * 1.83], atol=1e-3)
 
 
 def test_the_demo_is_a_three_minute_session_in_counts_with_a_thermometer() -> None:

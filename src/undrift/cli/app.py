@@ -16,12 +16,14 @@ from undrift import __version__
 from undrift.errors import RigError, UndriftError
 
 COMMANDS = {
-    "info": "What a recording, session, calibration or reference holds.",
+    "info": "What a recording, session, calibration, reference or device holds.",
     "calibrate": "Fit what a session allows, and say what was not observable.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Initial tilt and strapdown: orientation, inclination, sagittal pitch.",
     "validate": "Compare with an optical reference, in degrees.",
+    "twin": "Fit the device model to a real device, and see how far it carries.",
     "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
+    "simulate": "What a device would say to a motion: a preset or device.json, moved by poses or by a task.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
 

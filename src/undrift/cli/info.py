@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def info(
     file: Path, /, *, opening: Opening = Opening(), up: Literal["y", "z"] | None = None, json: Flag = False
 ) -> int:
-    """Say what a recording, session, calibration or reference holds: rates, units, spans, gaps, stills found.
+    """Say what a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
 
     Parameters
     ----------
@@ -39,6 +39,7 @@ def info(
         return 0
     found = describe(file, opening.columns(), settings=opening.settings(), up=up)
     stills, reason = _stills(file, found, opening)
+    effects = _effects(file) if found.kind == "device" else {}
     if json:
         write_json(
             {
@@ -55,11 +56,33 @@ def info(
                 "problems": found.problems,
                 "summary": found.summary,
                 "no_still_because": reason,
+                "effects": effects,
             }
         )
         return 0
     _show(found, stills, reason)
+    for part, names in effects.items():
+        _line(f"  {part}: {', '.join(names)}")
     return 0
+
+
+def _effects(file: Path) -> dict[str, list[str]]:
+    """Return what a device model holds: the effects of each triad that are switched on, the thermometer, the source."""
+    from undrift.sim.device.chain import effects_of
+    from undrift.sim.device.store import read_device
+
+    device = read_device(file)
+    return {
+        "gyro": [*effects_of(device.gyro), f"reading in {device.gyro.unit}"],
+        "accel": [*effects_of(device.accel), f"reading in {device.accel.unit}"],
+        "source": [device.source_tag],
+    }
+
+
+def _line(text: str) -> None:
+    from undrift.cli.output import console
+
+    console().print(text, markup=False)
 
 
 def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[list[float]], str]:

@@ -82,6 +82,7 @@ def validate(
         Exit code.
     """
     from undrift.cli.output import waiting, write_json
+    from undrift.cli.pairs import read_pairs
     from undrift.validation import TrialSettings
 
     if not records:
@@ -96,7 +97,7 @@ def validate(
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up)
     with waiting("reading, aligning and integrating"):
-        pairs = _pairs(records, reference, labels, reference_up, opening)
+        pairs = read_pairs(records, reference, labels, reference_up, opening, command="validate")
         if calibration is None and calibrate_from is None:
             for (readings, _), path in zip(pairs, records, strict=True):
                 check_physical(readings, path)
@@ -149,49 +150,6 @@ def validation_json(result: "Validation") -> dict[str, object]:
         "median": asdict(result.median),
         "agreement": agreement,
     }
-
-
-def _pairs(
-    records: tuple[Path, ...],
-    reference: tuple[Path, ...],
-    labels: tuple[str, ...] | None,
-    up: Literal["y", "z"] | None,
-    opening: Opening,
-) -> list[tuple["Record", "Reference"]]:
-    from undrift.io.detect import detect
-
-    if not reference and all(detect(record) == "broad" for record in records):
-        reference = records
-    if len(reference) != len(records):
-        raise InputError(
-            f"validate: wanted one reference for each recording, got {len(reference)} for {len(records)}; "
-            "say --reference once for each, in the same order"
-        )
-    return [(opening.read(record), _poses(poses, labels, up)) for record, poses in zip(records, reference, strict=True)]
-
-
-def _poses(path: Path, labels: tuple[str, ...] | None, up: Literal["y", "z"] | None) -> "Reference":
-    """Read a reference; what a file of markers needs is asked for in the words of the command line."""
-    from undrift.io.detect import detect
-    from undrift.io.markers import pose_from_cluster
-    from undrift.io.reference import read_markers, read_reference
-
-    if detect(path) not in ("trc", "c3d"):
-        return read_reference(path)
-    try:
-        markers = read_markers(path, up=up)
-    except InputError as error:
-        if up is not None or "points up" not in str(error):
-            raise
-        raise InputError(
-            f"{path}: wanted the axis that points up, got none; say --reference-up y or --reference-up z"
-        ) from error
-    if labels is None:
-        raise InputError(
-            f"{path}: wanted the labels of one rigid cluster, got none; say --markers with three or more, commas between, of "
-            f"{', '.join(markers.labels)}"
-        )
-    return pose_from_cluster(markers, labels)
 
 
 def _check_scale(trial: "Trial") -> None:

@@ -38,7 +38,7 @@ class Description:
     path : str
         The file or folder.
     kind : str
-        recording, reference, markers, session, calibration, table (needs a map), settings, text or binary.
+        recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary.
     format : str
         csv, parquet, npz, mat, broad, trc, c3d, apdm, ...
     summary : str
@@ -321,6 +321,11 @@ def _settings(path: Path, kind: Format) -> Description:
             kind="calibration",
             format=kind,
             summary=f"calibration of {held.get('device', 'an unnamed device')}, format {held.get('format')}",
+        )
+    if isinstance(held, dict) and held.get("kind") == "undrift.device":
+        named = " ".join(str(held[key]) for key in ("name", "serial") if held.get(key)) or "without a name"
+        return Description(
+            path=str(path), kind="device", format=kind, summary=f"device model {named}, format {held.get('format')}"
         )
     names = (
         ", ".join(list(held)[:8])

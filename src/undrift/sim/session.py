@@ -8,13 +8,15 @@ from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration
 from undrift.record import Record, Reference
 from undrift.session import Session
-from undrift.sim.device.device import SimulatedDevice, SimulatedThermometer
+from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.random import grade_named, random_device
-from undrift.sim.device.read import read
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.thermometer import LM335_V_PER_K, Thermometer
 from undrift.sim.device.truth import nominal_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.library import TaskName, draw_task
 from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.subject import Subject
 from undrift.sim.optics import OpticsSettings, see
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -44,7 +46,7 @@ class Demo:
 
     Parameters
     ----------
-    device : SimulatedDevice
+    device : DeviceModel
         The truth.
     nominal : Calibration
         What the data sheet alone says.
@@ -54,7 +56,7 @@ class Demo:
         A sit-to-stand with its reference.
     """
 
-    device: SimulatedDevice
+    device: DeviceModel
     nominal: Calibration
     session: Session
     trial: SimulatedTrial
@@ -62,7 +64,7 @@ class Demo:
 
 def simulate_session(
     kind: BenchKind,
-    device: SimulatedDevice,
+    device: DeviceModel,
     *,
     rng: np.random.Generator,
     settings: BenchSettings | None = None,
@@ -75,7 +77,7 @@ def simulate_session(
     ----------
     kind : str
         six_face, rate_table, bench, ferraris or multi_position.
-    device : SimulatedDevice
+    device : DeviceModel
         The sensors.
     rng : Generator
         Draws motion and noise.
@@ -93,7 +95,7 @@ def simulate_session(
         One recording.
     """
     motion = bench_motion(kind, rng=rng, settings=settings)
-    reading = read(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion)))
+    reading = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion)))
     return Session(
         kind="calibration",
         serial=device.serial,
@@ -106,21 +108,22 @@ def simulate_session(
 
 def simulate_trial(
     task: TaskName,
-    device: SimulatedDevice,
+    device: DeviceModel,
     *,
     rng: np.random.Generator,
     sample_rate_hz: float = 100.0,
     gravity_m_s2: float = STANDARD_GRAVITY,
     optics: OpticsSettings | None = None,
     temp_c: float | tuple[float, float] | None = None,
+    subject: Subject | None = None,
 ) -> SimulatedTrial:
     """Return a test trial of a simulated device with its optical reference.
 
     Parameters
     ----------
     task : str
-        sit_to_stand, posturography or free.
-    device : SimulatedDevice
+        sit_to_stand, posturography, free or step.
+    device : DeviceModel
         The sensors.
     rng : Generator
         Draws performance, noise and optics.
@@ -132,16 +135,18 @@ def simulate_trial(
         What the cameras do.
     temp_c : float or (float, float), optional
         Board temperature, degC, as in ``simulate_session``.
+    subject : Subject, optional
+        Who performs it, one of a ``cohort``; somebody unknown where not given.
 
     Returns
     -------
     SimulatedTrial
         Record, reference and truth.
     """
-    performed = draw_task(task, rng=rng)
+    performed = draw_task(task, rng=rng, subject=subject)
     time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
     motion = performed.at(time, gravity_m_s2)
-    record = read(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion))).record
+    record = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion))).record
     return SimulatedTrial(record=record, reference=see(performed, rng=rng, settings=optics), motion=motion)
 
 
@@ -160,7 +165,7 @@ def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
     Demo
         Consumer-grade device in counts with an LM335-like board thermometer, 100 Hz.
     """
-    lm335 = SimulatedThermometer(offset_c=0.8, lag_s=20.0, noise_c=0.03, lsb_c=5.0 / 4096 / 0.01)  # 12 bit, 10 mV/K
+    lm335 = Thermometer(trim_error_c=0.8, lag_s=20.0, noise_c=0.03, step_c=5.0 / 4096 / LM335_V_PER_K)
     device = replace(random_device(rng, grade="consumer"), thermometer=lm335)
     rates = tuple(
         rate * RADIAN_PER_DEGREE for rate in ((45.0, 90.0) if quick else (15.0, 30.0, 45.0, 60.0, 75.0, 90.0))

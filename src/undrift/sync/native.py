@@ -33,7 +33,7 @@ def native_poses(reference: Reference) -> Reference:
     Returns
     -------
     Reference
-        Orientation at the frames, without position; the same object where no up-sampling is found.
+        Orientation, and position where there is one, at the frames; the same object where no up-sampling is found.
     """
     rates = pose_rates(reference)
     repeats, share = _repeats(rates)
@@ -46,12 +46,12 @@ def native_poses(reference: Reference) -> Reference:
     first = np.ceil(frequency * reference.time[0] - phase)
     last = np.floor(frequency * reference.time[-1] - phase)
     frames: FloatArray = (np.arange(first, last + 1.0) + phase) / frequency
-    q = _poses_at(reference, rates, frames, 1.0 / frequency)
+    q, position = _poses_at(reference, rates, frames, 1.0 / frequency)
     moving = None
     if reference.moving is not None:
         nearest = np.clip(np.searchsorted(reference.time, frames), 0, len(reference) - 1)
         moving = reference.moving[nearest]
-    return Reference(time=frames, q_nb=q, moving=moving, name=reference.name)
+    return Reference(time=frames, q_nb=q, position=position, moving=moving, name=reference.name)
 
 
 def _repeats(rates: PoseRates) -> tuple[BoolArray, float]:
@@ -84,19 +84,28 @@ def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
     return frequency, float(phase % 1.0), float(abs(total))
 
 
-def _poses_at(reference: Reference, rates: PoseRates, frames: FloatArray, interval: float) -> FloatArray:
+def _poses_at(
+    reference: Reference, rates: PoseRates, frames: FloatArray, interval: float
+) -> tuple[FloatArray, FloatArray | None]:
     after = np.searchsorted(reference.time, frames)
-    from_left = _drawn_to(reference, rates, frames, after - 2, (frames - interval, frames))
-    from_right = _drawn_to(reference, rates, frames, after, (frames, frames + interval))
-    return np.where(np.isfinite(from_left), from_left, from_right)
+    left = _drawn_to(reference, rates, frames, after - 2, (frames - interval, frames))
+    right = _drawn_to(reference, rates, frames, after, (frames, frames + interval))
+    q = np.where(np.isfinite(left[0]), left[0], right[0])
+    if left[1] is None or right[1] is None:
+        return q, None
+    return q, np.where(np.isfinite(left[1]), left[1], right[1])
 
 
 def _drawn_to(
     reference: Reference, rates: PoseRates, frames: FloatArray, pair: IntArray, span: tuple[FloatArray, FloatArray]
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray | None]:
     # The line through samples pair, pair + 1, drawn to the frame; NaN unless both lie within the span between two frames.
     k = np.clip(pair, 0, len(rates.rate) - 1)
     inside = (pair == k) & rates.valid[k]
     inside &= (rates.start[k] >= span[0] - _NEAR_FRAME) & (rates.stop[k] <= span[1] + _NEAR_FRAME)
-    turn = rates.rate[k] * (frames - rates.start[k])[:, None]
-    return np.where(inside[:, None], quaternion_product(reference.q_nb[k], quaternion_of(turn)), np.nan)
+    ahead = (frames - rates.start[k])[:, None]
+    q = np.where(inside[:, None], quaternion_product(reference.q_nb[k], quaternion_of(rates.rate[k] * ahead)), np.nan)
+    if reference.position is None:
+        return q, None
+    velocity = (reference.position[k + 1] - reference.position[k]) / (rates.stop[k] - rates.start[k])[:, None]
+    return q, np.where(inside[:, None], reference.position[k] + velocity * ahead, np.nan)

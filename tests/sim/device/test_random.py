@@ -21,12 +21,14 @@ def test_units_spread_as_the_grade_says(name: str) -> None:
     grade = grade_named(name).gyro  # type: ignore[arg-type]
     rng = np.random.default_rng(6)
     units = [random_device(rng, grade=name).gyro for _ in range(400)]  # type: ignore[arg-type]
-    offsets = np.concatenate([unit.offset for unit in units])
-    gains = np.concatenate([unit.sensitivity for unit in units]) / grade.sensitivity - 1.0
+    offsets = np.concatenate([unit.offset.constant for unit in units])  # type: ignore[union-attr]
+    gains = np.concatenate([unit.scale.error for unit in units])
     error = 4.0 / np.sqrt(2.0 * 1200)  # four standard errors of a standard deviation
     assert np.std(offsets) == pytest.approx(grade.offset_sd, rel=error)
     assert np.std(gains) == pytest.approx(grade.sensitivity_sd, rel=error)
-    leans = np.concatenate([(unit.axes / np.diag(unit.axes)[:, None])[~np.eye(3, dtype=bool)] for unit in units])
+    leans = np.concatenate(
+        [(unit.scale.axes / np.diag(unit.scale.axes)[:, None])[~np.eye(3, dtype=bool)] for unit in units]
+    )
     assert np.std(leans) == pytest.approx(grade.misalignment_sd, rel=4.0 / np.sqrt(2.0 * 2400))
 
 
@@ -34,9 +36,9 @@ def test_a_wider_tolerance_of_one_property_leaves_the_others_as_they_were() -> N
     grade = grade_named("consumer")
     wide = replace(grade, gyro=replace(grade.gyro, misalignment_sd=0.1))
     one, two = (random_device(np.random.default_rng(7), grade=g) for g in (grade, wide))
-    np.testing.assert_array_equal(one.gyro.offset, two.gyro.offset)
-    np.testing.assert_array_equal(one.accel.axes, two.accel.axes)
-    assert not np.array_equal(one.gyro.axes, two.gyro.axes)
+    np.testing.assert_array_equal(one.gyro.raw_offset, two.gyro.raw_offset)
+    np.testing.assert_array_equal(one.accel.scale.axes, two.accel.scale.axes)
+    assert not np.array_equal(one.gyro.scale.axes, two.gyro.scale.axes)
 
 
 def test_a_grade_that_is_not_one_is_refused() -> None:

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.orientation.strapdown import integrate_strapdown
 from undrift.sim import draw_task
+from undrift.sim.motion.course import Step, Sway, ViaPoint, Wave
+from undrift.sim.motion.task import Task
 
-TASKS = ("sit_to_stand", "posturography", "free")
+TASKS = ("sit_to_stand", "posturography", "free", "step")
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -37,6 +40,70 @@ def test_a_task_rests_at_both_ends_and_its_mean_rate_leads_back_to_the_pose(name
     assert sine.max() < 1e-12
 
 
+def joins(task: Task) -> np.ndarray:
+    """Instants at which the jerk of some part jumps."""
+    found = []
+    for part in (*task.roll, *task.pitch, *task.yaw, *task.forward, *task.left, *task.up):
+        start = part.start_s  # type: ignore[attr-defined]
+        match part:
+            case Step():
+                found += [start, start + part.duration_s]
+            case ViaPoint():
+                found += [start, start + part.there_s, start + part.there_s + part.back_s]
+            case Wave() | Sway():
+                found += [start, start + part.swell_s, part.stop_s - part.swell_s, part.stop_s]
+            case _:
+                found.append(start)
+    return np.array(found)
+
+
+FIRST = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0  # of sixth order
+SECOND = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
+
+
+def differences(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return sum(w * values[k : len(values) - 6 + k] for k, w in enumerate(weights))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_position_angles_rate_acceleration_and_force_agree_to_a_millionth(name: str) -> None:
+    task = draw_task(name, rng=np.random.default_rng(4))  # type: ignore[arg-type]
+    h = 5e-4  # s: sixth order errs by (h w)^6 / 560, 1e-11 at 15 Hz; rounding 1e-15 m / h^2 = 4e-9 m/s2
+    time = np.arange(5.5, min(task.duration_s, 12.0), h)
+    motion, middle = task.at(time, 9.81), slice(3, -3)
+    clear = (np.abs(time[middle, None] - joins(task)) > 4.0 * h).all(axis=1)
+    slope = differences(motion.q_nb, FIRST) / h
+    rate = 2.0 * quaternion_product(quaternion_conjugate(motion.q_nb[middle]), slope)[:, 1:]
+    push = differences(task.position(time), SECOND) / h**2
+    force = rotate(quaternion_conjugate(motion.q_nb[middle]), push + np.array([0.0, 0.0, 9.81]))
+    spin_up = differences(motion.rate_b, FIRST) / h
+    assert motion.angular_acceleration_b is not None
+    for label, numeric, exact in (
+        ("rate", rate, motion.rate_b),
+        ("angular acceleration", spin_up, motion.angular_acceleration_b),
+        ("force", force, motion.force_b),
+    ):
+        off = np.abs(numeric - exact[middle])[clear].max() / np.abs(exact).max()
+        show(f"{name}: {label}, numeric against exact, relative", off, 1e-6)
+        assert off < 1e-6
+    assert clear.mean() > 0.98
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_integrating_the_rate_gives_back_the_pose(name: str) -> None:
+    task = draw_task(name, rng=np.random.default_rng(5))  # type: ignore[arg-type]
+    motion = task.at(np.arange(0.0, task.duration_s, 0.002), 9.81)
+    middle = np.vstack(
+        (motion.rate_b[:1], 0.5 * (motion.rate_b[1:] + motion.rate_b[:-1]))
+    )  # the trapezium rule, which errs by the square of the step
+    q = integrate_strapdown(middle, motion.time, motion.q_nb[0])
+    off = 2.0 * np.degrees(
+        np.linalg.norm(quaternion_product(quaternion_conjugate(motion.q_nb), q)[:, 1:], axis=1).max()
+    )
+    show(f"{name}: pose from the integrated rate, deg", off, 0.01)
+    assert off < 0.01
+
+
 def test_peak_rates_stay_within_what_the_note_calibrates_for() -> None:
     rng = np.random.default_rng(3)
     sitting = [np.abs(_rates("sit_to_stand", rng)).max() for _ in range(30)]
@@ -51,5 +118,5 @@ def _rates(name: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_a_task_that_is_not_one_is_refused() -> None:
-    with pytest.raises(InputError, match="wanted one of sit_to_stand, posturography, free, got 'dance'"):
+    with pytest.raises(InputError, match="wanted one of sit_to_stand, posturography, free, step, got 'dance'"):
         draw_task("dance", rng=np.random.default_rng(0))  # type: ignore[arg-type]

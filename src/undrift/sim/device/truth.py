@@ -3,22 +3,37 @@
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.model import MATRIX_NAMES, OFFSET_NAMES, Calibration, TriadModel
-from undrift.sim.device.device import SimulatedDevice, SimulatedTriad
-from undrift.sim.device.random import Grade, TriadGrade
+from undrift.calibration.model import (
+    MATRIX_NAMES,
+    OFFSET_NAMES,
+    AdcModel,
+    Calibration,
+    DriftTables,
+    DynamicDrift,
+    Rounding,
+    ScaleDrift,
+    StaticDrift,
+    TriadModel,
+)
+from undrift.sim.device.chain import SensorChain
+from undrift.sim.device.grade import Grade
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.nonlinearity import bent
+from undrift.sim.device.random import typical_device
 from undrift.units import STANDARD_GRAVITY
 
 
 def true_calibration(
-    device: SimulatedDevice, *, temp_c: float | None = None, gravity_m_s2: float = STANDARD_GRAVITY
+    device: DeviceModel, *, temp_c: float | None = None, gravity_m_s2: float = STANDARD_GRAVITY
 ) -> Calibration:
-    """Return the calibration that is exact at one temperature.
+    """Return the calibration that is exact for the linear part of a settled device at one temperature.
 
-    ``matrix = (diag(S) E)^-1``, ``offset = S (o + c (T - T0))``, g-sensitivity seen through the same matrix.
+    With k(T) the thermal scale, C the scale's matrix and S the gain: ``matrix = (S diag(1 + k) C)^-1``,
+    ``offset = null + S (1 + k) o(T)``, g-sensitivity seen through the same matrix.
 
     Parameters
     ----------
-    device : SimulatedDevice
+    device : DeviceModel
         The truth.
     temp_c : float, optional
         Temperature, degC; the reference temperature where not given.
@@ -38,6 +53,52 @@ def true_calibration(
         gravity_m_s2=gravity_m_s2,
         gyro=_model(device.gyro, warmth, "rad/s"),
         accel=_model(device.accel, warmth, "m/s2"),
+        adc=_adc(device),
+    )
+
+
+def true_tables(device: DeviceModel, temp_c: FloatArray, turn_rate: FloatArray) -> DriftTables:
+    """Return the tuning tables that are exact for a settled device, at their nodes.
+
+    The dynamic table is e over measured rate, found by turning each axis alone: what thermal scale, non-linearity and rate
+    drift leave after offset(T) and M(T).
+
+    Parameters
+    ----------
+    device : DeviceModel
+        The truth.
+    temp_c : array, shape (n,)
+        Nodes, degC, increasing.
+    turn_rate : array, shape (k,)
+        Nodes of the measured rate, rad/s, increasing.
+
+    Returns
+    -------
+    DriftTables
+        Static, scale and dynamic.
+    """
+    models = [
+        (_model(device.gyro, t, "rad/s"), _model(device.accel, t, "m/s2")) for t in temp_c - device.reference_temp_c
+    ]
+    reach = 1.2 * turn_rate[[0, -1]]
+    true = np.linspace(reach[0], reach[1], 20 * len(turn_rate))
+    error = np.empty((len(temp_c), len(turn_rate), 3))
+    for k, temp in enumerate(temp_c):
+        for axis in range(3):
+            measured = _measured(device.gyro, true, axis, float(temp) - device.reference_temp_c)
+            error[k, :, axis] = np.interp(turn_rate, measured, measured - true)
+    return DriftTables(
+        static=StaticDrift(
+            temp_c=temp_c,
+            gyro_offset=np.array([gyro.offset for gyro, _ in models]),
+            accel_offset=np.array([accel.offset for _, accel in models]),
+        ),
+        scale=ScaleDrift(
+            temp_c=temp_c,
+            gyro_matrix=np.array([gyro.matrix for gyro, _ in models]),
+            accel_matrix=np.array([accel.matrix for _, accel in models]),
+        ),
+        dynamic=DynamicDrift(temp_c=temp_c, turn_rate=turn_rate, error=error),
     )
 
 
@@ -56,17 +117,18 @@ def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY)
     Calibration
         Covariance zero.
     """
+    device = typical_device(grade)
 
-    def triad(sheet: TriadGrade, unit_out: str) -> TriadModel:
-        limit = sheet.full_scale / sheet.sensitivity
-        return _inverse(np.eye(3) / sheet.sensitivity, np.zeros(3), None, sheet.unit, unit_out, limit, "nominal")
+    def triad(chain: SensorChain, unit_out: str) -> TriadModel:
+        null = np.full(3, chain.null)
+        return _inverse(np.eye(3) / chain.gain, null, None, chain.unit, unit_out, chain.full_scale, "nominal")
 
     return Calibration(
         device="nominal",
         reference_temp_c=float("nan"),
         gravity_m_s2=gravity_m_s2,
-        gyro=triad(grade.gyro, "rad/s"),
-        accel=triad(grade.accel, "m/s2"),
+        gyro=triad(device.gyro, "rad/s"),
+        accel=triad(device.accel, "m/s2"),
     )
 
 
@@ -94,19 +156,48 @@ def largest_departure(estimate: TriadModel, truth: TriadModel) -> float:
     return float(apart.max())
 
 
-def _model(triad: SimulatedTriad, warmth: float, unit_out: str) -> TriadModel:
-    matrix = np.linalg.inv(triad.forward_matrix)
-    limit = triad.full_scale / float(np.max(triad.sensitivity))
-    feigned = matrix @ (triad.sensitivity[:, None] * triad.g_sensitivity)
+def _model(chain: SensorChain, warmth: float, unit_out: str) -> TriadModel:
+    factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
+    offset = chain.offset.at(warmth) if chain.offset else np.zeros(3)
+    matrix = np.linalg.inv(factor[:, None] * chain.forward_matrix)
+    feigned = matrix @ (chain.gain * factor[:, None] * chain.g_sensitivity.matrix) if chain.g_sensitivity else None
     return _inverse(
         matrix,
-        triad.sensitivity * (triad.offset + triad.offset_per_k * warmth),
-        feigned if triad.g_sensitivity.any() else None,
-        triad.unit,
+        chain.null + chain.gain * factor * offset,
+        feigned,
+        chain.unit,
         unit_out,
-        limit,
+        chain.full_scale / float(np.max(1.0 + chain.scale.error)),
         "truth",
     )
+
+
+def _measured(chain: SensorChain, true: FloatArray, axis: int, warmth: float) -> FloatArray:
+    """Return the rate that offset(T) and M(T) make of true rates about one axis, rad/s, shape (K,)."""
+    x: FloatArray = true[:, None] * chain.scale.matrix[:, axis]
+    x = bent(x, chain.nonlinearity) if chain.nonlinearity else x
+    offset = chain.offset.at(warmth) if chain.offset else np.zeros(3)
+    factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
+    x = (x + offset) * factor
+    if chain.rate_drift:
+        x = x + chain.rate_drift.error(x, np.full(len(x), warmth))
+    measured: FloatArray = (x - factor * offset) @ np.linalg.inv(factor[:, None] * chain.scale.matrix).T
+    return measured[:, axis]
+
+
+def _adc(device: DeviceModel) -> AdcModel | None:
+    """Return how codes were made; unsigned codes cut toward zero are cut down."""
+
+    def side(chain: SensorChain) -> tuple[FloatArray | None, Rounding]:
+        if chain.adc is None:
+            return None, "nearest"
+        cut_down = chain.adc.rounding == "toward_zero" and not chain.adc.signed
+        return np.full(3, 1.0 if chain.adc.codes else chain.adc.step), "floor" if cut_down else chain.adc.rounding
+
+    if device.gyro.adc is None and device.accel.adc is None:
+        return None
+    (gyro_lsb, gyro_rounding), (accel_lsb, accel_rounding) = side(device.gyro), side(device.accel)
+    return AdcModel(gyro_lsb=gyro_lsb, accel_lsb=accel_lsb, gyro_rounding=gyro_rounding, accel_rounding=accel_rounding)
 
 
 def _inverse(

@@ -5,10 +5,11 @@
     rate_b   angular rate of b against inertial space, seen in b (Earth rate in it only where a motion puts it there)
     force_b  specific force R_nb^T (p'' + g z), seen in b: at rest the axis that points up reads +g
 
-Both are closed-form values at the instant of the sample: nothing is differentiated numerically.
+Both are closed-form values at the instant of the sample: nothing is differentiated numerically. Where a motion was recorded
+and the cameras lost the body, it is unknown: NaN, and ``valid`` 0.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -42,6 +43,10 @@ class Motion:
         Where it turned in a way the bench knows.
     moving : array, shape (N,)
         1 where the device moved, else 0.
+    angular_acceleration_b : array, shape (N, 3), or None
+        Change of the angular rate, rad/s2; None where a motion does not tell.
+    valid : array, shape (N,)
+        1 where the motion is known, else 0; all 1 unless stated.
     """
 
     time: FloatArray
@@ -53,10 +58,16 @@ class Motion:
     stills: tuple[Still, ...] = ()
     turns: tuple[Turn, ...] = ()
     moving: FloatArray
+    angular_acceleration_b: FloatArray | None = None
+    valid: FloatArray = field(default_factory=lambda: np.ones(0))
 
     def __post_init__(self) -> None:
         n = len(self.time)
-        widths = {"time": None, "q_nb": 4, "rate_b": 3, "mean_rate_b": 3, "force_b": 3, "moving": None}
+        widths = {"time": None, "q_nb": 4, "rate_b": 3, "mean_rate_b": 3, "force_b": 3, "moving": None, "valid": None}
+        if len(self.valid) == 0:
+            object.__setattr__(self, "valid", np.ones(n))
+        if self.angular_acceleration_b is not None:
+            widths["angular_acceleration_b"] = 3
         for name, width in widths.items():
             shape = (n,) if width is None else (n, width)
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Motion.{name}"))

@@ -3,11 +3,12 @@
 In piece p the case turns about one axis u_b by theta(s), s = local time over duration, from the orientation q_p in which
 the piece began. Everything follows in closed form::
 
-    q_nb = q_p (x) exp(u theta)      w_b = u theta'      f_b = R_nb^T g z + w' x r + w x (w x r)
+    q_nb = q_p (x) exp(u theta)      w_b = u theta'      f_b = R_nb^T (c'' + g z) + w' x r + w x (w x r)
 
-with r the lever arm of the accelerometers from the turning axis. A still has theta = 0; a hand turn has the quintic
-A (10 s^3 - 15 s^4 + 6 s^5); the ramp of a rate table has a rate that rises by that quintic. A label leaves out its first
-sample, whose mean rate still belongs to the step before; the label of a hand turn takes in the sample that ends it.
+with r the lever arm of the accelerometers from the turning axis and c the path of a slide, along which nothing turns.
+A still has theta = 0; a hand turn has the quintic A (10 s^3 - 15 s^4 + 6 s^5); the ramp of a rate table has a rate that
+rises by that quintic. A label leaves out its first sample, whose mean rate still belongs to the step before; the label of
+a hand turn takes in the sample that ends it.
 """
 
 from dataclasses import dataclass
@@ -18,12 +19,15 @@ from numpy.polynomial import Polynomial
 from undrift.arrays import FloatArray
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.session import Axis, Face, Still, Turn
+from undrift.sim.motion.course import Course, course_at
 from undrift.sim.motion.motion import Motion, mean_rate
 
 REST = Polynomial([0.0])
 SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and second derivatives vanish at both ends
 RAMP = SMOOTH.integ()  # its derivative rises smoothly from 0 to 1; reaches 1/2
 UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # a hand that hesitates half way; 0 at both ends
+
+Path = tuple[Course, Course, Course]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +44,8 @@ class Piece:
         Unit vector.
     angle : Polynomial
         Angle over s in [0, 1), rad.
+    path : tuple of Course
+        Displacement along x, y, z of n over the time since its first instant, m.
     """
 
     start: int
@@ -47,6 +53,7 @@ class Piece:
     q: FloatArray
     axis_b: FloatArray
     angle: Polynomial
+    path: Path = ((), (), ())
 
 
 class Script:
@@ -139,6 +146,19 @@ class Script:
         self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=turn_rate))
         self._turn(ramp_s, unit, (Polynomial([0.0, 1.0]) - RAMP) * (turn_rate * ramp))
 
+    def slide(self, path: Path, duration_s: float) -> None:
+        """Move along a path without turning.
+
+        Parameters
+        ----------
+        path : tuple of Course
+            Displacement along x, y, z of n, m, over the time since the slide began; at rest at both ends.
+        duration_s : float
+            s.
+        """
+        start, stop = self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
+        self.pieces[-1] = Piece(start, stop, self.q, np.array([1.0, 0.0, 0.0]), REST, path)
+
     def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
         """Return what was written.
 
@@ -159,11 +179,15 @@ class Script:
         n = self.samples
         time = np.arange(n) / self.sample_rate_hz
         q, rate, rotation_acceleration, moving = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+        push_n = np.zeros((n, 3))
         for piece in self.pieces:
             cut = slice(piece.start, piece.stop)
             count = piece.stop - piece.start
             if piece.angle is REST:
                 q[cut] = piece.q
+                moving[cut] = float(any(piece.path))
+                since = np.arange(count) / self.sample_rate_hz
+                push_n[cut] = np.stack([course_at(course, since)[2] for course in piece.path], axis=1)
                 continue
             s, duration = np.arange(count) / count, count / self.sample_rate_hz
             q[cut] = quaternion_product(piece.q, turn_quaternion(piece.axis_b, piece.angle(s)))
@@ -179,7 +203,8 @@ class Script:
             q_nb=q,
             rate_b=rate + earth_b,
             mean_rate_b=mean_rate(time, q, rate[0]) + earth_b,
-            force_b=rotate(inverse, np.broadcast_to([0.0, 0.0, gravity_m_s2], (n, 3))) + swing,
+            angular_acceleration_b=rotation_acceleration - np.cross(rate, earth_b),
+            force_b=rotate(inverse, push_n + np.array([0.0, 0.0, gravity_m_s2])) + swing,
             gravity_m_s2=gravity_m_s2,
             stills=tuple(self.stills),
             turns=tuple(self.turns),

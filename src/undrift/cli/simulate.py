@@ -1,0 +1,197 @@
+"""``undrift simulate``: what a device would say to a motion, taken from poses or drawn as a task."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+
+from cyclopts import Parameter
+
+from undrift.errors import InputError
+from undrift.units import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from undrift.sim.device.model import DeviceModel
+    from undrift.sim.device.simulate import Simulated, Triad
+    from undrift.sim.motion.motion import Motion
+
+
+def simulate(
+    motion: str,
+    /,
+    *,
+    device: str,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    draw: Annotated[bool, Parameter(negative="")] = False,
+    sample_rate_hz: float = 100.0,
+    temp_c: float | None = None,
+    power_on_s: float = 0.0,
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    markers: str | None = None,
+    up: Literal["y", "z"] | None = None,
+    truth: Path | None = None,
+    save_device: Path | None = None,
+    seed: int = 0,
+    json: bool = False,
+) -> int:
+    """Simulate the readings of a device in a motion.
+
+    Parameters
+    ----------
+    motion : str
+        A file of poses or markers, or a task: sit_to_stand, step, posturography, free.
+    device : str
+        A preset (enc03j_3031, mpu6050, icm20948, bmi160, bmi270, bmi088, lsm6dso, xsens_mti1, shimmer3) or a device.json.
+    output : Path
+        Recording to write: .parquet, .csv or .csv.gz.
+    draw : bool
+        Draw a unit of the preset within its tolerances; the typical one otherwise.
+    sample_rate_hz : float
+        Samples per second.
+    temp_c : float or None
+        Temperature of the board, degC; the device's reference temperature where not given.
+    power_on_s : float
+        Time since power-on at the first sample, s.
+    gravity_m_s2 : float
+        Local gravity, m/s2.
+    markers : str or None
+        Labels of one rigid cluster, comma between, for TRC or C3D.
+    up : str or None
+        Laboratory axis that points up, for markers in TRC or C3D.
+    truth : Path or None
+        Write the true orientation at the samples there, as a reference: .parquet or .csv.
+    save_device : Path or None
+        Write the device there, as device.json.
+    seed : int
+        Of every random draw: the same seed gives the same file.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    import numpy as np
+
+    from undrift.cli.output import console, waiting, write_json
+    from undrift.io.recording import write_record
+    from undrift.io.reference import write_reference
+    from undrift.record import Reference
+    from undrift.sim.device.simulate import simulate_device
+    from undrift.sim.device.store import write_device
+
+    if not sample_rate_hz > 0.0:
+        raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
+    rng = np.random.default_rng(seed)
+    model = _device(device, draw, rng)
+    with waiting(f"simulating {motion}"):
+        moved = _motion(motion, sample_rate_hz, gravity_m_s2, _labels(markers), up, rng)
+        made = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s)
+    write_record(made.record, output)
+    if truth is not None:
+        write_reference(
+            Reference(time=moved.time, q_nb=moved.q_nb, moving=moved.moving, name=f"truth of {motion}"), truth
+        )
+    if save_device is not None:
+        write_device(model, save_device)
+    found = _figures(made, model)
+    if json:
+        write_json({"motion": motion, "output": str(output), **found})
+        return 0
+    out = console()
+    out.print(f"{motion} -> {output}: {len(made.record)} samples at {made.record.sample_rate_hz:.6g} Hz", markup=False)
+    _show(made, model)
+    return 0
+
+
+def _device(name: str, draw: bool, rng: "np.random.Generator") -> "DeviceModel":
+    from undrift.sim.device.presets import PRESETS, preset, random_device_of
+    from undrift.sim.device.store import read_device
+
+    if name not in PRESETS and not Path(name).exists():
+        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
+    if name in PRESETS:
+        return random_device_of(name, rng) if draw else preset(name)
+    if draw:
+        raise InputError(f"--draw: wanted a preset to draw a unit of, got {name}; leave it out for a device.json")
+    return read_device(Path(name))
+
+
+def _motion(
+    name: str,
+    sample_rate_hz: float,
+    gravity_m_s2: float,
+    markers: tuple[str, ...] | None,
+    up: Literal["y", "z"] | None,
+    rng: "np.random.Generator",
+) -> "Motion":
+    import numpy as np
+
+    from undrift.io.reference import read_reference
+    from undrift.sim.motion.library import TaskName, draw_task
+    from undrift.sim.motion.poses import motion_from_poses
+
+    for task in get_args(TaskName):
+        if name == task:
+            performed = draw_task(task, rng=rng)
+            time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
+            return performed.at(time, gravity_m_s2)
+    if not Path(name).exists():
+        raise InputError(
+            f"motion: wanted a file of poses or markers, or one of {', '.join(get_args(TaskName))}, got '{name}'; name one"
+        )
+    reference = read_reference(Path(name), labels=markers, up=up)
+    return motion_from_poses(reference, sample_rate_hz=sample_rate_hz, gravity_m_s2=gravity_m_s2)
+
+
+def _labels(markers: str | None) -> tuple[str, ...] | None:
+    return None if markers is None else tuple(label.strip() for label in markers.split(","))
+
+
+def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
+    """Return what JSON says: the device, saturation, and the size of each effect."""
+    import numpy as np
+
+    def side(triad: "Triad") -> dict[str, object]:
+        return {
+            "saturated_samples": int(triad.saturated.any(axis=1).sum()),
+            "contribution_rms": {
+                c.effect: np.sqrt(np.nanmean(np.square(c.value), axis=0)) for c in triad.contributions
+            },
+        }
+
+    return {
+        "device": {"name": model.name, "serial": model.serial, "source_tag": model.source_tag},
+        "samples": len(made.record),
+        "sample_rate_hz": made.record.sample_rate_hz,
+        "duration_s": made.record.duration_s,
+        "gaps": 0 if made.record.gyro is None else int(np.isnan(made.record.gyro[:, 0]).sum()),
+        "gyro_rad_s": side(made.gyro),
+        "accel_m_s2": side(made.accel),
+    }
+
+
+def _show(made: "Simulated", model: "DeviceModel") -> None:
+    """Show the size of each effect."""
+    import numpy as np
+
+    from undrift.cli.output import console, table
+    from undrift.units import RADIAN_PER_DEGREE
+
+    shown = table(f"{model.name} {model.serial}: what each effect adds (rms)", "effect", "x", "y", "z")
+    for unit, factor, triad in (("deg/s", RADIAN_PER_DEGREE, made.gyro), ("m/s2", 1.0, made.accel)):
+        for c in triad.contributions:
+            rms = np.sqrt(np.nanmean(np.square(c.value), axis=0)) / factor
+            shown.add_row(f"{c.effect.replace('_', ' ')}, {unit}", *(f"{value:.4g}" for value in rms))
+    out = console()
+    out.print(shown)
+    for name, triad in (("gyroscope", made.gyro), ("accelerometer", made.accel)):
+        held = int(triad.saturated.any(axis=1).sum())
+        if held:
+            out.print(f"  warning: {name} held to its range in {held} samples")
+    gaps = 0 if made.record.gyro is None else int(np.isnan(made.record.gyro[:, 0]).sum())
+    if gaps:
+        out.print(f"  warning: {gaps} samples are gaps, where the poses do not tell")
+    if made.record.accel is None:
+        out.print("  no accelerometer: these poses hold no positions")

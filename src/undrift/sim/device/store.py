@@ -1,0 +1,204 @@
+"""Device files: device.json, one object, kind "undrift.device", format 1.
+
+Every key is the field's name with its unit behind it, where the name does not say it: offset.constant_rad_s of a gyroscope,
+offset.constant_m_s2 of an accelerometer. null stands for an effect that is switched off; infinity, which JSON does not know, is
+"inf" or "-inf". Numbers read back to the last bit; a key that is missing or unknown is an error.
+"""
+
+import json
+import math
+import os
+import tempfile
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from undrift.errors import FileFormatError, InputError
+from undrift.sim.device.chain import SensorChain
+from undrift.sim.device.model import DeviceModel
+
+KIND = "undrift.device"
+FORMAT = 1
+
+
+def write_device(device: DeviceModel, path: Path | str) -> None:
+    """Write a device to a file, whole or not at all.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        The device.
+    path : path
+        device.json; an existing file is replaced.
+
+    Raises
+    ------
+    InputError
+        A folder that cannot be written to; no file is left behind.
+    """
+    path = Path(path)
+    text = json.dumps(device_json(device), indent=1, allow_nan=False) + "\n"
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as error:
+        raise InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another") from error
+    part = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        part.chmod(0o644)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(
+            f"{path}: wanted to write the file, got {error.strerror}; free the name or the disk"
+        ) from error
+
+
+def read_device(path: Path | str) -> DeviceModel:
+    """Read a device file.
+
+    Parameters
+    ----------
+    path : path
+        device.json.
+
+    Returns
+    -------
+    DeviceModel
+        As it was written, to the last bit.
+
+    Raises
+    ------
+    FileFormatError
+        No such file, not JSON, another kind or version, a key that is missing, unknown, or of another shape.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileFormatError(f"{path}: wanted a device file, got {error.strerror}; check the path") from error
+    except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
+        raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
+    try:
+        return device_from_json(content)
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def device_json(device: DeviceModel) -> dict[str, Any]:
+    """Return a device as plain values for JSON.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        The device.
+
+    Returns
+    -------
+    dict
+        With kind and format.
+    """
+    return {"kind": KIND, "format": FORMAT, **_plain(device, {})}
+
+
+def device_from_json(content: object) -> DeviceModel:
+    """Return the device of plain values.
+
+    Parameters
+    ----------
+    content : object
+        What ``device_json`` returned.
+
+    Returns
+    -------
+    DeviceModel
+        The device.
+
+    Raises
+    ------
+    InputError
+        Another kind or version, a key that is missing, unknown, or of another shape.
+    """
+    kind, version = (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
+    if not isinstance(content, dict) or kind != KIND:
+        raise InputError(f"device: wanted kind {KIND!r}, got {kind!r}; give a file that undrift wrote as a device")
+    if version != FORMAT or isinstance(version, bool):
+        raise InputError(f"device: wanted format {FORMAT}, got {version!r}; read it with the undrift that wrote it")
+    held = {key: value for key, value in content.items() if key not in ("kind", "format")}
+    return typing.cast(DeviceModel, _value(held, DeviceModel, {}, "device"))
+
+
+def _units(owner: str, unit_out: str) -> dict[str, str]:
+    """Return what {x} and {out} stand for in a chain."""
+    return {"x": "rad_s" if owner == "gyro" else "m_s2", "out": unit_out}
+
+
+def _key(field: Any, units: Mapping[str, str]) -> str:
+    unit = field.metadata.get("unit", "")
+    return str(field.name) + ("_" + unit.format_map(units) if unit else "")
+
+
+def _out_unit(chain: Mapping[str, Any]) -> str:
+    """Return the unit ahead of the converter: volts where an amplifier stands, else that of the reading."""
+    return "v" if chain["amplifier"] else str(chain["unit"]).replace("/", "_")
+
+
+def _plain(value: Any, units: Mapping[str, str]) -> dict[str, Any]:
+    if isinstance(value, SensorChain):
+        units = {**units, "out": _out_unit({"amplifier": value.amplifier, "unit": value.unit})}
+    made = {}
+    for f in fields(value):
+        held = getattr(value, f.name)
+        inner = _units(f.name, "") if f.name in ("gyro", "accel") else units
+        made[_key(f, units)] = _plain(held, inner) if is_dataclass(held) else _written(held)
+    return made
+
+
+def _written(held: Any) -> Any:
+    if isinstance(held, np.ndarray):
+        return held.tolist()
+    if isinstance(held, float) and math.isinf(held):
+        return "inf" if held > 0.0 else "-inf"
+    return held.item() if isinstance(held, np.generic) else held
+
+
+def _value(content: object, kind: type, units: Mapping[str, str], where: str) -> Any:
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: wanted an object, got {type(content).__name__}; repair the file")
+    if kind is SensorChain and {"amplifier", "unit"} <= content.keys():
+        units = {**units, "out": _out_unit(content)}
+    keys = {_key(f, units): f for f in fields(kind)}
+    for key in (*keys, *content):
+        if (key in keys) != (key in content):
+            had = "it missing" if key in keys else "an unknown key"
+            raise InputError(f"{where}.{key}: wanted the keys of format {FORMAT}, got {had}; repair the file")
+    hints = typing.get_type_hints(kind)
+    return kind(**{f.name: _read(content[key], f, hints[f.name], units, f"{where}.{key}") for key, f in keys.items()})
+
+
+def _read(held: object, field: Any, hint: Any, units: Mapping[str, str], where: str) -> Any:
+    allowed = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    if held is None and type(None) in allowed:
+        return None
+    inner = next((a for a in allowed if isinstance(a, type) and is_dataclass(a)), None)
+    if inner is not None:
+        return _value(held, inner, _units(field.name, "") if field.name in ("gyro", "accel") else units, where)
+    if field.metadata["shape"] is not None:
+        return held if isinstance(held, list) else _refuse(held, "an array", where)
+    if float in allowed:
+        if held in ("inf", "-inf"):
+            return float(str(held))
+        number = isinstance(held, int | float) and not isinstance(held, bool) and math.isfinite(held)
+        return float(typing.cast(float, held)) if number else _refuse(held, "a number", where)
+    wanted = next((a for a in (bool, int) if a in allowed), str)
+    return held if type(held) is wanted else _refuse(held, wanted.__name__, where)
+
+
+def _refuse(held: object, wanted: str, where: str) -> Any:
+    raise InputError(f"{where}: wanted {wanted}, got {held!r}; repair the file")

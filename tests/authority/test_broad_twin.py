@@ -1,0 +1,140 @@
+"""BROAD (Laidig et al., Data 2021): twins of three real devices, each judged on recordings that it has not seen.
+
+Limits on residuals, lever arm and delays: an earlier implementation's figures for the same trials. The aim for the largest
+pitch difference within 5 s is 0.15 deg, the figure of the technical note for a sit-to-stand; it is printed, and it is not
+reached. Differences at the end of a window (0.07-0.18 deg an axis) are those of an earlier prototype; the largest within one
+is 0.35-0.47 deg. Most of it no parameter of the model explains: a twin of the very recording has it too, slow and fast motion
+and three devices have it alike. Poses that err by about 0.1 deg an axis in motion would make it; that the gyroscopes hold an
+effect that the model lacks cannot be excluded from these recordings.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from authority.broad import DEVICES, trial
+from data import data_path, show
+from undrift.cli.app import run
+from undrift.sim.device.store import read_device
+from undrift.twin import Prepared, Twin, TwinSettings, compare_held_out, fit_prepared, prepare_twin
+from undrift.twin.contributions import contributions
+from undrift.twin.endings import end_errors
+
+SETTINGS = TwinSettings(gravity_m_s2=9.813)  # Berlin
+
+
+@cache
+def prepared(device: str) -> Prepared:
+    records, references = zip(*(trial(number) for number in DEVICES[device]), strict=True)
+    return prepare_twin(records, references, settings=SETTINGS, names=[f"{n:02d}" for n in DEVICES[device]])
+
+
+@cache
+def fitted(device: str) -> Twin:
+    return fit_prepared(prepared(device), settings=SETTINGS)
+
+
+def test_residuals_against_the_optics_stay_below_the_prototype():
+    # Second order forward and back, 6 dB down at the cut-off, as the prototype's figures come back trial by trial. A fourth-order
+    # low-pass leaves 2.86 deg/s (6 dB down) or 3.12 deg/s (3 dB down): the limit stands with the convention.
+    gyro = np.degrees(np.concatenate([fitted(d).gyro_residual_rms for d in DEVICES]))
+    signal = np.degrees(np.concatenate([fitted(d).gyro_signal_rms for d in DEVICES]))
+    accel = np.concatenate([fitted(d).accel.residual_rms for d in DEVICES])
+    felt = np.concatenate([fitted(d).accel.signal_rms for d in DEVICES])
+    show("gyro residual at 20 Hz, deg/s rms per axis", np.round(gyro, 2).tolist())
+    show("   of a signal of", np.round(signal, 1).tolist())
+    show("accel residual at 10 Hz, m/s2 rms per axis", np.round(accel, 3).tolist())
+    show("   of a signal, gravity taken off, of", np.round(felt, 2).tolist())
+    show("mean gyro residual, deg/s", f"{gyro.mean():.2f}", 2.8)
+    show("mean accel residual, m/s2", f"{accel.mean():.3f}", 0.17)
+    assert gyro.mean() <= 2.8
+    assert accel.mean() <= 0.17
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_delays_lever_arm_and_codes_are_those_of_the_data_set(device):
+    found = {p.name: p for p in fitted(device).parameters}
+    arm = np.array([found[f"lever_arm_{axis}"].value for axis in "xyz"])
+    gyro, accel = found["gyro_delay"], found["accel_delay"]
+    show(
+        f"{device}: delay of gyro / accel, ms", f"{1e3 * gyro.value:.2f} / {1e3 * accel.value:.2f}", "4.14 / about 2.4"
+    )
+    show(f"{device}: lever arm, mm", np.round(1e3 * arm, 2).tolist(), "about 9")
+    assert gyro.value == pytest.approx(4.14e-3, abs=5e-5)
+    assert accel.value == pytest.approx(2.4e-3, abs=5e-4)
+    assert 6e-3 < np.linalg.norm(arm) < 1.2e-2
+    assert found["gyro_rounding"].value == "toward_zero"
+    assert np.degrees(found["gyro_lsb"].value) == pytest.approx(0.061, abs=1e-4)
+    walk = np.degrees([found[f"gyro_angle_random_walk_{axis}"].value for axis in "xyz"])
+    show(f"{device}: angle random walk, deg/s/sqrt(Hz)", np.round(walk, 4).tolist(), "0.005-0.008")
+    assert 0.004 < walk.min() < walk.max() < 0.008  # 0.007-0.011 one-sided density over sqrt(2)
+    lost = [p.name for p in fitted(device).parameters if not p.identifiable]
+    show(f"{device}: not identifiable", ", ".join(lost))
+    assert {"gyro_bandwidth", "gyro_g_sensitivity_xx"} <= set(lost)
+
+
+def test_held_out_windows_differ_by_what_the_poses_are_worth():
+    medians, ends = [], []
+    for device in DEVICES:
+        for t in compare_held_out(prepared(device), rng=np.random.default_rng(0)):
+            three, tilt = (
+                " / ".join(f"{v:.2f}" for v in np.degrees(np.nanquantile(x, (0.5, 0.95, 1.0))))
+                for x in (t.errors.pitch, t.errors.tilt)
+            )
+            at_end = np.degrees(np.median(t.errors.end, axis=0))
+            print(
+                f"  {t.recording}: {len(t.errors.pitch)} windows of {t.window_s:g} s: pitch {three}, tilt {tilt} (median / 95 % / "
+                f"max); at the end, median per axis {np.round(at_end, 3).tolist()} deg"
+            )
+            if t.window_s == 5.0:
+                medians.append(np.degrees(np.nanmedian(t.errors.pitch)))
+                ends.append(at_end)
+    show(
+        "5 s windows, largest pitch difference, median over trials, deg", f"{np.median(medians):.2f}", "0.45; aim 0.15"
+    )
+    show(
+        "5 s windows, difference at the end, median per axis, deg", np.round(np.median(ends, axis=0), 3).tolist(), 0.15
+    )
+    assert (
+        np.median(medians) < 0.45
+    )  # what is found, with a little room: it guards against getting worse, the aim is 0.15
+    assert max(medians) < 0.55
+    assert np.median(ends, axis=0).max() < 0.15
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_most_of_the_difference_is_there_with_a_twin_of_the_very_recording_too(device):
+    parts = {p.name: np.degrees(p.pitch) for p in contributions(prepared(device), 0, rng=np.random.default_rng(1))}
+    for name, pitch in parts.items():
+        show(f"{device}, trial {prepared(device).matches[0].name}, {name}", f"{pitch:.3f} deg")
+    assert parts["white noise"] < 0.05
+    assert parts["ADC steps"] < 0.02
+    # A twin of the very recording does little better: what is left is not the twin's.
+    assert parts["found with a twin of this recording"] > 0.5 * parts["found"]
+
+
+def test_simulated_end_errors_cover_the_real_ones():
+    covered = total = 0
+    for device in DEVICES:
+        for e in end_errors(prepared(device), rng=np.random.default_rng(2), draws=40):
+            real, interval = np.degrees(e.real), np.degrees(e.interval)
+            row = "(a)" if e.row == "raw" else "(b)"
+            total_in, inclination_in = np.round(interval, 1).tolist()
+            print(
+                f"  {e.recording} {row}: total {real[0]:.1f} in {total_in}, inclination {real[1]:.1f} in {inclination_in} "
+                f"{e.covered}"
+            )
+            covered += sum(e.covered)
+            total += 2
+    show("real end errors within 95 % of 40 simulated devices", f"{covered} of {total}", 28)
+    assert covered >= 28  # 95 % of 32 is 30.4; fewer than 28 is below 1 in 25 even with figures of a trial akin
+
+
+def test_the_command_writes_a_device_that_can_be_read(tmp_path, capsys):
+    path = str(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
+    assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json"]) == 0
+    assert '"max_abs_pitch_difference_deg"' not in capsys.readouterr().out  # one recording: nothing held out
+    device = read_device(tmp_path / "device.json")
+    assert device.source_tag == "fitted"
+    assert device.gyro.adc is not None

@@ -1,0 +1,145 @@
+"""People rising, squatting and climbing, marker files as published: lean, rates and ways as measured on the same files.
+
+Sit-to-stand and squat: 100 Hz OpenSim TRC files of a laboratory set (repository nimblephysics, 2025-09-14); stairs: TRC files of
+the same repository; squat.c3d: a 120 Hz full-body capture of the same repository. Figures to reproduce stand in the data's own
+description: C7 rises 0.468 m, trunk lean 0-43 deg, peak trunk pitch rate 136 deg/s; stairs 1.47 m forward and 0.67 m up.
+"""
+
+import numpy as np
+import pytest
+
+from data import data_path, show
+from undrift.frames import rotate
+from undrift.io.bodies import Body, device_on, find_body
+from undrift.io.c3d import read_c3d
+from undrift.io.markers import Markers
+from undrift.io.trc import read_trc
+from undrift.sim.device.presets import preset
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.poses import PoseSettings, motion_from_poses
+
+FILES = {
+    "STS1": ("mocap_sit_to_stand", "STS1.trc.gz"),
+    "STSAsym1": ("mocap_sit_to_stand", "STSAsym1.trc.gz"),
+    "squats1": ("mocap_sit_to_stand", "squats1.trc.gz"),
+    "StairUp3": ("mocap_stair_up", "markers_StairUp3.trc.gz"),
+    "Squat2": ("mocap_stair_up", "markers_Squat2.trc.gz"),
+    "squat.c3d": ("c3d", "squat.c3d.gz"),
+}
+MOST_LEAN_DEG = {"squat.c3d": 115.0}  # it bows until the head is below the belt, before and after the squat
+SETTINGS = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
+G = 9.81
+
+
+def read(trial: str) -> Markers:
+    path = data_path(*FILES[trial])
+    return read_c3d(path, up="y") if trial.endswith("c3d") else read_trc(path, up="y")
+
+
+def lean_deg(body: Body):
+    return np.degrees(np.arccos(rotate(body.reference.q_nb, np.array([0.0, 0.0, 1.0]))[:, 2]))
+
+
+def test_the_trunk_of_a_sit_to_stand_leans_43_deg_and_pitches_at_136_deg_per_s():
+    markers = read("STS1")
+    trunk = find_body(markers, "trunk")
+    c7 = markers.pick(["C7"])[:, 0]
+    motion = motion_from_poses(trunk.reference, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    lean = lean_deg(trunk)
+    rate = np.degrees(np.abs(motion.rate_b).max(axis=0))
+    show("C7 rises, m", f"{np.ptp(c7[:, 2]):.3f}", "0.468")
+    show("trunk lean, deg", f"{lean.min():.1f} to {lean.max():.1f}", "0 to 43")
+    show("peak trunk rate roll, pitch, yaw, deg/s (10 Hz)", np.round(rate, 1).tolist(), "pitch 136")
+    assert np.ptp(c7[:, 2]) == pytest.approx(0.468, abs=0.001)
+    assert lean.min() < 0.5
+    assert lean.max() == pytest.approx(43.0, abs=0.5)  # printed to a degree
+    assert rate[1] == pytest.approx(136.0, abs=1.5)  # theirs from differences of a smoothed angle
+    assert rate[1] > 3.0 * max(rate[0], rate[2])  # rising is pitch
+
+
+def test_the_stairs_lead_1_47_m_forward_and_0_67_m_up():
+    markers = read("StairUp3")
+    for name in ("C7", "T10", "CLAV"):
+        way = np.ptp(markers.pick([name])[:, 0], axis=0)
+        show(f"{name}: forward, sway, up, m", np.round(way, 3).tolist(), "1.47, 0.12-0.19, 0.67")
+        assert way[0] == pytest.approx(1.46, abs=0.015)
+        assert 0.12 <= way[1] <= 0.19
+        assert way[2] == pytest.approx(0.67, abs=0.005)
+    device = device_on(find_body(markers, "pelvis"))
+    motion = motion_from_poses(device, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    show("device at L5 forward, left, up, m", np.round(np.ptp(device.position, axis=0), 2).tolist())
+    assert (motion.valid == 1.0).all()
+
+
+@pytest.mark.parametrize("trial", FILES)
+def test_every_trial_becomes_the_motion_of_a_device_at_l5(trial):
+    markers = read(trial)
+    pelvis, trunk = find_body(markers, "pelvis"), find_body(markers, "trunk")
+    device = device_on(pelvis)
+    motion = motion_from_poses(device, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    known = motion.valid > 0.0
+    rate, force = np.degrees(np.abs(motion.rate_b[known]).max(axis=0)), np.linalg.norm(motion.force_b[known], axis=1)
+    lean = lean_deg(trunk)
+    show(
+        f"{trial}: pelvis rigid within, mm; known, %",
+        f"{1e3 * pelvis.residual:.1f}; {100.0 * known.mean():.1f}",
+        "5; 95",
+    )
+    show("   trunk lean, deg", f"{np.nanmin(lean):.1f} to {np.nanmax(lean):.1f}", MOST_LEAN_DEG.get(trial, 60.0))
+    show("   peak rate at L5, deg/s; specific force, m/s2", f"{np.round(rate)}; {force.min():.1f} to {force.max():.1f}")
+    assert known.mean() > 0.95
+    assert pelvis.residual < 5e-3  # skin
+    assert np.nanmax(lean) < MOST_LEAN_DEG.get(trial, 60.0)
+    assert rate.max() < 300.0  # a person, not a throw
+    # The mean of a start and end at rest is gravity: what the body's way adds cancels but for its final speed.
+    start_to_end = rotate(motion.q_nb[known], motion.force_b[known]).mean(axis=0)
+    assert start_to_end[2] == pytest.approx(G, abs=0.35)
+    assert np.abs(start_to_end[:2]).max() < 0.35
+
+
+@pytest.mark.parametrize("trial", FILES)
+def test_every_trial_runs_through_the_device_of_the_note(trial):
+    body = find_body(read(trial), "trunk")
+    motion = motion_from_poses(body.reference, gravity_m_s2=G, sample_rate_hz=1000.0, settings=SETTINGS)
+    model = preset("enc03j_3031")
+    said = simulate_device(model, motion, rng=np.random.default_rng(7))
+    # In the input's unit, and the scale of this device (10 % off) taken out: what is left is delay, offset, noise and drift.
+    read_back = said.gyro.true + sum(part.value for part in said.gyro.contributions)
+    true, pitch = said.gyro.true[:, 1], np.linalg.solve(model.gyro.scale.matrix, read_back.T)[1]
+    stop = len(true) - 60
+    lag = int(np.argmax([true[:stop] @ pitch[k : stop + k] for k in range(60)]))
+    design = np.column_stack((true[:stop], np.ones(stop)))
+    gain, offset = np.linalg.lstsq(design, pitch[lag : stop + lag])[0]
+    left = np.degrees(np.std(pitch[lag : stop + lag] - design @ [gain, offset]))
+    peaks = np.degrees(np.abs(true).max()), np.degrees(np.abs(pitch - offset).max())
+    show(f"{trial}: peak trunk pitch rate true, read, deg/s", f"{peaks[0]:.1f}, {peaks[1]:.1f}", "within 1 deg/s")
+    show("   gain; delay, ms; left, deg/s rms", f"{gain:.3f}; {lag}; {left:.2f}", "1 +- 0.01; 17 to 23; 1")
+    assert not said.gyro.saturated.any()
+    assert not said.accel.saturated.any()
+    assert peaks[1] == pytest.approx(peaks[0], abs=1.0)
+    assert gain == pytest.approx(1.0, abs=0.01)
+    assert 17 <= lag <= 23  # second order at 11.1 Hz: sqrt(2) / (2 pi f_c) = 20.3 ms
+    assert left < 1.0
+
+
+def test_a_lost_marker_is_a_gap_and_not_a_jump():
+    markers = read("STSAsym1")
+    lost = np.flatnonzero(np.isnan(markers.pick(["C7"])[:, 0, 0]))
+    trunk = find_body(markers, "trunk")
+    assert np.flatnonzero(~trunk.reference.valid).tolist() == lost.tolist()
+    motion = motion_from_poses(trunk.reference, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    rate = np.degrees(np.abs(motion.rate_b[:, 1]).max())
+    show("STSAsym1: frames without C7; peak trunk pitch rate, deg/s", f"{len(lost)}; {rate:.0f}")
+    assert (motion.valid == 1.0).all()  # three frames are bridged
+    assert rate < 200.0
+
+
+def test_markers_lost_for_long_mask_the_body():
+    markers = read("squat.c3d")
+    thorax = find_body(markers, "thorax")
+    motion = motion_from_poses(thorax.reference, gravity_m_s2=G, sample_rate_hz=120.0, settings=SETTINGS)
+    show(
+        "squat.c3d: thorax seen, %; known after trimming, %",
+        np.round([100 * thorax.reference.valid.mean(), 100 * motion.valid.mean()], 1).tolist(),
+    )
+    assert motion.valid.mean() < thorax.reference.valid.mean() < 0.85

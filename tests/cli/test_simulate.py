@@ -1,0 +1,72 @@
+"""``undrift simulate`` and ``undrift info device.json``: files out, figures said, calls refused in one line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from undrift.cli.app import run
+from undrift.io.recording import read_record
+from undrift.io.reference import read_reference, write_reference
+from undrift.sim import draw_task, see
+
+
+def test_a_task_and_a_preset_make_a_recording_with_its_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, truth, device = tmp_path / "r.parquet", tmp_path / "t.csv", tmp_path / "d.json"
+    words = ["simulate", "sit_to_stand", "--device", "enc03j_3031", "--draw", "-o", str(out), "--seed", "3", "--json"]
+    assert run([*words, "--truth", str(truth), "--save-device", str(device)]) == 0
+    said = json.loads(capsys.readouterr().out)
+    record = read_record(out)
+    assert said["samples"] == len(record)
+    assert said["device"]["name"] == "enc03j_3031"
+    assert record.gyro_unit == "count"
+    assert len(read_reference(truth)) == len(record)
+    assert said["gyro_rad_s"]["contribution_rms"]["offset"][0] > 0.0
+    again = tmp_path / "again.parquet"
+    assert run(["simulate", "sit_to_stand", "--device", "enc03j_3031", "--draw", "-o", str(again), "--seed", "3"]) == 0
+    np.testing.assert_array_equal(read_record(again).gyro, record.gyro)  # type: ignore[arg-type]
+    assert "what each effect adds" in capsys.readouterr().out
+
+    assert run(["info", str(device), "--json"]) == 0
+    described = json.loads(capsys.readouterr().out)
+    assert described["kind"] == "device"
+    assert {"scale", "low_pass", "warm_up", "adc"} <= set(described["effects"]["gyro"])
+    assert run(["info", str(device)]) == 0
+    assert "low_pass" in capsys.readouterr().out
+
+
+def test_poses_move_the_device_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    poses, device, out = tmp_path / "poses.parquet", tmp_path / "d.json", tmp_path / "r.parquet"
+    write_reference(see(draw_task("sit_to_stand", rng=np.random.default_rng(1)), rng=np.random.default_rng(2)), poses)
+    first = ["simulate", "free", "--device", "bmi160", "-o", str(tmp_path / "x.csv"), "--save-device", str(device)]
+    assert run(first) == 0
+    assert run(["simulate", str(poses), "--device", str(device), "-o", str(out), "--temp-c", "30"]) == 0
+    record = read_record(out)
+    assert len(record) > 1000
+    gaps = int(np.isnan(record.gyro[:, 0]).sum())  # type: ignore[index]
+    assert gaps > 0  # the cameras lost the body for 0.2 s, twice
+    assert f"{gaps} samples are gaps" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["swim", "--device", "bmi160"], "wanted a file of poses or markers, or one of sit_to_stand"),
+        (["free", "--device", "gold"], "wanted a device.json or one of enc03j_3031"),
+        (["free", "--device", "DEVICE", "--draw"], "--draw: wanted a preset to draw a unit of"),
+        (["free", "--device", "bmi160", "--sample-rate-hz", "0"], "sample rate: wanted more than 0 Hz, got 0"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_in_one_line(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "d.json").write_text("{}")
+    words = [str(tmp_path / "d.json") if word == "DEVICE" else word for word in words]
+    assert run(["simulate", *words, "-o", str(tmp_path / "r.csv")]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "r.csv").exists()

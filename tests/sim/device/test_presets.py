@@ -1,0 +1,87 @@
+"""Presets: units within the tolerances of their sheets, and tables that are true."""
+
+import numpy as np
+import pytest
+
+from devices import motion_of
+from undrift.correct import correct
+from undrift.errors import InputError
+from undrift.sim import simulate_device, true_calibration
+from undrift.sim.device.presets import LIMIT_SD, PRESETS, preset, preset_grade, random_device_of
+from undrift.sim.device.truth import nominal_calibration, true_tables
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+DPS = RADIAN_PER_DEGREE
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_unit_lies_within_the_tolerance_and_a_typical_one_at_half_of_it(name: str) -> None:
+    grade, rng = preset_grade(name), np.random.default_rng(1)
+    units = [random_device_of(name, rng) for _ in range(50)]
+    for side in ("gyro", "accel"):
+        sheet = getattr(grade, side)
+        chains = [getattr(unit, side) for unit in units]
+        gains = np.abs([chain.scale.error for chain in chains])
+        offsets = np.abs([chain.offset.constant for chain in chains])
+        assert gains.max() <= LIMIT_SD * sheet.sensitivity_sd
+        assert offsets.max() <= LIMIT_SD * sheet.offset_sd
+        assert offsets.max() > 1.5 * sheet.offset_sd  # 150 draws reach far: chance 1e-8
+        typical = getattr(preset(name), side)
+        np.testing.assert_allclose(np.abs(typical.offset.constant), sheet.offset_sd)
+    assert preset(name).source_tag
+    assert preset(name).name == name
+    assert units[0].source_tag == "drawn"
+
+
+def test_the_notes_device_has_the_notes_figures() -> None:
+    device = preset("enc03j_3031")
+    lsb = 1.0 / device.gyro.gain / DPS
+    assert lsb == pytest.approx(0.091, abs=5e-4)  # deg/s: 12 bit, 5 V, gain 20 at 0.67 mV/(deg/s)
+    np.testing.assert_allclose(np.abs(device.gyro.offset.per_k[0]) / DPS, 0.07)  # type: ignore[union-attr]
+    np.testing.assert_allclose(device.gyro.low_pass.cutoff_hz, 11.1, rtol=0.02)  # type: ignore[union-attr]
+    assert device.gyro.null == 2048.0
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_data_sheet_alone_is_within_tolerance_and_the_true_calibration_is_within_noise(name: str) -> None:
+    device = preset(name)
+    n = 2000
+    rate = np.tile([0.3, -0.2, 0.1], (n, 1))
+    motion = motion_of(np.arange(n) / 100.0, rate, angular_acceleration_b=np.zeros((n, 3)))
+    record = simulate_device(device, motion, rng=np.random.default_rng(1), power_on_s=1e6).record
+    true = correct(record, true_calibration(device))
+    # What is left: flicker (3 B, stationary), non-linearity at a third of a rad/s, g: 0.01 deg/s; hysteresis of 0 at rest.
+    assert np.abs(true.gyro.mean(axis=0) - rate[0]).max() < 0.03 * DPS  # type: ignore[union-attr]
+    grade = preset_grade(name)
+    sheet = correct(record, nominal_calibration(grade))
+    off = np.abs(sheet.gyro.mean(axis=0) - rate[0]).max()  # type: ignore[union-attr]
+    assert off < LIMIT_SD * (
+        grade.gyro.offset_sd + 0.6 * (grade.gyro.sensitivity_sd + 2.0 * grade.gyro.misalignment_sd)
+    ) + (4.0 * grade.gyro.g_sensitivity_sd * STANDARD_GRAVITY)
+
+
+def test_the_true_tables_undo_a_hot_device_that_bends() -> None:
+    from dataclasses import replace
+
+    device = random_device_of("enc03j_3031", np.random.default_rng(2)).without_noise()
+    device = replace(
+        device,
+        gyro=replace(device.gyro, low_pass=None, warm_up=None, hysteresis=None, g_sensitivity=None),
+        thermometer=replace(device.thermometer, lag_s=0.0, self_heating_c=0.0, trim_error_c=0.0),
+    )
+    rates = np.linspace(-2.0, 2.0, 401)
+    tables = true_tables(device, np.linspace(18.0, 75.0, 115), rates)
+    for axis in range(3):
+        rate = np.zeros((200, 3))
+        rate[:, axis] = np.linspace(-1.5, 1.5, 200)
+        motion = motion_of(np.arange(200) / 100.0, rate, angular_acceleration_b=np.zeros((200, 3)))
+        record = simulate_device(device, motion, rng=np.random.default_rng(1), temp_c=41.3).record
+        done = correct(record, replace(true_calibration(device), drift=tables)).gyro
+        assert done is not None
+        # Between nodes 0.5 degC apart a chord misses the quadratic drift by c (0.25 K)^2, c at most 5e-5 rad/s/K2: 3e-6 rad/s.
+        np.testing.assert_allclose(done[:, axis], rate[:, axis], atol=4e-6)
+
+
+def test_a_preset_that_is_not_one_is_refused() -> None:
+    with pytest.raises(InputError, match=r"preset: wanted one of enc03j_3031, mpu6050, .* got 'gold'"):
+        preset("gold")

@@ -1,0 +1,88 @@
+"""device.json reads back to the last bit, and refuses what it does not know."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from undrift.errors import FileFormatError, InputError
+from undrift.sim import random_device
+from undrift.sim.device.presets import PRESETS, preset, random_device_of
+from undrift.sim.device.store import device_from_json, device_json, read_device, write_device
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_device_reads_back_as_it_was_written(name: str, tmp_path: Path) -> None:
+    device = random_device_of(name, np.random.default_rng(3))
+    write_device(device, tmp_path / "device.json")
+    back = read_device(tmp_path / "device.json")
+    assert device_json(back) == device_json(device)
+    np.testing.assert_array_equal(back.gyro.forward_matrix, device.gyro.forward_matrix)
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_keys_say_their_units() -> None:
+    made = device_json(preset("enc03j_3031"))
+    assert made["gyro"]["scale"]["nominal_sensitivity_v_per_rad_s"] == pytest.approx(0.67e-3 * 180.0 / np.pi)
+    assert "constant_m_s2" in made["accel"]["offset"]
+    assert made["gyro"]["adc"]["reference_v"] == 5.0
+    assert "nominal_sensitivity_count_per_rad_s" in device_json(preset("bmi160"))["gyro"]["scale"]
+
+
+def test_infinite_rails_are_words(tmp_path: Path) -> None:
+    bare = random_device(np.random.default_rng(1)).without_noise()
+    write_device(preset("enc03j_3031").without_noise(), tmp_path / "d.json")
+    assert read_device(tmp_path / "d.json").gyro.amplifier.high == np.inf  # type: ignore[union-attr]
+    assert device_from_json(device_json(bare)).gyro.adc is None
+
+
+def changed(change: Callable[[Any], object]) -> Any:
+    content = json.loads(json.dumps(device_json(preset("enc03j_3031"))))
+    change(content)
+    return content
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.update(kind="undrift.calibration"), "wanted kind 'undrift.device', got 'undrift.calibration'"),
+        (lambda c: c.update(format=2), "wanted format 1, got 2; read it with the undrift that wrote it"),
+        (lambda c: c.pop("gyro"), "device.gyro: wanted the keys of format 1, got it missing"),
+        (
+            lambda c: c["gyro"].update(colour="red"),
+            "device.gyro.colour: wanted the keys of format 1, got an unknown key",
+        ),
+        (lambda c: c["gyro"].update(scale=3), "device.gyro.scale: wanted an object, got int"),
+        (lambda c: c["gyro"]["scale"].update(error=3), "device.gyro.scale.error: wanted an array, got 3"),
+        (lambda c: c["gyro"]["scale"].update(error=[1.0]), r"Scale.error: wanted shape \(3,\), got \(1,\)"),
+        (lambda c: c["gyro"]["amplifier"].update(gain="big"), "device.gyro.amplifier.gain: wanted a number, got 'big'"),
+        (lambda c: c["gyro"]["adc"].update(bits=12.5), "device.gyro.adc.bits: wanted int, got 12.5"),
+        (
+            lambda c: c["gyro"]["adc"].update(rounding="up"),
+            "adc: wanted rounding nearest, floor, toward_zero, got 'up'",
+        ),
+    ],
+)
+def test_a_file_that_is_not_a_device_of_this_format_is_refused(
+    change: Callable[[Any], object], message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps(changed(change)))
+    with pytest.raises(FileFormatError, match=message):
+        read_device(path)
+
+
+def test_files_that_cannot_be_read_or_written_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match="wanted a device file, got No such file"):
+        read_device(tmp_path / "none.json")
+    (tmp_path / "broken.json").write_text("{")
+    with pytest.raises(FileFormatError, match="wanted JSON, got"):
+        read_device(tmp_path / "broken.json")
+    with pytest.raises(InputError, match="wanted a folder to write to, got No such file"):
+        write_device(preset("bmi160"), tmp_path / "none" / "d.json")
+    (tmp_path / "taken.json").mkdir()
+    with pytest.raises(InputError, match="wanted to write the file, got"):
+        write_device(preset("bmi160"), tmp_path / "taken.json")

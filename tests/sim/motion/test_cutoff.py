@@ -1,0 +1,93 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data import show
+from undrift.errors import InputError
+from undrift.frames import quaternion_of, quaternion_product
+from undrift.record import Reference
+from undrift.sim.motion.cutoff import CutoffSettings, RealRate, choose_cutoff
+from undrift.sim.motion.poses import fit_pose_spline
+
+
+def swung(noise: float = 1e-3, highest_hz: float = 4.0) -> Reference:
+    """10 s of rest, then 30 s of swinging with content up to a known frequency, as noisy cameras see it."""
+    rng = np.random.default_rng(3)
+    time = np.arange(4000) / 100.0
+    on = np.clip(time - 10.0, 0.0, 1.0)
+    angle = np.zeros((4000, 3))
+    for f in np.arange(0.5, highest_hz + 0.01, 0.5):
+        angle += 0.3 / f * np.sin(2.0 * np.pi * f * time[:, None] + rng.uniform(0.0, 6.0, 3)) * on[:, None]
+    q = quaternion_product(quaternion_of(angle), quaternion_of(rng.normal(0.0, noise, (4000, 3))))
+    position = angle * 0.3 + rng.normal(0.0, 0.3 * noise, (4000, 3))
+    return Reference(time=time, q_nb=q, position=position, moving=(time > 10.0).astype(float))
+
+
+def test_a_fixed_cut_off_is_taken_as_stated():
+    chosen = choose_cutoff(swung(), method="fixed", settings=CutoffSettings(fixed_hz=7.0))
+    assert chosen.cutoff_hz == 7.0
+    assert chosen.reason == "7 Hz as stated"
+
+
+@pytest.mark.parametrize("method", ["residual", "rest"])
+@pytest.mark.parametrize("signal", ["orientation", "position"])
+def test_the_cut_off_lies_above_the_motion_and_well_below_half_the_sample_rate(method, signal):
+    chosen = choose_cutoff(swung(), method=method, signal=signal)
+    show(f"motion up to 4 Hz, {signal} by {method}", f"{chosen.cutoff_hz:.1f} Hz: {chosen.reason}", "4 to 15 Hz")
+    assert 4.0 <= chosen.cutoff_hz <= 15.0  # products of angles reach beyond 4 Hz
+
+
+def test_more_noise_asks_for_a_lower_cut_off():
+    for method in ("residual", "rest"):
+        quiet, loud = (choose_cutoff(swung(noise), method=method).cutoff_hz for noise in (1e-4, 1e-2))
+        show(f"{method}: noise of 0.1 and of 10 mrad, Hz", f"{quiet:.1f} {loud:.1f}")
+        assert loud < quiet
+
+
+def test_the_noise_that_the_residual_points_to_is_the_noise_that_was_put_in():
+    # Winter's straight line over-reaches for white noise, whose residual bends: sqrt(1 - f / f_N).
+    reason = choose_cutoff(swung(1e-3), method="residual", signal="position").reason
+    assert 0.2 < float(reason.split("noise of ")[1].split()[0]) < 0.4
+
+
+def test_against_a_gyroscope_noise_and_lost_motion_balance():
+    clean, noisy = swung(1e-9), swung(3e-3)
+    time = np.arange(300, 3900) / 100.0 + 0.004
+    rate = 1.01 * fit_pose_spline(clean).at(time, 9.8).rate_b @ np.array([[1, 0.02, 0], [0, 1, 0], [0.01, 0, 1]]) + 0.01
+    chosen = choose_cutoff(noisy, method="gyro", gyro=RealRate(time=time, rate=rate))
+    show("against a gyroscope", chosen.reason, "4 to 15 Hz")
+    assert 4.0 <= chosen.cutoff_hz <= 15.0
+
+
+def test_cameras_that_are_noisier_in_motion_have_no_crossing_and_it_says_so():
+    poses = swung(1e-3)
+    rng = np.random.default_rng(9)
+    shake = quaternion_of(rng.normal(0.0, 1e-2, (4000, 3)) * poses.moving[:, None])
+    noisy = replace(poses, q_nb=quaternion_product(poses.q_nb, shake))
+    chosen = choose_cutoff(noisy, method="rest")
+    assert chosen.cutoff_hz == pytest.approx(35.0)
+    assert "no crossing, choose another method" in chosen.reason
+
+
+def test_a_rest_can_be_stated():
+    marked, unmarked = swung(), replace(swung(), moving=None)
+    stated = choose_cutoff(unmarked, method="rest", settings=CutoffSettings(rest_s=(0.0, 10.0)))
+    assert stated.cutoff_hz == pytest.approx(choose_cutoff(marked, method="rest").cutoff_hz, abs=0.51)
+
+
+def test_what_a_method_needs_is_asked_for():
+    poses = swung()
+    with pytest.raises(InputError, match="wanted a method of fixed, residual, rest, gyro"):
+        choose_cutoff(poses, method="taste")
+    with pytest.raises(InputError, match="wanted readings of a gyroscope and the orientation"):
+        choose_cutoff(poses, method="gyro")
+    with pytest.raises(InputError, match="wanted a rest, got no stretch marked as not moving"):
+        choose_cutoff(replace(poses, moving=None), method="rest")
+    with pytest.raises(InputError, match="wanted positions, got poses without"):
+        choose_cutoff(replace(poses, position=None), method="residual", signal="position")
+    with pytest.raises(InputError, match=r"wanted 2 s or more of rest and of motion without a long gap, got 1 s"):
+        choose_cutoff(poses, method="rest", settings=CutoffSettings(rest_s=(1.0, 2.0)))
+    late = RealRate(time=np.arange(500) / 100.0 + 100.0, rate=np.zeros((500, 3)))
+    with pytest.raises(InputError, match="wanted 100 readings or more while the poses move, got 0"):
+        choose_cutoff(poses, method="gyro", gyro=late)

@@ -1,0 +1,88 @@
+"""Rival procedures: exact motions of a trolley, an inclined plane, a piston and a robot arm."""
+
+import numpy as np
+import pytest
+
+from undrift.errors import InputError
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.orientation.strapdown import integrate_strapdown
+from undrift.sim.motion.rivals import RivalKind, RivalSettings, rival_motion
+
+KINDS: tuple[RivalKind, ...] = ("trolley", "inclined_plane", "piston", "robot_arm")
+SHORT = RivalSettings(still_s=1.0, run_s=6.0, plane_angles=(-1.0, 0.0, 0.5))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rates_belong_to_the_orientation_and_repeat_by_seed(kind: RivalKind) -> None:
+    motion = rival_motion(kind, rng=np.random.default_rng(1), settings=SHORT)
+    q = integrate_strapdown(motion.mean_rate_b, motion.time, motion.q_nb[0])
+    sine = np.linalg.norm(quaternion_product(quaternion_conjugate(motion.q_nb), q)[:, 1:], axis=1)
+    assert sine.max() < 1e-12  # rounding of some thousand products
+    again = rival_motion(kind, rng=np.random.default_rng(1), settings=SHORT)
+    assert np.array_equal(motion.force_b, again.force_b)
+    assert motion.angular_acceleration_b is not None
+    grown = np.cumsum(motion.angular_acceleration_b, axis=0) / motion.sample_rate_hz
+    assert np.abs(motion.rate_b - grown).max() < 0.02 * np.abs(motion.rate_b).max()  # a rectangle rule at 100 Hz
+    for still in motion.stills:
+        assert np.abs(motion.rate_b[still.start : still.stop]).max() < 1e-12
+        np.testing.assert_allclose(
+            np.linalg.norm(motion.force_b[still.start : still.stop], axis=1), 9.80665, rtol=1e-12
+        )
+
+
+def test_a_trolley_shakes_each_axis_in_turn_by_a_sinusoid() -> None:
+    settings = RivalSettings(shake=0.0)
+    motion = rival_motion("trolley", rng=np.random.default_rng(1), settings=settings)
+    peak = settings.trolley_stroke * (2.0 * np.pi * 0.8) ** 2  # A w^2
+    for axis in range(3):
+        force = motion.force_b[:, axis]
+        swinging = (np.abs(motion.rate_b).max(axis=1) == 0.0) & (motion.moving == 1.0)
+        across = np.abs(motion.force_b[:, (axis + 1) % 3] - 9.80665) < 1e-9  # this axis lies along the rail
+        assert np.abs(force[swinging & across]).max() == pytest.approx(
+            peak, rel=0.02
+        )  # nearest sample; the swell helps
+    rough = rival_motion("trolley", rng=np.random.default_rng(1), settings=RivalSettings(tilt_sd=0.01))
+    assert np.std(rough.force_b - motion.force_b) > 0.05
+
+
+def test_a_piston_adds_its_acceleration_to_gravity_on_the_upright_axis_alone() -> None:
+    motion = rival_motion("piston", rng=np.random.default_rng(1))
+    lifted = (np.abs(motion.rate_b).max(axis=1) == 0.0) & (motion.moving == 1.0)
+    upright = rotate(motion.q_nb[lifted], motion.force_b[lifted])
+    assert np.abs(upright[:, :2]).max() < 1e-9
+    assert np.abs(upright[:, 2] - 9.80665).max() == pytest.approx(0.02 * (8.0 * np.pi) ** 2, rel=0.02)
+    for axis in range(3):
+        assert motion.force_b[lifted, axis].max() > 20.0
+
+
+def test_an_inclined_plane_shows_gravity_at_each_angle() -> None:
+    motion = rival_motion("inclined_plane", rng=np.random.default_rng(1), settings=SHORT)
+    assert len(motion.stills) == 9
+    seen = np.array([motion.force_b[still.start] for still in motion.stills]) / 9.80665
+    wanted = [
+        np.cos(angle) * np.eye(3)[(axis + 2) % 3] + np.sin(angle) * np.eye(3)[(axis + 1) % 3]
+        for axis in range(3)
+        for angle in SHORT.plane_angles
+    ]
+    np.testing.assert_allclose(seen, wanted, atol=1e-12)
+    tilted = rival_motion(
+        "inclined_plane", rng=np.random.default_rng(1), settings=RivalSettings(tilt_sd=0.01, still_s=0.5)
+    )
+    up = np.array([tilted.force_b[still.start] for still in tilted.stills]) / 9.80665
+    level = rival_motion("inclined_plane", rng=np.random.default_rng(1), settings=RivalSettings(still_s=0.5))
+    exact = np.array([level.force_b[still.start] for still in level.stills]) / 9.80665
+    assert 0.007 < np.sqrt(np.mean(np.sum((up - exact) ** 2, axis=1)) / 2.0) < 0.013  # 39 mountings of 0.01 rad
+
+
+def test_a_robot_arm_excites_every_axis() -> None:
+    motion = rival_motion("robot_arm", rng=np.random.default_rng(2))
+    turning = np.std(motion.rate_b, axis=0)
+    assert turning.min() > 0.3 * turning.max()
+    assert 1.0 < np.abs(motion.rate_b).max() < 300.0 * np.pi / 180.0  # within the gyroscope's range
+    spread = np.linalg.eigvalsh(np.cov(motion.force_b.T))
+    assert spread.min() > 1.0  # (m/s2)^2: gravity visits all directions
+
+
+def test_a_procedure_that_is_not_one_is_refused() -> None:
+    with pytest.raises(InputError, match="wanted one of trolley, inclined_plane, piston, robot_arm, got 'swing'"):
+        rival_motion("swing", rng=np.random.default_rng(0))  # type: ignore[arg-type]
