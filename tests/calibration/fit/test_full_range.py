@@ -29,6 +29,14 @@ def test_coarse_steps_and_gaps_say_nothing():
     check_range([np.full((50, 3), np.nan)], "gyroscope")
 
 
+def test_the_rounded_top_of_a_turn_is_no_end_of_the_range():
+    turn = np.round(2000.0 * np.sin(np.linspace(0.0, np.pi, 620)))[:, None] * np.ones(3)
+    assert (turn == turn.max()).sum() >= 3 * 5  # a run long enough to be taken for one
+    check_range([turn], "gyroscope in the turn about z")
+    with pytest.raises(Implausible, match="stuck at 1990"):
+        check_range([turn.clip(None, 1990.0)], "gyroscope in the turn about z")
+
+
 def test_a_pose_that_sticks_as_a_whole_is_seen_among_the_others():
     rng = np.random.default_rng(1)
     poses = [up + 0.02 * rng.normal(size=(200, 3)) for up in 9.81 * np.vstack((np.eye(3), -np.eye(3)))]

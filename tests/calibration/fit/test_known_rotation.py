@@ -176,3 +176,19 @@ def test_exchanged_columns_are_named_and_not_taken_for_reversed_turns():
     )  # as the advice on signs was followed
     with pytest.raises(Implausible, match=r"got -y, -x, \+z: columns x and y exchanged, and x and y reversed"):
         fit_known_rotation(told, gravity=G)
+
+
+def test_a_turn_beyond_the_range_is_named_before_its_scale_is():
+    time = np.arange(400) / 100.0
+    rate = np.sin(np.pi * time / time[-1])[:, None] * [0.0, 0.0, 150.0] + 0.01 * np.random.default_rng(1).normal(
+        size=(400, 3)
+    )
+    record = Record(time=time, gyro=rate.clip(-100.0, 100.0), accel=np.tile([0.0, 0.0, 9.81], (400, 1)))
+    with pytest.raises(Implausible, match=r"turn about z z: wanted readings inside the range, got \d+ .* at 100"):
+        rotation_data(
+            [record],
+            [Still(start=0, stop=9, face="+z")],
+            [Turn(start=0, stop=400, axis="z", angle=6.0)],
+            matrix=np.eye(3),
+            offset=np.zeros(3),
+        )

@@ -11,7 +11,8 @@ _COARSE = 5  # equal readings in a row inside the range: steps so coarse that a 
 def check_range(windows: list[FloatArray], what: str) -> None:
     """Raise when a triad sticks at its largest or smallest reading, over all windows together.
 
-    A column that repeats itself inside its range too (a coarse converter, or samples written twice) is left alone.
+    A column that repeats itself inside its range too (a coarse converter, or samples written twice) is left alone, and so is
+    the rounded top of a turn: there as many readings lie one sample's change below the end as at it.
 
     Parameters
     ----------
@@ -29,10 +30,24 @@ def check_range(windows: list[FloatArray], what: str) -> None:
         return
     values = np.concatenate(windows)
     told = np.full_like(values, np.nan)
-    for axis in range(3):
-        if _longest_inside(values[:, axis]) < _COARSE:
-            told[:, axis] = values[:, axis]
+    for axis, column in enumerate(values.T):
+        if _longest_inside(column) < _COARSE:
+            told[:, axis] = column
+            for sign in (1.0, -1.0):
+                if not _piles_up(sign * column):
+                    told[sign * column == np.nanmax(sign * column), axis] = np.nanmedian(
+                        column
+                    )  # a rounded top, no end
     check_saturation(told, what)
+
+
+def _piles_up(column: FloatArray) -> bool:
+    """Tell whether more readings lie at the upper end than within one sample's change of it."""
+    finite = column[np.isfinite(column)]
+    change = np.abs(np.diff(finite))
+    band = float(np.median(change[change > 0.0])) if (change > 0.0).any() else 0.0
+    below = finite.max() - finite
+    return bool((below == 0.0).sum() > ((below > 0.0) & (below <= band)).sum())
 
 
 def _longest_inside(column: FloatArray) -> int:
