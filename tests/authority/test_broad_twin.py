@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 
 from authority.broad import DEVICES, trial
-from data import data_path, show
-from undrift.cli.app import run
-from undrift.sim.device.store import read_device
+from data import show
 from undrift.twin import Prepared, Twin, TwinSettings, compare_held_out, fit_prepared, prepare_twin
 from undrift.twin.contributions import contributions
 from undrift.twin.endings import end_errors
@@ -129,12 +127,3 @@ def test_simulated_end_errors_cover_the_real_ones():
             total += 2
     show("real end errors within 95 % of 40 simulated devices", f"{covered} of {total}", 28)
     assert covered >= 28  # 95 % of 32 is 30.4; fewer than 28 is below 1 in 25 even with figures of a trial akin
-
-
-def test_the_command_writes_a_device_that_can_be_read(tmp_path, capsys):
-    path = str(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
-    assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json"]) == 0
-    assert '"max_abs_pitch_difference_deg"' not in capsys.readouterr().out  # one recording: nothing held out
-    device = read_device(tmp_path / "device.json")
-    assert device.source_tag == "fitted"
-    assert device.gyro.adc is not None

@@ -1,0 +1,39 @@
+"""``undrift twin``: a device out, the contract's keys, calls refused in one line."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from data import data_path
+from undrift.cli.app import run
+from undrift.sim.device.store import read_device
+
+KEYS = {"name", "value", "standard_error", "unit", "identifiable"}
+
+
+def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
+    assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert all(set(parameter) >= KEYS for parameter in said["parameters"])
+    assert said["heldout"] == []  # one recording: nothing is held out
+    assert {"gyro_rms_dps", "accel_rms_m_s2", "cutoff_hz"} <= set(said["residual"])
+    device = read_device(tmp_path / "device.json")
+    assert device.source_tag == "fitted"
+    assert device.gyro.adc is not None
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "twin: wanted one recording or more, got none"),
+        (["missing.parquet", "--reference", "missing.csv"], "missing.parquet: wanted a file, got nothing of that name"),
+    ],
+)
+def test_a_wrong_call_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["twin", *words]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
+    assert said in told.err
