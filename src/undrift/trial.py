@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.model import Calibration
-from undrift.drift.lookup import plan_triad
+from undrift.drift.plan import plan_triad
 from undrift.errors import InputError
 from undrift.orientation.angles import sagittal_pitch
 from undrift.session import Face
