@@ -184,7 +184,7 @@ def test_a_turn_beyond_the_range_is_named_before_its_scale_is():
         size=(400, 3)
     )
     record = Record(time=time, gyro=rate.clip(-100.0, 100.0), accel=np.tile([0.0, 0.0, 9.81], (400, 1)))
-    with pytest.raises(Implausible, match=r"turn about z z: wanted readings inside the range, got \d+ .* at 100"):
+    with pytest.raises(Implausible, match=r"turn about z: wanted z readings inside the range, got \d+ .* at 100"):
         rotation_data(
             [record],
             [Still(start=0, stop=9, face="+z")],

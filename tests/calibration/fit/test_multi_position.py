@@ -277,7 +277,7 @@ def test_a_range_that_is_too_small_is_named_before_the_scale_is() -> None:
     assert record.gyro is not None
     assert record.accel is not None
     top = 0.7 * float(np.abs(record.gyro).max())
-    with pytest.raises(Implausible, match=r"gyroscope in moves between poses [xyz]: wanted readings inside the range"):
+    with pytest.raises(Implausible, match=r"gyroscope in moves between poses: wanted [xyz] readings inside the range"):
         fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
-    with pytest.raises(Implausible, match=r"accelerometer in still poses [xyz]: wanted readings inside the range"):
+    with pytest.raises(Implausible, match=r"accelerometer in still poses: wanted [xyz] readings inside the range"):
         fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)

@@ -2,10 +2,12 @@
 
 import numpy as np
 
-from undrift.arrays import FloatArray
-from undrift.calibration.plausibility import check_saturation
+from undrift.arrays import BoolArray, FloatArray
+from undrift.calibration.model import AXES
+from undrift.errors import Implausible
 
-_COARSE = 5  # equal readings in a row inside the range: steps so coarse that a run at its end says nothing
+_RUN = 5  # equal readings in a row: at an end it is the converter's, unless readings inside repeat as long
+_LEAST_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
 
 
 def check_range(windows: list[FloatArray], what: str) -> None:
@@ -28,34 +30,36 @@ def check_range(windows: list[FloatArray], what: str) -> None:
     """
     if not windows:
         return
-    values = np.concatenate(windows)
-    told = np.full_like(values, np.nan)
-    for axis, column in enumerate(values.T):
-        if _longest_inside(column) < _COARSE:
-            told[:, axis] = column
-            for sign in (1.0, -1.0):
-                if not _piles_up(sign * column):
-                    told[sign * column == np.nanmax(sign * column), axis] = np.nanmedian(
-                        column
-                    )  # a rounded top, no end
-    check_saturation(told, what)
+    for name, column in zip(AXES, np.concatenate(windows).T, strict=True):
+        finite = column[np.isfinite(column)]
+        if len(np.unique(finite)) < _LEAST_VALUES or _longest_inside(finite) >= _RUN:
+            continue
+        for end in (finite.max(), finite.min()):
+            stuck = finite == end
+            if _longest(stuck) >= _RUN and _piles_up(finite, end):
+                raise Implausible(
+                    f"{what}: wanted {name} readings inside the range, got {int(stuck.sum())} samples stuck at {end:g}; choose a "
+                    "wider range or move more slowly",
+                    samples=int(stuck.sum()),
+                    extreme=float(end),
+                )
 
 
-def _piles_up(column: FloatArray) -> bool:
-    """Tell whether more readings lie at the upper end than within one sample's change of it."""
-    finite = column[np.isfinite(column)]
+def _piles_up(finite: FloatArray, end: float) -> bool:
+    """Tell whether more readings lie at an end than within one sample's change of it."""
     change = np.abs(np.diff(finite))
-    band = float(np.median(change[change > 0.0])) if (change > 0.0).any() else 0.0
-    below = finite.max() - finite
-    return bool((below == 0.0).sum() > ((below > 0.0) & (below <= band)).sum())
+    away = np.abs(finite - end)
+    return bool((away == 0.0).sum() > ((away > 0.0) & (away <= np.median(change[change > 0.0]))).sum())
 
 
-def _longest_inside(column: FloatArray) -> int:
+def _longest_inside(finite: FloatArray) -> int:
     """Return the longest run of equal readings that are neither the largest nor the smallest."""
-    finite = column[np.isfinite(column)]
-    if not len(finite):
-        return _COARSE
     begins = np.flatnonzero(np.concatenate(([True], np.diff(finite) != 0.0)))
     length = np.diff(np.append(begins, len(finite)))
     inside = (finite[begins] != finite.max()) & (finite[begins] != finite.min())
     return int(length[inside].max()) if inside.any() else 0
+
+
+def _longest(flag: BoolArray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
