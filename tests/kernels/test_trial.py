@@ -23,15 +23,9 @@ RATE_HZ = 286.0
 TEMPS = np.linspace(5.0, 45.0, 9)
 
 
-@pytest.fixture(autouse=True)
-def _counters_wrap_around():
-    with np.errstate(over="ignore"):  # without a compiler, numpy notices that the hash overflows, which it means to
-        yield
-
-
-def nodding(seconds, lean, *, slow=0.3):
+def nodding(seconds, lean, *, slow=0.3, rate_hz=RATE_HZ):
     """A motion that leans forward and back while it turns a little about the other axes; exact rates by its orientation."""
-    time = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
+    time = np.arange(int(seconds * rate_hz)) / rate_hz
     phase = 2.0 * np.pi * slow * time
     pitch, roll, yaw = lean * np.sin(phase) ** 2, 0.1 * np.sin(1.3 * phase), 0.2 * np.sin(0.7 * phase)
     (cy, sy), (cp, sp), (cr, sr) = ((np.cos(0.5 * a), np.sin(0.5 * a)) for a in (yaw, pitch, roll))
@@ -94,12 +88,14 @@ class Given:
             return self._numbers
 
 
-def stage_by_stage(monkeypatch, motion, device, calibration, trial, seed):
+def stage_by_stage(monkeypatch, motion, device, calibration, trial, settings):
     """Simulate, correct, integrate, compare: each stage with its array."""
-    noise = trial_noise(seed, trial.number, len(motion))
+    noise = trial_noise(settings.seed, trial.number, len(motion))
     monkeypatch.setattr(stages, "draw_streams", lambda rng: Given(*noise))
     temp = trial.temp_c + trial.warming_k_per_s * (motion.time - motion.time[0])
-    record = stages.simulate_device(device, motion, rng=np.random.default_rng(0), temp_c=temp).record
+    record = stages.simulate_device(
+        device, motion, rng=np.random.default_rng(0), temp_c=temp, power_on_s=settings.power_on_s
+    ).record
     gyro = correct(record, calibration, policy="hold").gyro
     q = integrate_strapdown(gyro, motion.time, motion.q_nb[0])
     error = sagittal_pitch(q) - sagittal_pitch(motion.q_nb)
@@ -116,19 +112,52 @@ def test_the_kernel_equals_its_stages_one_after_the_other_with_all_its_noise(mon
         Trial(k % 3, k // 3, k // 3, 100 + k, temp, slope)
         for k, (temp, slope) in enumerate(zip(np.linspace(12.0, 38.0, 9), np.linspace(-1.5, 1.5, 9), strict=True))
     ] + [Trial(1, 0, 3, 7, 25.0, 0.0), Trial(0, 1, 0, 8, 20.0, 0.0)]  # without a table; of another device
-    (found,) = run_trials(trial_bench(motions, devices, calibrations, TrialSettings(seed=5)), plan)
-    twin = np.array(
-        [
-            stage_by_stage(monkeypatch, motions[t.motion], devices[t.device], calibrations[t.calibration], t, 5)
-            for t in plan
-        ]
-    )
-    difference = max(np.abs(found.rms - twin[:, 0]).max(), np.abs(found.maximum - twin[:, 1]).max())
+    settings = TrialSettings(seed=5, power_on_s=40.0)
+    difference, twin = against_stages(monkeypatch, motions, devices, calibrations, plan, settings)
     show("kernel against its stages, rad", difference, 1e-12)
     assert difference < 1e-12
     assert twin.min() > 0.0
-    assert twin.max() > 0.5  # both branches of the pitch's error were taken
+    assert twin.max() > 0.5  # beyond 28 deg, where the series for the pitch's error ends
+
+
+def against_stages(monkeypatch, motions, devices, calibrations, plan, settings):
+    """Largest difference of RMS and maximum, rad, and what the stages found."""
+    (found,) = run_trials(trial_bench(motions, devices, calibrations, settings), plan)
     assert list(found.number) == [t.number for t in plan]
+    twin = np.array(
+        [
+            stage_by_stage(monkeypatch, motions[t.motion], devices[t.device], calibrations[t.calibration], t, settings)
+            for t in plan
+        ]
+    )
+    return np.abs(np.stack((found.rms, found.maximum), axis=1) - twin).max(), twin
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_fast_turns_at_a_low_sample_rate_and_other_converters_equal_their_stages(monkeypatch, bare):
+    device = units(1, np.random.default_rng(6))[0]
+    device = with_gyro(device, adc=Adc(bits=10, reference=5.0, signed=False, rounding="floor"))
+    thermometer = replace(device.thermometer, lag_s=0.0, step_c=0.0)
+    if bare:
+        device = with_gyro(device, adc=None, amplifier=None, low_pass=None, white_noise=None, unit="rad/s")
+        device = replace(device, gyro=replace(device.gyro, scale=replace(device.gyro.scale, nominal_sensitivity=1.0)))
+    device = replace(device, thermometer=thermometer)
+    motion = nodding(8.0, 1.2, slow=0.8, rate_hz=20.0)
+    half = np.linalg.norm(motion.rate_b, axis=1) * 0.5 / 20.0
+    assert half.max() > 0.12  # beyond 0.1 rad, where the series of the rotation ends
+    plan = [Trial(0, 0, 0, number, 20.0 + number, 0.3) for number in range(3)]
+    difference, _ = against_stages(monkeypatch, [motion], [device], [table_of(device)], plan, TrialSettings())
+    assert difference < 1e-12
+
+
+def test_a_body_that_lies_on_its_side_has_no_pitch_and_its_trial_no_error():
+    motion, device = nodding(0.2, 0.5), units(1, np.random.default_rng(7))[0]
+    aside = np.sqrt(0.5) * np.array([1.0, 1.0, 0.0, 0.0])
+    lying = replace(motion, q_nb=np.tile(aside, (len(motion), 1)), rate_b=np.zeros((len(motion), 3)))
+    bench = trial_bench([motion, lying], [device], [table_of(device)])
+    (found,) = run_trials(bench, [Trial(0, 0, 0, 1), Trial(1, 0, 0, 2)])
+    assert list(np.isnan(found.rms)) == [False, True]
+    assert list(np.isnan(found.maximum)) == [False, True]
 
 
 def test_a_device_with_nothing_but_a_matrix_errs_by_rounding_alone():
