@@ -262,3 +262,17 @@ def test_a_worn_sensor_has_no_still_phase_and_none_is_invented(change):
     show("worn", found.reason)
     assert found.stills == ()
     assert found.reason.startswith("no still phase: the quietest 1 s windows wander by")
+
+
+def test_counts_of_a_body_that_never_rests_are_not_taken_for_one_long_rest() -> None:
+    time = np.arange(1400) / 100.0
+    rng = np.random.default_rng(3)
+    sway = np.sin(2.0 * np.pi * 0.9 * time + 0.4 * np.sin(time))[:, None]
+    gyro = np.round(1200.0 * sway * [0.2, 1.0, 0.1] + rng.normal(0.0, 6.0, (1400, 3)))
+    accel = np.round([0.0, 0.0, 16384.0] + 1500.0 * sway * [1.0, 0.1, 0.4] + rng.normal(0.0, 40.0, (1400, 3)))
+    moving = find_still(Record(time=time, gyro=gyro, accel=accel, gyro_unit="count", accel_unit="count"))
+    assert moving.stills == ()
+    assert moving.reason
+    resting = np.round(rng.normal(0.0, 6.0, (1400, 3)))
+    still = find_still(Record(time=time, gyro=resting, gyro_unit="count"))
+    assert len(still.stills) == 1

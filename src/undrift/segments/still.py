@@ -32,6 +32,7 @@ _HEAP = 4.0  # a noise heap spans at most this factor above its floor
 _DECADES = (0.4, 2.2)  # where to look for the gap, decades above the floor
 _BIN = 0.05  # decades
 _GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of the heaps beside it
+_WHITE = 8.0  # in counts no limit is known: one heap this far above what white noise makes of it is motion, not rest
 _TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
 
 
@@ -146,6 +147,12 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
         mean, spread = sliding_moments(values, window, smooth)
         unit = record.gyro_unit if channel == "gyro" else record.accel_unit
         found = _threshold(spread, channel == "gyro", unit, given)
+        if (
+            found.basis == "all still"
+            and not is_physical(unit)
+            and float(np.median(spread)) > _WHITE * _white(values, smooth)
+        ):
+            found = replace(found, value=np.nan, basis="none")
         thresholds.append(found)
         if found.basis == "none":
             continue
@@ -162,6 +169,11 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
         window_s=settings.window_s,
         reason="" if stills else _why_none(thresholds, settings),
     )
+
+
+def _white(values: FloatArray, smooth: int) -> float:
+    """Return the spread that white noise alone would have after smoothing, judged by the steps from sample to sample."""
+    return float(np.sqrt(np.nanvar(np.diff(values, axis=0), axis=0).sum() / 2.0 / smooth))
 
 
 def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[FloatArray, FloatArray]:
