@@ -86,8 +86,10 @@ class Markers:
         """
         for label in labels:
             if label not in self.labels:
+                near = [other for other in self.labels if label.lower() in other.lower()]
+                hint = f"say {' or '.join(near[:3])}" if near else "check the label"
                 raise InputError(
-                    f"{self.name or 'markers'}: wanted marker {label!r}, got {', '.join(self.labels)}; check the label"
+                    f"{self.name or 'markers'}: wanted marker {label!r}, got {', '.join(self.labels)}; {hint}"
                 )
         return self.points[:, [self.labels.index(label) for label in labels]]
 
