@@ -3,11 +3,8 @@
 import re
 from html.parser import HTMLParser
 
-import pytest
-
 from undrift import __version__
 from undrift.calibration.model import Verdict
-from undrift.report.files import write_whole
 from undrift.report.page import Section, write_page
 
 
@@ -69,19 +66,3 @@ def test_the_verdict_stands_first_with_its_reasons(tmp_path):
 
 def test_a_page_fetches_nothing(tmp_path):
     assert not re.search(r"(src|href)=|https?:|@import|url\(", page(tmp_path, sections=(Section(title="t"),)))
-
-
-def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
-    write_whole(tmp_path / "a.txt", "früher")
-    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "früher"
-    from pathlib import Path
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(OSError, match="No space left") as error:
-        write_whole(tmp_path / "a.txt", b"later")
-    assert error.value.filename == str(tmp_path / "a.txt")
-    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "früher"
-    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]

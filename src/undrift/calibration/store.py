@@ -6,9 +6,7 @@ A file is written whole or not at all: into a temporary neighbour first, which t
 
 import json
 import math
-import os
 import re
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,7 @@ from undrift.calibration.model import (
     Verdict,
 )
 from undrift.errors import FileFormatError, InputError
+from undrift.files import write_whole
 
 
 def write_calibration(calibration: Calibration, path: Path | str) -> None:
@@ -56,23 +55,7 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
             f"{path}: wanted a calibration that reads back, got {_first(error)}; mend the value"
         ) from error
     text = _compact(json.dumps(content, indent=2, allow_nan=False)) + "\n"
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another") from error
-    part = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        part.chmod(0o644)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: wanted to write the file, got {error.strerror}; free the name or the disk"
-        ) from error
+    write_whole(path, text)
 
 
 def read_calibration(path: Path | str) -> Calibration:

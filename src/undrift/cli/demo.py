@@ -55,10 +55,10 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     from undrift.calibration.store import calibration_json, read_calibration, write_calibration
     from undrift.cli.output import console, plain, waiting, write_json
     from undrift.correct import correct_checked
+    from undrift.files import write_whole
     from undrift.io.recording import read_record, write_record
     from undrift.io.reference import read_reference, write_reference
     from undrift.io.session import read_session, write_session
-    from undrift.report.files import write_whole
     from undrift.sim import demo_session
     from undrift.validation import TrialSettings, validate_trial
 

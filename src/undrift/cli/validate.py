@@ -191,7 +191,7 @@ def _write(folder: Path, result: "Validation", told: dict[str, object], fitted: 
 
     from undrift.calibration.store import write_calibration
     from undrift.cli.output import plain
-    from undrift.report.files import write_whole
+    from undrift.files import write_whole
     from undrift.report.validation import write_validation_report
 
     folder.mkdir(exist_ok=True)

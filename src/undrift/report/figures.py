@@ -12,7 +12,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.report.files import write_whole
+from undrift.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from undrift import __version__
 from undrift.calibration.model import Verdict
-from undrift.report.files import write_whole
+from undrift.files import write_whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,8 +7,6 @@ offset.constant_m_s2 of an accelerometer. null stands for an effect that is swit
 
 import json
 import math
-import os
-import tempfile
 import types
 import typing
 from collections.abc import Mapping
@@ -19,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from undrift.errors import FileFormatError, InputError
+from undrift.files import write_whole
 from undrift.sim.device.chain import SensorChain
 from undrift.sim.device.model import DeviceModel
 
@@ -43,21 +42,7 @@ def write_device(device: DeviceModel, path: Path | str) -> None:
     """
     path = Path(path)
     text = json.dumps(device_json(device), indent=1, allow_nan=False) + "\n"
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another") from error
-    part = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        part.chmod(0o644)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: wanted to write the file, got {error.strerror}; free the name or the disk"
-        ) from error
+    write_whole(path, text)
 
 
 def read_device(path: Path | str) -> DeviceModel:

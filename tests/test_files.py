@@ -1,0 +1,29 @@
+"""A file is there whole, or as it was."""
+
+from pathlib import Path
+
+import pytest
+
+from undrift.errors import InputError
+from undrift.files import write_whole
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_whole(tmp_path / "a.txt", "früher")
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "früher"
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(
+        InputError, match=r"a\.txt: wanted to write the file, got No space left on device; free the name"
+    ):
+        write_whole(tmp_path / "a.txt", b"later")
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "früher"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="wanted a folder to write to, got No such file or directory; choose another"):
+        write_whole(tmp_path / "none" / "a.txt", "x")
