@@ -11,7 +11,6 @@ from undrift.report.figures import (
     draw_agreement,
     draw_allan,
     draw_comparison,
-    draw_residuals,
     new_figure,
     save_figure,
     svg_of,
@@ -49,14 +48,6 @@ DRAWN = {
     ),
     "allan": (allan, ["gyro x", "gyro y", "gyro z", "averaging time (s)", "Allan deviation (rad/s)", "white noise, slope -1/2"]),
     "allan with gaps": (lambda: allan(gaps=True), ["gyro y"]),
-    "residuals": (
-        lambda: draw_residuals(rng.normal(size=30), unit="m/s2", title="six faces"),
-        ["residual (m/s2)", "six faces", "count", "pose, dwell or window"],
-    ),
-    "residuals of three axes": (
-        lambda: draw_residuals(rng.normal(size=(30, 3)), unit="rad/s", title="turns"),
-        ["residual (rad/s)", ">x<", ">y<", ">z<"],
-    ),
 }  # fmt: skip
 
 

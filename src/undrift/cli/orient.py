@@ -79,11 +79,14 @@ def orient(
         write_json(_json(found) | {"recording": str(record), "output": str(output)})
         return 0
     start_s, stop_s = found.time[found.still.start], found.time[found.still.stop - 1]
+    share = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
+    if model is not None:
+        share = "scatter and calibration"
     out = console()
     out.print(f"{record} -> {output}: {len(found.time)} samples", markup=False)
     out.print(
         f"  tilt from the still phase {start_s:.1f} to {stop_s:.1f} s, known to "
-        f"{math.degrees(found.tilt.inclination_uncertainty):.3f} deg (standard uncertainty)",
+        f"{math.degrees(found.tilt.inclination_uncertainty):.3f} deg (standard uncertainty; {share})",
         markup=False,
     )
     for name, angle in (("inclination", found.inclination), ("pitch", found.pitch)):

@@ -229,38 +229,3 @@ def draw_allan(taus_s: FloatArray, deviation: FloatArray, names: Sequence[str], 
     axes.set_title(title, loc="left", fontsize=10)
     axes.legend(loc="best", frameon=False)
     return figure
-
-
-def draw_residuals(residuals: FloatArray, *, unit: str, title: str) -> "Figure":
-    """Draw the residual of every equation of a fit, and how they are spread.
-
-    Parameters
-    ----------
-    residuals : array, shape (E,) or (E, 3)
-        In ``unit``; three columns are drawn in the colours of x, y, z.
-    unit : str
-        Of the residuals.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    Figure
-        Two panels side by side.
-    """
-    figure, (course, spread) = new_figure(1, columns=2, height=2.6, share_x=False)
-    columns = residuals.reshape(len(residuals), -1)
-    for k, column in enumerate(columns.T):
-        colour = AXIS_COLOURS[k % 3] if columns.shape[1] == 3 else DEVICE
-        course.plot(column, ".", color=colour, markersize=4, label="xyz"[k] if columns.shape[1] == 3 else None)
-    course.axhline(0.0, color=OPTICS, linewidth=0.6)
-    course.set_xlabel("pose, dwell or window")
-    course.set_ylabel(f"residual ({unit})")
-    course.set_title(title, loc="left", fontsize=10)
-    if columns.shape[1] == 3:
-        course.legend(loc="best", ncols=3, frameon=False)
-    finite = columns[np.isfinite(columns)]
-    spread.hist(finite, bins=min(40, max(8, len(finite) // 6)), color=DEVICE)
-    spread.set_xlabel(f"residual ({unit})")
-    spread.set_ylabel("count")
-    return figure
