@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
@@ -140,6 +140,27 @@ class TriadModel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WarmUp:
+    """Extra offset of a device that was switched on a short while ago; it dies away to zero.
+
+    Parameters
+    ----------
+    power_on_s : array, shape (k,)
+        Nodes of the time since power-on, s, increasing from 0.
+    gyro_offset : array, shape (k, 3)
+        To be added to the settled offset, raw unit; the last row is zero.
+    """
+
+    power_on_s: FloatArray
+    gyro_offset: FloatArray
+
+    def __post_init__(self) -> None:
+        _freeze(self, power_on_s=(None,))
+        _check_nodes(self.power_on_s, "warm-up power_on_s")
+        _freeze(self, gyro_offset=(len(self.power_on_s), 3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticDrift:
     """Tuning table of absolute offsets over temperature, linear between nodes.
 
@@ -149,18 +170,33 @@ class StaticDrift:
         Nodes, degC, increasing.
     gyro_offset, accel_offset : array, shape (n, 3), or None
         Reading at zero input, raw unit.
+    gyro_uncertainty, accel_uncertainty : array, shape (n, 3), or None
+        Standard uncertainty of each node, raw unit.
+    gyro_extrapolated, accel_extrapolated : array of bool, shape (n,), or None
+        True where no data were near the node.
+    gyro_hysteresis : array, shape (3,), or None
+        Half the loop: offset while cooling minus offset while warming, over two, raw unit; the table holds the middle.
+    warm_up : WarmUp or None
+        Extra offset after power-on.
     """
 
     temp_c: FloatArray
     gyro_offset: FloatArray | None = None
     accel_offset: FloatArray | None = None
+    gyro_uncertainty: FloatArray | None = None
+    accel_uncertainty: FloatArray | None = None
+    gyro_extrapolated: BoolArray | None = None
+    accel_extrapolated: BoolArray | None = None
+    gyro_hysteresis: FloatArray | None = None
+    warm_up: WarmUp | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, temp_c=(None,))
+        n = len(self.temp_c)
         _check_nodes(self.temp_c, "static drift temp_c")
-        for name in ("gyro_offset", "accel_offset"):
-            if getattr(self, name) is not None:
-                _freeze(self, **{name: (len(self.temp_c), 3)})
+        _freeze_some(self, (n, 3), "gyro_offset", "accel_offset", "gyro_uncertainty", "accel_uncertainty")
+        _freeze_some(self, (3,), "gyro_hysteresis")
+        _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,18 +209,26 @@ class ScaleDrift:
         Nodes, degC, increasing.
     gyro_matrix, accel_matrix : array, shape (n, 3, 3), or None
         unit_out per unit_in.
+    gyro_uncertainty, accel_uncertainty : array, shape (n, 3, 3), or None
+        Standard uncertainty of each element.
+    gyro_extrapolated, accel_extrapolated : array of bool, shape (n,), or None
+        True where no data were near the node.
     """
 
     temp_c: FloatArray
     gyro_matrix: FloatArray | None = None
     accel_matrix: FloatArray | None = None
+    gyro_uncertainty: FloatArray | None = None
+    accel_uncertainty: FloatArray | None = None
+    gyro_extrapolated: BoolArray | None = None
+    accel_extrapolated: BoolArray | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, temp_c=(None,))
+        n = len(self.temp_c)
         _check_nodes(self.temp_c, "scale drift temp_c")
-        for name in ("gyro_matrix", "accel_matrix"):
-            if getattr(self, name) is not None:
-                _freeze(self, **{name: (len(self.temp_c), 3, 3)})
+        _freeze_some(self, (n, 3, 3), "gyro_matrix", "accel_matrix", "gyro_uncertainty", "accel_uncertainty")
+        _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -199,17 +243,26 @@ class DynamicDrift:
         Nodes of the measured rate, rad/s, increasing.
     error : array, shape (m, k, 3)
         Measured minus true rate per axis, rad/s.
+    uncertainty : array, shape (m, k, 3), or None
+        Standard uncertainty of each node, rad/s.
+    extrapolated : array of bool, shape (m, k), or None
+        True where no data were near the node.
     """
 
     temp_c: FloatArray
     turn_rate: FloatArray
     error: FloatArray
+    uncertainty: FloatArray | None = None
+    extrapolated: BoolArray | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, temp_c=(None,), turn_rate=(None,))
+        m, k = len(self.temp_c), len(self.turn_rate)
         _check_nodes(self.temp_c, "dynamic drift temp_c")
         _check_nodes(self.turn_rate, "dynamic drift turn_rate")
-        _freeze(self, error=(len(self.temp_c), len(self.turn_rate), 3))
+        _freeze(self, error=(m, k, 3))
+        _freeze_some(self, (m, k, 3), "uncertainty")
+        _freeze_marks(self, (m, k), "extrapolated")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -224,11 +277,23 @@ class DriftTables:
         Matrices over temperature.
     dynamic : DynamicDrift or None
         Rate-dependent error over temperature.
+    lag_s : float
+        Time constant by which the thermometer trails the sensors, s; the tables are over the temperature without it.
+    lag_smooth_s : float
+        Time constant of the smoothing that taking the lag off needs, s.
     """
 
     static: StaticDrift | None = None
     scale: ScaleDrift | None = None
     dynamic: DynamicDrift | None = None
+    lag_s: float = 0.0
+    lag_smooth_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.lag_s < np.inf and 0.0 <= self.lag_smooth_s < np.inf):
+            raise InputError(
+                f"drift tables: wanted lag_s and lag_smooth_s of 0 or more, got {self.lag_s:g} and {self.lag_smooth_s:g} s"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -342,6 +407,25 @@ def _freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
     for name, shape in shapes.items():
         array: ArrayLike = getattr(value, name)
         object.__setattr__(value, name, frozen(array, shape, f"{type(value).__name__}.{name}"))
+
+
+def _freeze_some(value: object, shape: tuple[int, ...], *names: str) -> None:
+    for name in names:
+        if getattr(value, name) is not None:
+            _freeze(value, **{name: shape})
+
+
+def _freeze_marks(value: object, shape: tuple[int, ...], *names: str) -> None:
+    for name in names:
+        marks = getattr(value, name)
+        if marks is not None:
+            held = np.array(marks, dtype=bool)
+            if held.shape != shape:
+                raise InputError(
+                    f"{type(value).__name__}.{name}: wanted shape {shape}, got {held.shape}; one mark for each node"
+                )
+            held.flags.writeable = False
+            object.__setattr__(value, name, held)
 
 
 def _check_nodes(nodes: FloatArray, name: str) -> None:
