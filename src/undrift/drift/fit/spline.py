@@ -6,7 +6,7 @@
 
 One pair (q, s2) is seldom certain. Every pair on a grid gets the weight exp(sum of the log densities of what was left out),
 times a wide prior on the bend: that the slope changes by as much as it is over 50 degC, give or take a factor of ten. Value and
-covariance are those of the mixture, so that few points give wide intervals. s2 is the floor under the variance of a cell: a
+covariance are those of the mixture, widened by Student's factor for few rows. s2 is the floor under the variance of a cell: a
 thousand blocks at the hot end of a warm-up count no more than the scatter between cells lets them.
 """
 
@@ -90,7 +90,9 @@ class SmoothSpline:
     scatter_deviation : array, shape (k,)
         Root of the mean s2, unit of the values.
     leave_out_rms : array, shape (k,)
-        Root-mean-square error of values left out, unit of the values; NaN where none can be left out.
+        Root-mean-square error of values left out between others, unit of the values; NaN where there are none.
+    widening : float
+        Factor on variances for few rows: (t / z)^2 with the 97.5 % points of Student's distribution and the normal.
     """
 
     origin_c: float
@@ -103,6 +105,7 @@ class SmoothSpline:
     coefficient_uncertainty: FloatArray
     scatter_deviation: FloatArray
     leave_out_rms: FloatArray
+    widening: float
 
     def at(self, temp_c: FloatArray) -> NodeValues:
         """Return the curves at nodes; regressors count as 0 there.
@@ -126,7 +129,9 @@ class SmoothSpline:
             values.append(mean)
             covariances.append(np.einsum("g,gij->ij", weight, covariance) + np.einsum("g,gi,gj->ij", weight, off, off))
         return NodeValues(
-            temp_c=np.array(temp_c, float), value=np.stack(values, axis=1), covariance=np.array(covariances)
+            temp_c=np.array(temp_c, float),
+            value=np.stack(values, axis=1),
+            covariance=self.widening * np.array(covariances),
         )
 
 
@@ -245,6 +250,8 @@ def fit_smooth(
             groups=groups,
         )
         parts.append(_weighed(problem, None if scatter is None else float(scatter[column]), span, settings))
+    known = 0.0 if scatter is None else 2.0 / settings.scatter_spread**2
+    widening = _widening(len(x) - basis.shape[1] - 1 + known)
     return SmoothSpline(
         origin_c=origin,
         span_c=span,
@@ -253,9 +260,10 @@ def fit_smooth(
         scatter=tuple(part.scatter for part in parts),
         weight=tuple(part.weight for part in parts),
         coefficient=np.stack([part.coefficient for part in parts], axis=1),
-        coefficient_uncertainty=np.stack([part.uncertainty for part in parts], axis=1),
+        coefficient_uncertainty=np.sqrt(widening) * np.stack([part.uncertainty for part in parts], axis=1),
         scatter_deviation=np.array([np.sqrt(part.weight @ part.scatter) for part in parts]),
         leave_out_rms=np.array([part.leave_out_rms for part in parts]),
+        widening=widening,
     )
 
 
@@ -354,6 +362,12 @@ def _weighed(problem: Problem, scatter: float | None, span: float, settings: Smo
         uncertainty=np.sqrt(weight @ (covariance + (beta - coefficient) ** 2)),
         leave_out_rms=float(np.sqrt(weight @ square[kept])),
     )
+
+
+def _widening(freedom: float) -> float:
+    from scipy.stats import norm, t
+
+    return float((t.ppf(0.975, max(freedom, 1.0)) / norm.ppf(0.975)) ** 2)
 
 
 def _deviation(grid: FloatArray, weight: FloatArray, spread: float) -> float:

@@ -155,10 +155,12 @@ def leave_out(problem: Problem, made: Solved) -> tuple[FloatArray, FloatArray]:
     score : array, shape (G,)
         Sum over groups of the logarithm of the density that the others give to the values left out.
     square : array, shape (G,)
-        Mean of the squared errors of the values left out, unit of y squared; NaN where no group can be left out.
+        Mean of the squared errors of the values left out between others, not at the ends, unit of y squared; NaN where none can
+        be left out.
     """
     projected_y = made.projected @ problem.y
     score, square, count = np.zeros(len(made.beta)), np.zeros(len(made.beta)), 0
+    ends = problem.groups[[np.argmin(problem.x), np.argmax(problem.x)]]
     for number in np.unique(problem.groups):
         inside = np.flatnonzero(problem.groups == number)
         others = problem.basis[problem.groups != number]
@@ -168,8 +170,9 @@ def leave_out(problem: Problem, made: Solved) -> tuple[FloatArray, FloatArray]:
         own = projected_y[:, inside]
         error = np.linalg.solve(precision, own[..., None])[..., 0]
         score += 0.5 * (np.linalg.slogdet(precision)[1] - (own * error).sum(axis=1))
-        square += (error**2).sum(axis=1)
-        count += len(inside)
+        if number not in ends:
+            square += (error**2).sum(axis=1)
+            count += len(inside)
     return score, square / count if count else np.full(len(score), np.nan)
 
 
@@ -190,7 +193,8 @@ def restricted_likelihood(problem: Problem, made: Solved) -> FloatArray:
     """
     misfit = np.einsum("n,gnm,m->g", problem.y, made.projected, problem.y)
     log_det: FloatArray = np.linalg.slogdet(made.inverse)[1] + np.linalg.slogdet(made.beta_covariance)[1]
-    return 0.5 * (log_det - misfit)
+    likelihood: FloatArray = 0.5 * (log_det - misfit)
+    return likelihood
 
 
 def curve_at(problem: Problem, made: Solved, bend: FloatArray, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
