@@ -187,6 +187,7 @@ def fit_smooth(
     groups: IntArray | None = None,
     correlation: FloatArray | None = None,
     scatter: FloatArray | None = None,
+    shared: FloatArray | None = None,
     settings: SmoothSettings = SmoothSettings(),
 ) -> SmoothSpline:
     """Fit a smoothing spline to each column, its stiffness weighed by leave-out error.
@@ -207,6 +208,8 @@ def fit_smooth(
         C, of the scatter beyond the stated variance; None for independent rows.
     scatter : array, shape (k,), or None
         What is known of s2 beforehand, unit squared; None where nothing is.
+    shared : array, shape (k, n, n), or None
+        Known covariance of the rows beside ``variance``, unit squared: what the rows of one session have in common.
     settings : SmoothSettings
         Priors.
 
@@ -248,6 +251,7 @@ def fit_smooth(
             basis=basis,
             correlation=correlation,
             groups=groups,
+            shared=0.0 if shared is None else shared[column],
         )
         parts.append(_weighed(problem, None if scatter is None else float(scatter[column]), span, settings))
     known = 0.0 if scatter is None else 2.0 / settings.scatter_spread**2

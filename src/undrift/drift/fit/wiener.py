@@ -43,6 +43,8 @@ class Problem:
         C.
     groups : array of int, shape (n,)
         Rows of one number are left out together.
+    shared : array, shape (n, n), or 0
+        Known covariance of the rows beside v, that unit squared.
     """
 
     x: FloatArray
@@ -51,6 +53,7 @@ class Problem:
     basis: FloatArray
     correlation: FloatArray
     groups: IntArray
+    shared: FloatArray | float = 0.0
 
     def covariance(self, bend: FloatArray, scatter: FloatArray) -> FloatArray:
         """Return K for each pair of hyperparameters.
@@ -65,7 +68,7 @@ class Problem:
         array, shape (G, n, n)
             Unit of y squared.
         """
-        own = np.diag(self.variance + _JITTER * max(float(np.var(self.y)), 1e-300))
+        own = self.shared + np.diag(self.variance + _JITTER * max(float(np.var(self.y)), 1e-300))
         made: FloatArray = (
             bend[:, None, None] * bending(self.x, self.x) + own + scatter[:, None, None] * self.correlation
         )
