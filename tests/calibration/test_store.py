@@ -75,7 +75,7 @@ def warm_ups(draw):
 @st.composite
 def drifts(draw):
     n, m = draw(st.integers(2, 4)), draw(st.integers(2, 4))
-    none, smooth = st.none(), st.floats(0.0, 1e4)
+    none, smooth = st.none(), st.floats(1e-6, 1e4)
     static = st.builds(
         StaticDrift,
         temp_c=nodes(n),
@@ -110,7 +110,7 @@ def drifts(draw):
         static=draw(none | static),
         scale=draw(none | scale),
         dynamic=draw(none | dynamic),
-        lag_s=draw(smooth),
+        lag_s=draw(st.just(0.0) | smooth),
         lag_smooth_s=draw(smooth),
     )
 
@@ -338,12 +338,14 @@ def test_a_warm_up_begins_at_power_on_and_dies_away() -> None:
 
 @pytest.mark.parametrize("name", ["lag_s", "lag_smooth_s"])
 def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="wanted lag_s and lag_smooth_s of 0 or more, got"):
+    with pytest.raises(InputError, match="wanted lag_s and lag_smooth_s of 0 s or more"):
         DriftTables(**{name: -1.0})
-    content = calibration_json(example(drift=DriftTables(**{name: 2.0})))
+    content = calibration_json(example(drift=DriftTables(**{"lag_smooth_s": 1.0, name: 2.0})))
     assert content["drift"][name] == 2.0
     content["drift"][name] = -1.0
     (tmp_path / "c.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="with a lag the smoothing above 0, got 3 and 0; "):
+        DriftTables(lag_s=3.0)
     with pytest.raises(FileFormatError, match=f"at drift.{name}: Input should be greater than or equal to 0"):
         read_calibration(tmp_path / "c.json")
 

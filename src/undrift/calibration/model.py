@@ -285,7 +285,7 @@ class DriftTables:
     lag_s : float
         Time constant by which the thermometer trails the sensors, s; the tables are over the temperature without it.
     lag_smooth_s : float
-        Time constant of the smoothing that taking the lag off needs, s.
+        Time constant of the smoothing that taking the lag off needs, s; above 0 where there is a lag.
     """
 
     static: StaticDrift | None = None
@@ -295,9 +295,11 @@ class DriftTables:
     lag_smooth_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (0.0 <= self.lag_s < np.inf and 0.0 <= self.lag_smooth_s < np.inf):
+        lag, smooth = self.lag_s, self.lag_smooth_s
+        if not (0.0 <= lag < np.inf and 0.0 <= smooth < np.inf) or (lag > 0.0 and smooth == 0.0):
             raise InputError(
-                f"drift tables: wanted lag_s and lag_smooth_s of 0 or more, got {self.lag_s:g} and {self.lag_smooth_s:g} s"
+                "drift tables: wanted lag_s and lag_smooth_s of 0 s or more, with a lag the smoothing above 0, "
+                f"got {lag:g} and {smooth:g}; drift.lag.default_smooth_s gives one"
             )
 
 
