@@ -28,7 +28,7 @@ MOST_BLOCKS = 4000
 BLOCK_S = 1.0  # a board does not warm and cool within a second
 FEWEST_BLOCKS = 200
 STIFFNESS = np.geomspace(1e-3, 1e13, 49)  # s^3, in means of one reading: from no smoothing to a straight line over days
-BLURRED = 0.445  # of a step: where the scatter of readings, steps included, is larger, their mean tells no step
+BLURRED = 0.35  # of a step: where the scatter of readings, steps included, is larger, their mean tells no step
 MOVING = 0.35  # uncertainty where steps follow each other, over that of one step by itself
 CHATTER = 0.25  # of the time to the next step: crossings closer than that are noise
 SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
@@ -119,12 +119,12 @@ def find_course(temp_c: FloatArray, time: FloatArray, step_c: float) -> Course:
     noise = noise_of(temp_c, step_c)
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
         return Course(temp_c=temp_c, uncertainty_c=math.hypot(noise, step_c / math.sqrt(12.0)), noise_c=noise)
-    if step_c > 0.0 and noise < 0.8 * BLURRED * step_c:
+    if step_c > 0.0 and noise < BLURRED * step_c:
         return _between_steps(temp_c, time, step_c, noise)
-    return _smoothed(temp_c, time, noise)
+    return _smoothed(temp_c, time, noise, step_c)
 
 
-def _smoothed(temp_c: FloatArray, time: FloatArray, noise: float) -> Course:
+def _smoothed(temp_c: FloatArray, time: FloatArray, noise: float, step: float) -> Course:
     from scipy.interpolate import CubicSpline
 
     t, y, count = block_means(time, temp_c)
@@ -133,7 +133,11 @@ def _smoothed(temp_c: FloatArray, time: FloatArray, noise: float) -> Course:
     course = np.asarray(spline(np.clip(time, t[0], t[-1])))
     for end, out in ((0, time < t[0]), (-1, time > t[-1])):  # straight on over the half block at each end
         course[out] = g[end] + spline(t[end], 1) * (time[out] - t[end])
-    return Course(temp_c=course, uncertainty_c=math.sqrt(variance), noise_c=noise)
+    ripple = 0.0  # what noise s leaves of the steps in a mean: step / pi exp(-2 pi^2 s^2 / step^2), a sine of the temperature
+    if step > 0.0:
+        blur = max(noise**2 / step**2 - 1.0 / 12.0, 0.0)
+        ripple = step / math.pi * math.exp(-2.0 * math.pi**2 * blur) / math.sqrt(2.0)
+    return Course(temp_c=course, uncertainty_c=math.hypot(math.sqrt(variance), ripple), noise_c=noise)
 
 
 def block_means(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -216,7 +220,8 @@ def _likelihood(
     variance = float(z @ c) / len(z)
     if variance <= 0.0:  # a straight line without noise
         return -math.inf, c / stiffness, 0.0
-    return -0.5 * len(z) * math.log(variance) - float(np.log(factor[2]).sum()), c / stiffness, variance
+    likelihood = -0.5 * len(z) * math.log(variance) - float(np.log(factor[2]).sum())
+    return likelihood, np.asarray(c) / stiffness, variance
 
 
 def _freedom(tents: FloatArray, differences: FloatArray, stiffness: float) -> float:
