@@ -233,7 +233,7 @@ def _freedom(tents: FloatArray, differences: FloatArray, stiffness: float) -> fl
 
     step = 1e-3  # of the logarithm of the stiffness
     slope = 2.0 * (half_log(stiffness * (1.0 + step)) - half_log(stiffness * (1.0 - step))) / (2.0 * step)
-    return tents.shape[1] + 2 - slope
+    return float(tents.shape[1] + 2 - slope)
 
 
 def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> Course:
@@ -332,7 +332,7 @@ def _fading(away: FloatArray, t: FloatArray, y: FloatArray, code: float) -> Floa
         return away
     room = code - y[0]
     slope = _slope(t, y) or 2.0 * abs(room) / float(away.max())
-    return y[0] - room * np.expm1(-away * slope / abs(room))
+    return np.asarray(y[0] - room * np.expm1(-away * slope / abs(room)))
 
 
 def _slope(t: FloatArray, y: FloatArray) -> float:
