@@ -17,12 +17,12 @@ from undrift.errors import InputError
 from undrift.export.cost import ASSUMPTION, Arithmetic, Cost, cost_of
 from undrift.export.firmware import Axis, Table, Triad, triads_of
 from undrift.export.fixed import FULL_FORCE, FULL_RATE, FixedAxis, FixedTable, FixedTriad, fixed_triad
-from undrift.export.losses import losses
+from undrift.export.losses import Part, losses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 WIDTH = 116
 SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
-CARRIED = frozenset(
+CARRIED: frozenset[Part] = frozenset(
     ("rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
 )  # fmt: skip
 
@@ -138,7 +138,9 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     of_accel = None if accel is None else fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
     of_gyro = None if gyro is None else _fixed_gyro(gyro, of_accel, settings)
     views = [
-        _View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro)) if t is not None and x is not None
+        _View(name=t.name, real=t, fixed=x)
+        for t, x in ((accel, of_accel), (gyro, of_gyro))
+        if t is not None and x is not None
     ]
     source, sizes = _source(views, calibration, settings)
     triads = tuple(view.real for view in views)
@@ -182,7 +184,7 @@ def _environment() -> Any:
 
     return Environment(  # C source, not HTML
         loader=PackageLoader("undrift", "export"),
-        autoescape=False,  # noqa: S701
+        autoescape=False,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -323,13 +325,12 @@ def _comment(
     views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], said: tuple[str, ...]
 ) -> list[str]:
     lines = [
-        f"Calibrated {calibration.provenance.created or 'at a time not stated'}, exported {settings.date or 'at a time not stated'}.",
+        f"Calibrated: {calibration.provenance.created or 'not stated'}. Exported: {settings.date or 'not stated'}.",
         f"Verdict of the calibration: {calibration.verdict.status}.",
         "",
         "Readings in sensor axes s, results in the case frame b: gyroscopes rad/s, accelerometers m/s2, temperature degC.",
     ]
-    for view in views:
-        lines.append(f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}")
+    lines += [f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}" for view in views]
     lines += [
         "Order of the steps: 1 half a code step back, 2 offset(T), 3 matrix M(T), 4 g-sensitivity, 5 dynamic drift e(w, T).",
         "Tables are linear between their nodes and held at their ends; the return value says when.",
@@ -342,7 +343,10 @@ def _comment(
     lines += [
         f"  {c.arithmetic:6} {c.table_bytes} + {c.code_bytes} = {c.flash_bytes} bytes, {c.cycles} cycles" for c in costs
     ]
-    lines += ["", "Fixed point: int32, 16 bits behind the point (Q16.16) unless a _RAW_BITS below says fewer. Error against exact"]
+    lines += [
+        "",
+        "Fixed point: int32, 16 bits behind the point (Q16.16) unless a _RAW_BITS below says fewer. Error against exact",
+    ]
     lines += ["arithmetic on the same inputs, at most, while no axis exceeds 2000 deg/s and 16 g:"]
     for view in views:
         worst = float(view.fixed.bound.max())
