@@ -8,7 +8,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.fit.dwells import DwellSettings, dwell_means
-from undrift.drift.blocks import rest_blocks
+from undrift.drift.blocks import rest_blocks, whole_of
 from undrift.drift.observations import RateSteps, RestBlocks
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record
@@ -78,6 +78,7 @@ def observe_rests(
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         _check_lengths(session, temps)
         begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
+        wholes = [whole_of(record, float(begin)) for record, begin in zip(session.records, begins, strict=False)]
         stills = _rests(session)
         numbers = poses + _poses(session, stills)
         poses = int(numbers.max()) + 1
@@ -86,9 +87,9 @@ def observe_rests(
                 session.records[still.recording],
                 temps[still.recording],
                 still,
+                wholes[still.recording],
                 block_s=settings.block_s,
                 ramp_s=settings.ramp_s,
-                begin_s=float(begins[still.recording]),
                 session=number,
                 pose=int(pose),
             )
@@ -146,6 +147,8 @@ def observe_steps(
 
 
 def _stacked(parts: Sequence[RestBlocks | RateSteps], name: str) -> Any:
+    if any(getattr(part, name) is None for part in parts):
+        return None
     return np.concatenate([getattr(part, name) for part in parts])
 
 

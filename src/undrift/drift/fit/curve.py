@@ -178,6 +178,7 @@ def _fit(
         offsets.variance,
         direction=state if with_loop else np.zeros(len(blocks)),
         regressors=np.column_stack(columns) if columns else np.zeros((len(blocks), 0)),
+        step_error=offsets.step_error,
         settings=chunked,
     )
     turn_on = None
