@@ -16,7 +16,8 @@ from tuned import GAP, ROUNDINGS, STEPS, WILD, device, record, tables
 from undrift.calibration.model import AdcModel, Provenance, StaticDrift, Verdict, WarmUp
 from undrift.correct import correct_checked
 from undrift.errors import InputError
-from undrift.export.c import CSettings, export_c, literal
+from undrift.export.c import CSettings, export_c
+from undrift.export.c_text import literal
 from undrift.export.fixed import FULL_FORCE, FULL_RATE
 
 KINDS = {
