@@ -34,21 +34,31 @@ def of(record):
 
 @pytest.mark.parametrize(
     ("step", "noise", "limit"),
-    [(1.0, 0.0, 0.03), (1.0, 0.1, 0.03), (1.0, 0.3, 0.08), (0.5, 0.0, 0.03), (0.0, 0.5, 0.04), (0.0, 0.02, 0.003)],
+    [
+        (1.0, 0.0, 0.03),
+        (1.0, 0.1, 0.04),
+        (1.0, 0.2, 0.1),
+        (1.0, 0.3, 0.07),
+        (0.5, 0.0, 0.03),
+        (0.0, 0.5, 0.04),
+        (0.0, 0.02, 0.003),
+    ],
 )
 def test_steps_and_noise_of_a_warm_up_are_smoothed_away(step, noise, limit):
-    raw = WARM_UP + np.random.default_rng(0).normal(0.0, noise, len(TIME))
-    raw = np.round(raw / step) * step if step else raw
-    found = trusted_temperature(session(raw), 0)
-    rms = float(np.sqrt(np.mean((found.temp_c - WARM_UP) ** 2)))
-    before = float(np.sqrt(np.mean((raw - WARM_UP) ** 2)))
+    errors = []
+    for seed in range(5 if noise else 1):
+        raw = WARM_UP + np.random.default_rng(seed).normal(0.0, noise, len(TIME))
+        raw = np.round(raw / step) * step if step else raw
+        found = trusted_temperature(session(raw), 0)
+        errors.append(float(np.sqrt(np.mean((found.temp_c - WARM_UP) ** 2))))
+    worst = max(errors)
     show(
-        f"step {step:g} K, noise {noise:g} K: rms error, K",
-        f"{rms:.4f} from {before:.3f}, stated {found.uncertainty_c:.4f}",
+        f"step {step:g} K, noise {noise:g} K: worst rms error, K",
+        f"{worst:.4f}, stated {found.uncertainty_c:.4f}",
         limit,
     )
-    assert rms < limit  # twice what seeds 0 to 4 leave, rounded up
-    assert rms < 1.5 * found.uncertainty_c
+    assert worst < limit  # one and a half times the worst of 20 seeds, rounded up
+    assert worst < 1.5 * found.uncertainty_c
     assert found.step_c == pytest.approx(step)
     assert any("quantised, it comes in steps" in note for note in found.notes) == (step >= 0.5)
 

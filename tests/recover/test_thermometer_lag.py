@@ -106,7 +106,7 @@ def test_the_lag_is_found_and_taking_it_off_removes_what_it_costs(lag_s):
         smooth_s / lag_s * with_lag, errors["slow"][1]
     )  # the lag tau_f that the lead leaves, and the noise of 10 s
     show(f"lag {lag_s:g} s, fast ramp: expected of the lead, deg/s", f"{left:.4f}", "1.25 times it")
-    assert without < 1.25 * left  # a quarter more: chosen from the runs shown, 1.03 to 1.20 times it
+    assert without < 1.25 * left  # a quarter more: chosen from the runs shown, 1.04 to 1.17 times it
     assert without < 0.5 * with_lag
 
 
@@ -117,5 +117,5 @@ def test_one_speed_does_not_tell_a_lag_from_hysteresis():
     assert found.notes[0].startswith("up and down at one speed only: a lag of ")
     assert found.notes[0].endswith("record a second ramp, three times as fast or slow")
     alone = estimated(ramped(40.0, SLOW, 3, hysteresis=False))
-    show("one speed, no hysteresis: the lag that explains the loop, s", f"{alone.lag_s:.1f}", "40 within 5")
-    assert alone.lag_s == pytest.approx(40.0, abs=5.0)  # slow ramps show 0.33 K of it: three standard deviations
+    show("one speed, no hysteresis: the lag that explains the loop, s", f"{alone.lag_s:.1f}", "40 within 6")
+    assert alone.lag_s == pytest.approx(40.0, abs=6.0)  # ten seeds scatter by 2.1 s
