@@ -141,8 +141,9 @@ def test_fixed_point_stays_within_its_stated_bound(tmp_path_factory, calibration
     def readings(name, full, held):
         matrix, offset = at(calibration, name, temp_c)
         true = rng.uniform(-full, full, (400, 3)) * rng.choice([1.0, 0.1, 0.01], (400, 1))
-        raw = np.linalg.solve(matrix, true[..., None])[..., 0] + offset
-        return np.clip(raw, -0.999 * held, 0.999 * held)
+        u = np.linalg.solve(matrix, true[..., None])[..., 0]
+        least = ((0.999 * held - np.abs(offset)) / np.abs(u)).min(axis=1)  # codes that the format holds
+        return u * np.minimum(1.0, least)[:, None] + offset
 
     inputs = run.inputs(readings("gyro", FULL_RATE, room[0]), readings("accel", FULL_FORCE, room[1]), temp_c)
     gyro, accel, temp_c = run.real(inputs)
@@ -159,10 +160,15 @@ def test_fixed_point_stays_within_its_stated_bound(tmp_path_factory, calibration
 EXTREMES = np.array([-(2**31), -(2**31) + 1, -65536, -1, 0, 1, 65535, 2**30, 2**31 - 1])
 
 
-@pytest.mark.parametrize("kind", ["even", "searched"])
+@pytest.mark.parametrize("kind", ["even", "searched", "loud"])
 @pytest.mark.parametrize("arithmetic", ["float", "fixed"])
 def test_extreme_inputs_do_nothing_undefined(kind, arithmetic, tmp_path):
-    exported = export_c(device(**KINDS[kind]))
+    made = device(**KINDS["without g" if kind == "loud" else kind])
+    if kind == "loud":  # results that 32 bits do not hold
+        made = replace(
+            made, gyro=replace(made.gyro, matrix=made.gyro.matrix * 1e4, g_sensitivity=np.full((3, 3), -9.0))
+        )
+    exported = export_c(made)
     run = build(
         exported, tmp_path, arithmetic, "-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"
     )
@@ -177,7 +183,7 @@ def test_extreme_inputs_do_nothing_undefined(kind, arithmetic, tmp_path):
     assert ((status >= 0) & (status <= 7)).all()
     if arithmetic == "fixed":
         assert np.abs(np.column_stack((w, a))).max() <= 2.0**15
-        assert (status & 4).any()
+        assert (status & 4).any() == (kind == "loud")
 
 
 def test_a_saturated_result_has_the_sign_of_the_exact_one(tmp_path):
@@ -188,6 +194,19 @@ def test_a_saturated_result_has_the_sign_of_the_exact_one(tmp_path):
     assert status.tolist() == [4]
     assert w[0, 0] == pytest.approx(2.0**15, abs=1e-4)
     assert w[0, 1] == pytest.approx(-(2.0**15), abs=1e-4)
+
+
+def test_a_reading_at_the_end_of_its_range_does_not_saturate_for_its_offset(tmp_path):
+    made = device(g=False, drift=None)
+    made = replace(made, gyro=replace(made.gyro, offset=np.array([9000.0, -9000.0, 16000.0])))
+    exported = export_c(made)
+    run = build(exported, tmp_path, "fixed")
+    inputs = run.inputs([[-32768.0, 32767.0, -32768.0]], [[0.0] * 3], [25.0])
+    w, _, status = run(inputs)
+    gyro, accel, temp_c = run.real(np.repeat(inputs, 2, axis=0))
+    assert status.tolist() == [0]
+    python = corrected(made, gyro, accel, temp_c, "count")[0][0]
+    assert (np.abs(w[0] - python) <= 1.5 * exported.gyro_bound).all()  # up to 48 rad/s; stated for 35
 
 
 def test_the_output_may_be_the_input_and_two_devices_fit_into_one_program(tmp_path):

@@ -66,7 +66,7 @@ DOUBLE = Steps(
     code_table=260,
 )
 FIXED = Steps(
-    call=40, place=20, stride=8, between=24, both=52, row=32, less=14, code_base=430, code_triad=170, code_table=150
+    call=40, place=20, stride=8, between=24, both=52, row=44, less=16, code_base=430, code_triad=170, code_table=150
 )
 
 
