@@ -175,14 +175,17 @@ def _never_moves(record: Record) -> bool:
     """Tell whether nearly all seconds of a record are as quiet as the median second, and the specific force stays."""
     size = max(4, round(record.sample_rate_hz))
     for values in (record.gyro, record.accel):
-        if values is None or len(values) < 8 * size:
+        if values is None:
+            continue
+        values = values[np.isfinite(values).all(axis=1)]
+        if len(values) < 8 * size:
             return False
         seconds = values[: len(values) // size * size].reshape(-1, size, 3)
-        middle = np.nanmedian(seconds, axis=1)
-        spread = np.nanmedian(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
-        usual = max(float(np.nanmedian(spread)), 1e-300)
+        middle = np.median(seconds, axis=1)
+        spread = np.median(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
+        usual = max(float(np.median(spread)), 1e-300)
         steps = np.abs(np.diff(middle, axis=0)).sum(axis=1)
-        if np.nanquantile(spread, 0.98) > _EVEN * usual or np.nanquantile(steps, 0.98) > _EVEN * usual:
+        if np.quantile(spread, 0.98) > _EVEN * usual or np.quantile(steps, 0.98) > _EVEN * usual:
             return False
     return _direction_stays(record)
 
@@ -190,8 +193,8 @@ def _never_moves(record: Record) -> bool:
 def _direction_stays(record: Record) -> bool:
     if record.accel is None:
         return True
-    parts = np.array_split(record.accel, 8)
-    means = np.array([np.nanmedian(part, axis=0) for part in parts])
+    known = record.accel[np.isfinite(record.accel).all(axis=1)]
+    means = np.array([np.median(part, axis=0) for part in np.array_split(known, 8)])
     return all(_angle(means[0], mean) < _SAME_POSE for mean in means)
 
 
