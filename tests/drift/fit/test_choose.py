@@ -85,3 +85,13 @@ def test_rates_of_one_sign_and_a_missing_axis_still_give_a_choice():
     choice = chosen(made, steps=steps.taken(steps.rate_b.sum(axis=1) > 0.0))
     assert choice.alternatives.chosen == "scale"
     assert any("turns about y over temperature were not observable" in reason for reason in choice.verdict.reasons)
+
+
+def test_the_dynamic_table_spans_what_the_matrix_table_spans():
+    made = device(0)
+    steps = computed(made, TEMPS[1:-1], np.random.default_rng(1), rates=FEW, noise_dps=0.008)
+    choice = chosen(made, steps=steps)
+    for fit in (choice.dynamic, choice.both):
+        assert np.array_equal(fit.drift.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
+        assert fit.drift.extrapolated[[0, -1]].all()
+    assert choice.scale.drift.gyro_extrapolated[[0, -1]].all()

@@ -17,7 +17,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.model import Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
-from undrift.drift.fit.dynamic import DynamicFit, DynamicSettings, fit_dynamic, softness_of
+from undrift.drift.fit.dynamic import DEFAULT_STEP_C, DynamicFit, DynamicSettings, fit_dynamic, softness_of
 from undrift.drift.fit.scale import ScaleFit, fit_scale
 from undrift.drift.fit.steps import Steps, measured_rate, steps_of
 from undrift.drift.observations import RateSteps, RestBlocks
@@ -161,7 +161,8 @@ def choose_tables(
     rests : RestBlocks, optional
         Rests at rate zero.
     settings : DynamicSettings
-        Nodes of the dynamic table.
+        Nodes of the dynamic table; where it states no temperatures, every 5 degC over the span of ``temp_c``, so that no
+        table ends before the others.
 
     Returns
     -------
@@ -175,6 +176,7 @@ def choose_tables(
     NotObservable
         One temperature only.
     """
+    settings = settings if settings.temp_c is not None else replace(settings, temp_c=_spanning(temp_c))
     data = _Data(
         steps=steps_of(steps), calibration=calibration, static=static, rests=rests, temp_c=temp_c, settings=settings
     )
@@ -200,6 +202,14 @@ def choose_tables(
         both=fits.both,
         verdict=_verdict(table, fits, soaks).also(data.steps.verdict),
     )
+
+
+def _spanning(temp_c: FloatArray) -> FloatArray:
+    """Return the multiples of 5 degC inside a span, and its ends."""
+    low, high = float(temp_c[0]), float(temp_c[-1])
+    between = DEFAULT_STEP_C * np.arange(np.ceil(low / DEFAULT_STEP_C), np.floor(high / DEFAULT_STEP_C) + 1.0)
+    inside = between[(between > low + 1e-9) & (between < high - 1e-9)]
+    return np.concatenate(([low], inside, [high]))
 
 
 def _fit_all(data: _Data, steps: Steps, like: _Fits | None = None) -> _Fits:
