@@ -142,7 +142,7 @@ def test_a_warm_up_that_goes_with_temperature_is_not_observable():
     time = 10.0 * np.arange(200)
     temp = 60.0 - 40.0 * np.exp(-time / 600.0)
     made = blocks(temp, 0.1 * np.exp(-time / 600.0)[:, None] * np.ones(3), time=time)
-    with pytest.raises(NotObservable, match="temperature and time since power-on that differ, got 100.0 %"):
+    with pytest.raises(NotObservable, match=r"temperature and time since power-on that differ, got 100\.0 %"):
         warm_up_time(made, made.gyro)
     table = warm_up_table(100.0, np.array([1.0, 2.0, 0.0]))
     assert table.power_on_s[0] == 0.0

@@ -17,7 +17,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.fit.excess import excess_variance
 from undrift.drift.fit.cells import Cells
-from undrift.drift.fit.spline import SmoothSettings, fit_smooth
+from undrift.drift.fit.spline import SmoothSettings, Wander, fit_smooth
 from undrift.errors import NotObservable
 
 
@@ -92,8 +92,10 @@ def between_sessions(cells: Cells, regressors: FloatArray, settings: SmoothSetti
             cells.variance,
             regressors=np.column_stack((held, regressors)),
             groups=cells.groups,
-            correlation=cells.correlation,
-            scatter=cells.scatter,
+            wander=Wander(
+                correlation=cells.correlation,
+                scatter=cells.scatter,
+            ),
             settings=settings,
         )
     except NotObservable:

@@ -14,7 +14,7 @@ from undrift.drift.fit.cells import Cells, CellSettings, gather, walk
 from undrift.drift.fit.combine import TurnOn, between_sessions
 from undrift.drift.fit.hysteresis import HysteresisSettings, Loop, both_ways, cooling
 from undrift.drift.fit.offsets import Offsets
-from undrift.drift.fit.spline import NodeValues, SmoothSettings, SmoothSpline, fit_smooth, not_a_knot
+from undrift.drift.fit.spline import NodeValues, SmoothSettings, SmoothSpline, Wander, fit_smooth, not_a_knot
 from undrift.drift.fit.warm_up import warm_up_table, warm_up_time
 from undrift.errors import NotObservable
 
@@ -188,9 +188,11 @@ def _fit(
         cells.variance,
         regressors=cells.regressors if columns else None,
         groups=cells.groups,
-        correlation=cells.correlation,
-        scatter=cells.scatter,
-        shared=None if turn_on is None else turn_on.shared(cells.session),
+        wander=Wander(
+            correlation=cells.correlation,
+            scatter=cells.scatter,
+            shared=None if turn_on is None else turn_on.shared(cells.session),
+        ),
         settings=settings.smooth,
     )
     return cells, spline, turn_on

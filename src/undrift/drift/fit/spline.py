@@ -47,6 +47,25 @@ class SmoothSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Wander:
+    """How n rows scatter beyond their stated variance.
+
+    Parameters
+    ----------
+    correlation : array, shape (n, n), or None
+        C, of that scatter; None for independent rows.
+    scatter : array, shape (k,), or None
+        What is known of s2 beforehand, unit squared; None where nothing is.
+    shared : array, shape (k, n, n), or None
+        Known covariance of the rows besides, unit squared: what the rows of one session have in common.
+    """
+
+    correlation: FloatArray | None = None
+    scatter: FloatArray | None = None
+    shared: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NodeValues:
     """A curve at nodes.
 
@@ -195,9 +214,7 @@ def fit_smooth(
     *,
     regressors: FloatArray | None = None,
     groups: IntArray | None = None,
-    correlation: FloatArray | None = None,
-    scatter: FloatArray | None = None,
-    shared: FloatArray | None = None,
+    wander: Wander = Wander(),
     settings: SmoothSettings = SmoothSettings(),
 ) -> SmoothSpline:
     """Fit a smoothing spline to each column, its stiffness weighed by leave-out error.
@@ -214,12 +231,8 @@ def fit_smooth(
         Effects beside temperature, each with a coefficient of its own in each column: direction of a sweep, warm-up, session.
     groups : array of int, shape (n,), or None
         Rows of one number are left out together; None makes groups of neighbours in temperature.
-    correlation : array, shape (n, n), or None
-        C, of the scatter beyond the stated variance; None for independent rows.
-    scatter : array, shape (k,), or None
-        What is known of s2 beforehand, unit squared; None where nothing is.
-    shared : array, shape (k, n, n), or None
-        Known covariance of the rows beside ``variance``, unit squared: what the rows of one session have in common.
+    wander : Wander
+        Scatter beyond the stated variance, and what is known of it.
     settings : SmoothSettings
         Priors.
 
@@ -251,7 +264,7 @@ def fit_smooth(
             "record more temperatures"
         )
     groups = neighbours(temp_c, settings.groups) if groups is None else groups
-    correlation = np.eye(len(x)) if correlation is None else correlation
+    correlation = np.eye(len(x)) if wander.correlation is None else wander.correlation
     parts = []
     for column in range(value.shape[1]):
         problem = Problem(
@@ -261,10 +274,12 @@ def fit_smooth(
             basis=basis,
             correlation=correlation,
             groups=groups,
-            shared=0.0 if shared is None else shared[column],
+            shared=0.0 if wander.shared is None else wander.shared[column],
         )
-        parts.append(_weighed(problem, None if scatter is None else float(scatter[column]), span, settings))
-    known = 0.0 if scatter is None else 2.0 / settings.scatter_spread**2
+        parts.append(
+            _weighed(problem, None if wander.scatter is None else float(wander.scatter[column]), span, settings)
+        )
+    known = 0.0 if wander.scatter is None else 2.0 / settings.scatter_spread**2
     widening = _widening(max(len(x) - basis.shape[1] - 1, 0) + known)
     return SmoothSpline(
         origin_c=origin,
