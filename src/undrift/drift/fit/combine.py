@@ -17,7 +17,8 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.fit.excess import excess_variance
 from undrift.drift.fit.cells import Cells
-from undrift.drift.fit.spline import SmoothSettings, Wander, fit_smooth
+from undrift.drift.fit.spline import Wander, fit_smooth
+from undrift.drift.fit.weigh import SmoothSettings
 from undrift.errors import NotObservable
 
 

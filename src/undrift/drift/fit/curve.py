@@ -14,8 +14,9 @@ from undrift.drift.fit.cells import Cells, CellSettings, gather, walk
 from undrift.drift.fit.combine import TurnOn, between_sessions
 from undrift.drift.fit.hysteresis import HysteresisSettings, Loop, both_ways, cooling
 from undrift.drift.fit.offsets import Offsets
-from undrift.drift.fit.spline import NodeValues, SmoothSettings, SmoothSpline, Wander, fit_smooth, not_a_knot
+from undrift.drift.fit.spline import NodeValues, SmoothSpline, Wander, fit_smooth, not_a_knot
 from undrift.drift.fit.warm_up import warm_up_table, warm_up_time
+from undrift.drift.fit.weigh import SmoothSettings
 from undrift.errors import NotObservable
 
 _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fitted
