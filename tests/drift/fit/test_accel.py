@@ -103,6 +103,15 @@ def test_poses_scattered_over_temperature_are_fitted_at_once():
     assert any("fitted to all poses at once" in reason for reason in fit.verdict.reasons)
 
 
+def test_poses_that_miss_gravity_make_a_joint_fit_bad():
+    made = device()
+    scattered = [(20.0 + 2.0 * k, k, u) for k, u in enumerate(free_poses(21))]
+    fit = fit_accel_drift(rests(made, scattered, noise=0.08 * GRAVITY), true_calibration(made), temp_c=NODES)
+    assert fit.method == "joint"
+    assert fit.verdict.status == "bad"
+    assert any("poses miss gravity by" in reason for reason in fit.verdict.reasons)
+
+
 def test_faces_say_that_cross_axis_terms_are_the_calibrations():
     made = device()
     fit = fit_accel_drift(rests(made, everywhere(FACES)), true_calibration(made), temp_c=NODES)
@@ -158,7 +167,7 @@ def test_readings_that_no_linear_device_gives_do_not_settle():
     made = device()
     given = rests(made, everywhere(free_poses(3), (20.0, 40.0, 60.0)) + everywhere(FACES, (30.0, 50.0)))
     wild = replace(given, accel=given.accel * np.random.default_rng(3).uniform(-6.0, 6.0, given.accel.shape))
-    with pytest.raises((PoorFit, NotObservable), match="accelerometers over temperature: wanted"):
+    with pytest.raises(PoorFit, match=r"wanted 21 poses of length 9\.80665 m/s2, got none that a device"):
         fit_joint(warm_poses(wild, true_calibration(made).accel), GRAVITY)
 
 

@@ -27,6 +27,7 @@ from undrift.units import si_factor
 
 _SYMMETRIC = (np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2]))  # rows and columns of P's six elements
 _FULL, _DIAGONAL = 9, 6
+_MISSES_G = (3e-3, 2e-2)  # rms residual length from which a joint fit is marginal, and bad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -245,7 +246,19 @@ def _joint(poses: WarmPoses, gravity: float, at: FloatArray) -> _Curves:
         value=value,
         uncertainty=np.sqrt(np.maximum(variance, 0.0)),
         method="joint",
-        verdict=Verdict(status="marginal", reasons=(reason,)),
+        verdict=Verdict(status="marginal", reasons=(reason,)).also(_missing_gravity(fit.rms / gravity)),
+    )
+
+
+def _missing_gravity(rms_g: float) -> Verdict:
+    if rms_g < _MISSES_G[0]:
+        return Verdict()
+    return Verdict(
+        status="bad" if rms_g > _MISSES_G[1] else "marginal",
+        reasons=(
+            f"accelerometers over temperature: poses miss gravity by {1e3 * rms_g:.2g} mg rms (wanted {1e3 * _MISSES_G[0]:g}): the "
+            "device moved in some of them, or is not linear in temperature",
+        ),
     )
 
 

@@ -26,6 +26,8 @@ JOINT_NAMES = (
     *(f"sensitivity {axis} per K" for axis in AXES),
     *(f"offset {axis} per K" for axis in AXES),
 )
+_MOST_STEPS = 50
+_SETTLED = 1e-3  # of the standard deviation of a length: no step moves a length by more
 _GROUP_C = 1.5  # poses within this of each other are at one temperature
 
 
@@ -158,16 +160,16 @@ def fit_joint(poses: WarmPoses, gravity: float) -> JointFit:
     warm = poses.temp_c - origin
     _check_seen(poses, warm, gravity)
     p = np.concatenate((np.ones(3), np.zeros(9)))
-    variance, size = np.full(len(warm), 1.0), np.ones(12)
-    for _ in range(20):
+    variance = np.full(len(warm), 1.0)
+    for _ in range(_MOST_STEPS):
         design, residual = _linearised(poses.v, warm, p, gravity)
-        scaled = design * size / np.sqrt(variance)[:, None]
-        step = size * np.linalg.lstsq(scaled, -residual / np.sqrt(variance), rcond=1e-12)[0]
+        weighted = design / np.sqrt(variance)[:, None]
+        step = np.linalg.lstsq(weighted, -residual / np.sqrt(variance), rcond=1e-12)[0]
         p = p + step
         stated = (design[:, 3:6] ** 2 * poses.variance).sum(axis=1)
         residual = _linearised(poses.v, warm, p, gravity)[1]
         variance = np.maximum(stated + excess_variance(residual, stated, len(warm) - 12), (1e-9 * gravity) ** 2)
-        if float(np.abs(step).max()) < 1e-10 * gravity:
+        if float(np.abs(weighted @ step).max()) < _SETTLED:
             break
     else:
         raise PoorFit(
