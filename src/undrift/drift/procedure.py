@@ -11,7 +11,7 @@ truncated get their half step back first, as ``correct`` does, so that a table i
 the sessions cannot tell is a reason in the verdict, with the recording that would.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Literal
@@ -24,23 +24,33 @@ from undrift.calibration.observed import in_one_unit
 from undrift.drift.fit.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.fit.asymmetry import Asymmetry, scale_asymmetry
 from undrift.drift.fit.choose import Alternative, Choice, choose_tables
-from undrift.drift.fit.dynamic import DynamicSettings
 from undrift.drift.fit.static import StaticFit, StaticSettings, fit_static
 from undrift.drift.lag import default_smooth_s, without_lag_smooth
 from undrift.drift.lag_fit import LagFit, estimate_lag
 from undrift.drift.observations import RateSteps, RestBlocks
 from undrift.drift.observe import ObserveSettings, observe_rests, observe_steps
-from undrift.drift.sessions import in_units_of, nominal_models
+from undrift.drift.sessions import accel_unit_of, in_units_of, nominal_models, since_power_on
+from undrift.drift.summary import ScaleSummary, TriadSummary, summarise_accel, summarise_gyro, summarise_scale
 from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
+from undrift.drift.verdict import (
+    accel_verdict,
+    choice_verdict,
+    lag_verdict,
+    mark_before,
+    static_verdict,
+    temperature_verdict,
+    verdict_before,
+)
 from undrift.errors import InputError, NotObservable
 from undrift.session import Session
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
-_WIDE = 0.5  # of the note's range: sessions that saw less have tables over what they saw
+_WIDE = 0.8  # of the note's range: sessions that saw less have tables over what they saw
 _SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
 
 TableChoice = Literal["auto"] | Alternative
+Told = Callable[[str, float], None]  # what is being done now, and which share of the work lies behind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +60,7 @@ class DriftSettings:
     Parameters
     ----------
     range_c : (float, float) or None
-        First and last node, degC; None takes 18 to 75, widened to what was seen, or, where less than half of that was seen, the
+        First and last node, degC; None takes 18 to 75, widened to what was seen, or, where less than 80 % of that was seen, the
         span seen.
     step_c : float
         From node to node, K.
@@ -95,6 +105,12 @@ class DriftFit:
         What the others rest on; may have no rows.
     temperatures : tuple of Temperature
         Of each recording, session after session.
+    gyro_summary, accel_summary : TriadSummary or None
+        Offsets over temperature in SI units, as they are shown.
+    scale_summary : ScaleSummary or None
+        Scale factors over temperature, whether a table of them was taken or not.
+    verdict : Verdict
+        Of the thermal fit alone; that of ``calibration`` has what was known before, too.
     """
 
     calibration: Calibration
@@ -106,10 +122,18 @@ class DriftFit:
     rests: RestBlocks
     steps: RateSteps
     temperatures: tuple[Temperature, ...]
+    gyro_summary: TriadSummary | None
+    accel_summary: TriadSummary | None
+    scale_summary: ScaleSummary | None
+    verdict: Verdict
 
 
 def fit_drift(
-    sessions: Sequence[Session], calibration: Calibration | None = None, *, settings: DriftSettings = DriftSettings()
+    sessions: Sequence[Session],
+    calibration: Calibration | None = None,
+    *,
+    settings: DriftSettings = DriftSettings(),
+    told: Told | None = None,
 ) -> DriftFit:
     """Fit the tuning tables of a device.
 
@@ -121,6 +145,8 @@ def fit_drift(
         Of the same device. Without one, readings in a physical unit keep their nominal scale; counts are refused.
     settings : DriftSettings
         Nodes, lag, tables.
+    told : callable, optional
+        Called with what is done next and the share of the work that is done, 0 to 1.
 
     Returns
     -------
@@ -132,23 +158,31 @@ def fit_drift(
     InputError
         No session, another device than the calibration's, temperature missing or on another scale, units that do not agree.
     NotObservable
-        A temperature that is constant or spans too little; no rests; counts without a calibration.
+        A temperature that is constant or spans too little; no rests; counts without a calibration; a table that was asked for
+        and that the sessions do not tell.
     """
+    say = told or _silent
     _check(sessions, calibration, settings)
     sessions = [in_one_unit(session) for session in sessions]
-    device = calibration or nominal_models(sessions)
+    device = nominal_models(sessions) if calibration is None else calibration
+    device = replace(device, verdict=verdict_before(device))
     sessions = [in_units_of(session, device) for session in sessions]
+    settings = replace(settings, static=replace(settings.static, accel_unit=accel_unit_of(sessions, device)))
+    say("smoothing the temperature", 0.0)
     wide = replace(settings.temperature, least_span_c=0.0)
     trusted = [[trusted_temperature(s, k, settings=wide) for k in range(len(s.records))] for s in sessions]
     together = tuple(temperature for of_session in trusted for temperature in of_session)
     check_span(together, settings=settings.temperature)
+    say("gathering rests and turns", 0.15)
     lag, lag_s, rests, course = _without_lag(sessions, trusted, settings)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
+    say("fitting offsets over temperature", 0.4)
     nodes = table_nodes(rests, steps, settings)
     static = fit_static(rests, nodes=nodes, calibration=device, settings=settings.static)
-    said = list(_temperature_notes(together))
-    choice = _chosen(steps, device, static, rests, settings, said)
-    accel = _accelerometers(rests, device, nodes, said)
+    say("judging scale and dynamic tables on soaks left out", 0.5)
+    choice, not_chosen = _chosen(steps, device, static, rests, settings)
+    say("fitting accelerometers over temperature", 0.95)
+    accel = _accelerometers(rests, device, nodes)
     tables = DriftTables(
         static=static.table,
         scale=None if choice is None else choice.scale_drift,
@@ -156,23 +190,28 @@ def fit_drift(
         lag_s=lag_s,
         lag_smooth_s=_smooth_s(lag_s, sessions, together),
     )
-    asymmetry = scale_asymmetry(steps, device, static=static.table) if len(steps) and device.gyro is not None else None
-    verdict = _verdict(device, static, choice, accel, lag, said)
+    verdict = temperature_verdict(together).also(choice_verdict(choice, not_chosen))
+    verdict = verdict.also(static_verdict(static, accel, len(np.unique(rests.pose))))
+    verdict = verdict.also(accel_verdict(accel)).also(lag_verdict(lag, lag_s))
     return DriftFit(
         calibration=replace(
             device,
             drift=tables if accel is None else with_accel(tables, accel),
-            verdict=verdict,
+            verdict=device.verdict.also(verdict),
             provenance=_provenance(device, sessions, settings, lag_s, choice),
         ),
         static=static,
         choice=choice,
         accel=accel,
-        asymmetry=asymmetry,
+        asymmetry=scale_asymmetry(steps, device, static=static.table) if len(steps) and device.gyro else None,
         lag=lag,
         rests=rests,
         steps=steps,
         temperatures=together,
+        gyro_summary=summarise_gyro(static, rests, device, settings.static),
+        accel_summary=summarise_accel(static, accel, rests, device, settings.static),
+        scale_summary=None if choice is None or choice.scale is None else summarise_scale(choice.scale, device),
+        verdict=verdict if calibration is not None else device.verdict.also(verdict),
     )
 
 
@@ -231,13 +270,18 @@ def _check(sessions: Sequence[Session], calibration: Calibration | None, setting
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
 
 
+def _silent(what: str, share: float) -> None:
+    """Tell nobody."""
+
+
 def _without_lag(
     sessions: Sequence[Session], trusted: list[list[Temperature]], settings: DriftSettings
 ) -> tuple[LagFit | None, float, RestBlocks, list[list[FloatArray]]]:
     """Estimate the lag from the rests, and gather them anew without it."""
     course = [[temperature.temp_c for temperature in of_session] for of_session in trusted]
-    rests = observe_rests(sessions, temperatures=course, settings=settings.observe)
-    lag = estimate_lag(rests) if settings.lag_s is None else None
+    rests = since_power_on(observe_rests(sessions, temperatures=course, settings=settings.observe), sessions)
+    measured = any(temperature.source == "column" for of_session in trusted for temperature in of_session)
+    lag = estimate_lag(rests) if settings.lag_s is None and measured else None
     lag_s = settings.lag_s or 0.0
     # One speed alone does not tell lag from hysteresis: then it is reported and left in.
     if lag is not None and lag.observable and lag.two_speeds and lag.lag_s > _SURE_LAG * lag.uncertainty_s:
@@ -253,49 +297,56 @@ def _without_lag(
         ]
         for of_session, session in zip(trusted, sessions, strict=True)
     ]
-    return lag, lag_s, observe_rests(sessions, temperatures=led, settings=settings.observe), led
+    rests = since_power_on(observe_rests(sessions, temperatures=led, settings=settings.observe), sessions)
+    return lag, lag_s, rests, led
 
 
 def _chosen(
-    steps: RateSteps,
-    device: Calibration,
-    static: StaticFit,
-    rests: RestBlocks,
-    settings: DriftSettings,
-    said: list[str],
-) -> Choice | None:
-    if device.gyro is None or static.table.gyro_offset is None or settings.tables == "none":
-        return None
-    if not len(steps):
-        said.append(
-            "gyroscope scale over temperature is not observable from rests; turn the device at known rates at two temperatures"
-        )
-        return None
-    nodes = static.table.temp_c
-    try:
-        choice = choose_tables(
-            steps, device, static=static.table, temp_c=nodes, rests=rests, settings=DynamicSettings(temp_c=None)
-        )
-    except NotObservable as error:
-        said.append(str(error))
-        return None
-    if settings.tables == "auto":
-        return choice
-    wanted = replace(
-        choice.alternatives,
-        chosen=settings.tables,
-        reason=f"{settings.tables} was asked for; {choice.alternatives.reason}",
+    steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
+) -> tuple[Choice | None, str]:
+    """Return the choice of tables, or why there is none."""
+    told = ""
+    if device.gyro is None or static.table.gyro_offset is None:
+        told = "scale and dynamic drift of the gyroscopes are not observable: no gyroscopes in calibration or sessions"
+    elif not len(steps):
+        told = "gyroscope scale over temperature is not observable from rests; turn the device at known rates at two temperatures"
+    else:
+        try:
+            nodes = static.table.temp_c
+            choice = choose_tables(steps, device, static=static.table, temp_c=nodes, rests=rests)
+            return (choice if settings.tables == "auto" else _asked_for(choice, settings.tables)), ""
+        except NotObservable as error:
+            told = str(error)
+    if settings.tables not in ("auto", "none"):
+        raise NotObservable(f"tables: wanted {settings.tables}, got sessions that do not tell: {told}")
+    return None, told if settings.tables == "auto" else ""
+
+
+def _asked_for(choice: Choice, tables: Alternative) -> Choice:
+    """Return the choice with the tables that were asked for, whatever was foretold best."""
+    before = choice.alternatives
+    reason = f"{tables} was asked for; " + (
+        "so it would have been chosen" if before.chosen == tables else f"the choice would be {before.reason}"
     )
-    return replace(choice, alternatives=wanted)
+    taken = replace(choice, alternatives=replace(before, chosen=tables, reason=reason))
+    if ("scale" in tables and taken.scale_drift is None) or ("dynamic" in tables and taken.dynamic_drift is None):
+        raise NotObservable(
+            f"{tables} cannot be fitted to these steps; turn about each axis at three rates at each soak"
+        )
+    verdict = Verdict(reasons=(reason,))
+    if "scale" in tables and choice.scale is not None:
+        verdict = verdict.also(choice.scale.verdict)
+    dynamic = {"dynamic": choice.dynamic, "scale + dynamic": choice.both}.get(tables)
+    return replace(taken, verdict=verdict if dynamic is None else verdict.also(dynamic.verdict))
 
 
-def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray, said: list[str]) -> AccelDriftFit | None:
+def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> AccelDriftFit | None:
+    """Return the accelerometers' fit to poses; None where the poses do not tell, and those of one pose stand in."""
     if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
         return None
     try:
         return fit_accel_drift(rests, device, temp_c=nodes)
-    except NotObservable as error:
-        said.append(str(error))
+    except NotObservable:
         return None
 
 
@@ -312,32 +363,14 @@ def _smooth_s(lag_s: float, sessions: Sequence[Session], temperatures: tuple[Tem
     )
 
 
-def _temperature_notes(temperatures: tuple[Temperature, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(note for temperature in temperatures for note in temperature.notes))
-
-
-def _verdict(
-    device: Calibration,
-    static: StaticFit,
-    choice: Choice | None,
-    accel: AccelDriftFit | None,
-    lag: LagFit | None,
-    said: list[str],
-) -> Verdict:
-    verdict = device.verdict.also(Verdict(status="marginal" if said else "good", reasons=tuple(said)))
-    verdict = verdict.also(static.verdict)
-    if choice is not None:
-        verdict = verdict.also(choice.verdict).also(Verdict(reasons=(choice.alternatives.reason,)))
-    if accel is not None:
-        verdict = verdict.also(accel.verdict)
-    return verdict if lag is None else verdict.also(Verdict(reasons=lag.notes))
-
-
 def _provenance(
     device: Calibration, sessions: Sequence[Session], settings: DriftSettings, lag_s: float, choice: Choice | None
 ) -> Provenance:
     held = device.provenance
-    inputs = dict.fromkeys((*held.inputs, *(entry for session in sessions for entry in session.inputs)))
+    settled = dict(held.settings)
+    known = int(settled["drift_inputs_before"]) if "drift_inputs_before" in settled else len(held.inputs)
+    before = held.inputs[:known]  # those of an earlier thermal fit went with its tables
+    inputs = dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))
     return Provenance(
         inputs=tuple(inputs),
         settings=(
@@ -346,6 +379,8 @@ def _provenance(
             ("drift_lag_s", f"{lag_s:.4g}"),
             ("drift_tables", "static" if choice is None else f"static, {choice.alternatives.chosen}"),
             ("drift_sessions", f"{len(sessions)}"),
+            ("drift_inputs_before", f"{len(before)}"),
+            mark_before(device.verdict),
         ),
         versions=held.versions or _versions(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),

@@ -1,12 +1,18 @@
-"""Sessions made ready for the drift fits: in the calibration's units, codes restored; and nominal models without one."""
+"""Sessions made ready for the drift fits: in the calibration's units, codes restored; and nominal models without one.
+
+A session in several recordings whose clock runs on from one to the next was switched on once, when the first began; a clock that
+begins anew is another switch-on.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.calibration.adc import without_truncation
 from undrift.calibration.model import AdcModel, Calibration, TriadModel, Verdict
+from undrift.drift.observations import RestBlocks
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record
 from undrift.session import Session
@@ -89,6 +95,61 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
     )
 
 
+def accel_unit_of(sessions: Sequence[Session], device: Calibration) -> str:
+    """Return the unit of the accelerometers' readings.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Made ready.
+    device : Calibration
+        Whose unit they are in where it has accelerometers.
+
+    Returns
+    -------
+    str
+        count where nothing says more, or where sessions differ.
+    """
+    if device.accel is not None:
+        return device.accel.unit_in
+    units = {record.accel_unit for session in sessions for record in session.records if record.accel is not None}
+    return units.pop() if len(units) == 1 else "count"
+
+
+def since_power_on(rests: RestBlocks, sessions: Sequence[Session]) -> RestBlocks:
+    """Return the blocks with the time since their device was switched on, not since their recording began.
+
+    Parameters
+    ----------
+    rests : RestBlocks
+        Of the sessions; times since their recording began.
+    sessions : sequence of Session
+        The same, in the same order.
+
+    Returns
+    -------
+    RestBlocks
+        Recordings whose clock runs on belong to one switch-on.
+    """
+    power_on_s = rests.power_on_s.copy()
+    for number, session in enumerate(sessions):
+        begins = np.cumsum([0.0, *(record.duration_s for record in session.records[:-1])])
+        rows = np.flatnonzero(rests.session == number)
+        recording = np.searchsorted(begins, rests.time[rows], side="right") - 1
+        power_on_s[rows] += _ages(session.records)[recording]
+    return replace(rests, power_on_s=power_on_s)
+
+
+def _ages(records: Sequence[Record]) -> FloatArray:
+    """Return how long before each record its device was switched on, s."""
+    ages, first = np.zeros(len(records)), records[0].time[0]
+    for k in range(1, len(records)):
+        if records[k].time[0] <= records[k - 1].time[-1]:
+            first = records[k].time[0]
+        ages[k] = records[k].time[0] - first
+    return ages
+
+
 def _ready(record: Record, number: int, calibration: Calibration) -> Record:
     if record.state == "corrected":
         raise InputError(
@@ -107,8 +168,8 @@ def _unit(there: bool, unit: str, model: TriadModel | None, quantity: Quantity, 
     if not (is_physical(unit) and is_physical(model.unit_in)):
         what = "gyro" if quantity == "rate" else "accel"
         raise InputError(
-            f"recording {number}: wanted {what} readings in {model.unit_in}, the unit of the calibration, got {unit}; record as for "
-            "the calibration, or calibrate in this unit"
+            f"recording {number}: wanted {what} readings in {model.unit_in}, the unit of the calibration, got {unit}; record as "
+            "for the calibration, or calibrate in this unit"
         )
     return model.unit_in
 
