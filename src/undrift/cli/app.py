@@ -18,6 +18,7 @@ from undrift.errors import RigError, UndriftError
 COMMANDS = {
     "info": "What a recording, session, calibration, reference or device holds.",
     "calibrate": "Fit what a session allows, and say what was not observable.",
+    "drift": "Tuning tables over temperature, from soaks, ramps or a mere warm-up, with what is not observable.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Initial tilt and strapdown: orientation, inclination, sagittal pitch.",
     "validate": "Compare with an optical reference, in degrees.",

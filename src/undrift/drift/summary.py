@@ -1,6 +1,7 @@
 """What a thermal fit comes to, in SI units and per sensor: what a page, a picture and a terminal show.
 
-A reading's departure from the constant offset, turned into the physical unit by the sensor's own scale factor::
+A reading's departure from the constant offset (from zero where none was calibrated), turned into the physical unit by the sensor's
+own scale factor::
 
     y = (u - offset) / scale_factor        scale_factor = row length of K = M^-1, raw unit per rad/s or m/s2
 
@@ -35,8 +36,10 @@ class TriadSummary:
         Least and greatest temperature seen, degC.
     temp_c : array, shape (n,)
         Nodes, degC.
+    against : str
+        What the departure is from: the constant offset, zero, or the reading at a temperature.
     departure, uncertainty : array, shape (n, 3)
-        Of each node from the constant offset, ``unit``.
+        Of each node, ``unit``.
     extrapolated : array of bool, shape (n,)
         True where no data were near.
     in_table : bool
@@ -62,6 +65,7 @@ class TriadSummary:
     unit: str
     seen_c: tuple[float, float]
     temp_c: FloatArray
+    against: str
     departure: FloatArray
     uncertainty: FloatArray
     extrapolated: BoolArray
@@ -137,9 +141,9 @@ def summarise_gyro(
     if found is None or found.offset is None or offsets is None:
         return None
     factor, unit = _factor(model, "rate", "")
-    return _summary(
-        found, offsets, static.table, found.offset, np.zeros(3) if model is None else model.offset, factor, unit
-    )
+    constant = model is not None and model.method != "nominal"
+    zero = (np.zeros(3) if model is None else model.offset, "the constant offset" if constant else "zero")
+    return _summary(found, offsets, static.table, found.offset, zero, (factor, unit))
 
 
 def summarise_accel(
@@ -175,8 +179,9 @@ def summarise_accel(
     reference = device.reference_temp_c if model is not None else np.nan
     if not np.isfinite(reference):
         reference = 0.5 * (found.span_c[0] + found.span_c[1])
-    zero = found.curve.spline.at(np.array([reference])).value[0]
-    return _summary(found, offsets, static.table, found.curve.spline.at(static.table.temp_c).value, zero, factor, unit)
+    zero = (found.curve.spline.at(np.array([reference])).value[0], f"that at {reference:.1f} degC")
+    value = found.curve.spline.at(static.table.temp_c).value
+    return _summary(found, offsets, static.table, value, zero, (factor, unit))
 
 
 def summarise_scale(fit: ScaleFit, device: Calibration) -> ScaleSummary | None:
@@ -230,15 +235,16 @@ def _summary(
     offsets: Offsets,
     table: StaticDrift,
     value: FloatArray,
-    zero: FloatArray,
-    factor: FloatArray,
-    unit: str,
+    reference: tuple[FloatArray, str],
+    units: tuple[FloatArray, str],
 ) -> TriadSummary:
+    zero, factor = reference[0], units[0]
     loop, turn_on = found.curve.loop, found.curve.turn_on
     return TriadSummary(
-        unit=unit,
+        unit=units[1],
         seen_c=found.span_c,
         temp_c=table.temp_c,
+        against=reference[1],
         departure=(value - zero) * factor,
         uncertainty=found.uncertainty * factor,
         extrapolated=found.extrapolated,
@@ -265,6 +271,7 @@ def _of_poses(poses: AccelDriftFit, model: TriadModel, factor: FloatArray) -> Tr
         unit="m/s2",
         seen_c=(float(poses.temp_c[first]), float(poses.temp_c[last])),
         temp_c=poses.temp_c,
+        against="the constant offset",
         departure=(poses.offset - model.offset) * factor,
         uncertainty=doubt * factor,
         extrapolated=poses.extrapolated,

@@ -75,11 +75,16 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None, poses: int) -
         Each thing once.
     """
     own = [reason for reason in static.verdict.reasons if not reason.startswith(("accelerometer", "of "))]
-    reasons, status = list(own), static.verdict.status
+    reasons, status = [reason for reason in own if "half the loop between" not in reason], static.verdict.status
     found = static.gyro
     if found is not None:
         few = found.extrapolated.mean() <= _MOST_EXTRAPOLATED
         status = status if found.curve.loop is not None and few else _worse(status)
+        reasons = [reason for reason in reasons if not few or "are marked extrapolated" not in reason]
+        if found.curve.kept_loop:
+            reasons.append(
+                "hysteresis: the table holds the middle of warming and cooling, and half the loop counts as uncertainty"
+            )
     if accel is None:
         reasons += _of_one_pose(static, poses)
     return Verdict(status=status, reasons=tuple(reasons))

@@ -1,0 +1,248 @@
+"""``undrift drift``: tuning tables over temperature from thermal sessions, or from a mere warm-up log."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from undrift.cli.opening import Flag, Opening
+from undrift.errors import InputError
+
+if TYPE_CHECKING:
+    from undrift.calibration.model import Calibration
+    from undrift.drift.procedure import DriftFit, DriftSettings, TableChoice
+    from undrift.session import Session
+
+TABLES: "dict[str, TableChoice]" = {
+    "auto": "auto",
+    "none": "none",
+    "scale": "scale",
+    "dynamic": "dynamic",
+    "scale+dynamic": "scale + dynamic",
+}
+
+
+def drift(
+    *sessions: Path,
+    calibration: Path | None = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    page: Path | None = None,
+    figure: Path | None = None,
+    span: Annotated[str | None, Parameter(name="--range", allow_leading_hyphen=True)] = None,
+    step: float = 0.5,
+    spline: Literal["smooth", "not-a-knot"] = "smooth",
+    tables: Literal["auto", "none", "scale", "dynamic", "scale+dynamic"] = "auto",
+    lag_s: float | None = None,
+    warm_up: Flag = False,
+    opening: Opening = Opening(),
+    json: Flag = False,
+) -> int:
+    """Tuning tables over temperature: offsets, matrix and dynamic drift, from soaks, ramps or a warm-up.
+
+    Parameters
+    ----------
+    sessions : Path
+        One or more thermal sessions of the device: folders with session.toml, or recordings at rest while the temperature
+        changes. Several are combined; how far they differ counts as uncertainty.
+    calibration : Path or None
+        calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
+    output : Path or None
+        calibration.json to write, with the tables in it; may be the one that was read.
+    page : Path or None
+        Report to write, with pictures: .html.
+    figure : Path or None
+        Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
+    span : str or None
+        First and last node, LOW:HIGH in degC; what was seen, or 18:75 where most of that was seen, by default.
+    step : float
+        From node to node, K.
+    spline : str
+        smooth (stiffness chosen by leaving out), or not-a-knot (through the set-points, as the note does).
+    tables : str
+        Which tables beside offsets: auto chooses by what each foretells.
+    lag_s : float or None
+        By how much the thermometer trails the sensors, s; estimated from ramps at two speeds by default, 0 leaves it in.
+    warm_up : bool
+        Fit an offset that dies away after power-on, with which each recording, or each clock that begins anew, begins.
+    opening : Opening
+        How to read foreign recordings.
+    json : bool
+        The calibration with its tables as one JSON object on stdout.
+
+    Returns
+    -------
+    int
+        0, or 1 when the verdict is bad.
+    """
+    from undrift.calibration.store import calibration_json, read_calibration, write_calibration
+    from undrift.cli.output import progress, write_json
+    from undrift.drift.procedure import fit_drift
+
+    if not sessions:
+        raise InputError("drift: wanted a session or recording, or more, got none; name them first")
+    settings = _settings(span, step, spline, tables, lag_s, warm_up)
+    _check_outputs(sessions, (calibration, opening.column_map), output, page, figure)
+    model = None if calibration is None else read_calibration(calibration)
+    with progress() as shown:
+        task = shown.add_task("reading", total=1.0)
+        held = []
+        for k, path in enumerate(sessions):
+            shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
+            held.append(_read(path, opening, model))
+        fit = fit_drift(
+            held,
+            model,
+            settings=settings,
+            told=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
+        )
+    _write_pictures(fit, page, figure)
+    if output is not None:
+        write_calibration(fit.calibration, output)
+    if json:
+        write_json(calibration_json(fit.calibration))
+    else:
+        _show(fit, model, calibration)
+        _say_next(fit, output, page, figure)
+    return 1 if fit.calibration.verdict.status == "bad" else 0
+
+
+def _settings(
+    span: str | None, step: float, spline: str, tables: str, lag_s: float | None, warm_up: bool
+) -> "DriftSettings":
+    from undrift.drift.fit.curve import CurveSettings
+    from undrift.drift.fit.static import StaticSettings
+    from undrift.drift.procedure import DriftSettings
+
+    if not 0.0 < step < float("inf"):
+        raise InputError(f"step: wanted more than 0 K, got {step:g}; 0.5 is the note's")
+    return DriftSettings(
+        range_c=None if span is None else _range(span),
+        step_c=step,
+        lag_s=lag_s,
+        tables=TABLES[tables],
+        static=StaticSettings(not_a_knot=spline == "not-a-knot", curve=CurveSettings(warm_up=warm_up)),
+    )
+
+
+def _range(text: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise InputError(f"range: wanted LOW:HIGH in degC, got '{text}'; for example 18:75") from None
+    if not (-273.15 < ends[0] < ends[1] < float("inf")):
+        raise InputError(f"range: wanted LOW below HIGH in degC, got '{text}'; for example 18:75")
+    return ends
+
+
+def _check_outputs(
+    sessions: tuple[Path, ...],
+    reads: tuple[Path | None, Path | None],
+    output: Path | None,
+    page: Path | None,
+    figure: Path | None,
+) -> None:
+    """Refuse what cannot be written; the calibration that was read may be written over, as it appears whole."""
+    from undrift.cli.writing import checked_output
+    from undrift.report.figures import PICTURES
+
+    if output is not None:
+        checked_output(output, endings=(".json",), reads=(*_that_exist(sessions), reads[1]))
+    if page is not None:
+        checked_output(page, endings=(".html",), reads=(*_that_exist(sessions), *reads))
+    if figure is not None:
+        checked_output(figure, endings=PICTURES, reads=(*_that_exist(sessions), *reads))
+
+
+def _that_exist(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    return tuple(path for path in paths if path.exists())
+
+
+def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
+    """Read a session; a recording by itself is a session of one."""
+    from undrift.io.detect import detect
+    from undrift.io.files import sha256_of
+    from undrift.io.recording import read_record
+    from undrift.io.session import read_session
+    from undrift.session import Session
+    from undrift.units import STANDARD_GRAVITY
+
+    if detect(path) == "session":
+        return read_session(path)
+    record = read_record(path, opening.columns(), settings=opening.settings())
+    return Session(
+        kind="thermal",
+        serial=record.device,
+        gravity_m_s2=STANDARD_GRAVITY if model is None else model.gravity_m_s2,
+        records=(record,),
+        inputs=((path.name, sha256_of(path)),) if path.is_file() else (),
+    )
+
+
+def _write_pictures(fit: "DriftFit", page: Path | None, figure: Path | None) -> None:
+    from undrift.report.drift import write_drift_report
+    from undrift.report.drift_figures import draw_offsets
+    from undrift.report.figures import save_figure
+
+    if figure is not None:
+        if fit.gyro_summary is None:
+            raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
+        save_figure(draw_offsets(fit.gyro_summary), figure)
+    if page is not None:
+        write_drift_report(fit, page)
+
+
+def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> None:
+    from undrift.cli.output import console, show_verdict, table
+    from undrift.report.drift import (
+        CHOICE_HEADS,
+        SCALE_HEADS,
+        choice_rows,
+        offset_heads,
+        offset_rows,
+        offset_title,
+        scale_rows,
+    )
+
+    out = console()
+    device = fit.calibration.device or "device without a serial number"
+    out.print(f"{device}: {len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates", markup=False)
+    parts = [
+        (offset_title(name, summary), offset_heads(summary), offset_rows(summary))
+        for name, summary in (("gyroscope", fit.gyro_summary), ("accelerometer", fit.accel_summary))
+        if summary is not None
+    ]
+    if rows := scale_rows(fit):
+        parts.append(("gyroscope scale factor over temperature", SCALE_HEADS, rows))
+    if fit.choice is not None:
+        parts.append(("which tables", CHOICE_HEADS, choice_rows(fit.choice.alternatives)))
+    for title, heads, rows in parts:
+        shown = table(title, *heads)
+        for row in rows:
+            shown.add_row(*row)
+        out.print(shown, markup=False)
+    drift = fit.calibration.drift
+    lag_s = 0.0 if drift is None else drift.lag_s
+    if lag_s > 0.0:
+        out.print(f"lag of the thermometer taken off: {lag_s:.3g} s", markup=False)
+    show_verdict(fit.verdict)
+    if model is not None and path is not None:
+        before = fit.calibration.verdict.reasons[: -len(fit.verdict.reasons) or None]
+        out.print(f"calibration given: {path}, which has {len(before)} remarks of its own", markup=False)
+
+
+def _say_next(fit: "DriftFit", output: Path | None, page: Path | None, figure: Path | None) -> None:
+    from undrift.cli.output import console
+
+    out = console()
+    for path in (figure, page):
+        if path is not None:
+            out.print(f"Wrote {path}", markup=False)
+    if output is None:
+        out.print("No tables were written: add -o calibration.json to keep them", markup=False)
+        return
+    static = None if fit.calibration.drift is None else fit.calibration.drift.static
+    aged = " --power-on-s SECONDS" if static is not None and static.warm_up is not None else ""
+    out.print(
+        f"Wrote {output}. Next: undrift correct RECORD --calibration {output}{aged} -o corrected.parquet", markup=False
+    )
