@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data import show
-from undrift.calibration.model import DriftTables
+from undrift.calibration.model import DriftTables, WarmUp
 from undrift.correct import correct
 from undrift.errors import InputError
 from undrift.orientation.angles import sagittal_pitch
@@ -270,6 +270,10 @@ def test_what_the_kernel_does_not_know_is_refused():
     wanted("at most 3 powers of rate", devices=[with_gyro(device, rate_drift=powers)])
     full = replace(good, drift=true_tables(device, TEMPS, np.array([-3.0, 0.0, 3.0])))
     wanted("got g-sensitivity, codes cut toward zero or another table", calibrations=[full])
+    young = replace(good.drift.static, warm_up=WarmUp(power_on_s=[0.0, 60.0], gyro_offset=[[1.0] * 3, [0.0] * 3]))
+    wanted("got a warm-up over time since power-on", calibrations=[replace(good, drift=DriftTables(static=young))])
+    trailing = replace(good.drift, lag_s=20.0, lag_smooth_s=2.0)
+    wanted("got a thermometer's lag of 20 s; use correct", calibrations=[replace(good, drift=trailing)])
     uneven = replace(good.drift.static, temp_c=np.cumsum(np.sqrt(np.arange(2.0, 11.0))))
     wanted("got uneven ones; resample it", calibrations=[replace(good, drift=DriftTables(static=uneven))])
     slower = replace(motion, time=2.0 * motion.time)

@@ -18,6 +18,7 @@ def noise(
     calibration: Path | None = None,
     start_s: float | None = None,
     stop_s: float | None = None,
+    power_on_s: float | None = None,
     figure: Annotated[Path | None, Parameter(name=["--figure", "-o"])] = None,
     opening: Opening = Opening(),
     json: Flag = False,
@@ -34,6 +35,8 @@ def noise(
         Take the recording from here only, s on its own clock.
     stop_s : float or None
         Take the recording up to here only, s on its own clock.
+    power_on_s : float or None
+        Time since power-on at the first sample, s; without it no warm-up is taken off.
     figure : Path or None
         Allan plot to write: .svg, .png or .pdf.
     opening : Opening
@@ -54,7 +57,8 @@ def noise(
     if figure is not None:
         checked_output(figure, endings=PICTURES, reads=(record, calibration))
     with waiting("reading and fitting"):
-        readings = opening.read(record)
+        readings, notes = opening.read(record), tuple[str, ...]()
+        began = readings.time[0]
         if start_s is not None or stop_s is not None:
             readings = readings.between(
                 readings.time[0] if start_s is None else start_s, float("inf") if stop_s is None else stop_s
@@ -63,17 +67,21 @@ def noise(
             from undrift.calibration.store import read_calibration
             from undrift.correct import correct_checked
 
-            readings = correct_checked(readings, read_calibration(calibration)).record
+            since = None if power_on_s is None else float(power_on_s + readings.time[0] - began)
+            done = correct_checked(readings, read_calibration(calibration), power_on_s=since)
+            readings, notes = done.record, (*done.warnings, *done.notes)
         check_gravity(readings, record)
         found = fit_noise(readings)
     if figure is not None:
         _draw(found, figure, record.name)
     if json:
-        write_json(noise_json(found))
+        write_json(noise_json(found) | {"notes": notes})
         return 0
     _show("gyroscopes", found.gyro, ("angle random walk", "bias instability", "rate random walk"))
     _show("accelerometers", found.accel, ("velocity random walk", "bias instability", "acceleration random walk"))
     show_verdict(found.verdict)
+    for note in notes:
+        console().print(f"  note: {note}", markup=False)
     if figure is not None:
         console().print(f"Wrote {figure}", markup=False)
     return 0

@@ -25,6 +25,7 @@ def orient(
     heading_deg: float = 0.0,
     forward: Side = "+x",
     up: Side = "+z",
+    power_on_s: float | None = None,
     opening: Opening = Opening(),
     json: Flag = False,
 ) -> int:
@@ -46,6 +47,8 @@ def orient(
         Device axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
         Device axis that points up on the upright segment.
+    power_on_s : float or None
+        Time since power-on at the first sample, s; without it no warm-up is taken off.
     opening : Opening
         How to read a foreign recording.
     json : bool
@@ -63,20 +66,21 @@ def orient(
     from undrift.orientation.orient import orient as find
 
     checked_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
-    readings, model = opening.read(record), None
+    readings, model, notes = opening.read(record), None, tuple[str, ...]()
     if calibration is not None:
         from undrift.calibration.store import read_calibration
         from undrift.correct import correct_checked
 
         held = read_calibration(calibration)
-        readings, model = correct_checked(readings, held).record, held.accel
+        done = correct_checked(readings, held, power_on_s=power_on_s)
+        readings, model, notes = done.record, held.accel, (*done.warnings, *done.notes)
     else:
         check_physical(readings, record)
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     found = find(readings, settings=settings, accel_model=model)
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
     if json:
-        write_json(_json(found) | {"recording": str(record), "output": str(output)})
+        write_json(_json(found) | {"recording": str(record), "output": str(output), "notes": notes})
         return 0
     start_s, stop_s = found.time[found.still.start], found.time[found.still.stop - 1]
     share = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
@@ -92,6 +96,8 @@ def orient(
     for name, angle in (("inclination", found.inclination), ("pitch", found.pitch)):
         low, high = _span(angle)
         out.print(f"  {name}: {low:.2f} to {high:.2f} deg", markup=False)
+    for note in notes:
+        out.print(f"  note: {note}", markup=False)
     return 0
 
 

@@ -37,6 +37,7 @@ def validate(
     adc: Literal["auto", "none"] = "auto",
     forward: Side = "+x",
     up: Side = "+z",
+    power_on_s: float | None = None,
     markers: str | None = None,
     reference_up: Literal["y", "z"] | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
@@ -65,6 +66,8 @@ def validate(
         Body axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
         Body axis that points up on the upright segment.
+    power_on_s : float or None
+        Time since power-on at the first sample of each recording, s; without it no warm-up is taken off.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
     reference_up : str or None
@@ -95,7 +98,7 @@ def validate(
         checked_folder(output)
     labels = tuple(markers.split(",")) if markers else None
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
-    settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up)
+    settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up, power_on_s=power_on_s)
     with waiting("reading, aligning and integrating"):
         pairs = read_pairs(records, reference, labels, reference_up, opening, command="validate")
         if calibration is None and calibrate_from is None:

@@ -13,13 +13,13 @@ the sessions cannot tell is a reason in the verdict, with the recording that wou
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from functools import reduce
 from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.model import Calibration, DriftTables, Provenance, Verdict
+from undrift.calibration.model import Calibration, DriftTables, Verdict
 from undrift.calibration.observed import in_one_unit
 from undrift.drift.fit.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.fit.asymmetry import Asymmetry, scale_asymmetry
@@ -29,14 +29,14 @@ from undrift.drift.lag import default_smooth_s, without_lag_smooth
 from undrift.drift.lag_fit import LagFit, estimate_lag
 from undrift.drift.observations import RateSteps, RestBlocks
 from undrift.drift.observe import ObserveSettings, observe_rests, observe_steps
-from undrift.drift.sessions import accel_unit_of, in_units_of, nominal_models, since_power_on
+from undrift.drift.provenance import drift_provenance
+from undrift.drift.sessions import accel_unit_of, check_at_rest, in_units_of, met_in_use, nominal_models, since_power_on
 from undrift.drift.summary import ScaleSummary, TriadSummary, summarise_accel, summarise_gyro, summarise_scale
 from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
 from undrift.drift.verdict import (
     accel_verdict,
     choice_verdict,
     lag_verdict,
-    mark_before,
     static_verdict,
     temperature_verdict,
     verdict_before,
@@ -163,11 +163,7 @@ def fit_drift(
     """
     say = told or _silent
     _check(sessions, calibration, settings)
-    sessions = [in_one_unit(session) for session in sessions]
-    device = nominal_models(sessions) if calibration is None else calibration
-    device = replace(device, verdict=verdict_before(device))
-    sessions = [in_units_of(session, device) for session in sessions]
-    settings = replace(settings, static=replace(settings.static, accel_unit=accel_unit_of(sessions, device)))
+    sessions, device, settings = _made_ready(sessions, calibration, settings)
     say("smoothing the temperature", 0.0)
     wide = replace(settings.temperature, least_span_c=0.0)
     trusted = [[trusted_temperature(s, k, settings=wide) for k in range(len(s.records))] for s in sessions]
@@ -175,30 +171,32 @@ def fit_drift(
     check_span(together, settings=settings.temperature)
     say("gathering rests and turns", 0.15)
     lag, lag_s, rests, course = _without_lag(sessions, trusted, settings)
+    check_at_rest(rests, device)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
     say("fitting offsets over temperature", 0.4)
-    nodes = table_nodes(rests, steps, settings)
+    smooth_s = _smooth_s(lag_s, sessions, together)
+    seen = [rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, lag_s, smooth_s)]
+    nodes = table_nodes(np.concatenate(seen), settings)
     static = fit_static(rests, nodes=nodes, calibration=device, settings=settings.static)
     say("judging scale and dynamic tables on soaks left out", 0.5)
     choice, not_chosen = _chosen(steps, device, static, rests, settings)
     say("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
-    tables = DriftTables(
-        static=static.table,
-        scale=None if choice is None else choice.scale_drift,
-        dynamic=None if choice is None else choice.dynamic_drift,
-        lag_s=lag_s,
-        lag_smooth_s=_smooth_s(lag_s, sessions, together),
-    )
-    verdict = temperature_verdict(together).also(choice_verdict(choice, not_chosen))
-    verdict = verdict.also(static_verdict(static, accel, len(np.unique(rests.pose))))
-    verdict = verdict.also(accel_verdict(accel)).also(lag_verdict(lag, lag_s))
+    told_of_tables = choice_verdict(choice, not_chosen), static_verdict(static, accel, len(np.unique(rests.pose)))
+    told_of_rest = accel_verdict(accel), lag_verdict(lag, lag_s)
+    verdict = reduce(Verdict.also, (temperature_verdict(together), *told_of_tables, *told_of_rest))
     return DriftFit(
         calibration=replace(
             device,
-            drift=tables if accel is None else with_accel(tables, accel),
+            drift=_tables(static, choice, accel, (lag_s, smooth_s)),
             verdict=device.verdict.also(verdict),
-            provenance=_provenance(device, sessions, settings, lag_s, choice),
+            provenance=drift_provenance(
+                device,
+                sessions,
+                spline="not-a-knot" if settings.static.not_a_knot else "smoothing",
+                lag_s=lag_s,
+                tables="none" if choice is None else choice.alternatives.chosen,
+            ),
         ),
         static=static,
         choice=choice,
@@ -215,15 +213,13 @@ def fit_drift(
     )
 
 
-def table_nodes(rests: RestBlocks, steps: RateSteps, settings: DriftSettings) -> FloatArray:
+def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
     """Return the temperatures of the tables.
 
     Parameters
     ----------
-    rests : RestBlocks
-        What was seen at rest.
-    steps : RateSteps
-        What was seen turning.
+    seen_c : array, shape (k,)
+        Temperatures seen, degC; NaN is left out.
     settings : DriftSettings
         Range and step.
 
@@ -238,8 +234,7 @@ def table_nodes(rests: RestBlocks, steps: RateSteps, settings: DriftSettings) ->
         A range that is not one, or a step that does not divide it.
     """
     step = settings.step_c
-    seen = np.concatenate((rests.temp_c, steps.temp_c))
-    least, greatest = float(np.nanmin(seen)), float(np.nanmax(seen))
+    least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
     low, high = settings.range_c or _default_range(least, greatest, step)
     count = (high - low) / step if step > 0.0 else 0.0
     if count < 1.0 or abs(count - round(count)) > 1e-6:
@@ -268,6 +263,17 @@ def _check(sessions: Sequence[Session], calibration: Calibration | None, setting
         raise InputError(f"drift: wanted sessions and calibration of one device, got {', '.join(named)}; sort them")
     if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
+
+
+def _made_ready(
+    sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings
+) -> tuple[list[Session], Calibration, DriftSettings]:
+    """Return sessions in the units of the device's constant model, that model, and the settings that go with both."""
+    sessions = [in_one_unit(session) for session in sessions]
+    device = nominal_models(sessions) if calibration is None else calibration
+    device = replace(device, verdict=verdict_before(device))
+    ready = [in_units_of(session, device) for session in sessions]
+    return ready, device, replace(settings, static=replace(settings.static, accel_unit=accel_unit_of(ready, device)))
 
 
 def _silent(what: str, share: float) -> None:
@@ -350,6 +356,19 @@ def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -
         return None
 
 
+def _tables(
+    static: StaticFit, choice: Choice | None, accel: AccelDriftFit | None, lags_s: tuple[float, float]
+) -> DriftTables:
+    tables = DriftTables(
+        static=static.table,
+        scale=None if choice is None else choice.scale_drift,
+        dynamic=None if choice is None else choice.dynamic_drift,
+        lag_s=lags_s[0],
+        lag_smooth_s=lags_s[1],
+    )
+    return tables if accel is None else with_accel(tables, accel)
+
+
 def _smooth_s(lag_s: float, sessions: Sequence[Session], temperatures: tuple[Temperature, ...]) -> float:
     """Smoothing that taking the lag off needs in use, for the noisiest of the columns."""
     if lag_s == 0.0:
@@ -361,33 +380,3 @@ def _smooth_s(lag_s: float, sessions: Sequence[Session], temperatures: tuple[Tem
         )
         for record, seen in zip(records, temperatures, strict=True)
     )
-
-
-def _provenance(
-    device: Calibration, sessions: Sequence[Session], settings: DriftSettings, lag_s: float, choice: Choice | None
-) -> Provenance:
-    held = device.provenance
-    settled = dict(held.settings)
-    known = int(settled["drift_inputs_before"]) if "drift_inputs_before" in settled else len(held.inputs)
-    before = held.inputs[:known]  # those of an earlier thermal fit went with its tables
-    inputs = dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))
-    return Provenance(
-        inputs=tuple(inputs),
-        settings=(
-            *(entry for entry in held.settings if not entry[0].startswith("drift_")),
-            ("drift_spline", "not-a-knot" if settings.static.not_a_knot else "smoothing"),
-            ("drift_lag_s", f"{lag_s:.4g}"),
-            ("drift_tables", "static" if choice is None else f"static, {choice.alternatives.chosen}"),
-            ("drift_sessions", f"{len(sessions)}"),
-            ("drift_inputs_before", f"{len(before)}"),
-            mark_before(device.verdict),
-        ),
-        versions=held.versions or _versions(),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-    )
-
-
-def _versions() -> tuple[tuple[str, str], ...]:
-    from importlib.metadata import version
-
-    return tuple((name, version(name)) for name in ("undrift", "numpy", "scipy"))

@@ -12,11 +12,17 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import without_truncation
 from undrift.calibration.model import AdcModel, Calibration, TriadModel, Verdict
+from undrift.drift.lag import without_lag
 from undrift.drift.observations import RestBlocks
+from undrift.drift.temperature import Temperature
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record
 from undrift.session import Session
-from undrift.units import Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
+
+_STRAY = 6.0  # standard deviations of a reading: further from the smooth course is a stray
+_LEAST_NOISE_C = 0.05
+_RESTLESS = 0.5 * RADIAN_PER_DEGREE  # rad/s, standard uncertainty of the mean of a block
 
 
 def in_units_of(session: Session, calibration: Calibration) -> Session:
@@ -138,6 +144,74 @@ def since_power_on(rests: RestBlocks, sessions: Sequence[Session]) -> RestBlocks
         recording = np.searchsorted(begins, rests.time[rows], side="right") - 1
         power_on_s[rows] += _ages(session.records)[recording]
     return replace(rests, power_on_s=power_on_s)
+
+
+def check_at_rest(rests: RestBlocks, device: Calibration) -> None:
+    """Refuse blocks of rest in which the device moved all the time: a log that never lies still looks even throughout.
+
+    Parameters
+    ----------
+    rests : RestBlocks
+        With the variance of their means, raw unit squared.
+    device : Calibration
+        What a reading is worth.
+
+    Raises
+    ------
+    NotObservable
+        Means over a block that are known to half a deg/s at best; noise of a device at rest leaves a tenth of that.
+    """
+    if device.gyro is None or not np.isfinite(rests.gyro_variance).any():
+        return
+    factor = si_factor(device.gyro.unit_out, "rate") / device.gyro.scale_factor
+    known = np.sqrt(np.nanmedian(rests.gyro_variance, axis=0)) * factor
+    if np.nanmax(known) > _RESTLESS:
+        dps = float(np.nanmax(known)) / RADIAN_PER_DEGREE
+        raise NotObservable(
+            f"rests: wanted stretches at rest, got none: readings move so much that the mean of ten seconds is known to {dps:.2g} "
+            "deg/s only; leave the device still while its temperature changes",
+            deg_per_s=dps,
+        )
+
+
+def met_in_use(
+    sessions: Sequence[Session],
+    trusted: Sequence[Sequence[Temperature]],
+    course: Sequence[Sequence[FloatArray]],
+    lag_s: float,
+    smooth_s: float,
+) -> list[FloatArray]:
+    """Return the extremes of what ``correct`` would look up for these sessions: readings are noisier than their smooth course.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Made ready.
+    trusted : sequence of sequence of Temperature
+        Of each recording.
+    course : sequence of sequence of array, shape (N,)
+        Smooth, lag taken off, degC.
+    lag_s, smooth_s : float
+        What is taken off in use, s.
+
+    Returns
+    -------
+    list of array, shape (2,)
+        Least and greatest of each recording with a column, degC; readings far from their course are left out.
+    """
+    ends: list[FloatArray] = []
+    for session, own, smooth in zip(sessions, trusted, course, strict=True):
+        for record, found, settled in zip(session.records, own, smooth, strict=True):
+            if record.temp_c is None or found.source != "column":
+                continue
+            met, gain = record.temp_c, 1.0
+            if lag_s > 0.0:
+                met, gain = without_lag(met, record.time, lag_s=lag_s, smooth_s=smooth_s)[0], lag_s / smooth_s
+            far = _STRAY * gain * max(found.noise_c, found.step_c, _LEAST_NOISE_C)
+            near = met[np.abs(met - settled) <= far]  # a gap is near nothing
+            if len(near):
+                ends.append(np.array([near.min(), near.max()]))
+    return ends
 
 
 def _ages(records: Sequence[Record]) -> FloatArray:

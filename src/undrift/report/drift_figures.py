@@ -71,12 +71,10 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
         panels[2 * k].set_ylabel(f"{axis} ({unit})")
     for axes in panels[-2:]:
         axes.set_xlabel("temperature (degC)")
-    panels[0].set_title(
-        f"{'offset' if summary.in_table else 'reading'} less {summary.against}", loc="left", fontsize=10
-    )
-    panels[1].set_title(
-        "the same less the table" if summary.in_table else "the same less the fit", loc="left", fontsize=10
-    )
+    what = "offset" if summary.in_table else "reading"
+    panels[0].set_title(what if summary.against == "zero" else f"{what} less {summary.against}", loc="left", fontsize=10)
+    seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
+    panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
     _legend_below(figure, panels[1])
     return figure
 
@@ -139,7 +137,7 @@ def _keep_in_view(
 
 def _legend_below(figure: "Figure", axes: "Axes") -> None:
     handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8.0)
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8.0, frameon=False)
 
 
 def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> None:

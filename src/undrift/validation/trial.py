@@ -59,6 +59,8 @@ class TrialSettings:
         of clocks or filters and is undone, s. Both root-mean-square totals are reported in any case.
     forward, up : str
         Axes of the body that span its sagittal plane.
+    power_on_s : float or None
+        Time since power-on at the first sample, s; None where it is not known: then no warm-up is taken off.
     lag : LagSettings
         Of the lag search.
     """
@@ -72,6 +74,7 @@ class TrialSettings:
     undo_lag_above_s: float = 0.01
     forward: Face = "+x"
     up: Face = "+z"
+    power_on_s: float | None = None
     lag: LagSettings = LAG_SETTINGS
 
 
@@ -262,7 +265,7 @@ def _corrected(
         return done.record, (f"gyro codes rounded {adc.gyro_rounding.replace('_', ' ')}: the mean loss was given back",)
     if settings.adc == "none":
         calibration = replace(calibration, adc=None)
-    done = correct_checked(record, calibration)
+    done = correct_checked(record, calibration, power_on_s=settings.power_on_s)
     return done.record.in_si(), (*done.warnings, *done.notes)
 
 

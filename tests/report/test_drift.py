@@ -1,0 +1,137 @@
+"""Pages and pictures of thermal fits: drawn without a warning, with their names and units, and cells to the right digit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from undrift.calibration.model import DynamicDrift
+from undrift.drift.fit.choose import Alternatives
+from undrift.drift.summary import ScaleSummary, TriadSummary
+from undrift.report.drift import choice_rows, offset_heads, offset_rows, offset_title, plus_minus
+from undrift.report.drift_figures import draw_alternatives, draw_dynamic, draw_offsets, draw_scale, shown_unit
+from undrift.report.figures import svg_of
+
+NODES = np.arange(18.0, 30.1, 0.5)
+
+
+def summary(**changes):
+    n, k = len(NODES), 40
+    made = TriadSummary(
+        unit="rad/s",
+        seen_c=(20.0, 28.0),
+        temp_c=NODES,
+        against="the constant offset",
+        departure=np.radians(np.outer(NODES - 18.0, [0.1, -0.1, 0.2])),
+        uncertainty=np.radians(np.full((n, 3), 0.01)),
+        extrapolated=(NODES < 19.5) | (NODES > 28.5),
+        in_table=True,
+        slope=np.radians([0.1, -0.1, 0.2]),
+        slope_uncertainty=np.radians([0.012, 0.0012, 0.1]),
+        left_out_rms=np.radians([0.02, np.nan, 0.02]),
+        half_loop=np.radians([0.05, 0.0, -0.05]),
+        half_loop_uncertainty=np.radians([0.004, 0.004, 0.004]),
+        loop_kept=True,
+        turn_on=np.radians([0.1, 0.1, 0.1]),
+        block_temp_c=np.linspace(20.0, 28.0, k),
+        block_departure=np.radians(np.random.default_rng(1).normal(0.0, 0.1, (k, 3))),
+        block_cooling=np.repeat([0.0, -1.0, 1.0, 0.5], 10),
+    )
+    return replace(made, **changes)
+
+
+def test_rows_are_in_the_units_that_people_read():
+    heads, rows = offset_heads(summary()), offset_rows(summary())
+    assert heads[1] == "slope (deg/s per degC)"
+    assert all(len(row) == len(heads) for row in rows)
+    assert rows[0] == ("x", "+0.100 +- 0.012", "0.01", "0.02", "+0.0500 +- 0.0040", "0.1")
+    assert rows[1][3] == "too few"
+    short = summary(half_loop=None, half_loop_uncertainty=None, turn_on=None)
+    assert len(offset_heads(short)) == len(offset_rows(short)[0]) == 4
+    assert shown_unit("m/s2")[0] == "mg"
+    assert shown_unit("count") == ("count", 1.0)
+
+
+def test_the_title_counts_the_nodes_that_no_data_were_near():
+    assert offset_title("gyroscope", summary()) == (
+        "gyroscope offset over temperature: 20.0 to 28.0 degC seen, 25 nodes 18 to 30 degC by 0.5, 6 of them extrapolated"
+    )
+    assert offset_title("accelerometer", summary(in_table=False)).endswith("the change alone is known, no table")
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "text"),
+    [
+        (0.0279, 0.00123, "+0.0279 +- 0.0012"),
+        (-8.2, 13.4, "-8 +- 13"),
+        (0.5, 0.0, "+0.5"),
+        (np.nan, np.nan, "not seen"),
+    ],
+)
+def test_a_value_is_written_to_the_second_digit_of_its_uncertainty(value, uncertainty, text):
+    assert plus_minus(value, uncertainty) == text
+
+
+def alternatives():
+    return Alternatives(
+        name=("none", "scale", "dynamic", "scale + dynamic"),
+        fitted_rms_dps=np.array([1.6, 0.01, np.nan, 0.008]),
+        soak_rms_dps=np.array([1.6, 0.01, np.nan, 0.008]),
+        rate_rms_dps=np.array([1.6, 0.01, np.nan, 0.008]),
+        left_out_rms_dps=np.array([1.6, 0.01, np.nan, 0.009]),
+        standard_error_dps=np.array([0.1, 0.001, np.nan, 0.0]),
+        chosen="scale",
+        reason="it is simpler",
+    )
+
+
+def test_the_choice_says_what_was_chosen_and_what_could_not_be_fitted():
+    rows = choice_rows(alternatives())
+    assert [row[3] for row in rows] == ["", "chosen", "", ""]
+    assert rows[2][1:3] == ("not fitted", "not seen")
+    assert rows[1][2] == "0.0100 +- 0.0010"
+
+
+DRAWN = {
+    "offsets": lambda: draw_offsets(summary()),
+    "offsets without blocks": lambda: draw_offsets(
+        summary(block_temp_c=np.zeros(0), block_departure=np.zeros((0, 3)), block_cooling=np.zeros(0), against="zero")
+    ),
+    "change alone": lambda: draw_offsets(summary(unit="count", in_table=False, loop_kept=False)),
+    "scale": lambda: draw_scale(
+        ScaleSummary(
+            temp_c=NODES,
+            percent=np.zeros((len(NODES), 3)),
+            uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((len(NODES), 3), 0.1)),
+            extrapolated=NODES < 20.0,
+            soak_temp_c=np.array([20.0, 25.0, 30.0]),
+            soak_percent=np.where(np.arange(3) == 1, np.nan, np.zeros((3, 3))),
+            soak_uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((3, 3), 0.1)),
+        )
+    ),
+    "dynamic": lambda: draw_dynamic(
+        DynamicDrift(
+            temp_c=np.array([20.0, 30.0]),
+            turn_rate=np.array([-1.0, 0.0, 1.0]),
+            error=np.zeros((2, 3, 3)),
+            extrapolated=np.array([[True, False, True], [False] * 3]),
+        )
+    ),
+    "choice": lambda: draw_alternatives(alternatives()),
+}
+WORDS = {
+    "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "cooling branch", "95 %"),
+    "offsets without blocks": (">offset<", "uncertainty of the table"),
+    "change alone": ("x (count)", "the same less the fit"),
+    "scale": ("scale factor against", "y (%)", "soaks, 95 %"),
+    "dynamic": ("measured rate (deg/s)", "20 degC", "error taken off"),
+    "choice": ("scale (chosen)", "scale + dynamic"),
+}
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_every_picture_names_what_it_shows_and_is_the_same_twice(name):
+    text = svg_of(DRAWN[name]())
+    for word in WORDS[name]:
+        assert word in text, word
+    assert text == svg_of(DRAWN[name]())
