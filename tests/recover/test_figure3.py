@@ -17,9 +17,7 @@ import pytest
 from data import show
 from undrift.calibration.model import Calibration, DriftTables
 from undrift.calibration.procedure import calibrate
-from undrift.drift.fit.dynamic import fit_dynamic
-from undrift.drift.fit.static import fit_static
-from undrift.drift.observe import observe_rests, observe_steps
+from undrift.drift.procedure import fit_drift
 from undrift.record import Record, Reference
 from undrift.session import Session
 from undrift.sim import BenchSettings, bench_motion, draw_task, see, simulate_device
@@ -99,14 +97,10 @@ def there_and_back_tables(device: DeviceModel, calibration: Calibration, rng: np
 
 
 def fitted(session: Session, calibration: Calibration) -> DriftTables:
-    """Return the tables that a thermal session gives."""
-    temp_c = session.records[0].temp_c
-    assert temp_c is not None
-    rests = observe_rests((session,), temperatures=((temp_c,),))
-    steps = observe_steps((session,), temperatures=((temp_c,),))
-    static = fit_static(rests, nodes=NODES_C, calibration=calibration).table
-    dynamic = fit_dynamic(steps, calibration, static=static, scale=None, rests=rests).drift
-    return DriftTables(static=static, dynamic=dynamic)
+    """Return the tables that a thermal session gives: offsets, and those of matrix and dynamic drift that are worth it."""
+    drift = fit_drift([session], calibration).calibration.drift
+    assert drift is not None
+    return drift
 
 
 def over_the_acquisition(trial: Trial) -> tuple[float, float]:
