@@ -285,6 +285,19 @@ def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks,
     assert contents(tmp_path) == {}
 
 
+def test_accelerometers_alone_have_tables_and_no_picture_of_gyroscopes(undrift, soaks, tmp_path):
+    made = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(5))
+    write_session(replace(made, records=(replace(made.records[0], gyro=None),)), tmp_path / "session")
+    words = ["drift", tmp_path / "session", "--calibration", soaks / "calibration.json"]
+    out = undrift.good(*words).out
+    assert "accelerometer offset over temperature: " in out
+    assert "gyroscope offset" not in out
+    before = contents(tmp_path)
+    line = undrift.refused(*words, "--figure", tmp_path / "f.png", "-o", tmp_path / "c.json")
+    assert "wanted gyroscopes to draw, got none" in line
+    assert contents(tmp_path) == before
+
+
 def test_an_empty_file_named_as_gzip_is_one_line(undrift, tmp_path):
     with gzip.open(tmp_path / "log.csv.gz", "wt") as file:
         file.write("")

@@ -167,6 +167,14 @@ def test_tables_that_are_asked_for_are_taken_and_the_choice_is_told(session):
         fit_drift([warmed(40)], CALIBRATION, settings=DriftSettings(tables="scale"))
 
 
+def test_a_table_that_cannot_be_fitted_is_not_passed_over(session, fit, monkeypatch):
+    partial = replace(fit.choice, scale=None)
+    monkeypatch.setattr("undrift.drift.procedure.choose_tables", lambda *_, **__: partial)
+    message = "wanted scale, got sessions that do not tell: scale cannot be fitted to these steps; turn about each axis"
+    with pytest.raises(NotObservable, match=message):
+        fit_drift([session], CALIBRATION, settings=DriftSettings(tables="scale"))
+
+
 def test_a_second_thermal_fit_takes_the_place_of_the_first(session, fit):
     first = fit_drift([replace(warmed(50), inputs=(("warm.csv", "0" * 64),))], CALIBRATION)
     again = fit_drift([session], first.calibration)

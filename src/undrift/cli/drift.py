@@ -194,6 +194,7 @@ def _write_pictures(fit: "DriftFit", page: Path | None, figure: Path | None) -> 
 
 def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> None:
     from undrift.cli.output import console, show_verdict, table
+    from undrift.drift.verdict import verdict_before
     from undrift.report.drift import (
         CHOICE_HEADS,
         SCALE_HEADS,
@@ -227,8 +228,8 @@ def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> No
         out.print(f"lag of the thermometer taken off: {lag_s:.3g} s", markup=False)
     show_verdict(fit.verdict)
     if model is not None and path is not None:
-        before = fit.calibration.verdict.reasons[: -len(fit.verdict.reasons) or None]
-        out.print(f"calibration given: {path}, which has {len(before)} remarks of its own", markup=False)
+        before = len(verdict_before(model).reasons)
+        out.print(f"calibration given: {path}, which has {before} remarks of its own", markup=False)
 
 
 def _say_next(fit: "DriftFit", output: Path | None, page: Path | None, figure: Path | None) -> None:
