@@ -72,7 +72,9 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     for axes in panels[-2:]:
         axes.set_xlabel("temperature (degC)")
     what = "offset" if summary.in_table else "reading"
-    panels[0].set_title(what if summary.against == "zero" else f"{what} less {summary.against}", loc="left", fontsize=10)
+    panels[0].set_title(
+        what if summary.against == "zero" else f"{what} less {summary.against}", loc="left", fontsize=10
+    )
     seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
     panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
     _legend_below(figure, panels[1])

@@ -122,8 +122,12 @@ def _calibration(calibration: Calibration, unit: str, table: list[FloatArray]) -
     tables = plan.tables
     lag_s = calibration.drift.lag_s if calibration.drift else 0.0
     if plan.warm_up is not None or lag_s > 0.0:
-        got = "a warm-up over time since power-on" if plan.warm_up is not None else f"a thermometer's lag of {lag_s:g} s"
-        raise InputError(f"trials: wanted a correction by temperature as it is read, got {got}; use correct", lag_s=lag_s)
+        got = (
+            "a warm-up over time since power-on" if plan.warm_up is not None else f"a thermometer's lag of {lag_s:g} s"
+        )
+        raise InputError(
+            f"trials: wanted a correction by temperature as it is read, got {got}; use correct", lag_s=lag_s
+        )
     if plan.g_sensitivity is not None or plan.half_step.any() or (tables and (tables.matrix.size or tables.error.size)):
         raise InputError(
             "trials: wanted a correction by matrix, offset and table of offsets, got g-sensitivity, codes cut toward zero or "
