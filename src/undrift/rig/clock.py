@@ -3,10 +3,13 @@
 t = speed * (host monotonic time). A motion that takes 6 s on the table takes 6 / speed seconds of waiting here.
 """
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from undrift.errors import InputError
+from undrift.rig.rig import Position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,3 +48,30 @@ class Clock:
         """
         if duration_s > 0.0:
             time.sleep(duration_s / self.speed)
+
+    def mean_turn_rate(self, position: Callable[[], Position], duration_s: float) -> float:
+        """Return the mean rate over a while, from two positions.
+
+        Parameters
+        ----------
+        position : callable
+            Returns where the axis stands.
+        duration_s : float
+            Table seconds between the two; one count more or less matters less the longer it is.
+
+        Returns
+        -------
+        float
+            rad/s.
+
+        Raises
+        ------
+        InputError
+            Not a duration.
+        """
+        if not (math.isfinite(duration_s) and duration_s > 0.0):
+            raise InputError(f"measured rate: wanted a duration above 0 s, got {duration_s}; give seconds")
+        first = position()
+        self.wait(duration_s)
+        last = position()
+        return (last.angle - first.angle) / (last.time - first.time)

@@ -143,8 +143,11 @@ class Link:
                     f"{self.url}: wanted an answer to '{text}', got a link out of step with its device; resynchronise first"
                 )
             self.set_aside()
+            self._in_step = False  # and stays so when anything, Ctrl-C included, keeps the answer from being read
             self.send((text + self.settings.terminator).encode("ascii"))
-            return self.read(deadline_s, until=until, question=text)
+            reply = self.read(deadline_s, until=until, question=text)
+            self._in_step = True
+            return reply
 
     def send(self, data: bytes) -> None:
         """Send bytes without waiting for an answer.
@@ -204,7 +207,6 @@ class Link:
         try:
             return reply.decode("ascii")
         except UnicodeDecodeError as error:
-            self._in_step = False
             raise LinkError(
                 f"{self.url}: wanted text in answer to '{question}', got {reply!r}; check baud and cable"
             ) from error
@@ -333,7 +335,6 @@ class Link:
         if self._lost is not None:
             raise LinkError(f"{self.url}: wanted an answer to '{question}', got a lost link: {self._lost}; reconnect")
         if time.monotonic() >= last:
-            self._in_step = self._in_step and not question
             got = f"only {came!r}" if came else "nothing"
             raise RigTimeout(
                 f"{self.url}: wanted an answer to '{question}' within {wait_s:g} s, got {got}; check power and cable",

@@ -4,10 +4,13 @@ Angles are rad, rates rad/s, positive about the table's own axis. A rig rounds w
 the value it ACHIEVED, never the one that was asked for.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
+from undrift.errors import InputError, LimitError
+
+ROUNDING = 1.0 + 1e-9  # a limit given in degrees is met exactly by a rate given in degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,9 +27,74 @@ class Limits:
         Largest angle either way from where it was connected, rad; None turns without end.
     """
 
-    turn_rate: float = 2.0 * np.pi
+    turn_rate: float = 2.0 * math.pi
     acceleration: float = 100.0
     travel: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("turn_rate", "acceleration", "travel"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"limits: wanted {name} above 0, got {value}; a rig without limits is not driven")
+
+    def check_turn_rate(self, turn_rate: float) -> None:
+        """Refuse a rate that the rig may not be told.
+
+        Parameters
+        ----------
+        turn_rate : float
+            rad/s, signed.
+
+        Raises
+        ------
+        LimitError
+            Too fast, or not a number.
+        """
+        if not abs(turn_rate) <= self.turn_rate * ROUNDING:
+            raise LimitError(
+                f"turn rate: wanted at most {self.turn_rate:g} rad/s either way, got {turn_rate:g}; choose a slower one",
+                turn_rate=turn_rate,
+            )
+
+    def check_acceleration(self, acceleration: float) -> None:
+        """Refuse an acceleration that the rig may not be told.
+
+        Parameters
+        ----------
+        acceleration : float
+            rad/s2.
+
+        Raises
+        ------
+        LimitError
+            Not above zero, or too large.
+        """
+        if not 0.0 < acceleration <= self.acceleration * ROUNDING:
+            raise LimitError(
+                f"acceleration: wanted above 0 and at most {self.acceleration:g} rad/s2, got {acceleration:g}; "
+                "choose a smaller one",
+                acceleration=acceleration,
+            )
+
+    def check_travel(self, angle: float) -> None:
+        """Refuse an angle that the rig may not be turned to.
+
+        Parameters
+        ----------
+        angle : float
+            rad, from where the rig was connected.
+
+        Raises
+        ------
+        LimitError
+            Too far from the start.
+        """
+        if self.travel is not None and not abs(angle) <= self.travel * ROUNDING:
+            raise LimitError(
+                f"travel: wanted to stay within {self.travel:g} rad of the start, got a move to {angle:g}; "
+                "choose a shorter one",
+                angle=angle,
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
