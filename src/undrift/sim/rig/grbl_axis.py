@@ -1,0 +1,172 @@
+"""Stepper: a shaft that follows a planned path, a ripple of its detents apart.
+
+A path is a list of pieces of constant acceleration, x = x0 + v0 t + a t^2/2 from the start of each; what the pulses say and what
+the shaft does are two paths, since a motor without current loses steps.
+"""
+
+import bisect
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+
+
+@dataclass(slots=True)
+class Path:
+    """Pieces of constant acceleration, deg.
+
+    Parameters
+    ----------
+    start : list of float
+        When each begins, s.
+    angle, rate, acceleration : list of float
+        deg, deg/s, deg/s2 at its beginning.
+    """
+
+    start: list[float] = field(default_factory=lambda: [0.0])
+    angle: list[float] = field(default_factory=lambda: [0.0])
+    rate: list[float] = field(default_factory=lambda: [0.0])
+    acceleration: list[float] = field(default_factory=lambda: [0.0])
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Return angle and rate at a moment.
+
+        Parameters
+        ----------
+        time : float
+            s.
+
+        Returns
+        -------
+        angle, rate : float
+            deg, deg/s.
+        """
+        i = max(bisect.bisect_right(self.start, time) - 1, 0)
+        t = time - self.start[i]
+        return (
+            self.angle[i] + t * (self.rate[i] + 0.5 * self.acceleration[i] * t),
+            self.rate[i] + self.acceleration[i] * t,
+        )
+
+    def many(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return angle and rate at many moments.
+
+        Parameters
+        ----------
+        times : array, shape (n,)
+            s.
+
+        Returns
+        -------
+        angle, rate : array, shape (n,)
+            deg, deg/s.
+        """
+        start, angle = np.array(self.start), np.array(self.angle)
+        rate, acceleration = np.array(self.rate), np.array(self.acceleration)
+        i = np.clip(np.searchsorted(start, times, side="right") - 1, 0, None)
+        t = times - start[i]
+        return angle[i] + t * (rate[i] + 0.5 * acceleration[i] * t), rate[i] + acceleration[i] * t
+
+    def cut(self, time: float) -> None:
+        """Forget what was planned after a moment; what is under way there goes on without end.
+
+        Parameters
+        ----------
+        time : float
+            s.
+        """
+        keep = max(bisect.bisect_right(self.start, time), 1)
+        for column in (self.start, self.angle, self.rate, self.acceleration):
+            del column[keep:]
+
+    def go(self, time: float, angle: float, rate: float, acceleration: float) -> None:
+        """Add a piece at the end.
+
+        Parameters
+        ----------
+        time : float
+            When it begins, s.
+        angle, rate, acceleration : float
+            deg, deg/s, deg/s2.
+        """
+        self.start.append(time)
+        self.angle.append(angle)
+        self.rate.append(rate)
+        self.acceleration.append(acceleration)
+
+    def slow(self, time: float, deceleration: float) -> float:
+        """Come to rest from whatever goes on at a moment.
+
+        Parameters
+        ----------
+        time : float
+            s.
+        deceleration : float
+            deg/s2, positive.
+
+        Returns
+        -------
+        float
+            When it rests, s.
+        """
+        angle, rate = self.at(time)
+        self.cut(time)
+        duration = abs(rate) / deceleration
+        self.go(time, angle, rate, -math.copysign(deceleration, rate) if rate else 0.0)
+        self.go(time + duration, angle + 0.5 * rate * duration, 0.0, 0.0)
+        return time + duration
+
+    def move(self, time: float, distance: float, feed: float, acceleration: float) -> float:
+        """Add a trapezoid, or a triangle where the way is too short, from rest to rest.
+
+        Parameters
+        ----------
+        time : float
+            When it begins, s.
+        distance : float
+            deg, signed.
+        feed : float
+            deg/s, positive.
+        acceleration : float
+            deg/s2, positive.
+
+        Returns
+        -------
+        float
+            When it ends, s.
+        """
+        angle, _ = self.at(time)
+        way = math.copysign(1.0, distance)
+        top = min(feed, math.sqrt(acceleration * abs(distance)))
+        ramp = top / acceleration
+        cruise = max(abs(distance) / top - ramp, 0.0) if top > 0.0 else 0.0
+        run_up = 0.5 * top * ramp
+        self.go(time, angle, 0.0, way * acceleration)
+        self.go(time + ramp, angle + way * run_up, way * top, 0.0)
+        self.go(time + ramp + cruise, angle + way * (run_up + top * cruise), way * top, -way * acceleration)
+        self.go(time + 2.0 * ramp + cruise, angle + distance, 0.0, 0.0)
+        return time + 2.0 * ramp + cruise
+
+
+def rippled(angle: FloatArray, rate: FloatArray, amplitude: float, period: float) -> tuple[FloatArray, FloatArray]:
+    """Add the ripple of the detents: x + A sin(2 pi x / p).
+
+    Parameters
+    ----------
+    angle, rate : array, shape (n,)
+        deg, deg/s.
+    amplitude : float
+        A, deg.
+    period : float
+        p, a full step, deg.
+
+    Returns
+    -------
+    angle, rate : array, shape (n,)
+        deg, deg/s.
+    """
+    phase = 2.0 * math.pi * angle / period
+    factor = 1.0 + amplitude * 2.0 * math.pi / period * np.cos(phase)
+    return angle + amplitude * np.sin(phase), rate * factor
