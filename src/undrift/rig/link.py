@@ -9,7 +9,8 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from undrift.errors import InputError, LinkError, RigTimeout
@@ -113,7 +114,26 @@ class Link:
         """Whether the connection stands, as far as is known here."""
         return self._lost is None
 
-    def exchange(self, text: str, deadline_s: float | None = None, *, until: ReplyEnd | None = None) -> str:
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other threads from asking in between.
+
+        Yields
+        ------
+        None
+            Once.
+        """
+        with self._one_at_a_time:
+            yield
+
+    def exchange(
+        self,
+        text: str,
+        deadline_s: float | None = None,
+        *,
+        until: ReplyEnd | None = None,
+        terminator: str | None = None,
+    ) -> str:
         """Ask and return the answer.
 
         Parameters
@@ -124,6 +144,8 @@ class Link:
             Longest wait, s; the settings' when None.
         until : ReplyEnd or None
             Where this reply ends, when otherwise than the settings say.
+        terminator : str or None
+            What ends this question, when otherwise than the settings say.
 
         Returns
         -------
@@ -144,7 +166,7 @@ class Link:
                 )
             self.set_aside()
             self._in_step = False  # and stays so when anything, Ctrl-C included, keeps the answer from being read
-            self.send((text + self.settings.terminator).encode("ascii"))
+            self.send((text + (self.settings.terminator if terminator is None else terminator)).encode("latin-1"))
             reply = self.read(deadline_s, until=until, question=text)
             self._in_step = True
             return reply
@@ -230,7 +252,9 @@ class Link:
             self._aside.clear()
         return text
 
-    def resynchronise(self, text: str, until: ReplyEnd, deadline_s: float | None = None) -> str:
+    def resynchronise(
+        self, text: str, until: ReplyEnd, deadline_s: float | None = None, *, terminator: str | None = None
+    ) -> str:
         """Ask something that only one answer fits, and throw away all before it.
 
         Parameters
@@ -241,6 +265,8 @@ class Link:
             Where its own answer ends, whatever stands before it.
         deadline_s : float or None
             Longest wait, s; the settings' when None.
+        terminator : str or None
+            What ends this question, when otherwise than the settings say.
 
         Returns
         -------
@@ -256,7 +282,7 @@ class Link:
         """
         with self._one_at_a_time:
             self._in_step = True
-            return self.exchange(text, deadline_s, until=until)
+            return self.exchange(text, deadline_s, until=until, terminator=terminator)
 
     def reconnect(self) -> None:
         """Close and open again, with nothing left over from before.
