@@ -8,7 +8,8 @@ import re
 from typing import Protocol
 
 from undrift.errors import LinkError, RigError, RigTimeout
-from undrift.rig.link import Link, LinkSettings, ReplyEnd
+from undrift.rig.link import Link, LinkSettings
+from undrift.rig.receiver import ReplyEnd
 
 PROMPT = re.compile(rb"(?:^|\n)[:?]")
 
@@ -181,7 +182,7 @@ class LinkPort:
 
     def mask_unsolicited(self) -> None:
         """Keep characters with the high bit set out of the answers from now on."""
-        self._link.high_bit_is_unsolicited = True
+        self._link.mask_high_bit()
 
     def unsolicited(self) -> str:
         """Return what the card said without being asked, once.

@@ -12,10 +12,10 @@ from undrift.errors import LinkError, RigFault, RigTimeout
 from undrift.rig.clock import Clock
 from undrift.rig.grbl_controller import JOG_CANCEL, UNCONFIRMED, GrblController
 from undrift.rig.grbl_feeder import Feeder, Segment
+from undrift.rig.grbl_stored import ACCELERATION, AXES, RATE, STEPS, stored
 from undrift.rig.grbl_words import status_end
 from undrift.rig.link import Link
 
-AXES = "XYZABC"
 OWN_STOPS = ("Sleep", "Jog", "Run", "Hold")
 QUEUED_JOGS = 8  # of the 15 that a small board can hold
 
@@ -47,9 +47,10 @@ class GrblAxis:
         self.feeder: Feeder | None = None
         self._axis = axis
         self.greeting = self.wake_up()
-        self.steps_per_deg = self._needed(100)
-        self.fastest_dps = self._needed(110) / 60.0
-        self.acceleration_dps2 = self._needed(120)
+        _, self.steps_per_deg = stored(self.grbl, STEPS, axis)
+        _, fastest_deg_per_min = stored(self.grbl, RATE, axis)
+        self.fastest_dps = fastest_deg_per_min / 60.0
+        _, self.acceleration_dps2 = stored(self.grbl, ACCELERATION, axis)
         self.place_deg = self.home_deg = self.read_place()
 
     @property
@@ -75,48 +76,6 @@ class GrblAxis:
         if self.grbl.status().state == "Alarm" and any(f"<{state}" in said for state in OWN_STOPS):
             self.grbl.do("$X")
         return greeting
-
-    def number(self, first: int) -> int:
-        """Return the number of this axis' setting.
-
-        Parameters
-        ----------
-        first : int
-            That of the first axis: 100 steps, 110 rate, 120 acceleration.
-
-        Returns
-        -------
-        int
-            The axis' own, or the first's on a controller that lists one axis only.
-        """
-        own = first + AXES.index(self._axis)
-        return own if self.grbl.setting(own) is not None else first
-
-    def set_acceleration(self, acceleration_dps2: float) -> float:
-        """Store the run-up.
-
-        Parameters
-        ----------
-        acceleration_dps2 : float
-            deg/s2, thousandths count.
-
-        Returns
-        -------
-        float
-            As the controller lists it, deg/s2.
-
-        Raises
-        ------
-        LinkError
-            It lists something else.
-        """
-        number = self.number(120)
-        self.grbl.do(f"${number}={acceleration_dps2:.3f}")
-        held = self.grbl.setting(number)
-        if held is None or abs(held - acceleration_dps2) > 1e-3:
-            raise LinkError(f"{self.name}: wanted ${number}={acceleration_dps2:.3f}, got {held}; check cable and baud")
-        self.acceleration_dps2 = held
-        return held
 
     def read_place(self) -> float:
         """Return the machine position.
@@ -244,9 +203,3 @@ class GrblAxis:
         self.enabled = False
         self.end_feeding()
         return self.grbl.make_safe()
-
-    def _needed(self, first: int) -> float:
-        value = self.grbl.setting(self.number(first))
-        if not value or value < 0.0:
-            raise LinkError(f"{self.name}: wanted ${first} above 0, got {value}; set it on the controller")
-        return value

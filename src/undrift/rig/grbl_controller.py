@@ -91,35 +91,6 @@ class GrblController:
             *_, last = self._lines(said, "?")
         return grbl_words.parse_status(last, self.name)
 
-    def setting(self, number: int) -> float | None:
-        """Return a stored setting.
-
-        Parameters
-        ----------
-        number : int
-            100 for ``$100``.
-
-        Returns
-        -------
-        float or None
-            None when the controller does not list it.
-
-        Raises
-        ------
-        LinkError
-            It has a value that is no number.
-        """
-        for line in self.do("$$"):
-            if line.startswith(f"${number}="):
-                value = line.split("=")[1].split(" ")[0]
-                try:
-                    return float(value)
-                except ValueError as error:
-                    raise LinkError(
-                        f"{self.name}: wanted a number in '{line}', got '{value}'; check cable and baud"
-                    ) from error
-        return None
-
     def reset(self, deadline_s: float) -> str:
         """Reset (0x18): motion ends at once, whatever was queued is forgotten; back in step when it greets.
 
