@@ -91,13 +91,11 @@ def profile(state: FloatArray, c: Coefficients) -> bool:
             return True
         ahead = max(abs(left) - 0.5 * along * c.period, 0.0)
         brake = down * (math.sqrt(0.25 + 2.0 * ahead / (down * c.period)) - 0.5)  # stops on the target, to the sample
-        if along < 0.0:
-            speed = way * min(along + down, 0.0)
-        else:
-            speed = way * max(min(along + up, c.slew, brake), along - down)
+        forward = max(min(along + up, c.slew, brake), along - down)
+        speed = way * (min(along + down, 0.0) if along < 0.0 else forward)
     state[REFERENCE] += 0.5 * (state[SPEED] + speed) * c.period
     state[SPEED] = speed
-    return mode == STOPPING and speed == 0.0
+    return bool(mode == STOPPING and speed == 0.0)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -137,7 +135,7 @@ def control(state: FloatArray, c: Coefficients) -> float:
     state[SUM] += error
     word = c.proportional * error + c.derivative * (error - state[LAST]) + c.integral * state[SUM]
     state[LAST], state[ERROR] = error, error
-    return min(max(c.volts_per_count * word, -c.clip), c.clip)
+    return float(min(max(c.volts_per_count * word, -c.clip), c.clip))
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")

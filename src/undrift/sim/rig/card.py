@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from undrift.kernels import servo as k
+from undrift.kernels.servo import Coefficients
 from undrift.sim.rig.axis import Axis
 from undrift.sim.rig.galil_words import (
     AT_LIMIT,
@@ -112,10 +113,7 @@ class Card:
 
     def set_up(self) -> None:
         """Set everything to what it is at power-up: motor off, the burned gains, position zero where the axis stands."""
-        self.values = {name: setting.default for name, setting in SETTINGS.items()}
-        self.values.update(zip(("KP", "KD", "KI"), self.servo.gains, strict=True))
-        self.values["TM"] = self.servo.period_s * 1e6
-        self.values["TL"] = min(self.servo.voltage_limit, SETTINGS["TL"].high)
+        self.values = _power_up(self.servo)
         self.motion = Motion()
         self.motor_on = False
         self.variables: dict[str, float] = {}
@@ -130,21 +128,9 @@ class Card:
 
     def apply(self) -> None:
         """Hand settings and wiring on to the loop."""
-        v, w = self.values, self.wiring
-        scale = self.servo.period_s / self.axis.coefficients.period if self.settings.speeds_follow_sample_time else 1.0
-        low, high = self.settings.switches_deg or (-math.inf, math.inf)
-        self.axis.change(
-            proportional=4.0 * v["KP"], derivative=4.0 * v["KD"], integral=0.5 * v["KI"],
-            clip=self.servo.voltage_limit if v["TL"] >= SETTINGS["TL"].high else v["TL"],
-            acceleration=v["AC"] * scale**2, deceleration=v["DC"] * scale**2, slew=max(v["SP"] * scale, 1e-9),
-            error_limit=v["ER"] if v["ER"] > 0.0 else math.inf, forward=v["FL"], reverse=v["BL"],
-            powered=w.powered, amplifier_good=not w.amplifier_fault, encoder_good=not w.encoder_lost,
-            forward_closed=w.forward_pressed != (v["CN"] == 1.0), reverse_closed=w.reverse_pressed != (v["CN"] == 1.0),
-            forward_at=math.radians(high) * self.servo.counts_per_rad,
-            reverse_at=math.radians(low) * self.servo.counts_per_rad,
-        )  # fmt: skip
+        self.axis.coefficients = _coefficients(self)
         if self.motion.running and self.motion.kind == "JG" and self.axis.values[k.MODE] == k.JOG:
-            self.axis.values[k.TARGET] = self.motion.jog * scale
+            self.axis.values[k.TARGET] = self.motion.jog * _speed_scale(self)
 
     @property
     def ticks(self) -> int:
@@ -256,11 +242,10 @@ class Card:
             raise Refused(MOTOR_OFF)
         if self.motion.running:
             raise Refused(BEGIN_RUNNING)
-        values, c = self.axis.values, self.axis.coefficients
+        values = self.axis.values
         target = self.motion.target if self.motion.kind == "PA" else values[k.REFERENCE] + self.motion.distance
         way = self.motion.jog if self.motion.kind == "JG" else target - values[k.REFERENCE]
-        at_forward = c.forward_closed or values[k.COUNT] >= c.forward_at or values[k.REFERENCE] > c.forward
-        at_reverse = c.reverse_closed or values[k.COUNT] <= c.reverse_at or values[k.REFERENCE] < c.reverse
+        at_forward, at_reverse = limits_closed(self)
         if (way > 0.0 and at_forward) or (way < 0.0 and at_reverse):
             raise Refused(AT_LIMIT)
         self.motion.running, self.motion.reason, self.motion.stop_code = True, STOP_DONE, STOP_RUNNING
@@ -321,3 +306,58 @@ class Card:
     def _watch_amplifier(self) -> None:
         if self.wiring.amplifier_fault and self.motor_on and self.values["OE"] in (1.0, 3.0):
             self._off(STOP_ERROR)
+
+
+def limits_closed(card: Card) -> tuple[bool, bool]:
+    """Tell whether the card may not go forward, or back: a switch is active, or the reference is beyond FL or BL.
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+
+    Returns
+    -------
+    tuple of bool
+        Forward, reverse.
+    """
+    c, count, reference = card.axis.coefficients, card.axis.values[k.COUNT], card.axis.values[k.REFERENCE]
+    forward = c.forward_closed or count >= c.forward_at or reference > c.forward
+    reverse = c.reverse_closed or count <= c.reverse_at or reference < c.reverse
+    return bool(forward), bool(reverse)
+
+
+def _power_up(servo: ServoSettings) -> dict[str, float]:
+    values = {name: setting.default for name, setting in SETTINGS.items()}
+    values |= dict(zip(("KP", "KD", "KI"), servo.gains, strict=True))
+    return values | {"TM": servo.period_s * 1e6, "TL": min(servo.voltage_limit, SETTINGS["TL"].high)}
+
+
+def _speed_scale(card: Card) -> float:
+    period = card.axis.coefficients.period
+    return card.servo.period_s / period if card.settings.speeds_follow_sample_time else 1.0
+
+
+def _coefficients(card: Card) -> Coefficients:
+    v, w, scale = card.values, card.wiring, _speed_scale(card)
+    low, high = card.settings.switches_deg or (-math.inf, math.inf)
+    high_level = v["CN"] == 1.0  # then a switch that is not pressed counts as active
+    return card.axis.coefficients._replace(
+        proportional=4.0 * v["KP"],
+        derivative=4.0 * v["KD"],
+        integral=0.5 * v["KI"],
+        clip=card.servo.voltage_limit if v["TL"] >= SETTINGS["TL"].high else v["TL"],
+        acceleration=v["AC"] * scale**2,
+        deceleration=v["DC"] * scale**2,
+        slew=max(v["SP"] * scale, 1e-9),
+        error_limit=v["ER"] if v["ER"] > 0.0 else math.inf,
+        forward=v["FL"],
+        reverse=v["BL"],
+        powered=w.powered,
+        amplifier_good=not w.amplifier_fault,
+        encoder_good=not w.encoder_lost,
+        forward_closed=w.forward_pressed != high_level,
+        reverse_closed=w.reverse_pressed != high_level,
+        forward_at=math.radians(high) * card.servo.counts_per_rad,
+        reverse_at=math.radians(low) * card.servo.counts_per_rad,
+    )

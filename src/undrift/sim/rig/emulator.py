@@ -92,6 +92,7 @@ class Emulator:
             self.machine = GalilMachine(settings.servo, settings.card, chosen, settings.history_s)
         else:
             self.machine = GrblMachine(settings.grbl, chosen, settings.history_s)
+        self._broken: set[str] = set()
         self._link = FaultyLink(settings.fault_seed)
         self._server = Server(self.machine, self._link, (settings.host, settings.port), settings.with_pty)
         self.host: str = self._server.host
@@ -211,6 +212,7 @@ class Emulator:
             self._link.start(fault, answers)
         else:
             self.machine.set_fault(fault, True)
+            self._broken.add(fault)
         if fault == "power_cut":
             self._server.set_dark(True)
         self._server.settle()
@@ -231,11 +233,10 @@ class Emulator:
         if fault is not None:
             check_fault(fault)
         self._link.stop(fault)
-        for name in self.machine.faults() if fault is None else (fault,):
-            if name not in LINK_FAULTS:
-                self.machine.set_fault(name, False)
-        if fault in (None, "power_cut"):
-            self._server.set_dark(False)
+        for name in sorted(self._broken & ({fault} if fault else self._broken)):
+            self.machine.set_fault(name, False)
+            self._broken.discard(name)
+        self._server.set_dark("power_cut" in self._broken)
         self._server.settle()
 
 

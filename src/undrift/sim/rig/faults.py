@@ -124,7 +124,9 @@ class FaultyLink:
             if self._struck("half_reply"):
                 answer = answer[: len(answer) // 2]
             if self._struck("drop_bytes"):
-                answer = bytes(byte for place, byte in enumerate(answer, start=1) if place % 3) if len(answer) > 1 else b""
+                answer = (
+                    bytes(byte for place, byte in enumerate(answer, start=1) if place % 3) if len(answer) > 1 else b""
+                )
             if self._struck("late_reply"):
                 now = max(time.monotonic() + LATE_S, free_at)
             if self._struck("slow_link"):

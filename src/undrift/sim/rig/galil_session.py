@@ -10,8 +10,6 @@ from undrift.sim.rig.galil_program import Program
 from undrift.sim.rig.galil_words import BUFFER_FULL, SERIAL_TIMEOUT, STOP_ABORT_INPUT, Refused
 from undrift.sim.rig.servo import ServoSettings
 
-CARD_FAULTS = ("amplifier_fault", "encoder_loss", "limit_switch", "limit_switch_reverse", "abort_input", "power_cut", "message")
-
 
 class GalilMachine:
     """A card, its clock and its programs, for any number of clients.
@@ -63,10 +61,6 @@ class GalilMachine:
         """
         with self.lock:
             self._sessions = [kept for kept in self._sessions if kept is not session]
-
-    def faults(self) -> tuple[str, ...]:
-        """Return the faults that the card knows."""
-        return CARD_FAULTS
 
     def tick(self) -> None:
         """Bring card and programs up to now, and hand out what nobody asked for."""
@@ -122,7 +116,7 @@ class GalilMachine:
         Parameters
         ----------
         name : str
-            One of CARD_FAULTS.
+            One of RIG_FAULTS.
         on : bool
             True breaks it.
         """

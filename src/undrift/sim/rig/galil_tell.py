@@ -3,7 +3,7 @@
 import struct
 
 from undrift.kernels import servo as k
-from undrift.sim.rig.card import Card
+from undrift.sim.rig.card import Card, limits_closed
 from undrift.sim.rig.galil_numbers import look_up
 from undrift.sim.rig.galil_words import OPERAND, SETTINGS, Refused, shown
 
@@ -25,25 +25,16 @@ def switches(card: Card) -> int:
         Bit 7 moving, 6 following error over its limit, 5 motor off, 3 and 2 forward and reverse limit inactive, 1 home.
     """
     forward, reverse = limits_closed(card)
-    bits = (card.motion.running, bool(card.axis.values[k.OVER]), not card.motor_on, False, not forward, not reverse, True)
+    bits = (
+        card.motion.running,
+        bool(card.axis.values[k.OVER]),
+        not card.motor_on,
+        False,
+        not forward,
+        not reverse,
+        True,
+    )
     return sum(int(bit) << (7 - place) for place, bit in enumerate(bits))
-
-
-def limits_closed(card: Card) -> tuple[bool, bool]:
-    """Tell whether the forward and the reverse limit switch are active.
-
-    Parameters
-    ----------
-    card : Card
-        The card.
-
-    Returns
-    -------
-    tuple of bool
-        Forward, reverse.
-    """
-    c, count = card.axis.coefficients, card.axis.values[k.COUNT]
-    return c.forward_closed or count >= c.forward_at, c.reverse_closed or count <= c.reverse_at
 
 
 def value_of(card: Card, word: str) -> float:

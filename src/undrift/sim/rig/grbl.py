@@ -16,7 +16,6 @@ from undrift.sim.rig.grbl_axis import Path, rippled
 from undrift.sim.rig.grbl_words import Denied, Move, parse_line, parse_setting
 from undrift.units import RADIAN_PER_DEGREE
 
-GRBL_FAULTS = ("amplifier_fault", "limit_switch", "limit_switch_reverse", "abort_input", "power_cut", "message")
 BUFFER = 15  # moves that may wait
 LINE_LENGTH = 80
 EOL = "\r\n"
@@ -92,7 +91,19 @@ class GrblMachine:
     def _defaults(self) -> dict[int, float]:
         s = self.settings
         values = {0: 10.0, 1: 25.0, 2: 0.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: 0.0, 10: 1.0, 11: 0.01, 12: 0.002, 13: 0.0}
-        values |= {20: 0.0, 21: 1.0, 22: 0.0, 23: 0.0, 24: 25.0, 25: 500.0, 26: 250.0, 27: 1.0, 30: 1000.0, 31: 0.0, 32: 0.0}
+        values |= {
+            20: 0.0,
+            21: 1.0,
+            22: 0.0,
+            23: 0.0,
+            24: 25.0,
+            25: 500.0,
+            26: 250.0,
+            27: 1.0,
+            30: 1000.0,
+            31: 0.0,
+            32: 0.0,
+        }
         for place in range(len(s.axes)):
             values[100 + place] = round(s.microsteps / s.full_step_deg, 3)
             values[110 + place] = s.max_rate_deg_per_min
@@ -142,10 +153,6 @@ class GrblMachine:
         """
         with self.lock:
             self._sessions = [kept for kept in self._sessions if kept is not session]
-
-    def faults(self) -> tuple[str, ...]:
-        """Return the faults that the board knows."""
-        return GRBL_FAULTS
 
     def tick(self) -> None:
         """Come up to now."""
@@ -217,7 +224,10 @@ class GrblMachine:
         """Return the status report, as `?` is answered."""
         angle, rate = self._pulses.at(self.clock.now())
         steps = self.of_axis(100)
-        shown = [f"{round(angle * steps) / steps if letter == self.settings.axis else 0.0:.3f}" for letter in self.settings.axes]
+        shown = [
+            f"{round(angle * steps) / steps if letter == self.settings.axis else 0.0:.3f}"
+            for letter in self.settings.axes
+        ]
         state = f"Hold:{int(self.clock.now() < self._ends)}" if self.state == "Hold" else self.state
         pins = f"|Pn:{self.settings.axis}" if self._broken & {"limit_switch", "limit_switch_reverse"} else ""
         return f"<{state}|MPos:{','.join(shown)}|FS:{round(abs(rate) * 60.0)},0{pins}>{EOL}"
@@ -293,7 +303,11 @@ class GrblMachine:
         wanted = move.target.get(self.settings.axis, None)
         if len(self._queue) >= BUFFER:
             raise Denied(24)
-        end = self._queue[-1][0] if self._queue else (self._target if self.state in ("Jog", "Run") else self._rest_angle())
+        end = (
+            self._queue[-1][0]
+            if self._queue
+            else (self._target if self.state in ("Jog", "Run") else self._rest_angle())
+        )
         relative = self.relative if move.relative is None else move.relative
         goal = end if wanted is None else (end + wanted if relative else wanted)
         if state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0:
@@ -374,7 +388,7 @@ class GrblMachine:
         Parameters
         ----------
         name : str
-            One of GRBL_FAULTS; a board without encoder does not notice the loss of one.
+            One of RIG_FAULTS; a board without encoder does not notice the loss of one.
         on : bool
             True breaks it.
         """
