@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from data import show
 
+from data import show
 from undrift.errors import InputError
 from undrift.kernels import servo as k
 from undrift.sim.rig.axis import Axis
@@ -113,7 +113,7 @@ def test_a_step_wave_of_90_dps_for_60_s_ends_within_the_notes_error(servo):
 
 
 def test_coefficients_that_make_no_loop_are_refused():
-    with pytest.raises(InputError, match="servo inertia: wanted a positive number, got 0.0"):
+    with pytest.raises(InputError, match=r"servo inertia: wanted a positive number, got 0.0"):
         ServoSettings(inertia=0.0)
-    with pytest.raises(InputError, match="servo coulomb_friction: wanted zero or more, got -1.0"):
+    with pytest.raises(InputError, match=r"servo coulomb_friction: wanted zero or more, got -1.0"):
         ServoSettings(coulomb_friction=-1.0)

@@ -68,20 +68,46 @@ class CardSettings:
 
 @dataclass(slots=True)
 class Motion:
-    """What the next BG starts, and what the last motion did."""
+    """What the next BG starts, and what the last motion did.
 
-    kind: str = "PR"  # JG, PR or PA: the one commanded last
-    jog: float = 25_000.0  # counts/s
-    distance: float = 0.0  # counts
-    target: float = 0.0  # counts
+    Parameters
+    ----------
+    kind : str
+        JG, PR or PA: the one commanded last.
+    jog : float
+        counts/s.
+    distance, target : float
+        Of PR and PA, counts.
+    running : bool
+        A motion is in progress.
+    reason : int
+        Stop code that the present motion will end with.
+    stop_code : int
+        What SC tells.
+    """
+
+    kind: str = "PR"
+    jog: float = 25_000.0
+    distance: float = 0.0
+    target: float = 0.0
     running: bool = False
-    reason: int = STOP_DONE  # why the present motion will end
+    reason: int = STOP_DONE
     stop_code: int = STOP_DONE
 
 
 @dataclass(slots=True)
 class Wiring:
-    """What is broken or pressed."""
+    """What is broken or pressed.
+
+    Parameters
+    ----------
+    amplifier_fault, encoder_lost : bool
+        No torque; a count that does not change.
+    forward_pressed, reverse_pressed : bool
+        Limit switches.
+    powered : bool
+        False after a power cut.
+    """
 
     amplifier_fault: bool = False
     encoder_lost: bool = False
@@ -119,7 +145,7 @@ class Card:
         self.variables: dict[str, float] = {}
         self.error_code = 0
         self.auxiliary = 0
-        self._time_offset = self.axis.values[k.SAMPLES]
+        self.time_offset = self.axis.values[k.SAMPLES]
         self.axis.values[k.MODE] = k.REST
         self.axis.change(motor_on=False)
         self.axis.set_period(self.servo.period_s)
@@ -135,7 +161,7 @@ class Card:
     @property
     def ticks(self) -> int:
         """Operand TIME: samples since reset in units of TM/1000, which are ms only to 2.4 % on cards that count 1/1024 s."""
-        return int((self.axis.values[k.SAMPLES] - self._time_offset) * self.values["TM"] / 1000.0)
+        return int((self.axis.values[k.SAMPLES] - self.time_offset) * self.values["TM"] / 1000.0)
 
     def advance(self, time: float) -> None:
         """Bring the card up to a moment.
@@ -271,28 +297,6 @@ class Card:
         if self.motion.running:
             self._end(stop_code)
 
-    def set_sample_time(self, microseconds: float) -> None:
-        """Change TM. Multiples of 125 us are counted in 1/1024 s: TM 1000 is 976.6 us.
-
-        Parameters
-        ----------
-        microseconds : float
-            us.
-
-        Raises
-        ------
-        Refused
-            143, shorter than the card can keep.
-        """
-        if microseconds < self.settings.minimum_sample_us:
-            raise Refused(PERIOD_TIMEOUT)
-        ticks = self.ticks
-        old_card = microseconds % 125.0 == 0.0
-        self.axis.set_period(microseconds * (1e-3 / 1024.0 if old_card else 1e-6))
-        self.values["TM"] = microseconds
-        self._time_offset = self.axis.values[k.SAMPLES] - ticks * 1000.0 / microseconds
-        self.apply()
-
     def _end(self, stop_code: int) -> None:
         self.motion.running = False
         self.motion.stop_code = stop_code
@@ -306,6 +310,31 @@ class Card:
     def _watch_amplifier(self) -> None:
         if self.wiring.amplifier_fault and self.motor_on and self.values["OE"] in (1.0, 3.0):
             self._off(STOP_ERROR)
+
+
+def set_sample_time(card: Card, microseconds: float) -> None:
+    """Change TM. Multiples of 125 us are counted in 1/1024 s: TM 1000 is 976.6 us.
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+    microseconds : float
+        us.
+
+    Raises
+    ------
+    Refused
+        143, shorter than the card can keep.
+    """
+    if microseconds < card.settings.minimum_sample_us:
+        raise Refused(PERIOD_TIMEOUT)
+    ticks = card.ticks
+    old_card = microseconds % 125.0 == 0.0
+    card.axis.set_period(microseconds * (1e-3 / 1024.0 if old_card else 1e-6))
+    card.values["TM"] = microseconds
+    card.time_offset = card.axis.values[k.SAMPLES] - ticks * 1000.0 / microseconds
+    card.apply()
 
 
 def limits_closed(card: Card) -> tuple[bool, bool]:

@@ -12,7 +12,8 @@ from undrift.sim.rig.card import CardSettings
 from undrift.sim.rig.clock import Clock, HostClock
 from undrift.sim.rig.faults import LINK_FAULTS, FaultyLink, check_fault
 from undrift.sim.rig.galil_session import GalilMachine
-from undrift.sim.rig.grbl import GrblMachine, GrblSettings
+from undrift.sim.rig.grbl import GrblMachine
+from undrift.sim.rig.grbl_board import GrblSettings
 from undrift.sim.rig.server import Server
 from undrift.sim.rig.servo import ServoSettings
 

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Callable
 
-from undrift.sim.rig.card import Card
+from undrift.sim.rig.card import Card, set_sample_time
 from undrift.sim.rig.galil_numbers import VARIABLE_NAME, evaluate
 from undrift.sim.rig.galil_tell import TELL, operand_value, places, record, told, variable_value
 from undrift.sim.rig.galil_words import (
@@ -154,7 +154,7 @@ def _set(card: Card, word: str, value: float) -> None:
         raise Refused(RUNNING)
     rounded = math.trunc(value / setting.step + 1e-9) * setting.step
     if word == "TM":
-        card.set_sample_time(rounded)
+        set_sample_time(card, rounded)
         return
     card.values[word] = rounded
     card.apply()

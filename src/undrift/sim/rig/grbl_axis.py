@@ -150,6 +150,83 @@ class Path:
         return time + 2.0 * ramp + cruise
 
 
+class Stepper:
+    """The pulses of a board and the shaft that follows them while its motor has current."""
+
+    def __init__(self) -> None:
+        self.pulses, self.shaft = Path(), Path()
+        self.energised = True
+
+    def move(self, time: float, distance: float, feed: float, acceleration: float) -> float:
+        """Add a move from rest to rest.
+
+        Parameters
+        ----------
+        time : float
+            When it begins, s.
+        distance : float
+            deg, signed.
+        feed : float
+            deg/s, positive.
+        acceleration : float
+            deg/s2, positive.
+
+        Returns
+        -------
+        float
+            When it ends, s.
+        """
+        if self.energised:
+            self.shaft.move(time, distance, feed, acceleration)
+        return self.pulses.move(time, distance, feed, acceleration)
+
+    def slow(self, time: float, deceleration: float) -> float:
+        """Come to rest.
+
+        Parameters
+        ----------
+        time : float
+            From when, s.
+        deceleration : float
+            deg/s2, positive.
+
+        Returns
+        -------
+        float
+            When it rests, s.
+        """
+        if self.energised:
+            self.shaft.slow(time, deceleration)
+        return self.pulses.slow(time, deceleration)
+
+    def set_current(self, time: float, on: bool, coast: float) -> None:
+        """Switch the motor's current; without it the shaft coasts and the pulses go on by themselves.
+
+        Parameters
+        ----------
+        time : float
+            s.
+        on : bool
+            True for current.
+        coast : float
+            Deceleration by friction, deg/s2.
+        """
+        if self.energised and not on:
+            self.shaft.slow(time, coast)
+        self.energised = on
+
+    def count_from_zero(self, time: float) -> None:
+        """Forget the pulses: the board has started afresh.
+
+        Parameters
+        ----------
+        time : float
+            s.
+        """
+        self.pulses.cut(time)
+        self.pulses.go(time, 0.0, 0.0, 0.0)
+
+
 def rippled(angle: FloatArray, rate: FloatArray, amplitude: float, period: float) -> tuple[FloatArray, FloatArray]:
     """Add the ripple of the detents: x + A sin(2 pi x / p).
 

@@ -25,7 +25,13 @@ class Session(Protocol):
         """Return what a new client hears."""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes, return answers."""
+        """Take bytes, return answers.
+
+        Parameters
+        ----------
+        data : bytes
+            Any.
+        """
 
     def unasked(self) -> bytes:
         """Return what is said without being asked."""
@@ -35,10 +41,22 @@ class Machine(Protocol):
     """What stands behind the server."""
 
     def open_session(self, serial: bool) -> Session:
-        """Return a new client's session."""
+        """Return a new client's session.
+
+        Parameters
+        ----------
+        serial : bool
+            True for a serial link.
+        """
 
     def close_session(self, session: object) -> None:
-        """Forget a client."""
+        """Forget a client.
+
+        Parameters
+        ----------
+        session : object
+            Which.
+        """
 
     def tick(self) -> None:
         """Come up to now."""
