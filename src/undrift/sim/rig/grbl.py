@@ -11,7 +11,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.sim.rig.clock import Clock
 from undrift.sim.rig.grbl_axis import rippled
-from undrift.sim.rig.grbl_board import EOL, Board, GrblSettings
+from undrift.sim.rig.grbl_board import EOL, Board, GrblSettings, answer, greeting
 from undrift.units import RADIAN_PER_DEGREE
 
 LINE_LENGTH = 80
@@ -174,7 +174,7 @@ class GrblSession:
 
     def greet(self) -> bytes:
         """Return the greeting, as a board gives it when its port is opened."""
-        return self._machine.board.greeting().encode()
+        return greeting(self._machine.settings).encode()
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take bytes from the client.
@@ -223,7 +223,7 @@ class GrblSession:
             line, self._line = self._line, ""
             if letter == "\r" and not line:
                 return ""
-            return f"error:11{EOL}" if len(line) > LINE_LENGTH else self._machine.board.line(line)
+            return f"error:11{EOL}" if len(line) > LINE_LENGTH else answer(self._machine.board, line)
         if len(self._line) <= LINE_LENGTH:
             self._line += letter
         return ""

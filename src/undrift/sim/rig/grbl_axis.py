@@ -12,6 +12,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 
+GRIP = 1e6  # deg/s2: a motor that gets its current back holds at once
+
 
 @dataclass(slots=True)
 class Path:
@@ -138,6 +140,7 @@ class Path:
             When it ends, s.
         """
         angle, _ = self.at(time)
+        self.cut(time)
         way = math.copysign(1.0, distance)
         top = min(feed, math.sqrt(acceleration * abs(distance)))
         ramp = top / acceleration
@@ -156,6 +159,7 @@ class Stepper:
     def __init__(self) -> None:
         self.pulses, self.shaft = Path(), Path()
         self.energised = True
+        self.ratio = 1.0  # deg of the shaft in a deg of the pulses: what the steps-per-degree setting makes of a true step
 
     def move(self, time: float, distance: float, feed: float, acceleration: float) -> float:
         """Add a move from rest to rest.
@@ -177,7 +181,7 @@ class Stepper:
             When it ends, s.
         """
         if self.energised:
-            self.shaft.move(time, distance, feed, acceleration)
+            self.shaft.move(time, self.ratio * distance, self.ratio * feed, self.ratio * acceleration)
         return self.pulses.move(time, distance, feed, acceleration)
 
     def slow(self, time: float, deceleration: float) -> float:
@@ -196,7 +200,7 @@ class Stepper:
             When it rests, s.
         """
         if self.energised:
-            self.shaft.slow(time, deceleration)
+            self.shaft.slow(time, self.ratio * deceleration)
         return self.pulses.slow(time, deceleration)
 
     def set_current(self, time: float, on: bool, coast: float) -> None:
@@ -211,8 +215,8 @@ class Stepper:
         coast : float
             Deceleration by friction, deg/s2.
         """
-        if self.energised and not on:
-            self.shaft.slow(time, coast)
+        if self.energised != on:
+            self.shaft.slow(time, GRIP if on else coast)
         self.energised = on
 
     def count_from_zero(self, time: float) -> None:

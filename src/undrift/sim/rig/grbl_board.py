@@ -82,9 +82,8 @@ class Board:
         self.relative = False
         self.feed = 0.0
         self._queue: deque[tuple[float, float]] = deque()
-        self._ends = 0.0
-        self._rested = -1e9
-        self._target = 0.0
+        self._ends = self._rested = -1e9
+        self._target = self._feed = 0.0
 
     def of_axis(self, family: int) -> float:
         """Return the axis's own value of a family of settings: 100 steps/deg, 110 deg/min, 120 deg/s2, 130 deg.
@@ -120,25 +119,14 @@ class Board:
             now < self._ends or self.values[1] == 255.0 or now - max(self._rested, self._ends) < self.values[1] * 1e-3
         )
 
-    def line(self, text: str) -> str:
-        """Do one line.
+    def do(self, text: str) -> str:
+        """Do one line of upper case without blanks; return what it prints, or raise Denied.
 
         Parameters
         ----------
         text : str
-            Without its line end.
-
-        Returns
-        -------
-        str
-            What it prints, and `ok` or `error:n`.
+            The line.
         """
-        try:
-            return self._line(text.strip().upper().replace(" ", "")) + "ok" + EOL
-        except Denied as denial:
-            return f"error:{denial.code}{EOL}"
-
-    def _line(self, text: str) -> str:
         if not text:
             return ""
         if text.startswith("$J="):
@@ -181,14 +169,12 @@ class Board:
             feed = self.of_axis(110)
         if not feed:
             raise Denied(22)
-        wanted = move.target.get(self.settings.axis, None)
+        wanted = move.target.get(self.settings.axis)
         if len(self._queue) >= BUFFER:
             raise Denied(24)
-        end = (
-            self._queue[-1][0]
-            if self._queue
-            else (self._target if self.state in ("Jog", "Run") else self._rest_angle())
-        )
+        end = self._rest_angle() if self.state == "Idle" else self._target
+        if self._queue:
+            end = self._queue[-1][0]
         relative = self.relative if move.relative is None else move.relative
         goal = end if wanted is None else (end + wanted if relative else wanted)
         if state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0:
@@ -205,9 +191,10 @@ class Board:
     def _launch(self, time: float) -> None:
         goal, feed = self._queue.popleft()
         distance = goal - self.stepper.pulses.at(time)[0]
-        self._target, self._ends = goal, time
+        self._target, self._feed, self._ends = goal, feed, time
         if abs(distance) < 1e-9:
             return
+        self.stepper.ratio = self.of_axis(100) * self.settings.full_step_deg / self.settings.microsteps
         self._ends = self.stepper.move(time, distance, feed, self.of_axis(120))
 
     def _slow(self, deceleration: float) -> None:
@@ -227,18 +214,16 @@ class Board:
         str
             What it prints.
         """
-        moving = self.state in ("Jog", "Run")
         if letter == "?":
             return _report(self)
         if letter in ("!", "\x85") and self.state == "Jog":
             self._slow(self.of_axis(120))
-        elif letter == "!" and moving:
-            left = self._target - self._rest_angle()
-            feed = max(abs(self.stepper.pulses.at(self.clock.now())[1]), 1e-3)
+        elif letter == "!" and self.state == "Run":
+            waiting = [(self._target, self._feed), *self._queue]
             self._slow(self.of_axis(120))
-            self._queue.appendleft((self._rest_angle() + left, feed))
+            self._queue.extend(waiting)
             self.state = "Hold"
-        elif letter == "~" and self.state == "Hold" and self.clock.now() >= self._ends:
+        elif letter == "~" and self.state == "Hold" and not self.moving:
             self.state = "Run"
             self._launch(self.clock.now())
         elif letter == "\x18":
@@ -253,17 +238,13 @@ class Board:
         str
             What it prints.
         """
-        lost = self.state in ("Jog", "Run") and self.clock.now() < self._ends
+        lost = self.moving
         if lost:
             self._slow(AT_ONCE)
         self.start()
         if lost:
             self.state = "Alarm"
-        return (f"ALARM:3{EOL}" if lost else "") + self.greeting()
-
-    def greeting(self) -> str:
-        """Return what the board prints when it starts."""
-        return f"{EOL}Grbl {self.settings.version} ['$' for help]{EOL}"
+        return (f"ALARM:3{EOL}" if lost else "") + greeting(self.settings)
 
     def alarm(self, number: int) -> str:
         """Stop at once and lock.
@@ -281,6 +262,38 @@ class Board:
         self._slow(AT_ONCE)
         self.state = "Alarm"
         return f"ALARM:{number}{EOL}[MSG:Reset to continue]{EOL}"
+
+
+def answer(board: Board, text: str) -> str:
+    """Do one line.
+
+    Parameters
+    ----------
+    board : Board
+        The board.
+    text : str
+        Without its line end.
+
+    Returns
+    -------
+    str
+        What it prints, and `ok` or `error:n`.
+    """
+    try:
+        return board.do(text.strip().upper().replace(" ", "")) + "ok" + EOL
+    except Denied as denial:
+        return f"error:{denial.code}{EOL}"
+
+
+def greeting(settings: GrblSettings) -> str:
+    """Return what a board prints when it starts.
+
+    Parameters
+    ----------
+    settings : GrblSettings
+        Which board.
+    """
+    return f"{EOL}Grbl {settings.version} ['$' for help]{EOL}"
 
 
 def _report(board: Board) -> str:
@@ -310,19 +323,8 @@ _INFORMATION: dict[str, Callable[[Board], str]] = {
 
 def _defaults(s: GrblSettings) -> dict[int, float]:
     values = {0: 10.0, 1: 25.0, 2: 0.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: 0.0, 10: 1.0, 11: 0.01, 12: 0.002, 13: 0.0}
-    values |= {
-        20: 0.0,
-        21: 1.0,
-        22: 0.0,
-        23: 0.0,
-        24: 25.0,
-        25: 500.0,
-        26: 250.0,
-        27: 1.0,
-        30: 1000.0,
-        31: 0.0,
-        32: 0.0,
-    }
+    values |= {20: 0.0, 21: 1.0, 22: 0.0, 23: 0.0, 24: 25.0, 25: 500.0, 26: 250.0, 27: 1.0}
+    values |= {30: 1000.0, 31: 0.0, 32: 0.0}
     for place in range(len(s.axes)):
         values[100 + place] = round(s.microsteps / s.full_step_deg, 3)
         values[110 + place] = s.max_rate_deg_per_min
