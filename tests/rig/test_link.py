@@ -90,9 +90,12 @@ def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_ta
 
 
 def test_half_a_reply_is_a_timeout_that_shows_what_came():
-    with Scripted(lambda command: b" 00000") as server, Link(server.url, QUICK) as link:
-        with pytest.raises(RigTimeout, match=r"got only b' 00000'"):
-            link.exchange("TP")
+    with (
+        Scripted(lambda command: b" 00000") as server,
+        Link(server.url, QUICK) as link,
+        pytest.raises(RigTimeout, match=r"got only b' 00000'"),
+    ):
+        link.exchange("TP")
 
 
 def test_a_reply_that_trickles_in_is_a_timeout_too():
@@ -118,15 +121,21 @@ def test_a_reply_that_trickles_in_is_a_timeout_too():
 
 
 def test_a_flood_without_an_end_is_refused_before_the_deadline():
-    with Scripted(lambda command: b"x" * 100_000) as server, Link(server.url, QUICK) as link:
-        with pytest.raises(LinkError, match="wanted an end of the answer to 'TP'"):
-            link.exchange("TP", 30.0)
+    with (
+        Scripted(lambda command: b"x" * 100_000) as server,
+        Link(server.url, QUICK) as link,
+        pytest.raises(LinkError, match="wanted an end of the answer to 'TP'"),
+    ):
+        link.exchange("TP", 30.0)
 
 
 def test_bytes_that_are_no_text_are_refused():
-    with Scripted(lambda command: b"\xff\xfe\n") as server, Link(server.url, QUICK) as link:
-        with pytest.raises(LinkError, match=r"wanted text in answer to 'TP', got b'\\xff\\xfe\\n'"):
-            link.exchange("TP")
+    with (
+        Scripted(lambda command: b"\xff\xfe\n") as server,
+        Link(server.url, QUICK) as link,
+        pytest.raises(LinkError, match=r"wanted text in answer to 'TP', got b'\\xff\\xfe\\n'"),
+    ):
+        link.exchange("TP")
 
 
 def test_a_lost_link_says_so_at_once_and_can_be_opened_again():
