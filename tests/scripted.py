@@ -41,6 +41,7 @@ class Scripted:
         self._clients[-1].shutdown(socket.SHUT_RDWR)
 
     def refuse_from_now_on(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         self.hang_up()
 

@@ -149,7 +149,7 @@ def test_a_number_that_cannot_be_is_an_error(answer):
 def test_text_where_only_a_prompt_belongs_is_an_error():
     with (
         Talk(lambda command: b" 5\r\n:") as talk,
-        pytest.raises(LinkError, match="wanted ':' in answer to 'BGX', got ' 5'"),
+        pytest.raises(LinkError, match="wanted ':' in answer to 'BGX', got ' 5"),
     ):
         talk.card.do("BGX")
 

@@ -16,6 +16,7 @@ from undrift.rig.galil_card import GalilCard
 
 UNCONFIRMED = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
 RECONNECTIONS = 4
+STOP_MARGIN_S = 2.0  # on top of twice the time that coming to rest should take
 AXIS_DECELERATION = 256_000.0  # counts/s2, the card's own default
 
 log = logging.getLogger(__name__)
@@ -146,8 +147,8 @@ class GalilAxis:
         RigTimeout
             It still moves.
         """
-        allowed_s = 2.0 * expected_s + 2.0
-        last = time.monotonic() + max(allowed_s / self._clock.speed, 1.0)
+        allowed_s = 2.0 * expected_s + STOP_MARGIN_S
+        last = time.monotonic() + max(allowed_s / self._clock.speed, 0.5 * STOP_MARGIN_S)
         while self.is_moving():
             if time.monotonic() > last:
                 raise RigTimeout(

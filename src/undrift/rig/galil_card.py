@@ -49,8 +49,10 @@ class GalilCard:
         LinkError
             It answered something else.
         """
-        answer = self.text(command, deadline_s)
-        if answer.strip():
+        answer = self.port.ask(command, deadline_s)
+        if answer is None:
+            raise _refusal(self.port, command)
+        if answer:
             raise LinkError(
                 f"{self.port.name}: wanted ':' in answer to '{command}', got {answer!r}; check cable and baud"
             )
@@ -93,7 +95,7 @@ class GalilCard:
         answer = self.port.ask(command, deadline_s)
         if answer is None:
             raise _refusal(self.port, command)
-        return answer
+        return answer.strip("\r\n")
 
     def number(self, command: str) -> float:
         """Ask for a number.

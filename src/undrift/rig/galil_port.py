@@ -131,7 +131,7 @@ class LinkPort:
         Returns
         -------
         str or None
-            "" for a bare ``:``; None when the card refused.
+            With its CR LF; "" for a bare ``:``; None when the card refused.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class LinkPort:
             return None
         if not reply.endswith(":") or "?" in reply:
             raise LinkError(f"{self.name}: wanted an answer to '{command}', got {reply!r}; check cable and baud")
-        return reply[:-1].removesuffix("\n").removesuffix("\r").removeprefix("\r\n")
+        return reply[:-1]
 
     def shout(self, command: str) -> None:
         """Send without waiting for an answer; a lost link is left to whoever asks next.
