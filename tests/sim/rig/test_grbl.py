@@ -44,7 +44,7 @@ def test_a_jog_runs_is_reported_and_ends_on_a_step():
     assert bench.rate_dps() == pytest.approx(90.0, rel=2e-5)  # $103 is rounded to 8.889
     bench.clock.advance(5.0)
     assert (
-        bench.say("?") == "<Idle|MPos:0.000,0.000,0.000,360.004|FS:0,0>\r\n"
+        bench.say("?") == "<Idle|MPos:0.000,0.000,0.000,359.996|FS:0,0>\r\n"
     )  # 3200 steps of 1/8.889 deg, as $103 says
     assert bench.angle_deg() == pytest.approx(360.0, abs=1e-9)  # the shaft counts whole steps of 1.8/16 deg
 

@@ -134,7 +134,7 @@ class Axis:
             A time that is not reached yet, or is no longer kept.
         """
         t = np.asarray(times, float)
-        time, angle, rate = self.history(self.time - t.min() + 0.1 if t.size else 0.0)
+        time, angle, rate = self.history(max(self.time - t.min(initial=self.time), 0.0) + 0.1)
         if t.size and (t.max() > time[-1] + self.coefficients.period or t.min() < time[0]):
             raise InputError(
                 f"axis state: wanted times in {time[0]:.4f}..{time[-1]:.4f} s, got {t.min():.4f}..{t.max():.4f} s; "

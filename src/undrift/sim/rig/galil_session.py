@@ -208,7 +208,7 @@ class GalilSession:
                     answers.append(letter.encode("latin-1"))
                 answers += self._take(letter)
             machine.tick()
-            return answers
+            return [answer for answer in answers if answer]
 
     def unasked(self) -> bytes:
         """Return what the card says without being asked, since the last look."""

@@ -159,7 +159,9 @@ class Stepper:
     def __init__(self) -> None:
         self.pulses, self.shaft = Path(), Path()
         self.energised = True
-        self.ratio = 1.0  # deg of the shaft in a deg of the pulses: what the steps-per-degree setting makes of a true step
+        self.ratio = (
+            1.0  # deg of the shaft in a deg of the pulses: what the steps-per-degree setting makes of a true step
+        )
 
     def move(self, time: float, distance: float, feed: float, acceleration: float) -> float:
         """Add a move from rest to rest.
