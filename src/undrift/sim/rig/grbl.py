@@ -4,6 +4,7 @@ Lines end with a line feed and are answered `ok` or `error:n`; `?` `!` `~` 0x18 
 """
 
 import threading
+from collections import deque
 
 import numpy as np
 
@@ -170,6 +171,7 @@ class GrblSession:
     def __init__(self, machine: GrblMachine) -> None:
         self._machine = machine
         self._line = ""
+        self._lines: deque[str] = deque()  # those that wait for room among the moves
         self._unasked = b""
 
     def greet(self) -> bytes:
@@ -201,7 +203,7 @@ class GrblSession:
     def unasked(self) -> bytes:
         """Return what the board says without being asked, since the last look."""
         with self._machine.lock:
-            data, self._unasked = self._unasked, b""
+            data, self._unasked = self._unasked + self._work().encode("latin-1"), b""
             return data
 
     def tell(self, text: str) -> None:
@@ -218,12 +220,23 @@ class GrblSession:
         if letter in "?!~\x18\x85":
             if letter == "\x18":
                 self._line = ""
+                self._lines.clear()
             return self._machine.board.at_once(letter)
         if letter in "\r\n":
             line, self._line = self._line, ""
             if letter == "\r" and not line:
                 return ""
-            return f"error:11{EOL}" if len(line) > LINE_LENGTH else answer(self._machine.board, line)
+            self._lines.append(line)
+            return self._work()
         if len(self._line) <= LINE_LENGTH:
             self._line += letter
         return ""
+
+    def _work(self) -> str:
+        # a full board does not read on
+        board, said = self._machine.board, ""
+        board.advance()
+        while self._lines and not board.full:
+            line = self._lines.popleft()
+            said += f"error:11{EOL}" if len(line) > LINE_LENGTH else answer(board, line)
+        return said

@@ -65,8 +65,11 @@ class Path:
         angle, rate : array, shape (n,)
             deg, deg/s.
         """
-        start, angle = np.array(self.start), np.array(self.angle)
-        rate, acceleration = np.array(self.rate), np.array(self.acceleration)
+        first = max(
+            bisect.bisect_right(self.start, float(times.min(initial=math.inf))) - 1, 0
+        )  # only what is asked for
+        start, angle = np.array(self.start[first:]), np.array(self.angle[first:])
+        rate, acceleration = np.array(self.rate[first:]), np.array(self.acceleration[first:])
         i = np.clip(np.searchsorted(start, times, side="right") - 1, 0, None)
         t = times - start[i]
         return angle[i] + t * (rate[i] + 0.5 * acceleration[i] * t), rate[i] + acceleration[i] * t
@@ -120,37 +123,32 @@ class Path:
         self.go(time + duration, angle + 0.5 * rate * duration, 0.0, 0.0)
         return time + duration
 
-    def move(self, time: float, distance: float, feed: float, acceleration: float) -> float:
-        """Add a trapezoid, or a triangle where the way is too short, from rest to rest.
+    def follow(self, time: float, rate: float, legs: list[tuple[float, float]]) -> float:
+        """Replace what was planned by legs of constant acceleration, after which the axis rests.
 
         Parameters
         ----------
         time : float
-            When it begins, s.
-        distance : float
-            deg, signed.
-        feed : float
-            deg/s, positive.
-        acceleration : float
-            deg/s2, positive.
+            When they begin, s.
+        rate : float
+            Then, deg/s.
+        legs : list of (float, float)
+            Duration, s, and acceleration, deg/s2, of each.
 
         Returns
         -------
         float
-            When it ends, s.
+            When they end, s.
         """
         angle, _ = self.at(time)
         self.cut(time)
-        way = math.copysign(1.0, distance)
-        top = min(feed, math.sqrt(acceleration * abs(distance)))
-        ramp = top / acceleration
-        cruise = max(abs(distance) / top - ramp, 0.0) if top > 0.0 else 0.0
-        run_up = 0.5 * top * ramp
-        self.go(time, angle, 0.0, way * acceleration)
-        self.go(time + ramp, angle + way * run_up, way * top, 0.0)
-        self.go(time + ramp + cruise, angle + way * (run_up + top * cruise), way * top, -way * acceleration)
-        self.go(time + 2.0 * ramp + cruise, angle + distance, 0.0, 0.0)
-        return time + 2.0 * ramp + cruise
+        for duration, acceleration in legs:
+            self.go(time, angle, rate, acceleration)
+            angle += duration * (rate + 0.5 * acceleration * duration)
+            rate += acceleration * duration
+            time += duration
+        self.go(time, angle, 0.0, 0.0)
+        return time
 
 
 class Stepper:
@@ -163,28 +161,20 @@ class Stepper:
             1.0  # deg of the shaft in a deg of the pulses: what the steps-per-degree setting makes of a true step
         )
 
-    def move(self, time: float, distance: float, feed: float, acceleration: float) -> float:
-        """Add a move from rest to rest.
+    def follow(self, time: float, legs: list[tuple[float, float]]) -> None:
+        """Replace what was planned.
 
         Parameters
         ----------
         time : float
-            When it begins, s.
-        distance : float
-            deg, signed.
-        feed : float
-            deg/s, positive.
-        acceleration : float
-            deg/s2, positive.
-
-        Returns
-        -------
-        float
-            When it ends, s.
+            When the legs begin, s.
+        legs : list of (float, float)
+            Duration, s, and acceleration, deg/s2, of each.
         """
+        _, rate = self.pulses.at(time)
+        self.pulses.follow(time, rate, legs)
         if self.energised:
-            self.shaft.move(time, self.ratio * distance, self.ratio * feed, self.ratio * acceleration)
-        return self.pulses.move(time, distance, feed, acceleration)
+            self.shaft.follow(time, self.ratio * rate, [(duration, self.ratio * a) for duration, a in legs])
 
     def slow(self, time: float, deceleration: float) -> float:
         """Come to rest.

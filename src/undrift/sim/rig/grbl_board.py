@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from undrift.errors import InputError
 from undrift.sim.rig.clock import Clock
 from undrift.sim.rig.grbl_axis import Stepper
+from undrift.sim.rig.grbl_planner import plan
 from undrift.sim.rig.grbl_words import Denied, Move, parse_line, parse_setting
 
 BUFFER = 15  # moves that may wait
@@ -81,9 +82,9 @@ class Board:
         self.state = "Idle"
         self.relative = False
         self.feed = 0.0
-        self._queue: deque[tuple[float, float]] = deque()
-        self._ends = self._rested = -1e9
-        self._target = self._feed = 0.0
+        self._queue: deque[tuple[float, float]] = deque()  # goal, deg, and feed, deg/s; the first is under way
+        self._joints: deque[float] = deque()  # when each is over, s
+        self._ends = -1e9  # when the pulses rest
 
     def of_axis(self, family: int) -> float:
         """Return the axis's own value of a family of settings: 100 steps/deg, 110 deg/min, 120 deg/s2, 130 deg.
@@ -96,13 +97,18 @@ class Board:
         return self.values[family + self.settings.axes.index(self.settings.axis)]
 
     def advance(self) -> None:
-        """Come up to now: end what is over, begin what waits."""
-        while self.state in ("Jog", "Run") and self.clock.now() >= self._ends:
-            self._rested = self._ends
-            if not self._queue:
-                self.state = "Idle"
-                return
-            self._launch(max(self._ends, 0.0))
+        """Come up to now: moves that are over leave the queue."""
+        now = self.clock.now()
+        while self._queue and self._joints and now >= self._joints[0]:
+            self._queue.popleft()
+            self._joints.popleft()
+        if self.state in ("Jog", "Run") and not self._queue and now >= self._ends:
+            self.state = "Idle"
+
+    @property
+    def full(self) -> bool:
+        """Whether another move has to wait: its line is not answered until there is room."""
+        return len(self._queue) > BUFFER
 
     @property
     def moving(self) -> bool:
@@ -115,9 +121,7 @@ class Board:
         if not self.stepper.energised or self.state == "Sleep":
             return False
         now = self.clock.now()
-        return (
-            now < self._ends or self.values[1] == 255.0 or now - max(self._rested, self._ends) < self.values[1] * 1e-3
-        )
+        return now < self._ends or self.values[1] == 255.0 or now - self._ends < self.values[1] * 1e-3
 
     def do(self, text: str) -> str:
         """Do one line of upper case without blanks; return what it prints, or raise Denied.
@@ -170,11 +174,7 @@ class Board:
         if not feed:
             raise Denied(22)
         wanted = move.target.get(self.settings.axis)
-        if len(self._queue) >= BUFFER:
-            raise Denied(24)
-        end = self._rest_angle() if self.state == "Idle" else self._target
-        if self._queue:
-            end = self._queue[-1][0]
+        end = self._queue[-1][0] if self._queue else self.stepper.pulses.at(max(self.clock.now(), self._ends))[0]
         relative = self.relative if move.relative is None else move.relative
         goal = end if wanted is None else (end + wanted if relative else wanted)
         if state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0:
@@ -183,22 +183,27 @@ class Board:
         self._queue.append((round(goal * steps) / steps, min(feed, self.of_axis(110)) / 60.0))
         if self.state == "Idle":
             self.state = state
-            self._launch(self.clock.now())
+        if self.state == state:
+            self._plan()
 
-    def _rest_angle(self) -> float:
-        return self.stepper.pulses.at(self.clock.now())[0]
-
-    def _launch(self, time: float) -> None:
-        goal, feed = self._queue.popleft()
-        distance = goal - self.stepper.pulses.at(time)[0]
-        self._target, self._feed, self._ends = goal, feed, time
-        if abs(distance) < 1e-9:
-            return
+    def _plan(self) -> None:
+        # from where the pulses are now, or from where they will rest after a stop
+        now = self.clock.now()
+        begin = now if self._joints else max(now, self._ends)
+        angle, rate = self.stepper.pulses.at(begin)
+        moves, at = [], angle
+        for goal, feed in self._queue:
+            moves.append((goal - at, feed))
+            at = goal
+        legs, ends = plan(moves, rate, self.of_axis(120))
         self.stepper.ratio = self.of_axis(100) * self.settings.full_step_deg / self.settings.microsteps
-        self._ends = self.stepper.move(time, distance, feed, self.of_axis(120))
+        self.stepper.follow(begin, legs)
+        self._joints = deque(begin + end for end in ends)
+        self._ends = self._joints[-1]
 
     def _slow(self, deceleration: float) -> None:
         self._queue.clear()
+        self._joints.clear()
         self._ends = self.stepper.slow(self.clock.now(), deceleration)
 
     def at_once(self, letter: str) -> str:
@@ -219,13 +224,13 @@ class Board:
         if letter in ("!", "\x85") and self.state == "Jog":
             self._slow(self.of_axis(120))
         elif letter == "!" and self.state == "Run":
-            waiting = [(self._target, self._feed), *self._queue]
+            waiting = list(self._queue)
             self._slow(self.of_axis(120))
             self._queue.extend(waiting)
             self.state = "Hold"
         elif letter == "~" and self.state == "Hold" and not self.moving:
             self.state = "Run"
-            self._launch(self.clock.now())
+            self._plan()
         elif letter == "\x18":
             return self.reset()
         return ""

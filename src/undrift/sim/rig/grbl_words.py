@@ -17,7 +17,6 @@ ERROR_MEANING = {
     20: "a command that is not supported",
     21: "two commands of one group",
     22: "no feed rate",
-    24: "too many moves waiting",
     25: "a word twice",
     26: "no axis word",
 }
