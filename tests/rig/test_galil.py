@@ -268,7 +268,7 @@ def test_a_card_that_is_silent_for_good_is_shouted_at_and_reported_unconfirmed(b
     with pytest.raises(RigTimeout, match=LOST):
         bench.rig.turn(1.0)
     until = time.monotonic() + 2.0
-    while bench.server.heard[-3:] != ["STX", "AB", "MOX"]:
+    while bench.server.heard[-4:] != ["STX", "AB", "MOX", "MOX"]:
         assert time.monotonic() < until
         time.sleep(0.01)
     with pytest.raises(LinkError, match=r"got none: it could not be brought to rest; open it again"):

@@ -206,8 +206,8 @@ class GalilRig(GalilReports):
             if self.limits.travel is not None:
                 reach = int(self._scale.counts(self.limits.travel))
                 forward, reverse = home + reach, home - reach
-            card.set("FL", forward)
-            card.set("BL", reverse)
+            card.set("FL", forward, tolerance=2)
+            card.set("BL", reverse, tolerance=2)
         return home
 
     def _speak_plainly(self) -> None:

@@ -206,13 +206,14 @@ class GalilAxis:
         except RigError as error:
             log.error("%s: not confirmed at rest: %s", port.name, error)
             self.refused = "it could not be brought to rest"
-            for command in (
-                f"ST{self.card.axis}",
-                "AB",
-                f"MO{self.card.axis}",
-            ):  # in the dark: the card may still listen
-                port.shout(command)
+            self._stop_in_the_dark()
             return False
+
+    def _stop_in_the_dark(self) -> None:
+        """Give the card, which may still listen, time for each; MO is refused until AB has ended the motion."""
+        for command in (f"ST{self.card.axis}", "AB", f"MO{self.card.axis}", f"MO{self.card.axis}"):
+            self.card.port.shout(command)
+            time.sleep(0.05)
 
     def _come_to_rest(self) -> None:
         try:
