@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
 
 from data import show
@@ -130,6 +131,20 @@ def test_a_hand_clock_makes_a_socket_conversation_repeatable():
             clock.advance(0.5)
             ends.append(emulator.axis_state(1.7))
     assert ends[0] == ends[1]
+
+
+def test_a_mean_rate_is_free_of_the_ripple_of_the_servo():
+    clock = HandClock()
+    with start_emulator(EmulatorSettings(), clock=clock) as emulator, client(emulator) as c:
+        ask(c, "SH;JG 10000;BG", 3)
+        clock.advance(2.0)
+        times = np.linspace(1.0, 2.0, 101)
+        _, momentary = emulator.axis_states(times)
+        _, mean = emulator.axis_states(times, mean_s=0.01)
+        show("ripple, momentary and of 10 ms means, deg/s", [float(np.degrees(np.std(r))) for r in (momentary, mean)])
+        assert np.degrees(np.std(momentary)) > 0.5
+        assert np.degrees(np.abs(mean - np.pi / 2).max()) < 0.05
+        assert emulator.axis_state(0.001, mean_s=0.01)[1] < 0.1
 
 
 def test_dropped_bytes_garbage_and_halves_reach_the_client(emulator):
@@ -261,7 +276,7 @@ def test_wrong_calls_are_refused(emulator):
         HandClock().advance(-1.0)
 
 
-def test_an_hour_is_emulated_in_seconds():
+def test_ten_minutes_are_emulated_in_less_than_three_seconds():
     clock = HandClock()
     settings = EmulatorSettings(servo=ServoSettings(), history_s=10.0)
     with start_emulator(settings, clock=clock) as emulator, client(emulator) as c:

@@ -137,13 +137,15 @@ class Emulator:
         """Return the true turn rate of the axis now, rad/s."""
         return self.machine.present()[1]
 
-    def axis_state(self, time: float) -> tuple[float, float]:
+    def axis_state(self, time: float, *, mean_s: float = 0.0) -> tuple[float, float]:
         """Return the true angle and turn rate at a moment of the past, or now.
 
         Parameters
         ----------
         time : float
             Emulated time, s, as `now` gives it.
+        mean_s : float
+            The rate is the mean of so long before, s; 0 for the momentary one, with the ripple of the servo in it.
 
         Returns
         -------
@@ -155,16 +157,18 @@ class Emulator:
         InputError
             A time to come, or one that is no longer kept.
         """
-        angle, rate = self.machine.states(np.array([time]))
+        angle, rate = self.axis_states(np.array([time]), mean_s=mean_s)
         return float(angle[0]), float(rate[0])
 
-    def axis_states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return the true angle and turn rate at moments of the past.
 
         Parameters
         ----------
         times : array, shape (n,)
             Emulated times, s.
+        mean_s : float
+            The rate is the mean of so long before each, s; 0 for the momentary one.
 
         Returns
         -------
@@ -176,7 +180,11 @@ class Emulator:
         InputError
             A time to come, or one that is no longer kept.
         """
-        return self.machine.states(times)
+        if not mean_s > 0.0:
+            return self.machine.states(times)
+        before = np.maximum(times - mean_s, 0.0)  # the axis rested before it was made
+        angle, _ = self.machine.states(np.concatenate((times, before)))
+        return angle[: len(times)], (angle[: len(times)] - angle[len(times) :]) / mean_s
 
     def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray]:
         """Return where the axis has been.
