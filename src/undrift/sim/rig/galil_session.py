@@ -253,11 +253,11 @@ class GalilSession:
         card = self._machine.card
         try:
             text = self._machine.program.command(line)
+            if text == "DL":  # no prompt until the program has come
+                self._downloading = True
+                return b""
             if text is None:
                 text = execute(card, line)
-            elif text == "DL":
-                self._downloading, text = True, ""
-                return b""
         except Refused as refusal:
             return self._refuse(refusal.code, end)
         return (text + ":").encode("latin-1", "replace")
