@@ -67,11 +67,10 @@ class GrblAxis:
             The firmware's greeting.
         """
         link = self.grbl.link
-        with link.locked():
-            try:
-                said = link.resynchronise("?", status_end, terminator="")
-            except RigTimeout:  # a board that a serial port's opening restarted
-                said = ""
+        try:
+            said = link.resynchronise("?", status_end, terminator="")
+        except RigTimeout:  # a board that a serial port's opening restarted
+            said = ""
         greeting = self.grbl.reset(max(link.settings.reply_timeout_s, 3.0))
         if self.grbl.status().state == "Alarm" and any(f"<{state}" in said for state in OWN_STOPS):
             self.grbl.do("$X")

@@ -7,8 +7,6 @@ in time the link is out of step - the answer may still come, and would be taken 
 """
 
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from undrift.errors import InputError, LinkError
@@ -88,18 +86,6 @@ class Link:
     def mask_high_bit(self) -> None:
         """Keep bytes whose high bit is set out of the replies from now on, until the link is opened again."""
         self._receiver.high_bit_is_unsolicited = True
-
-    @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Keep other threads from asking in between.
-
-        Yields
-        ------
-        None
-            Once.
-        """
-        with self._one_at_a_time:
-            yield
 
     def exchange(
         self,
