@@ -26,6 +26,7 @@ from undrift.units import RADIAN_PER_DEGREE
 Phase = Literal["enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "resting", "writing", "closing"]
 POLLS = 20  # positions in a short dwell
 POLL_S = 0.1  # between two positions of a long one, s of the host
+SOAK_POLL_S = 2.0  # between two looks at the chamber, table s
 
 log = logging.getLogger(__name__)
 
@@ -206,9 +207,11 @@ class _Run:
         self._programme, self._bench, self._folder = programme, bench, folder
         self._report, self._settings = report, settings
         self._enabled = False
+        self._old_fault: str | None = None
         self._number = 0
         self._step: Step = programme.steps[0]
         self._began = bench.clock.now()
+        self._left_s = 0.0
 
     def check_chamber(self) -> None:
         if self._bench.chamber is None and any(isinstance(step, Soak) for step in self._programme.steps):
@@ -216,6 +219,7 @@ class _Run:
 
     def all_but(self, done: frozenset[int]) -> None:
         """Do the dwells that are not done, each with the mounting and the soak that it needs."""
+        left = {n: s.duration_s for n, s in enumerate(self._programme.steps) if n not in done}
         waiting: dict[type, tuple[int, Step]] = {}  # a mounting and a soak are due only when a dwell follows
         for number, step in enumerate(self._programme.steps):
             if not isinstance(step, Dwell):
@@ -223,10 +227,10 @@ class _Run:
                 continue
             if number in done:
                 continue
-            for kind in (Mount, Soak):
-                if kind in waiting:
-                    self._do(*waiting.pop(kind))
-            self._do(number, step)
+            due = [waiting.pop(kind) for kind in (Mount, Soak) if kind in waiting]
+            for place, what in (*due, (number, step)):
+                self._left_s = sum(seconds for later, seconds in left.items() if later >= place)
+                self._do(place, what)
 
     def close(self, cause: BaseException | None) -> None:
         """Stop the table and switch the motor off; a second Ctrl-C does not disturb it."""
@@ -266,7 +270,7 @@ class _Run:
                     f"chamber: wanted {step.temp_c:g} degC steady to {step.slope_c_per_min:g} K/min within "
                     f"{self._settings.soak_timeout_s:g} s, got {chamber.read():.2f} degC; look at the chamber"
                 )
-            clock.wait(POLL_S * clock.speed)
+            clock.wait(max(SOAK_POLL_S, 0.05 * clock.speed))
             self._say("soaking", f"{chamber.read():.2f} degC")
 
     def _dwell(self, step: Dwell) -> None:
@@ -276,6 +280,7 @@ class _Run:
         if step.turn_rate != 0.0:
             self._say("ramping")
             held = rig.turn(step.turn_rate)
+            self._old_fault = None
             self._bench.clock.wait(step.ramp_s)
         self._say("settling")
         self._bench.clock.wait(step.settle_s)
@@ -312,10 +317,10 @@ class _Run:
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
         self._say(phase)
         readings.start()
-        positions: list[Position] = [rig.position()]
+        positions: list[Position] = []
         stop = clock.now() + step.dwell_s
-        while (left := stop - clock.now()) > 0.0 or len(positions) < 3:
-            clock.wait(min(left, every_s))
+        while clock.now() < stop or len(positions) < 3:
+            clock.wait(every_s)  # before each alike, so that the delays of the link are alike
             positions.append(rig.position())
             self._say(phase, readings.latest())
         record = readings.stop()
@@ -324,7 +329,7 @@ class _Run:
 
     def _check_fault(self) -> None:
         wrong = self._bench.rig.fault()
-        if wrong is not None:
+        if wrong is not None and wrong != self._old_fault:
             raise RigFault(
                 f"rig: wanted it sound in step {self._number} ({self._step}), got {wrong}; look at the table"
             )
@@ -351,6 +356,7 @@ class _Run:
             self._bench.rig.enable(True)
             self._enabled = True
             self._bench.rig.set_acceleration(self._programme.acceleration)
+            self._old_fault = self._bench.rig.fault()  # why it stopped last: a card keeps it until it moves again
 
     def _disable(self) -> None:
         """Hands and long waits: the motor is off."""
@@ -359,15 +365,14 @@ class _Run:
             self._bench.rig.enable(False)
 
     def _say(self, phase: Phase, live: str = "") -> None:
-        steps = self._programme.steps
         spent = min(self._bench.clock.now() - self._began, self._step.duration_s)
         self._report(
             Progress(
                 phase=phase,
                 number=self._number,
-                steps=len(steps),
+                steps=len(self._programme.steps),
                 step=str(self._step),
-                left_s=sum(step.duration_s for step in steps[self._number :]) - spent,
+                left_s=self._left_s - spent,
                 live=live,
             )
         )

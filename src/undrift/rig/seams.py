@@ -1,4 +1,4 @@
-"""What a run needs beside the rig: readings of the device, a chamber, hands that mount the device. Live ones and fakes fit alike."""
+"""What a run needs beside the rig: readings of the device, a chamber, hands that mount it. Live ones and fakes fit alike."""
 
 from typing import Protocol
 
