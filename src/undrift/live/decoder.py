@@ -166,7 +166,8 @@ class FrameDecoder:
         if whole and at < len(held):
             self.errors += 1
         table = np.frombuffer(b"".join(found), dtype=self._fields)
-        rows = np.array([table[name].astype(float) for name in self._fields.names or ()]).T.reshape(len(table), -1)
+        names = self._fields.names or ()
+        rows = np.array([table[name].astype(float) for name in names]).T.reshape(len(table), len(names))
         sound = finite(rows)
         self.errors += len(rows) - len(sound)
         return sound
