@@ -274,12 +274,13 @@ class EmulatedDevice:
         self._mounted = facing(np.array([1.0, 0.0, 0.0, 0.0]), self._up)
 
     def _go_on(self) -> None:
-        last = min(int(self._clock.now() / self._step), self._next + MOST_AT_ONCE - 1)
+        now = self._clock.now()
+        last = min(int(now / self._step + 1e-6), self._next + MOST_AT_ONCE - 1)  # a clock that adds up tenths
         if last < self._next:
             return
         counts = np.arange(self._next, last + 1)
         self._next = last + 1
-        scene, mean = self._scene(counts * self._step)
+        scene, mean = self._scene(np.minimum(counts * self._step, now))
         said = self._device.read(scene, mean)
         self._send(counts, np.column_stack((said.gyro, said.accel, said.temp_c)))
 
