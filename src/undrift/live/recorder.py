@@ -11,19 +11,15 @@
 import logging
 import threading
 import time
-from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from undrift.arrays import FloatArray
-from undrift.errors import InputError, LinkError, RigTimeout, UndriftError
+from undrift.errors import InputError, RigTimeout, UndriftError
 from undrift.live.chunk import Chunk
 from undrift.live.clock import ClockFit, ClockSettings
+from undrift.live.recent import Recent
 from undrift.live.source import Source
-from undrift.live.timeline import Block, Timeline
 from undrift.live.writer import PieceWriter
 from undrift.record import Record
 
@@ -112,14 +108,10 @@ class Recorder:
     ) -> None:
         self.source, self.settings = source, settings
         self._folder = None if folder is None else Path(folder)
-        self._timeline = Timeline(source.description, settings.clock)
+        self._recent = Recent(source.name, source.description, settings.keep_s, settings.clock)
         self._writer: PieceWriter | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
-        self._news = threading.Condition()
-        self._ring: deque[Block] = deque()
-        self._forgotten = -np.inf  # device time up to which blocks have left the ring
-        self._failure: UndriftError | None = None
 
     def __enter__(self) -> "Recorder":
         """Start."""
@@ -127,13 +119,7 @@ class Recorder:
         return self
 
     def __exit__(self, *failure: object) -> None:
-        """Stop.
-
-        Parameters
-        ----------
-        *failure : object
-            What ended the block.
-        """
+        """Stop."""
         self.stop()
 
     @staticmethod
@@ -160,7 +146,7 @@ class Recorder:
             self._writer = self._open_writer()
             self._thread = threading.Thread(target=self._run, name="device-reader", daemon=True)
             self._thread.start()
-            self._wait(lambda: self._timeline.readings > 0, self.settings.silence_s + 2.0 * READ_S, "a first reading")
+            self._recent.wait_for_first(self.settings.silence_s + 2.0 * READ_S)
         except BaseException:  # Ctrl-C too: nothing is left running
             self.stop()
             raise
@@ -189,31 +175,8 @@ class Recorder:
         InputError
             The stretch is no longer kept, or holds fewer than two readings.
         """
-        if not start < stop:
-            raise InputError(f"readings: wanted a start before the stop, got {start:.3f} and {stop:.3f} s; swap them")
-
-        def complete() -> bool:
-            return bool(self._ring) and self._clock().host_time(float(self._ring[-1].time[-1])) >= stop
-
-        self._wait(complete, max(stop - self.now(), 0.0) + deadline_s, "readings up to the end of a dwell")
-        with self._news:
-            fit = self._clock()
-            first, last = fit.device_time(start), fit.device_time(stop)
-            if first < self._forgotten:
-                raise InputError(
-                    f"readings: wanted those since {self.now() - start:.1f} s ago, got a recorder that keeps "
-                    f"{self.settings.keep_s:g} device seconds; keep more",
-                    keep_s=self.settings.keep_s,
-                )
-            blocks = [block for block in self._ring if block.time[-1] >= first and block.time[0] <= last]
-        times = np.concatenate([block.time for block in blocks]) if blocks else np.empty(0)
-        inside = (times >= first) & (times <= last)
-        if inside.sum() < 2:
-            raise InputError(
-                f"readings: wanted two or more in {stop - start:.3f} s, got {int(inside.sum())}; dwell longer"
-            )
-        values = np.concatenate([block.values for block in blocks])
-        return self.source.description.record(times[inside], values[inside])
+        times, values = self._recent.between(start, stop, deadline_s)
+        return self.source.description.record(times, values)
 
     def latest(self) -> FloatArray:
         """Return the newest reading, for show.
@@ -230,12 +193,7 @@ class Recorder:
         InputError
             None has come yet.
         """
-        with self._news:
-            self._check()
-            if not self._ring:
-                raise InputError("readings: wanted the newest, got none yet; start the recorder")
-            newest: FloatArray = self._ring[-1].values[-1].copy()
-            return newest
+        return self._recent.latest()
 
     def check(self) -> None:
         """Raise what has gone wrong behind the scenes, if anything.
@@ -247,8 +205,7 @@ class Recorder:
         RigTimeout
             It fell silent, or the disk did.
         """
-        with self._news:
-            self._check()
+        self._recent.check()
 
     def tally(self) -> Tally:
         """Return what became of the recording so far.
@@ -258,19 +215,18 @@ class Recorder:
         Tally
             Counts and clock.
         """
-        with self._news:
-            line, writer = self._timeline, self._writer
-            return Tally(
-                readings=line.readings,
-                written=writer.rows if writer else 0,
-                pieces=writer.pieces if writer else 0,
-                missing=line.missing,
-                gaps=line.gaps,
-                garbled=self.source.errors,
-                late=line.late,
-                restarts=line.restarts,
-                clock=self._clock() if line.readings else None,
-            )
+        line, writer = self._recent.timeline, self._writer
+        return Tally(
+            readings=line.readings,
+            written=writer.rows if writer else 0,
+            pieces=writer.pieces if writer else 0,
+            missing=line.missing,
+            gaps=line.gaps,
+            garbled=self.source.errors,
+            late=line.late,
+            restarts=line.restarts,
+            clock=self._recent.clock(),
+        )
 
     def stop(self) -> Tally:
         """Stop, write what is left, let go of the device; harmless when called again.
@@ -286,6 +242,7 @@ class Recorder:
             The disk hangs.
         """
         self._stopping.set()
+        self._recent.end()
         if self._thread is not None:
             self._thread.join(self.settings.disk_s + 2.0)
         self.source.close()
@@ -313,51 +270,15 @@ class Recorder:
                         raise
                     continue
                 heard = time.monotonic()
-                self._keep(self._take(chunk))
+                self._keep(chunk)
         except UndriftError as error:
             log.info("recorder: %s", error)
-            with self._news:
-                self._failure = error
-                self._news.notify_all()
+            self._recent.fail(error)
 
-    def _take(self, chunk: Chunk) -> Block:
-        with self._news:
-            return self._timeline.add(chunk)
-
-    def _keep(self, block: Block) -> None:
+    def _keep(self, chunk: Chunk) -> None:
+        block = self._recent.place(chunk)
         if not len(block.time):
             return
         if self._writer is not None:
             self._writer.put(block, self.settings.disk_s)
-        with self._news:
-            self._ring.append(block)
-            while self._ring[0].time[-1] < block.time[-1] - self.settings.keep_s:
-                self._forgotten = float(self._ring.popleft().time[-1])
-            self._news.notify_all()
-
-    def _clock(self) -> ClockFit:
-        return self._timeline.clock()
-
-    def _check(self) -> None:
-        failure = self._failure or (self._writer.failure if self._writer else None)
-        if failure is not None:
-            raise failure
-
-    def _wait(self, ready: Callable[[], bool], deadline_s: float, what: str) -> None:
-        last = time.monotonic() + deadline_s
-        with self._news:
-            while True:
-                self._check()
-                if ready():
-                    return
-                left = last - time.monotonic()
-                if self._stopping.is_set():
-                    raise LinkError(
-                        f"{self.source.name}: wanted {what}, got a recorder that was stopped; start another"
-                    )
-                if left <= 0.0:
-                    raise RigTimeout(
-                        f"{self.source.name}: wanted {what} within {deadline_s:g} s, got none; check that the device sends",
-                        deadline_s=deadline_s,
-                    )
-                self._news.wait(min(left, READ_S))
+        self._recent.keep(block)

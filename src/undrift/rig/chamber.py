@@ -181,13 +181,7 @@ class ScpiChamber:
         return self
 
     def __exit__(self, *failure: object) -> None:
-        """Close it.
-
-        Parameters
-        ----------
-        *failure : object
-            What ended the block.
-        """
+        """Close it."""
         self.close()
 
     def set(self, temp_c: float) -> float:

@@ -309,19 +309,23 @@ class EmulatedDevice:
     def _send(self, counts: IntArray, rows: FloatArray) -> None:
         if not self._sessions or "silence" in self._faults:
             return
-        written = line_of if self.settings.framing == "line" else frame_of
-        pieces = []
-        for count, row in zip(counts.tolist(), rows, strict=True):
-            struck = count % 7 == 0
-            if struck and "lost_readings" in self._faults:
-                continue
-            piece = written(count, row)
-            if struck and "garbled_readings" in self._faults:
-                piece = piece[:5] + bytes([piece[5] ^ 0x04]) + piece[6:]
-            pieces.append(piece)
-        data = b"".join(pieces)
+        data = _written(counts, rows, self.settings.framing, self._faults)
         for session in self._sessions:
             session.hear(data)
+
+
+def _written(counts: IntArray, rows: FloatArray, framing: Framing, faults: set[str]) -> bytes:
+    write = line_of if framing == "line" else frame_of
+    pieces = []
+    for count, row in zip(counts.tolist(), rows, strict=True):
+        struck = count % 7 == 0
+        if struck and "lost_readings" in faults:
+            continue
+        piece = write(count, row)
+        if struck and "garbled_readings" in faults:
+            piece = piece[:5] + bytes([piece[5] ^ 0x04]) + piece[6:]
+        pieces.append(piece)
+    return b"".join(pieces)
 
 
 class DeviceSession:
