@@ -222,6 +222,20 @@ def test_a_full_disk_is_told_and_the_reader_stops(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_disk_that_is_full_at_the_very_end_is_told_once(tmp_path, monkeypatch):
+    def full(record, path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("undrift.live.pieces.write_parquet", full)
+    with Sender(paced(20)) as device:
+        recorder = Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), tmp_path)
+        recorder.start()
+        time.sleep(0.1)
+        with pytest.raises(InputError, match=r"wanted to write readings, got 'No space left on device'"):
+            recorder.stop()
+        assert recorder.stop().written == 0
+
+
 def test_a_folder_that_cannot_be_is_refused_and_nothing_keeps_running(tmp_path):
     (tmp_path / "file").write_text("")
     with Sender(paced(10)) as device:

@@ -83,6 +83,11 @@ class Recent:
             self._failure = error
             self._news.notify_all()
 
+    @property
+    def failed(self) -> bool:
+        """Whether an error is told to everybody who asks."""
+        return self._failure is not None
+
     def end(self) -> None:
         """Let nobody wait any longer."""
         with self._news:

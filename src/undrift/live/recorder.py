@@ -240,6 +240,8 @@ class Recorder:
         ------
         LinkError
             The disk hangs.
+        InputError
+            The last readings could not be written, and nobody was told yet.
         """
         self._stopping.set()
         self._recent.end()
@@ -248,6 +250,9 @@ class Recorder:
         self.source.close()
         if self._writer is not None:
             self._writer.stop(self.settings.disk_s)
+            if self._writer.failure is not None and not self._recent.failed:  # the last piece: nobody was told yet
+                self._recent.fail(self._writer.failure)
+                raise self._writer.failure
         return self.tally()
 
     def _open_writer(self) -> PieceWriter | None:
