@@ -1,7 +1,9 @@
 """The rate that was achieved, from positions of the encoder over a dwell.
 
-A line through (t_i, phi_i) by least squares: slope sum (t - tm)(phi - phim) / S, S = sum (t - tm)^2, with standard uncertainty
-sqrt(r / ((n - 2) S)), r the sum of squared residuals: counts of the encoder and the delays of the link are in it.
+A line through (t_i, phi_i) by weighted least squares: slope sum w (t - tm)(phi - phim) / S, S = sum w (t - tm)^2, w = 1 / d^2.
+When a position was taken is known no better than the time d between question and answer, so quick answers count more; a floor of the
+median d keeps a few from counting alone. The standard uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared residuals, has
+the counts of the encoder and the delays of the link in it.
 """
 
 from collections.abc import Sequence
@@ -11,6 +13,8 @@ import numpy as np
 
 from undrift.errors import InputError
 from undrift.rig.rig import Position
+
+FLOOR = 0.5  # of the median delay
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,13 +33,15 @@ class Achieved:
     uncertainty: float
 
 
-def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
+def achieved_turn_rate(positions: Sequence[Position], delays_s: Sequence[float]) -> Achieved:
     """Return the mean rate over a dwell.
 
     Parameters
     ----------
     positions : sequence of Position
         Three or more, in order of time.
+    delays_s : sequence of float
+        Time between question and answer of each, s.
 
     Returns
     -------
@@ -49,10 +55,15 @@ def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     """
     if len(positions) < 3:
         raise InputError(f"achieved rate: wanted three positions or more, got {len(positions)}; dwell longer")
+    delay = np.asarray(delays_s, float)
+    floor = FLOOR * float(np.median(delay))
+    weight = np.ones_like(delay) if floor <= 0.0 else 1.0 / (delay * delay + floor * floor)
+    weight /= weight.sum()
     time = np.array([p.time for p in positions]) - positions[0].time
     angle = np.array([p.angle for p in positions]) - positions[0].angle
-    t, phi = time - time.mean(), angle - angle.mean()
-    square = float(t @ t)
-    slope = float(t @ phi) / square
+    t, phi = time - weight @ time, angle - weight @ angle
+    square = float(weight @ (t * t))
+    slope = float(weight @ (t * phi)) / square
     residual = phi - slope * t
-    return Achieved(turn_rate=slope, uncertainty=float(np.sqrt(residual @ residual / ((len(time) - 2) * square))))
+    spread = float(weight @ (residual * residual)) / ((len(time) - 2) * square)
+    return Achieved(turn_rate=slope, uncertainty=float(np.sqrt(spread)))

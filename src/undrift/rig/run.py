@@ -318,14 +318,17 @@ class _Run:
         self._say(phase)
         readings.start()
         positions: list[Position] = []
+        delays: list[float] = []
         stop = clock.now() + step.dwell_s
         while clock.now() < stop or len(positions) < 3:
             clock.wait(every_s)  # before each alike, so that the delays of the link are alike
+            asked = clock.now()
             positions.append(rig.position())
+            delays.append(clock.now() - asked)
             self._say(phase, readings.latest())
         record = readings.stop()
         self._check_fault()
-        return record, achieved_turn_rate(positions)
+        return record, achieved_turn_rate(positions, delays)
 
     def _check_fault(self) -> None:
         wrong = self._bench.rig.fault()
