@@ -1,9 +1,9 @@
 """The rate that was achieved, from positions of the encoder over a dwell.
 
 A line through (t_i, phi_i) by weighted least squares: slope sum w (t - tm)(phi - phim) / S, S = sum w (t - tm)^2, w = 1 / d^2.
-When a position was taken is known no better than the time d between question and answer, so quick answers count more; a floor of the
-median d keeps a few from counting alone. The standard uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared residuals, has
-the counts of the encoder and the delays of the link in it.
+When a position was taken is known no better than the time d between question and answer, so quick answers count more; a floor of
+half the median d keeps a few from counting alone. The standard uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared
+residuals, has the counts of the encoder and the delays of the link in it.
 """
 
 from collections.abc import Sequence

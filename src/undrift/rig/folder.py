@@ -26,6 +26,7 @@ from undrift.protocol import Protocol
 from undrift.record import Record
 from undrift.rig.journal import Journal
 from undrift.rig.programme import Purpose
+from undrift.rig.signals import uninterrupted
 from undrift.session import Axis, Face, Kind
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -209,14 +210,15 @@ class RunFolder:
         InputError
             The disk is full or cannot be written; all dwells before are kept.
         """
-        with _room(self.path):
-            path = self.path / piece.name
-            write_parquet(record, path)
-            synchronise(path)
-            kept = replace(piece, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-            self._journal.append({"entry": "dwell", **asdict(kept)})
-        self.pieces = (*self.pieces, kept)
-        self.write_session()
+        path = self.path / piece.name
+        with uninterrupted():  # Ctrl-C waits: readings, line and session belong together
+            with _room(self.path):
+                write_parquet(record, path)
+                synchronise(path)
+                kept = replace(piece, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+                self._journal.append({"entry": "dwell", **asdict(kept)})
+            self.pieces = (*self.pieces, kept)
+            self.write_session()
         return kept
 
     def write_session(self) -> None:
