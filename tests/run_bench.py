@@ -13,7 +13,7 @@ from undrift.rig.clock import Clock
 from undrift.rig.folder import RunFolder
 from undrift.rig.programme import programme_of
 from undrift.rig.rig import Limits
-from undrift.rig.run import Bench, run_programme
+from undrift.rig.run import Bench, RunSettings, run_programme
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -107,7 +107,17 @@ def opened(emulator, **settings):
     )
 
 
-def run(emulator, path, protocol=SHORT, *, resume=False, report=lambda progress: None, chamber=None, **settings):
+def run(
+    emulator,
+    path,
+    protocol=SHORT,
+    *,
+    resume=False,
+    report=lambda progress: None,
+    chamber=None,
+    giving_up=RunSettings(),
+    **settings,
+):
     """Run a protocol on an emulator; return the result and the hands."""
     hands = Hands()
     with RunFolder(path, protocol, resume=resume) as folder:
@@ -119,7 +129,13 @@ def run(emulator, path, protocol=SHORT, *, resume=False, report=lambda progress:
             clock=Clock(speed=emulator.settings.speed),
         )
         made = run_programme(
-            programme_of(protocol), bench, folder, report=report, serial="made", gravity_m_s2=STANDARD_GRAVITY
+            programme_of(protocol),
+            bench,
+            folder,
+            report=report,
+            serial="made",
+            gravity_m_s2=STANDARD_GRAVITY,
+            settings=giving_up,
         )
     return made, hands
 

@@ -1,5 +1,6 @@
 """``undrift rig``: a whole calibration over sockets, refusals in one line, stop and status from another shell."""
 
+import io
 import json
 import subprocess
 import sys
@@ -87,3 +88,12 @@ def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code,
     assert out == ""
     assert message in err
     assert err.count("\n") == 1
+
+
+def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
+    (tmp_path / "protocol.toml").write_text(PROTOCOL)
+    call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", "manual:", "--device", "tcp://127.0.0.1:9"]
+    for said in ("", "n\n"):
+        monkeypatch.setattr(sys, "stdin", io.StringIO(said))
+        assert run([*call, "-o", str(tmp_path / f"run{len(said)}")]) == 2
+        assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err

@@ -12,6 +12,7 @@ from undrift.protocol import Protocol
 from undrift.rig.achieved import achieved_turn_rate
 from undrift.rig.hands import AskedHands
 from undrift.rig.rig import Position
+from undrift.rig.run import RunSettings
 from undrift.rig.status import read_status
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -90,19 +91,40 @@ def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
         assert emulator.axis_angle() == 0.0
 
 
-def test_a_chamber_that_never_soaks_and_hands_that_give_up_end_at_rest(tmp_path, monkeypatch):
+def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypatch):
     monkeypatch.setattr(Oven, "soaked", lambda self: False)
     with emulated() as emulator:
-
-        def stalled(progress):
-            if progress.phase == "soaking" and progress.live:
-                raise RigTimeout("chamber: seen enough")
-
-        with pytest.raises(RigTimeout, match="seen enough"):
-            run(emulator, tmp_path, replace(SHORT, temperatures_c=(30.0,)), chamber=Oven(), report=stalled)
+        with pytest.raises(RigTimeout, match=r"chamber: wanted 30 degC steady to 0.1 K/min within 5 s, got 30.00 degC"):
+            run(
+                emulator,
+                tmp_path,
+                replace(SHORT, temperatures_c=(30.0,)),
+                chamber=Oven(),
+                giving_up=RunSettings(soak_timeout_s=5.0),
+            )
         assert at_rest(emulator)
-    with pytest.raises(RigFault, match="wanted the device mounted \\+x up, got 'q'; go on with --resume"):
-        AskedHands(lambda line: "q").mount("+x")
+
+
+def test_hands_that_give_up_or_are_not_there_are_a_fault():
+    def nobody(line):
+        raise EOFError
+
+    for ask in (lambda line: "q", nobody):
+        with pytest.raises(RigFault, match=r"wanted the device mounted \+x up, got 'q'; go on with --resume"):
+            AskedHands(ask).mount("+x")
+
+
+def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(tmp_path):
+    with emulated() as emulator:
+        with pytest.raises(
+            RigFault, match=r"rad/s held within .* in step 3 .*look at the table, its amplifier and its encoder"
+        ):
+            run(emulator, tmp_path / "a", giving_up=RunSettings(turn_rate_tolerance=-1.0))
+        with pytest.raises(
+            RigTimeout, match=r"device: wanted readings of 0.5 s in step 1 .*look at the device and its link"
+        ):
+            run(emulator, tmp_path / "b", giving_up=RunSettings(least_part=99.0))
+        assert at_rest(emulator)
 
 
 def test_an_exception_in_the_middle_of_a_dwell_ends_at_rest(tmp_path):

@@ -340,7 +340,13 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     )
     if done:
         sys.stderr.write(f"{len(done)} dwells are on the disk already\n")
-    if not yes and _asked("Start? (y/N) ").strip().lower() not in ("y", "yes"):
+    if yes:
+        return
+    try:
+        said = _asked("Start? (y/N) ").strip().lower()
+    except EOFError:
+        said = ""
+    if said not in ("y", "yes"):
         raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or --yes")
 
 
