@@ -26,6 +26,7 @@ COMMANDS = {
     "export": "Write what firmware and other programs read, and say what they cannot carry.",
     "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
     "simulate": "What a device would say to a motion: a preset or device.json, moved by poses or by a task.",
+    "rig": "Run a protocol on a rate table, stop it from another shell, or emulate one; each takes --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
 

@@ -1,0 +1,448 @@
+"""``undrift rig``: run a protocol on a rate table, stop it from another shell, or emulate one."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    from undrift.rig.address import RigSettings
+    from undrift.rig.folder import RunFolder
+    from undrift.rig.programme import Programme
+    from undrift.rig.run import Bench, Progress, RunResult
+    from undrift.sim.device.model import DeviceModel
+
+rig = App(
+    name="rig",
+    help="Run a protocol on a rate table, stop it from another shell, or emulate one; each takes --json.",
+    help_format="plaintext",
+    default_parameter=Parameter(negative=()),
+    result_action="return_value",
+)
+Output = Annotated[Path, Parameter(name=["--output", "-o"])]
+
+
+@rig.command
+def run(
+    protocol: Path,
+    /,
+    *,
+    rig: str,
+    device: str,
+    output: Output,
+    chamber: str | None = None,
+    hands: str | None = None,
+    serial: str = "",
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    highest_turn_rate_dps: float = 360.0,
+    highest_acceleration_dps2: float = 5000.0,
+    travel_deg: float | None = None,
+    resume: bool = False,
+    yes: bool = False,
+    json: bool = False,
+) -> int:
+    """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
+
+    Parameters
+    ----------
+    protocol : Path
+        protocol.toml.
+    rig : str
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual:
+    device : str
+        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name, ble:id
+    output : Path
+        Folder of the run.
+    chamber : str or None
+        Address of the thermal chamber, where the protocol has temperatures: tcp://host:port
+    hands : str or None
+        Address of an emulator's hands, which mount the device; a person is asked where not given.
+    serial : str
+        Of the device; what its address says where not given.
+    gravity_m_s2 : float
+        Local gravity, m/s2.
+    highest_turn_rate_dps : float
+        Nothing faster is ever asked of the table, deg/s.
+    highest_acceleration_dps2 : float
+        Likewise, deg/s2.
+    travel_deg : float or None
+        How far the table may turn either way, deg; without end where not given.
+    resume : bool
+        Go on in a folder in which a run was interrupted.
+    yes : bool
+        Start without asking.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from contextlib import ExitStack
+
+    from undrift.io.protocol import read_protocol
+    from undrift.rig.address import RigSettings, parse_address
+    from undrift.rig.folder import RunFolder
+    from undrift.rig.programme import ProgrammeSettings, programme_of
+    from undrift.rig.rig import Limits
+    from undrift.rig.safety import check_programme
+    from undrift.rig.signals import stopping_on_signals
+
+    asked = read_protocol(protocol)
+    limits = Limits(
+        turn_rate=highest_turn_rate_dps * RADIAN_PER_DEGREE,
+        acceleration=highest_acceleration_dps2 * RADIAN_PER_DEGREE,
+        travel=None if travel_deg is None else travel_deg * RADIAN_PER_DEGREE,
+    )
+    settings = RigSettings(limits=limits, ask=_asked)
+    programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
+    with ExitStack() as stack:
+        folder = stack.enter_context(RunFolder(output, asked, resume=resume))
+        check_programme(programme, limits, folder.done)
+        _forecast(programme, folder.done, yes)
+        stack.enter_context(stopping_on_signals())
+        bench, called = _bench(stack, (rig, device, chamber, hands), settings, programme)
+        result = _performed(programme, bench, folder, serial or called, gravity_m_s2)
+    _result(result, output, json)
+    return 0
+
+
+@rig.command
+def emulate(
+    *,
+    device: str = "",
+    kind: Literal["galil", "grbl"] = "galil",
+    speed: float = 1.0,
+    port: int = 0,
+    sample_rate_hz: float = 100.0,
+    room_c: float = 25.0,
+    mount_tilt_deg: float = 0.0,
+    heating_c_per_min: float = 3.0,
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    save_device: Path | None = None,
+    seed: int = 0,
+    json: bool = False,
+) -> int:
+    """Emulate a table, a chamber, a device and hands on loopback ports; print their addresses and go on until Ctrl-C.
+
+    Parameters
+    ----------
+    device : str
+        A preset, such as mpu6050 or enc03j_3031, or a device.json; a device of consumer grade drawn by the seed where not
+        given.
+    kind : str
+        Servo card or stepper board.
+    speed : float
+        Emulated seconds in one of the host's.
+    port : int
+        Of the table; 0 takes a free one.
+    sample_rate_hz : float
+        Readings of the device a second.
+    room_c : float
+        Temperature around, degC.
+    mount_tilt_deg : float
+        How well the hands mount: standard deviation of the error about each axis, deg.
+    heating_c_per_min : float
+        How fast the chamber changes its temperature, K/min.
+    gravity_m_s2 : float
+        Local gravity, m/s2.
+    save_device : Path or None
+        Write the device there, as device.json: the truth that a calibration should find.
+    seed : int
+        Of every random draw.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.rig.signals import stopping_on_signals
+    from undrift.sim.device.store import write_device
+    from undrift.sim.rig.air import AirSettings
+    from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench
+    from undrift.sim.rig.emulator import EmulatorSettings
+    from undrift.sim.rig.stream import StreamSettings
+
+    stream = StreamSettings(
+        sample_rate_hz=sample_rate_hz,
+        mount_tilt_sd=mount_tilt_deg * RADIAN_PER_DEGREE,
+        gravity_m_s2=gravity_m_s2,
+        seed=seed,
+    )
+    settings = EmulatedBenchSettings(
+        rig=EmulatorSettings(kind=kind, speed=speed, port=port),
+        air=AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
+        stream=stream,
+        device=_device(device, seed),
+    )
+    with stopping_on_signals(), start_bench(settings) as bench:
+        if save_device is not None:
+            write_device(bench.device, save_device)
+        _announce(
+            {
+                "rig": bench.rig_address,
+                "device": bench.device_address,
+                "chamber": bench.chamber_address,
+                "hands": bench.hands_address,
+            },
+            json,
+        )
+        _until_interrupted()
+    return 0
+
+
+@rig.command
+def stop(*, rig: str, json: bool = False) -> int:
+    """Stop the table and switch its motor off, whoever drives it.
+
+    Parameters
+    ----------
+    rig : str
+        Address of the table.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.cli.output import console, write_json
+    from undrift.rig.guard import stop_rig
+
+    stop_rig(rig)
+    if json:
+        write_json({"rig": rig, "stopped": True, "motor_on": False})
+    else:
+        console().print(f"{rig}: at rest, motor off", markup=False)
+    return 0
+
+
+@rig.command
+def status(*, rig: str, json: bool = False) -> int:
+    """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed.
+
+    Parameters
+    ----------
+    rig : str
+        Address of the table.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.cli.output import console, write_json
+    from undrift.rig.status import read_status
+
+    found = read_status(rig)
+    if json:
+        write_json(
+            {
+                "rig": rig,
+                "identity": found.identity,
+                "moving": found.moving,
+                "motor_on": found.motor_on,
+                "angle_deg": found.angle / RADIAN_PER_DEGREE,
+                "following_error_deg": found.following_error / RADIAN_PER_DEGREE,
+                "fault": found.fault,
+            }
+        )
+        return 0
+    words = ("moves" if found.moving else "at rest", f"motor {'on' if found.motor_on else 'off'}")
+    angle_deg = found.angle / RADIAN_PER_DEGREE
+    console().print(
+        f"{found.identity}: {', '.join(words)}, at {angle_deg:.3f} deg, {found.fault or 'no fault'}", markup=False
+    )
+    return 0
+
+
+def _bench(
+    stack: "ExitStack",
+    addresses: tuple[str, str, str | None, str | None],
+    settings: "RigSettings",
+    programme: "Programme",
+) -> "tuple[Bench, str]":
+    """Connect device, chamber, hands and, last, the table; return them and what the device is called."""
+    from undrift.live.address import source_at
+    from undrift.live.dwells import DwellReadings
+    from undrift.live.recorder import Recorder, RecorderSettings
+    from undrift.rig.address import open_rig, parse_address
+    from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
+    from undrift.rig.clock import Clock
+    from undrift.rig.guard import Guard
+    from undrift.rig.hands import AskedHands
+    from undrift.rig.programme import Soak
+    from undrift.rig.run import Bench
+    from undrift.sim.rig.bench import BenchHands
+
+    rig, device, chamber, hands = addresses
+    source = source_at(device)
+    clock = Clock(speed=parse_address(rig, settings)[2].clock_speed)
+    longest_s = max(dwell.duration_s for dwell in programme.dwells)
+    recorder = Recorder(source, settings=RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
+    recorder.start()
+    readings = DwellReadings(recorder)
+    stack.callback(readings.close)
+    oven = None
+    if chamber is not None:
+        slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
+        soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
+        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed))
+        stack.callback(oven.close)
+    mounting = AskedHands(_asked) if hands is None else BenchHands(hands)
+    if not rig.startswith("manual:"):
+        stack.enter_context(Guard(rig))
+    table = open_rig(rig, settings)
+    stack.callback(table.close)
+    made = Bench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
+    return made, source.description.device
+
+
+def _device(name: str, seed: int) -> "DeviceModel | None":
+    import numpy as np
+
+    from undrift.sim.device.presets import PRESETS, random_device_of
+    from undrift.sim.device.store import read_device
+
+    if not name:
+        return None
+    if name in PRESETS:
+        return random_device_of(name, np.random.default_rng(seed))
+    if not Path(name).exists():
+        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
+    return read_device(Path(name))
+
+
+def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
+    """Say on stderr how long each step and the whole takes, and ask whether to start."""
+    from undrift.rig.programme import Dwell, Mount
+
+    left = [(number, step) for number, step in enumerate(programme.steps) if number not in done]
+    for number, step in left:
+        sys.stderr.write(f"{number:5d}  {_clock(step.duration_s)}  {step}\n")
+    dwells = [step for _, step in left if isinstance(step, Dwell)]
+    mounts = sum(isinstance(step, Mount) for _, step in left)
+    sys.stderr.write(
+        f"{len(dwells)} dwells, {_clock(sum(dwell.duration_s for dwell in dwells))} of rig time; with {mounts} mountings and "
+        f"the chamber about {_clock(sum(step.duration_s for _, step in left))}\n"
+    )
+    if done:
+        sys.stderr.write(f"{len(done)} dwells are on the disk already\n")
+    if yes:
+        return
+    try:
+        said = _asked("Start? (y/N) ").strip().lower()
+    except EOFError:
+        said = ""
+    if said not in ("y", "yes"):
+        raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or --yes")
+
+
+def _performed(
+    programme: "Programme", bench: "Bench", folder: "RunFolder", serial: str, gravity_m_s2: float
+) -> "RunResult":
+    from undrift.rig.run import run_programme
+
+    shown = _Shown()
+    try:
+        return run_programme(programme, bench, folder, report=shown, serial=serial, gravity_m_s2=gravity_m_s2)
+    finally:
+        shown.end()
+
+
+class _Shown:
+    """Shows where a run is on stderr: one line that is written over on a terminal, else a line for each step."""
+
+    def __init__(self) -> None:
+        self._live = sys.stderr.isatty()
+        self._last: int | None = None
+
+    def __call__(self, progress: "Progress") -> None:
+        line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
+        if self._live:
+            sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150])
+            sys.stderr.flush()
+        elif progress.number != self._last and (progress.live or progress.phase in ("mounting", "closing")):
+            self._last = progress.number
+            sys.stderr.write(f"{line}  {progress.live}".rstrip() + "\n")
+
+    def end(self) -> None:
+        if self._live:
+            sys.stderr.write("\n")
+
+
+def _result(result: "RunResult", folder: Path, json: bool) -> None:
+    from undrift.cli.output import console, write_json
+
+    turns = [piece for piece in result.pieces if piece.purpose == "rate"]
+    if json:
+        write_json(
+            {
+                "folder": str(folder),
+                "rig": result.rig,
+                "dwells": len(result.pieces),
+                "added": result.added,
+                "duration_s": result.duration_s,
+                "turns": [
+                    {
+                        "axis": piece.axis,
+                        "nominal_dps": piece.nominal_turn_rate / RADIAN_PER_DEGREE,
+                        "achieved_dps": piece.turn_rate / RADIAN_PER_DEGREE,
+                        "standard_uncertainty_dps": piece.turn_rate_uncertainty / RADIAN_PER_DEGREE,
+                        "temp_c": piece.temp_c,
+                    }
+                    for piece in turns
+                ],
+            }
+        )
+        return
+    off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
+    console().print(
+        f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
+        f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml",
+        markup=False,
+    )
+
+
+def _announce(addresses: dict[str, str], json: bool) -> None:
+    from undrift.cli.output import write_json
+
+    if json:
+        write_json(addresses)
+    else:
+        sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
+    sys.stdout.flush()
+
+
+def _until_interrupted() -> None:
+    import contextlib
+    import threading
+
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Event().wait()
+
+
+def _asked(line: str) -> str:
+    sys.stderr.write(line)
+    sys.stderr.flush()
+    said = sys.stdin.readline()
+    if not said:
+        raise EOFError
+    return said
+
+
+def _clock(seconds: float) -> str:
+    whole = round(max(seconds, 0.0))
+    return f"{whole // 3600:d}:{whole // 60 % 60:02d}:{whole % 60:02d}"

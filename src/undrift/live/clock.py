@@ -1,0 +1,213 @@
+"""The device's clock on the host's: ``host = offset + rate * device + delay`` with a delay that is never negative.
+
+Packets come late, never early: the clock is the line below all points (device, host) that lies closest to them on the whole,
+min sum(host - offset - rate device). Its solution is the edge of their lower convex hull that spans the mean device time [1]_, and
+the hull is kept up at a few operations a packet. Old points are forgotten, since a clock drifts with temperature.
+
+References
+----------
+.. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay
+   measurements", IEEE INFOCOM 1999.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+
+Point = tuple[float, float]
+KEPT_DELAYS = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockSettings:
+    """How the clock is found.
+
+    Parameters
+    ----------
+    memory_s : float
+        Device time after which a point may be forgotten, s; at most twice as much is used.
+    rate_tolerance : float
+        Largest relative error of a device's clock; holds the line before there is much to go by.
+    """
+
+    memory_s: float = 300.0
+    rate_tolerance: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not (self.memory_s > 0.0 and 0.0 < self.rate_tolerance < 1.0):
+            raise InputError(
+                f"clock: wanted a memory above 0 s and a tolerance between 0 and 1, got {self.memory_s:g} and "
+                f"{self.rate_tolerance:g}; 300 and 0.02 are usual"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockFit:
+    """A line between two clocks.
+
+    Parameters
+    ----------
+    device_zero, host_zero : float
+        A point on it, s and s.
+    rate : float
+        Host seconds per device second.
+    rate_error : float
+        Relative departure of the device's clock from nominal: positive for one that runs fast.
+    jitter_s : float
+        95 of 100 packets come at most so much later than the promptest, host s.
+    count : int
+        Packets that it rests on.
+    """
+
+    device_zero: float
+    host_zero: float
+    rate: float
+    rate_error: float
+    jitter_s: float
+    count: int
+
+    def host_time(self, device_time: float) -> float:
+        """Return the host's time of a device time, as the promptest packet would come.
+
+        Parameters
+        ----------
+        device_time : float
+            s.
+
+        Returns
+        -------
+        float
+            s.
+        """
+        return self.host_zero + self.rate * (device_time - self.device_zero)
+
+    def device_time(self, host_time: float) -> float:
+        """Return the device time of a host time.
+
+        Parameters
+        ----------
+        host_time : float
+            s.
+
+        Returns
+        -------
+        float
+            s.
+        """
+        return self.device_zero + (host_time - self.host_zero) / self.rate
+
+
+class _Block:
+    """Points of one stretch of time: their lower hull, their number and the sum of their device times."""
+
+    def __init__(self, start: float) -> None:
+        self.start, self.count, self.total = start, 0, 0.0
+        self.hull: list[Point] = []
+
+    def add(self, point: Point) -> None:
+        self.count += 1
+        self.total += point[0]
+        _extend(self.hull, point)
+
+
+class DeviceClock:
+    """Follows a device's clock, packet by packet.
+
+    Parameters
+    ----------
+    clock_speed : float
+        Nominal device seconds per host second.
+    settings : ClockSettings
+        How the clock is found.
+    """
+
+    def __init__(self, clock_speed: float = 1.0, settings: ClockSettings = ClockSettings()) -> None:
+        self._nominal = 1.0 / clock_speed
+        self._settings = settings
+        self._blocks: deque[_Block] = deque(maxlen=2)
+        self._recent: deque[Point] = deque(maxlen=KEPT_DELAYS)
+        self._zero: Point = (0.0, 0.0)
+
+    def add(self, device_time: FloatArray, host_time: FloatArray) -> None:
+        """Take readings; of those that came at one moment only the last can have been prompt.
+
+        Parameters
+        ----------
+        device_time : array, shape (N,)
+            s, not falling.
+        host_time : array, shape (N,)
+            s, not falling.
+        """
+        last = np.flatnonzero(np.diff(host_time, append=np.inf) > 0.0)
+        for point in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
+            if not self._blocks:
+                self._zero = point
+            moved = (point[0] - self._zero[0], point[1] - self._zero[1])  # small numbers, to keep their digits
+            if not self._blocks or moved[0] - self._blocks[-1].start > self._settings.memory_s:
+                self._blocks.append(_Block(moved[0]))
+            self._blocks[-1].add(moved)
+            self._recent.append(moved)
+
+    def fit(self) -> ClockFit:
+        """Return the line as it is known by now.
+
+        Returns
+        -------
+        ClockFit
+            Nominal in its rate as long as one packet has come.
+
+        Raises
+        ------
+        InputError
+            No packet has come.
+        """
+        if not self._blocks:
+            raise InputError("clock: wanted one packet or more, got none; wait for the device")
+        hull: list[Point] = []
+        for block in self._blocks:
+            for point in block.hull:
+                _extend(hull, point)
+        count = sum(block.count for block in self._blocks)
+        mean = sum(block.total for block in self._blocks) / count
+        slope = self._held(_slope_at(hull, mean, self._nominal))
+        offset = min(y - slope * x for x, y in hull)
+        x, y = np.array(self._recent).T
+        return ClockFit(
+            device_zero=self._zero[0],
+            host_zero=self._zero[1] + offset,
+            rate=slope,
+            rate_error=self._nominal / slope - 1.0,
+            jitter_s=float(np.quantile(y - offset - slope * x, 0.95)),
+            count=count,
+        )
+
+    def _held(self, slope: float) -> float:
+        low, high = (self._nominal * (1.0 + sign * self._settings.rate_tolerance) for sign in (-1.0, 1.0))
+        return min(max(slope, low), high)
+
+
+def _extend(hull: list[Point], point: Point) -> None:
+    """Add a point to the right of a lower convex hull."""
+    if hull and point[0] <= hull[-1][0]:
+        if point[1] >= hull[-1][1]:
+            return
+        hull.pop()
+    while len(hull) >= 2:
+        (x0, y0), (x1, y1) = hull[-2], hull[-1]
+        if (y1 - y0) * (point[0] - x0) < (point[1] - y0) * (x1 - x0):
+            break
+        hull.pop()
+    hull.append(point)
+
+
+def _slope_at(hull: list[Point], x: float, nominal: float) -> float:
+    """Return the slope of the hull's edge above x."""
+    for (x0, y0), (x1, y1) in pairwise(hull):
+        if x <= x1:
+            return (y1 - y0) / (x1 - x0)
+    return nominal

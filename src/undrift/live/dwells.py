@@ -1,0 +1,73 @@
+"""Dwells: the readings of one stretch after another, for a run that starts and stops them."""
+
+from undrift.errors import InputError
+from undrift.live.recorder import Recorder
+from undrift.record import Record
+
+
+class DwellReadings:
+    """Readings of a recorder that has been started, dwell by dwell.
+
+    Parameters
+    ----------
+    recorder : Recorder
+        Started; ``close`` stops it.
+    deadline_s : float
+        Longest wait for the last readings of a dwell, host s.
+    """
+
+    def __init__(self, recorder: Recorder, deadline_s: float = 5.0) -> None:
+        self.recorder = recorder
+        self._deadline_s = deadline_s
+        self._start: float | None = None
+
+    def start(self) -> None:
+        """Begin a dwell now.
+
+        Raises
+        ------
+        RigError
+            The device is lost.
+        """
+        self.recorder.check()
+        self._start = self.recorder.now()
+
+    def stop(self) -> Record:
+        """Return what the device said since ``start``.
+
+        Returns
+        -------
+        Record
+            Raw, on the device's clock; NaN rows where readings are missing.
+
+        Raises
+        ------
+        InputError
+            Not started, or fewer than two readings.
+        RigError
+            They did not come, or the device is lost.
+        """
+        if self._start is None:
+            raise InputError("dwell: wanted one that was started, got none; start it first")
+        start, self._start = self._start, None
+        return self.recorder.between(start, self.recorder.now(), self._deadline_s)
+
+    def latest(self) -> str:
+        """Return the newest reading in words.
+
+        Returns
+        -------
+        str
+            ``gyro_x -3.2  gyro_y 0.1 ...``
+
+        Raises
+        ------
+        RigError
+            The device is lost.
+        """
+        pairs = zip(self.recorder.source.description.measured, self.recorder.latest().tolist(), strict=True)
+        return "  ".join(f"{name} {value:.6g}" for name, value in pairs)
+
+    def close(self) -> None:
+        """Stop the recorder; harmless when called again."""
+        self.recorder.stop()

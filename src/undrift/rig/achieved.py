@@ -1,0 +1,69 @@
+"""The rate that was achieved, from positions of the encoder over a dwell.
+
+A line through (t_i, phi_i) by weighted least squares: slope sum w (t - tm)(phi - phim) / S, S = sum w (t - tm)^2, w = 1 / d^2.
+When a position was taken is known no better than the time d between question and answer, so quick answers count more; a floor of
+half the median d keeps a few from counting alone. The standard uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared
+residuals, has the counts of the encoder and the delays of the link in it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.errors import InputError
+from undrift.rig.rig import Position
+
+FLOOR = 0.5  # of the median delay
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Achieved:
+    """A rate as it was.
+
+    Parameters
+    ----------
+    turn_rate : float
+        rad/s.
+    uncertainty : float
+        Standard, rad/s.
+    """
+
+    turn_rate: float
+    uncertainty: float
+
+
+def achieved_turn_rate(positions: Sequence[Position], delays_s: Sequence[float]) -> Achieved:
+    """Return the mean rate over a dwell.
+
+    Parameters
+    ----------
+    positions : sequence of Position
+        Three or more, in order of time.
+    delays_s : sequence of float
+        Time between question and answer of each, s.
+
+    Returns
+    -------
+    Achieved
+        Slope and its uncertainty.
+
+    Raises
+    ------
+    InputError
+        Fewer than three.
+    """
+    if len(positions) < 3:
+        raise InputError(f"achieved rate: wanted three positions or more, got {len(positions)}; dwell longer")
+    delay = np.asarray(delays_s, float)
+    floor = FLOOR * float(np.median(delay))
+    weight = np.ones_like(delay) if floor <= 0.0 else 1.0 / (delay * delay + floor * floor)
+    weight /= weight.sum()
+    time = np.array([p.time for p in positions]) - positions[0].time
+    angle = np.array([p.angle for p in positions]) - positions[0].angle
+    t, phi = time - weight @ time, angle - weight @ angle
+    square = float(weight @ (t * t))
+    slope = float(weight @ (t * phi)) / square
+    residual = phi - slope * t
+    spread = float(weight @ (residual * residual)) / ((len(time) - 2) * square)
+    return Achieved(turn_rate=slope, uncertainty=float(np.sqrt(spread)))

@@ -1,0 +1,385 @@
+"""A thermal chamber behind a small SCPI-like language, over TCP or a serial port.
+
+::
+
+    *IDN?                          maker, model, serial number, firmware
+    TEMP:SPO 45.0     TEMP:SPO?    set-point, degC
+    TEMP:RAMP 2.0     TEMP:RAMP?   steepest change, K/min
+    MEAS:TEMP?                     temperature of the air, degC
+    OUTP ON           OUTP?        heater and compressor, 1 or 0
+    SYST:ERR?                      0,"No error" or the oldest fault
+
+A device has soaked when the readings of a stated time lie within a tolerance of the set-point and none of the straight lines
+through all of them, through their first and through their second half is steeper than 0.1 K/min.
+"""
+
+import contextlib
+import math
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
+from undrift.rig.link import Link, LinkSettings
+
+FEWEST_READINGS = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SoakSettings:
+    """When a temperature counts as steady.
+
+    Parameters
+    ----------
+    slope_c_per_min : float
+        Largest change, K/min.
+    window_s : float
+        Time that it must hold for, chamber s.
+    tolerance_c : float
+        Largest distance from the set-point, K.
+    """
+
+    slope_c_per_min: float = 0.1
+    window_s: float = 300.0
+    tolerance_c: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("slope_c_per_min", "window_s", "tolerance_c"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(
+                    f"soak: wanted {name} above 0, got {getattr(self, name)}; nothing is steadier than steady"
+                )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChamberSettings:
+    """What a chamber may be told, and how it is watched.
+
+    Parameters
+    ----------
+    lowest_c, highest_c : float
+        Set-points beyond are refused before a byte is sent, degC.
+    steepest_c_per_min : float
+        Steepest ramp, likewise, K/min.
+    soak : SoakSettings
+        When its temperature counts as steady.
+    reply_timeout_s : float
+        Longest wait for an answer, host s.
+    baud : int
+        Bits per second of a serial port.
+    clock_speed : float
+        Chamber seconds per host second: 1 for hardware, an emulator's speed otherwise.
+    """
+
+    lowest_c: float = 0.0
+    highest_c: float = 80.0
+    steepest_c_per_min: float = 20.0
+    soak: SoakSettings = field(default_factory=SoakSettings)
+    reply_timeout_s: float = 2.0
+    baud: int = 9600
+    clock_speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.lowest_c) and math.isfinite(self.highest_c) and self.lowest_c < self.highest_c):
+            raise InputError(
+                f"chamber: wanted a lowest set-point below the highest, got {self.lowest_c} and {self.highest_c} degC; state both"
+            )
+        for name in ("steepest_c_per_min", "reply_timeout_s", "clock_speed"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"chamber: wanted {name} above 0, got {getattr(self, name)}; state it")
+
+
+class Steadiness:
+    """Watches a temperature until it is steady.
+
+    Parameters
+    ----------
+    settings : SoakSettings
+        When it is.
+    """
+
+    def __init__(self, settings: SoakSettings) -> None:
+        self._settings = settings
+        self._held: deque[tuple[float, float]] = deque()
+
+    def add(self, time_s: float, temp_c: float) -> None:
+        """Take a reading.
+
+        Parameters
+        ----------
+        time_s : float
+            When, s, not falling.
+        temp_c : float
+            degC.
+        """
+        self._held.append((time_s, temp_c))
+        while len(self._held) > 2 and self._held[1][0] <= time_s - self._settings.window_s:
+            self._held.popleft()
+
+    def slope_c_per_min(self) -> float:
+        """Return the steepest of the lines through the window and its halves, K/min; infinite before the window is full."""
+        if len(self._held) < FEWEST_READINGS or self._held[-1][0] - self._held[0][0] < self._settings.window_s:
+            return math.inf
+        t, temp = np.array(self._held).T
+        half = len(t) // 2
+        parts = ((t, temp), (t[:half], temp[:half]), (t[half:], temp[half:]))
+        return 60.0 * max(abs(_slope(*part)) for part in parts)
+
+    def steady_at(self, temp_c: float) -> bool:
+        """Return whether the temperature stands still at a set-point.
+
+        Parameters
+        ----------
+        temp_c : float
+            Set-point, degC.
+
+        Returns
+        -------
+        bool
+            True when every reading of the window is near it and the slope is below the criterion.
+        """
+        near = all(abs(value - temp_c) <= self._settings.tolerance_c for _, value in self._held)
+        return near and self.slope_c_per_min() < self._settings.slope_c_per_min
+
+
+class ScpiChamber:
+    """A chamber that is connected; a context manager that lets go of it.
+
+    Parameters
+    ----------
+    url : str
+        ``tcp://host:port`` or ``serial:///dev/ttyUSB0``.
+    settings : ChamberSettings
+        What it may be told.
+
+    Raises
+    ------
+    LinkError
+        Nobody answers there, or it is no chamber.
+    """
+
+    def __init__(self, url: str, settings: ChamberSettings = ChamberSettings()) -> None:
+        self.settings = settings
+        self._link = Link(url, LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud))
+        self._steadiness = Steadiness(settings.soak)
+        self._set_point: float | None = None
+        self._closed = False
+        try:
+            self.identity = self._ask("*IDN?")
+            if self.identity.count(",") != 3:
+                raise LinkError(
+                    f"{url}: wanted a chamber's maker, model, number, firmware, got '{self.identity}'; check address"
+                )
+        except BaseException:
+            self._link.close()
+            raise
+
+    def __enter__(self) -> "ScpiChamber":
+        """Return the chamber itself."""
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        """Close it."""
+        self.close()
+
+    def set(self, temp_c: float) -> float:
+        """Switch on and set a temperature to go to.
+
+        Parameters
+        ----------
+        temp_c : float
+            degC.
+
+        Returns
+        -------
+        float
+            As the chamber holds it, degC.
+
+        Raises
+        ------
+        LimitError
+            Outside the stated range; nothing was sent.
+        RigFault
+            The chamber holds another one, or refused.
+        """
+        low, high = self.settings.lowest_c, self.settings.highest_c
+        if not low <= temp_c <= high:
+            raise LimitError(
+                f"chamber: wanted a set-point from {low:g} to {high:g} degC, got {temp_c:g}; choose one in between",
+                temp_c=temp_c,
+            )
+        held = self._number(f"TEMP:SPO {temp_c:.2f};:OUTP ON;:TEMP:SPO?")
+        self._check_error()
+        if abs(held - temp_c) > 0.1:
+            raise RigFault(f"chamber: wanted a set-point of {temp_c:g} degC, got {held:g}; look at the chamber")
+        self._set_point, self._steadiness = held, Steadiness(self.settings.soak)
+        return held
+
+    def set_ramp(self, slope_c_per_min: float) -> float:
+        """Set the steepest change of temperature.
+
+        Parameters
+        ----------
+        slope_c_per_min : float
+            K/min.
+
+        Returns
+        -------
+        float
+            As the chamber holds it, K/min.
+
+        Raises
+        ------
+        LimitError
+            Not above 0, or steeper than stated; nothing was sent.
+        RigFault
+            The chamber refused.
+        """
+        steepest = self.settings.steepest_c_per_min
+        if not 0.0 < slope_c_per_min <= steepest:
+            raise LimitError(
+                f"chamber: wanted a ramp above 0 and up to {steepest:g} K/min, got {slope_c_per_min:g}; choose a gentler one",
+                slope_c_per_min=slope_c_per_min,
+            )
+        held = self._number(f"TEMP:RAMP {slope_c_per_min:.2f};:TEMP:RAMP?")
+        self._check_error()
+        return held
+
+    def set_point(self) -> float:
+        """Return the temperature that it goes to, degC."""
+        return self._number("TEMP:SPO?")
+
+    def read(self) -> float:
+        """Return the temperature of its air now, degC."""
+        temp = self._number("MEAS:TEMP?")
+        self._steadiness.add(time.monotonic() * self.settings.clock_speed, temp)
+        return temp
+
+    def soaked(self) -> bool:
+        """Take a reading and return whether the set-point is reached and the slope is below the criterion.
+
+        Returns
+        -------
+        bool
+            False while the window of the criterion is not full.
+
+        Raises
+        ------
+        InputError
+            No set-point was set here.
+        """
+        if self._set_point is None:
+            raise InputError("chamber: wanted a set-point before a soak, got none; set it first")
+        self.read()
+        return self._steadiness.steady_at(self._set_point)
+
+    def soak(self, deadline_s: float) -> float:
+        """Wait until the temperature is steady at the set-point.
+
+        Parameters
+        ----------
+        deadline_s : float
+            Longest wait, chamber s.
+
+        Returns
+        -------
+        float
+            Temperature then, degC.
+
+        Raises
+        ------
+        RigTimeout
+            It was not steady in time; the text says how far it came.
+        InputError
+            No set-point was set here.
+        """
+        speed = self.settings.clock_speed
+        last = time.monotonic() + deadline_s / speed
+        pause_s = min(self.settings.soak.window_s / 30.0, 10.0) / speed
+        while not self.soaked():
+            if time.monotonic() >= last:
+                raise RigTimeout(
+                    f"chamber: wanted {self._set_point:g} degC and less than {self.settings.soak.slope_c_per_min:g} K/min within "
+                    f"{deadline_s:g} s, got {self.read():g} degC and {self._steadiness.slope_c_per_min():.2g} K/min; "
+                    "check door and heater, or wait longer",
+                    deadline_s=deadline_s,
+                )
+            time.sleep(pause_s)
+        return self.read()
+
+    def switch_off(self) -> None:
+        """Switch heater and compressor off.
+
+        Raises
+        ------
+        RigFault
+            They are still on.
+        """
+        if self._number("OUTP OFF;:OUTP?") != 0.0:
+            raise RigFault("chamber: wanted heater and compressor off, got them on; switch the chamber off by hand")
+
+    def close(self) -> None:
+        """Switch it off and let go of the link; harmless when called again, and when the link is lost."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            with contextlib.suppress(RigError):
+                self._link.reconnect()  # an answer that came late must not keep it on
+                self.switch_off()
+        finally:
+            self._link.close()
+
+    def _ask(self, text: str) -> str:
+        return self._link.exchange(text).strip()
+
+    def _number(self, text: str) -> float:
+        said = self._ask(text)
+        try:
+            value = float(said)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise LinkError(
+                f"chamber: wanted a number in answer to '{text}', got '{said[:60]}'; check link and chamber"
+            )
+        return value
+
+    def _check_error(self) -> None:
+        said = self._ask("SYST:ERR?")
+        code = said.partition(",")[0]
+        if code not in ("0", "+0"):
+            raise RigFault(f"chamber: wanted a command obeyed, got error {said[:60]}; look at the chamber")
+
+
+def open_chamber(address: str, settings: ChamberSettings = ChamberSettings()) -> ScpiChamber:
+    """Open a chamber; its temperature is left as it is.
+
+    Parameters
+    ----------
+    address : str
+        ``tcp://host:port`` or ``serial:///dev/ttyUSB0``.
+    settings : ChamberSettings
+        What it may be told.
+
+    Returns
+    -------
+    ScpiChamber
+        Connected; close it.
+
+    Raises
+    ------
+    InputError
+        Not such an address.
+    LinkError
+        Nobody answers there, or it is no chamber.
+    """
+    return ScpiChamber(address, settings)
+
+
+def _slope(t: "np.typing.NDArray[np.float64]", temp: "np.typing.NDArray[np.float64]") -> float:
+    apart = t - t.mean()
+    spread = float(apart @ apart)
+    return float(apart @ temp) / spread if spread > 0.0 else math.inf

@@ -1,0 +1,381 @@
+"""Run: a programme on a rig, dwell by dwell to the disk; whatever ends it, the table is at rest and its motor off.
+
+For each dwell: turn, wait for the ramp, let the device settle, read while positions are polled, stop, and write. The rate that goes
+with the readings is the one that the encoder shows over that dwell.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from undrift.errors import InputError, RigError, RigFault, RigTimeout
+from undrift.record import Record
+from undrift.rig.achieved import Achieved, achieved_turn_rate
+from undrift.rig.clock import Clock
+from undrift.rig.folder import Head, Piece, RunFolder
+from undrift.rig.programme import Dwell, Mount, Programme, Soak, Step
+from undrift.rig.rig import Position, Rig
+from undrift.rig.safety import check_programme
+from undrift.rig.seams import Chamber, Mounting, Readings
+from undrift.rig.signals import uninterrupted
+from undrift.units import RADIAN_PER_DEGREE
+
+Phase = Literal["enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "resting", "writing", "closing"]
+POLLS = 20  # positions in a short dwell
+POLL_S = 0.1  # between two positions of a long one, s of the host
+SOAK_POLL_S = 2.0  # between two looks at the chamber, table s
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """All that a run works with; the run closes the rig, and only the rig.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    readings : Readings
+        Of the device.
+    mounting : Mounting
+        Hands.
+    chamber : Chamber or None
+        Needed where the programme soaks.
+    clock : Clock
+        The rig's.
+    """
+
+    rig: Rig
+    readings: Readings
+    mounting: Mounting
+    chamber: Chamber | None = None
+    clock: Clock = field(default_factory=Clock)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSettings:
+    """When a run gives up.
+
+    Parameters
+    ----------
+    turn_rate_tolerance : float
+        Achieved against set rate, 1.
+    angle_tolerance : float
+        On top of it, over a dwell, rad.
+    least_part : float
+        Part of a dwell that the readings must cover, 1.
+    soak_timeout_s : float
+        Longest soak, table s.
+    """
+
+    turn_rate_tolerance: float = 0.03
+    angle_tolerance: float = 0.05 * RADIAN_PER_DEGREE
+    least_part: float = 0.8
+    soak_timeout_s: float = 6.0 * 3600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """Where a run is.
+
+    Parameters
+    ----------
+    phase : str
+        What it does now.
+    number, steps : int
+        Step of how many.
+    step : str
+        In words.
+    left_s : float
+        Forecast, table s.
+    live : str
+        The device's latest reading, or the chamber's.
+    """
+
+    phase: Phase
+    number: int
+    steps: int
+    step: str
+    left_s: float
+    live: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunResult:
+    """What a run did.
+
+    Parameters
+    ----------
+    pieces : tuple of Piece
+        All that is on the disk.
+    added : int
+        How many of them now.
+    duration_s : float
+        How long this part took, table s.
+    rig : str
+        What the rig calls itself.
+    """
+
+    pieces: tuple[Piece, ...]
+    added: int
+    duration_s: float
+    rig: str
+
+
+Report = Callable[[Progress], None]
+
+
+def run_programme(
+    programme: Programme,
+    bench: Bench,
+    folder: RunFolder,
+    *,
+    report: Report,
+    serial: str = "",
+    gravity_m_s2: float,
+    settings: RunSettings = RunSettings(),
+) -> RunResult:
+    """Run what is not on the disk yet.
+
+    Parameters
+    ----------
+    programme : Programme
+        Steps.
+    bench : Bench
+        Rig, device, hands, chamber.
+    folder : RunFolder
+        Where to.
+    report : callable
+        Is told of every phase, and several times a second.
+    serial : str
+        Of the device.
+    gravity_m_s2 : float
+        Local gravity, m/s2.
+    settings : RunSettings
+        When to give up.
+
+    Returns
+    -------
+    RunResult
+        What was done.
+
+    Raises
+    ------
+    LimitError
+        Unsafe on this rig; nothing moved.
+    InputError
+        No chamber for a programme with temperatures, another run than the one in the folder, a full disk.
+    RigError
+        A rig, a device or a chamber failed; the text says so where it is not confirmed that the table stopped.
+    """
+    run = _Run(programme, bench, folder, report, settings)
+    try:
+        done = folder.done
+        check_programme(programme, bench.rig.limits, done)
+        run.check_chamber()
+        name = bench.rig.identify()
+        folder.begin(
+            Head(
+                protocol=folder.digest,
+                rig=name,
+                serial=serial,
+                gravity_m_s2=gravity_m_s2,
+                kind="calibration" if bench.chamber is None else "thermal",
+            )
+        )
+        start = bench.clock.now()
+        run.all_but(done)
+    except BaseException as error:
+        run.close(error)
+        raise
+    run.close(None)
+    return RunResult(
+        pieces=folder.pieces, added=len(folder.pieces) - len(done), duration_s=bench.clock.now() - start, rig=name
+    )
+
+
+class _Run:
+    """A run that is going on."""
+
+    def __init__(
+        self, programme: Programme, bench: Bench, folder: RunFolder, report: Report, settings: RunSettings
+    ) -> None:
+        self._programme, self._bench, self._folder = programme, bench, folder
+        self._report, self._settings = report, settings
+        self._enabled = False
+        self._old_fault: str | None = None
+        self._number = 0
+        self._step: Step = programme.steps[0]
+        self._began = bench.clock.now()
+        self._left_s = 0.0
+
+    def check_chamber(self) -> None:
+        if self._bench.chamber is None and any(isinstance(step, Soak) for step in self._programme.steps):
+            raise InputError("run: wanted a chamber for the programme's temperatures, got none; give its address")
+
+    def all_but(self, done: frozenset[int]) -> None:
+        """Do the dwells that are not done, each with the mounting and the soak that it needs."""
+        left = {n: s.duration_s for n, s in enumerate(self._programme.steps) if n not in done}
+        waiting: dict[type, tuple[int, Step]] = {}  # a mounting and a soak are due only when a dwell follows
+        for number, step in enumerate(self._programme.steps):
+            if not isinstance(step, Dwell):
+                waiting[type(step)] = (number, step)
+                continue
+            if number in done:
+                continue
+            due = [waiting.pop(kind) for kind in (Mount, Soak) if kind in waiting]
+            for place, what in (*due, (number, step)):
+                self._left_s = sum(seconds for later, seconds in left.items() if later >= place)
+                self._do(place, what)
+
+    def close(self, cause: BaseException | None) -> None:
+        """Stop the table and switch the motor off; a second Ctrl-C does not disturb it."""
+        with uninterrupted():
+            try:
+                self._say("closing")
+            finally:
+                try:
+                    self._bench.rig.close()
+                except RigError as error:
+                    if cause is None:
+                        raise
+                    raise type(error)(f"{str(cause) or type(cause).__name__}; at the end: {error}") from cause
+
+    def _do(self, number: int, step: Step) -> None:
+        self._number, self._step, self._began = number, step, self._bench.clock.now()
+        if isinstance(step, Dwell):
+            self._dwell(step)
+            return
+        self._disable()
+        if isinstance(step, Mount):
+            self._say("mounting")
+            self._bench.mounting.mount(step.up)
+        else:
+            self._soak(step)
+
+    def _soak(self, step: Soak) -> None:
+        chamber, clock = self._bench.chamber, self._bench.clock
+        if chamber is None:
+            return
+        self._say("soaking")
+        chamber.set(step.temp_c)
+        last = clock.now() + self._settings.soak_timeout_s
+        while not chamber.soaked():
+            if clock.now() > last:
+                raise RigTimeout(
+                    f"chamber: wanted {step.temp_c:g} degC steady to {step.slope_c_per_min:g} K/min within "
+                    f"{self._settings.soak_timeout_s:g} s, got {chamber.read():.2f} degC; look at the chamber"
+                )
+            clock.wait(max(SOAK_POLL_S, 0.05 * clock.speed))
+            self._say("soaking", f"{chamber.read():.2f} degC")
+
+    def _dwell(self, step: Dwell) -> None:
+        rig = self._bench.rig
+        self._enable()
+        held = 0.0
+        if step.turn_rate != 0.0:
+            self._say("ramping")
+            held = rig.turn(step.turn_rate)
+            self._old_fault = None
+            self._bench.clock.wait(step.ramp_s)
+        self._say("settling")
+        self._bench.clock.wait(step.settle_s)
+        record, achieved = self._read(step)
+        chamber_c = None if self._bench.chamber is None else self._bench.chamber.read()
+        if step.turn_rate != 0.0:
+            rig.stop()
+        self._check(step, held, achieved, record)
+        self._say("writing")
+        step_s = float(np.median(np.diff(record.time)))
+        self._folder.keep(
+            record,
+            Piece(
+                step=self._number,
+                purpose=step.purpose,
+                up=step.up,
+                axis=step.axis,
+                samples=len(record),
+                start_s=float(record.time[0]),
+                stop_s=float(record.time[-1]) + step_s,
+                nominal_turn_rate=step.turn_rate,
+                set_turn_rate=held,
+                turn_rate=achieved.turn_rate,
+                turn_rate_uncertainty=achieved.uncertainty,
+                temp_c=step.temp_c,
+                chamber_c=chamber_c,
+            ),
+        )
+
+    def _read(self, step: Dwell) -> tuple[Record, Achieved]:
+        """Read the device and the encoder over a dwell."""
+        rig, readings, clock = self._bench.rig, self._bench.readings, self._bench.clock
+        phase: Phase = "dwelling" if step.turn_rate != 0.0 else "resting"
+        every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
+        self._say(phase)
+        readings.start()
+        positions: list[Position] = []
+        delays: list[float] = []
+        stop = clock.now() + step.dwell_s
+        while clock.now() < stop or len(positions) < 3:
+            clock.wait(every_s)  # before each alike, so that the delays of the link are alike
+            asked = clock.now()
+            positions.append(rig.position())
+            delays.append(clock.now() - asked)
+            self._say(phase, readings.latest())
+        record = readings.stop()
+        self._check_fault()
+        return record, achieved_turn_rate(positions, delays)
+
+    def _check_fault(self) -> None:
+        wrong = self._bench.rig.fault()
+        if wrong is not None and wrong != self._old_fault:
+            raise RigFault(
+                f"rig: wanted it sound in step {self._number} ({self._step}), got {wrong}; look at the table"
+            )
+
+    def _check(self, step: Dwell, held: float, achieved: Achieved, record: Record) -> None:
+        """Refuse a dwell in which the table did not hold its rate, or the device said too little."""
+        settings = self._settings
+        allowed = settings.turn_rate_tolerance * abs(held) + settings.angle_tolerance / step.dwell_s
+        if not abs(achieved.turn_rate - held) <= allowed + 4.0 * achieved.uncertainty:
+            raise RigFault(
+                f"rig: wanted {held:.6g} rad/s held within {allowed:.2g} in step {self._number} ({step}), got "
+                f"{achieved.turn_rate:.6g}; look at the table, its amplifier and its encoder",
+                turn_rate=achieved.turn_rate,
+            )
+        if record.duration_s < settings.least_part * step.dwell_s:
+            raise RigTimeout(
+                f"device: wanted readings of {step.dwell_s:g} s in step {self._number} ({step}), got "
+                f"{record.duration_s:.3g} s; look at the device and its link"
+            )
+
+    def _enable(self) -> None:
+        if not self._enabled:
+            self._say("enabling")
+            self._bench.rig.enable(True)
+            self._enabled = True
+            self._bench.rig.set_acceleration(self._programme.acceleration)
+            self._old_fault = self._bench.rig.fault()  # why it stopped last: a card keeps it until it moves again
+
+    def _disable(self) -> None:
+        """Hands and long waits: the motor is off."""
+        if self._enabled:
+            self._enabled = False
+            self._bench.rig.enable(False)
+
+    def _say(self, phase: Phase, live: str = "") -> None:
+        spent = min(self._bench.clock.now() - self._began, self._step.duration_s)
+        self._report(
+            Progress(
+                phase=phase,
+                number=self._number,
+                steps=len(self._programme.steps),
+                step=str(self._step),
+                left_s=self._left_s - spent,
+                live=live,
+            )
+        )

@@ -1,0 +1,382 @@
+"""An emulated device on an emulated table: it is read at even steps of emulated time and sends what it says over TCP.
+
+::
+
+    up_b = the mounted face, a little tilted     the table's axis, vertical
+    rate_b = turn_rate up_b + R_nb^T earth       force_b = g up_b
+    R_nb = R_z(angle) R_face
+
+It says all it says whether anybody listens or not; who connects hears it from then on. With the device's clock in error by c,
+reading k is taken at k / (rate (1 + c)).
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+from urllib.parse import urlencode
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
+from undrift.errors import InputError
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
+from undrift.session import FACES, Face
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.scene import Scene
+from undrift.sim.motion.bench import earth_rate
+from undrift.sim.motion.script import facing, unit_vector
+from undrift.sim.rig.clock import Clock
+from undrift.sim.rig.faults import LINK_FAULTS, FaultyLink
+from undrift.sim.rig.frames import COUNTER_BITS, Framing, check_framing, frame_of, line_of
+from undrift.sim.rig.readings import CausalDevice
+from undrift.sim.rig.server import Server
+from undrift.units import STANDARD_GRAVITY
+
+CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
+DEVICE_FAULTS = {
+    "lost_readings": "every seventh reading is not sent; its number is missing",
+    "garbled_readings": "every seventh reading is sent with a bit turned over",
+    "silence": "nothing is sent while it lasts; the numbers go on",
+}
+MOST_AT_ONCE = 4096  # readings: a tick does not take for ever
+MOST_WAITING = 1 << 22  # bytes kept for a client that does not read
+
+
+class TurnsOnAxis(Protocol):
+    """What turns the device."""
+
+    def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Return angle and rate at moments up to now, rad and rad/s.
+
+        Parameters
+        ----------
+        times : array, shape (n,)
+            Emulated times, s.
+        mean_s : float
+            The rate is the mean of so long before each, s.
+        """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamSettings:
+    """How the device is mounted and sends.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+        Readings per second of the device's clock, unless its own model states a rate.
+    framing : str
+        line or frame.
+    face : str
+        Axis of the device that points up at the start.
+    mount_tilt_sd : float
+        How well hands mount it: error about each axis, rad, drawn anew each time.
+    gravity_m_s2 : float
+        Local gravity, m/s2.
+    latitude_deg : float or None
+        For the Earth's rate; None leaves it out.
+    power_on_s : float
+        Time since power-on at the start, s.
+    seed : int
+        Of noise and tilt.
+    host : str
+        A loopback address.
+    port : int
+        0 takes a free one.
+    """
+
+    sample_rate_hz: float = 100.0
+    framing: Framing = "line"
+    face: Face = "+z"
+    mount_tilt_sd: float = 0.0
+    gravity_m_s2: float = STANDARD_GRAVITY
+    latitude_deg: float | None = None
+    power_on_s: float = 3600.0
+    seed: int = 0
+    host: str = "127.0.0.1"
+    port: int = 0
+
+    def __post_init__(self) -> None:
+        check_framing(self.framing)
+        if not self.sample_rate_hz > 0.0:
+            raise InputError(f"emulated device: wanted sample_rate_hz above 0, got {self.sample_rate_hz}; state it")
+
+
+class EmulatedDevice:
+    """A device that sends until closed.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        The truth about it.
+    table : TurnsOnAxis
+        What turns it.
+    board_temp : callable
+        Temperature of its board at moments up to now, s to degC.
+    clock : Clock
+        Emulated time.
+    settings : StreamSettings
+        How it is mounted and sends.
+    """
+
+    def __init__(
+        self,
+        device: DeviceModel,
+        table: TurnsOnAxis,
+        board_temp: Callable[[FloatArray], FloatArray],
+        clock: Clock,
+        settings: StreamSettings,
+    ) -> None:
+        sampling = device.sampling
+        self.device, self.settings = device, settings
+        self.rate = sampling.sample_rate_hz or settings.sample_rate_hz
+        self._table, self._board_temp, self._clock = table, board_temp, clock
+        self._step = 1.0 / (self.rate * (1.0 + sampling.clock_error))
+        rng = np.random.default_rng(settings.seed)
+        self._hands = np.random.default_rng((settings.seed, 1))
+        self._device = CausalDevice(device, self._step, rng)
+        self._lock = threading.RLock()
+        self._sessions: list[DeviceSession] = []
+        self._faults: set[str] = set()
+        self._next = 1  # reading k is taken at k steps
+        self._last_rate: FloatArray | None = None
+        self._mount(settings.face)
+        self._link = FaultyLink(settings.seed)
+        self._server = Server(self, self._link, (settings.host, settings.port))
+
+    def address(self, clock_speed: float) -> str:
+        """Return where it sends and what, as ``live.address`` reads it.
+
+        Parameters
+        ----------
+        clock_speed : float
+            Emulated seconds in one of the host's.
+
+        Returns
+        -------
+        str
+            ``tcp://host:port?...``.
+        """
+        line = self.settings.framing == "line"
+        options = {
+            "format": self.settings.framing,
+            "channels": ",".join(("count", *CHANNELS)),
+            "rate": repr(self.rate),
+            "gyro_unit": self.device.gyro.unit,
+            "accel_unit": self.device.accel.unit,
+            "counter_bits": str(COUNTER_BITS),
+            "checksum": "xor" if line else "crc16",
+            **({} if line else {"sync": "aa55", "pack": f"<H{len(CHANNELS)}d"}),
+            "clock_speed": repr(float(clock_speed)),
+            "device": self.device.serial,
+        }
+        query = urlencode([pair for pair in options.items() if pair[1]], safe=",/")
+        return f"tcp://{self._server.host}:{self._server.port}?{query}"
+
+    def mount(self, face: Face) -> None:
+        """Mount the device with another face up, from now on.
+
+        Parameters
+        ----------
+        face : str
+            "+x", ... "-z".
+
+        Raises
+        ------
+        InputError
+            Not a face.
+        """
+        if face not in FACES:
+            raise InputError(f"mount: wanted one of {', '.join(FACES)}, got '{face}'; name the axis that points up")
+        with self._lock:
+            self._go_on()
+            self._mount(face)
+
+    @property
+    def face(self) -> Face:
+        """Axis of the device that points up."""
+        return self._face
+
+    def tick(self) -> None:
+        """Come up to now."""
+        with self._lock:
+            self._go_on()
+
+    def open_session(self, serial: bool) -> "DeviceSession":
+        """Return what a new client hears.
+
+        Parameters
+        ----------
+        serial : bool
+            Makes no difference.
+
+        Returns
+        -------
+        DeviceSession
+            Its end of the link.
+        """
+        with self._lock:
+            self._sessions.append(DeviceSession())
+            return self._sessions[-1]
+
+    def close_session(self, session: object) -> None:
+        """Forget a client.
+
+        Parameters
+        ----------
+        session : object
+            Which.
+        """
+        with self._lock:
+            self._sessions = [held for held in self._sessions if held is not session]
+
+    def inject(self, fault: str, *, answers: int | None = None) -> None:
+        """Let a fault begin.
+
+        Parameters
+        ----------
+        fault : str
+            One of DEVICE_FAULTS, or of the link's faults in faults.py.
+        answers : int or None
+            How many pieces a fault of the link strikes; None until it is cleared.
+
+        Raises
+        ------
+        InputError
+            Not one of the faults.
+        """
+        if fault in LINK_FAULTS:
+            self._link.start(fault, answers)
+        elif fault in DEVICE_FAULTS:
+            with self._lock:
+                self._faults.add(fault)
+        else:
+            known = ", ".join((*LINK_FAULTS, *DEVICE_FAULTS))
+            raise InputError(f"device fault: wanted one of {known}, got '{fault}'; name one of them")
+        self._server.settle()
+
+    def clear(self) -> None:
+        """Let all faults end."""
+        self._link.stop(None)
+        with self._lock:
+            self._faults.clear()
+        self._server.settle()
+
+    def close(self) -> None:
+        """Close every socket and end the thread; harmless when called again."""
+        self._server.close()
+
+    def _mount(self, face: Face) -> None:
+        tilt = self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
+        up = unit_vector(face) + np.cross(tilt, unit_vector(face))
+        self._face, self._up = face, up / np.linalg.norm(up)
+        self._mounted = facing(np.array([1.0, 0.0, 0.0, 0.0]), self._up)
+
+    def _go_on(self) -> None:
+        now = self._clock.now()
+        last = min(int(now / self._step + 1e-6), self._next + MOST_AT_ONCE - 1)  # a clock that adds up tenths
+        if last < self._next:
+            return
+        counts = np.arange(self._next, last + 1)
+        self._next = last + 1
+        scene, mean = self._scene(np.minimum(counts * self._step, now))
+        said = self._device.read(scene, mean)
+        self._send(counts, np.column_stack((said.gyro, said.accel, said.temp_c)))
+
+    def _scene(self, times: FloatArray) -> tuple[Scene, FloatArray]:
+        """Return what surrounds the device at moments, and its mean rate over the step before each."""
+        angle, mean_rate = self._table.axis_states(times, mean_s=self._step)
+        earth = np.broadcast_to(earth_rate(self.settings.latitude_deg), (len(times), 3))
+        turned = quaternion_of(angle[:, None] * np.array([0.0, 0.0, 1.0]))
+        rate = mean_rate[:, None] * self._up + rotate(
+            quaternion_conjugate(quaternion_product(turned, np.broadcast_to(self._mounted, (len(times), 4)))), earth
+        )
+        before = np.vstack((rate[:1] if self._last_rate is None else self._last_rate, rate[:-1]))
+        self._last_rate = rate[-1:]
+        temp = self._board_temp(times)
+        return Scene(
+            time=times,
+            step_s=self._step,
+            temp_c=temp,
+            warmth=temp - self.device.reference_temp_c,
+            age_s=times + self.settings.power_on_s,
+            rate_b=rate,
+            angular_acceleration_b=(rate - before) / self._step,
+            force_b=np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3)),
+        ), rate
+
+    def _send(self, counts: IntArray, rows: FloatArray) -> None:
+        if not self._sessions or "silence" in self._faults:
+            return
+        data = _written(counts, rows, self.settings.framing, self._faults)
+        for session in self._sessions:
+            session.hear(data)
+
+
+def _written(counts: IntArray, rows: FloatArray, framing: Framing, faults: set[str]) -> bytes:
+    write = line_of if framing == "line" else frame_of
+    pieces = []
+    for count, row in zip(counts.tolist(), rows, strict=True):
+        struck = count % 7 == 0
+        if struck and "lost_readings" in faults:
+            continue
+        piece = write(count, row)
+        if struck and "garbled_readings" in faults:
+            piece = piece[:5] + bytes([piece[5] ^ 0x04]) + piece[6:]
+        pieces.append(piece)
+    return b"".join(pieces)
+
+
+class DeviceSession:
+    """One client of a device."""
+
+    def __init__(self) -> None:
+        self._waiting = b""
+
+    def hear(self, data: bytes) -> None:
+        """Take what the device says.
+
+        Parameters
+        ----------
+        data : bytes
+            Readings; lost where a client has not read for long.
+        """
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting += data
+
+    def greet(self) -> bytes:
+        """Return nothing.
+
+        Returns
+        -------
+        bytes
+            b"".
+        """
+        return b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take no notice of what a client says.
+
+        Parameters
+        ----------
+        data : bytes
+            Any.
+
+        Returns
+        -------
+        list of bytes
+            Empty.
+        """
+        return []
+
+    def unasked(self) -> bytes:
+        """Return what the device said since the last time.
+
+        Returns
+        -------
+        bytes
+            Readings.
+        """
+        data, self._waiting = self._waiting, b""
+        return data

@@ -1,0 +1,99 @@
+"""``undrift rig``: a whole calibration over sockets, refusals in one line, stop and status from another shell."""
+
+import io
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from undrift.calibration.store import read_calibration
+from undrift.cli.app import run
+from undrift.sim.device.store import read_device
+from undrift.sim.device.truth import true_calibration
+
+PROTOCOL = """
+[protocol]
+name = "end to end"
+[faces]
+seconds = 3.0
+[rates]
+turn_rate_min_dps = 30.0
+turn_rate_max_dps = 90.0
+turn_rate_step_dps = 30.0
+seconds = 3.0
+bracket_s = 2.0
+"""
+
+
+@pytest.fixture
+def emulated(tmp_path):
+    """Start `undrift rig emulate` in a process of its own; yield its addresses."""
+    calls = ["rig", "emulate", "--speed", "15", "--seed", "3", "--save-device", str(tmp_path / "device.json"), "--json"]
+    code = f"from undrift.cli.app import main; main({calls!r})"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        yield json.loads(process.stdout.readline())
+        process.terminate()
+        assert process.wait(20.0) == 0
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, tmp_path, capsys):
+    (tmp_path / "protocol.toml").write_text(PROTOCOL)
+    words = [word for name in ("rig", "device", "hands") for word in (f"--{name}", emulated[name])]
+    assert (
+        run(["rig", "run", str(tmp_path / "protocol.toml"), *words, "-o", str(tmp_path / "run"), "--yes", "--json"])
+        == 0
+    )
+    out, err = capsys.readouterr()
+    said = json.loads(out)
+    assert (said["dwells"], len(said["turns"])) == (30, 18)
+    assert "30 dwells, 0:0" in err
+    assert " left  +30 deg/s about x, dwelling  gyro_x" in err
+    assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
+    status = json.loads(capsys.readouterr().out)
+    assert (status["moving"], status["motor_on"], status["fault"]) == (False, False, None)
+    assert run(["rig", "stop", "--rig", emulated["rig"]]) == 0
+    assert "at rest, motor off" in capsys.readouterr().out
+    assert run(["calibrate", str(tmp_path / "run"), "-o", str(tmp_path / "calibration.json")]) == 0
+    capsys.readouterr()
+    found = read_calibration(tmp_path / "calibration.json")
+    true = true_calibration(read_device(tmp_path / "device.json"))
+    with capsys.disabled():
+        for name in ("gyro", "accel"):
+            ratio = getattr(found, name).matrix @ np.linalg.inv(getattr(true, name).matrix)
+            print(f"\n{name}: found matrix over true one, off identity by {np.abs(ratio - np.eye(3)).max():.2e}")
+            np.testing.assert_allclose(ratio, np.eye(3), atol=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "message", "code"),
+    [
+        (["run", "none.toml", "--rig", "manual:", "--device", "tcp://h:1", "-o", "x"], "none.toml", 2),
+        (["stop", "--rig", "lathe:"], "rig: wanted one of galil:", 2),
+        (["stop", "--rig", "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"], "127.0.0.1:9", 3),
+        (["status", "--rig", "manual:"], "status: wanted a Galil card", 2),
+        (["emulate", "--device", "gold"], "device: wanted a device.json or one of", 2),
+    ],
+)
+def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(["rig", *words]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
+    (tmp_path / "protocol.toml").write_text(PROTOCOL)
+    call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", "manual:", "--device", "tcp://127.0.0.1:9"]
+    for said in ("", "n\n"):
+        monkeypatch.setattr(sys, "stdin", io.StringIO(said))
+        assert run([*call, "-o", str(tmp_path / f"run{len(said)}")]) == 2
+        assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err

@@ -1,0 +1,151 @@
+"""Clocks and counters: the promptest packets carry the time, wraps and losses are told apart."""
+
+import numpy as np
+import pytest
+
+from undrift.errors import InputError
+from undrift.live.clock import ClockSettings, DeviceClock
+from undrift.live.counter import Arrivals, Counter
+from undrift.live.gaps import GapMarker
+
+
+def packets(count=20_000, period=0.01, rate_error=50e-6, latency=0.003, seed=1):
+    """Device times, and host times with a delay that is exponential, now and then a whole tenth of a second."""
+    rng = np.random.default_rng(seed)
+    device = np.arange(count) * period
+    delay = latency + rng.exponential(0.004, count) + 0.1 * (rng.random(count) < 0.02)
+    return device, np.maximum.accumulate(1000.0 + device / (1.0 + rate_error) + delay)
+
+
+def test_offset_and_rate_come_from_the_promptest_packets():
+    device, host = packets()
+    clock = DeviceClock()
+    for a in range(0, len(device), 100):
+        clock.add(device[a : a + 100], host[a : a + 100])
+    fit = clock.fit()
+    assert fit.rate_error == pytest.approx(50e-6, abs=1e-6)  # 0.1 ms at the ends of the 200 s that it rests on
+    assert fit.host_time(100.0) == pytest.approx(1000.0 + 100.0 / (1 + 50e-6) + 0.003, abs=2e-4)
+    assert fit.device_time(fit.host_time(123.4)) == pytest.approx(123.4, abs=1e-9)
+    assert 0.008 < fit.jitter_s < 0.1
+
+
+def test_a_straight_line_through_all_packets_would_be_ten_times_worse():
+    device, host = packets()
+    clock = DeviceClock()
+    clock.add(device, host)
+    truth = 1000.0 + device / (1 + 50e-6) + 0.003
+    line = np.polyval(np.polyfit(device, host, 1), device)
+    fit = clock.fit()
+    ours = np.array([fit.host_time(t) for t in device[::100]]) - truth[::100]
+    assert np.abs(ours).max() * 10 < np.abs(line - truth).max()
+
+
+def test_no_packet_comes_before_the_line():
+    device, host = packets(seed=3)
+    clock = DeviceClock()
+    clock.add(device, host)
+    fit = clock.fit()
+    assert min(h - fit.host_time(d) for d, h in zip(device.tolist(), host.tolist(), strict=True)) > -1e-9
+
+
+def test_the_clock_holds_to_its_nominal_rate_while_there_is_little_to_go_by():
+    clock = DeviceClock(clock_speed=20.0)
+    clock.add(np.array([0.0, 0.01, 0.02]), np.array([5.0, 5.0, 5.4]))
+    assert clock.fit().rate == pytest.approx(0.05, rel=0.021)
+    one = DeviceClock()
+    one.add(np.array([3.0]), np.array([7.0]))
+    assert (one.fit().rate, one.fit().host_time(4.0)) == (1.0, 8.0)
+
+
+def test_a_clock_that_drifts_is_followed_since_the_old_is_forgotten():
+    first = np.arange(0.0, 1000.0, 0.1)
+    second = np.arange(1000.0, 2000.0, 0.1)
+    clock = DeviceClock(settings=ClockSettings(memory_s=100.0))
+    clock.add(first, first)
+    clock.add(second, 1000.0 + (second - 1000.0) * 1.001)
+    assert clock.fit().host_time(2000.0) == pytest.approx(2001.0, abs=1e-6)
+    assert clock.fit().count < 2100
+
+
+def test_a_clock_without_packets_says_so():
+    with pytest.raises(InputError, match=r"clock: wanted one packet or more, got none; wait for the device"):
+        DeviceClock().fit()
+    with pytest.raises(InputError, match=r"wanted a memory above 0 s and a tolerance between 0 and 1, got 0 and 0.02"):
+        ClockSettings(memory_s=0.0)
+
+
+def test_a_counter_goes_on_where_it_wraps():
+    true = np.arange(1000)
+    counter = Counter(bits=8, tick_s=0.01)
+    parts = [counter.unwrap((part % 256).astype(float), part * 0.01) for part in np.array_split(true, 37)]
+    assert np.array_equal(np.concatenate([count for count, _ in parts]), true)
+    assert all(kept.all() for _, kept in parts)
+
+
+def test_whole_turns_that_went_by_in_a_silence_are_told_from_the_hosts_clock():
+    counter = Counter(bits=8, tick_s=0.01)
+    counter.unwrap(np.array([10.0]), np.array([0.0]))
+    count, _ = counter.unwrap(np.array([(10 + 1000) % 256.0]), np.array([10.03]))
+    assert count.tolist() == [1000.0]
+
+
+def test_readings_that_come_late_or_twice_are_left_out_and_counted():
+    counter = Counter(bits=16, tick_s=0.01)
+    count, kept = counter.unwrap(np.array([0, 1, 2, 2, 4, 3, 5.0]), np.full(7, 0.05))
+    assert count[kept].tolist() == [0, 1, 2, 4, 5]
+    assert counter.late == 2
+
+
+@pytest.mark.parametrize("bits", [0, 32])
+def test_a_device_that_starts_anew_goes_on_from_where_the_host_says(bits):
+    counter = Counter(bits=bits, tick_s=0.01)
+    counter.unwrap(np.arange(90_000, 90_010.0), np.linspace(0.0, 0.09, 10))
+    count, kept = counter.unwrap(np.array([0.0, 1.0]), np.array([3.09, 3.10]))
+    assert counter.restarts == 1
+    assert count.tolist() == [309.0, 310.0]
+    assert kept.all()
+
+
+def test_a_device_without_a_counter_is_counted_by_its_readings():
+    arrivals = Arrivals(rate=100.0)
+    first = arrivals.count(np.full(10, 0.1))
+    held_up = arrivals.count(np.full(95, 1.1))  # a second late, all of them there
+    lost = arrivals.count(np.full(5, 2.1))  # a second of silence, then five
+    assert first.tolist() == list(range(10))
+    assert held_up[0] == 10
+    assert lost.tolist() == [200, 201, 202, 203, 204]
+    assert len(arrivals.count(np.empty(0))) == 0
+
+
+def test_missing_readings_become_rows_of_nan():
+    marker = GapMarker(0.1)
+    time, values = marker.mark(np.array([0.0, 0.1, 0.4, 0.5]), np.arange(4.0)[:, None])
+    assert time == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    assert np.isnan(values[2:4]).all()
+    assert values[[0, 1, 4, 5], 0].tolist() == [0, 1, 2, 3]
+    assert (marker.gaps, marker.missing) == (1, 2)
+
+
+def test_gaps_between_two_chunks_are_marked_too():
+    marker = GapMarker(0.1)
+    marker.mark(np.array([0.0]), np.zeros((1, 2)))
+    time, values = marker.mark(np.array([0.3, 0.6]), np.ones((2, 2)))
+    assert time == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    assert np.isnan(values[:, 0]).tolist() == [True, True, False, True, True, False]
+    assert marker.missing == 4
+
+
+def test_a_long_gap_is_marked_by_one_row():
+    marker = GapMarker(0.01, longest_fill_s=1.0)
+    time, values = marker.mark(np.array([0.0, 3600.0]), np.ones((2, 1)))
+    assert time == pytest.approx([0.0, 0.01, 3600.0])
+    assert np.isnan(values[:, 0]).tolist() == [False, True, False]
+    assert marker.missing == 359_999
+
+
+def test_jitter_of_less_than_half_a_period_is_no_gap():
+    rng = np.random.default_rng(0)
+    time = np.arange(1000) * 0.01 + rng.uniform(-0.002, 0.002, 1000)
+    marker = GapMarker(0.01)
+    assert marker.mark(time, np.zeros((1000, 1)))[0] is time
+    assert marker.missing == 0

@@ -1,0 +1,111 @@
+"""Descriptions: what a device sends, from an address or a file, checked before anything is opened."""
+
+import numpy as np
+import pytest
+
+from undrift.errors import FileFormatError, InputError
+from undrift.live.address import open_source, parse_address, source_at
+from undrift.live.description import StreamDescription, read_description
+
+SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+
+
+def test_an_address_describes_its_stream():
+    source = source_at(
+        "tcp://127.0.0.1:9?channels=count,gyro_x,gyro_y,gyro_z,-,temp&rate=250&gyro_unit=dps&counter_bits=16&device=A7"
+    )
+    what = source.description
+    assert what.measured == ("gyro_x", "gyro_y", "gyro_z", "temp")
+    assert (what.rate, what.gyro_unit, what.counter_bits, what.device) == (250.0, "dps", 16, "A7")
+    assert what.tick_s == 1 / 250
+    assert source.name == "tcp://127.0.0.1:9"
+
+
+def test_options_of_an_address_win_over_its_file(tmp_path):
+    path = tmp_path / "stream.toml"
+    path.write_text('[stream]\nchannels = ["accel_x", "accel_y", "accel_z"]\nrate = 50\naccel_unit = "g"\n')
+    what = source_at(f"udp://:5000?description={path}&rate=60").description
+    assert (what.rate, what.accel_unit, what.has_counter) == (60.0, "g", False)
+    assert read_description(path).rate == 50
+
+
+def test_readings_become_a_record_in_the_units_stated():
+    what = StreamDescription(
+        channels=("temp", *SIX), rate=10.0, gyro_unit="dps", accel_unit="g", temp_scale=0.5, temp_zero=-5
+    )
+    record = what.record(np.arange(3.0), np.arange(21.0).reshape(3, 7))
+    assert record.gyro_unit == "dps"
+    assert record.temp_c.tolist() == [-5.0, -1.5, 2.0]
+    assert record.accel[1].tolist() == [11, 12, 13]
+    assert (record.state, record.frame, record.mag_ut) == ("raw", "s", None)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({}, r"wanted rate above 0, got 0.0; there is no default"),
+        ({"rate": 1.0, "clock_speed": 0.0}, r"wanted clock_speed above 0"),
+        ({"rate": 1.0, "channels": ("gyro_x", "gyro_y")}, r"wanted all three axes of gyro, got 2"),
+        ({"rate": 1.0, "channels": ("temp",)}, r"wanted channels of gyro or accel, got neither"),
+        ({"rate": 1.0, "channels": (*SIX, "x")}, r"wanted channels out of count, -, .* got 'x'"),
+        ({"rate": 1.0, "channels": (*SIX, "temp", "temp")}, r"each once, got 'temp'"),
+        ({"rate": 1.0, "gyro_unit": "m"}, r"unit of rate: wanted one of"),
+        ({"rate": 1.0, "format": "xml"}, r"wanted format line or frame, got 'xml'"),
+        ({"rate": 1.0, "checksum": "md5"}, r"wanted checksum none, xor, sum, crc16, crc32, got 'md5'"),
+        ({"rate": 1.0, "counter_bits": 64}, r"wanted counter_bits 0 to 53 and a tick of 0 or more, got 64 and 0"),
+    ],
+)
+def test_a_description_that_cannot_be_is_refused(options, text):
+    with pytest.raises(InputError, match=text):
+        StreamDescription(**options)
+
+
+@pytest.mark.parametrize(
+    ("address", "text"),
+    [
+        ("tcp", r"wanted one of tcp:..., udp:..., serial:..., lsl:..., ble:..., got 'tcp'; say where it sends"),
+        ("can:0?rate=1", r"wanted one of tcp"),
+        ("tcp://h:1?rate", r"wanted options as name=value&name=value, got 'rate'"),
+        ("tcp://h:1?rate=fast", r"wanted a number for rate, got 'fast'"),
+        ("tcp://h:1?rate=1&speed=2", r"wanted options out of channels, rate, .* got 'speed'"),
+        ("tcp://h?rate=1", r"wanted tcp://host:port, got 'tcp://h'? ?.*name host and port"),
+        ("tcp://:80?rate=1", r"wanted tcp://host:port, got no host"),
+        ("udp://h:x?rate=1", r"wanted udp://host:port, got 'udp://h:x'"),
+        ("serial:?rate=1", r"wanted serial:///dev/name\?baud=115200, got '' and baud '115200'"),
+        ("serial:///dev/x?rate=1&baud=0", r"got '/dev/x' and baud '0'"),
+        ("lsl:?rate=1", r"wanted lsl:name\?offline=yes or no, got '' and 'no'"),
+        ("lsl:imu?rate=1", r"got 'count' among them; LSL has stamps of its own"),
+        ("ble:AA?rate=1", r"wanted ble:id\?characteristic=uuid, got 'AA' and ''"),
+    ],
+)
+def test_an_address_that_is_none_is_refused_before_anything_is_opened(address, text):
+    with pytest.raises(InputError, match=text):
+        open_source(address)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("rate = ", r"wanted a stream description, got"),
+        ("rate = 5", r"wanted \[stream\] with keys out of channels, rate"),
+        ("[stream]\nspeed = 5", r"wanted \[stream\] with keys out of channels, rate"),
+        ("[stream]\nrate = '5'", r"wanted float for rate, got '5'"),
+        ("[stream]\nrate = 0", r"wanted rate above 0, got 0"),
+    ],
+)
+def test_a_file_that_is_no_description_is_refused(tmp_path, content, text):
+    path = tmp_path / "stream.toml"
+    path.write_text(content)
+    with pytest.raises(FileFormatError, match=text):
+        read_description(path)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(FileFormatError, match=r"none.toml: wanted a stream description"):
+        read_description(tmp_path / "none.toml")
+
+
+def test_an_address_keeps_what_it_was_given():
+    base = StreamDescription(channels=SIX, rate=7.0)
+    assert parse_address("udp://:1", base).describe() is not None
+    assert source_at("udp://:1?rate=9", base).description.rate == 9.0

@@ -1,0 +1,259 @@
+"""Sources: the same readings by every way, and every way that is lost says so; no wait without end."""
+
+import asyncio
+import contextlib
+import os
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from sender import Sender
+
+from undrift.errors import LinkError, RigTimeout
+from undrift.live.address import open_source, source_at
+from undrift.live.ble import BlePort
+from undrift.live.description import StreamDescription
+from undrift.live.lsl import LslSource, stay_offline
+from undrift.live.source import ByteSource
+
+OPTIONS = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
+TEXT = b"".join(b"%d,1,2,3\n" % k for k in range(5))
+PLAIN = StreamDescription(channels=("gyro_x", "gyro_y", "gyro_z"), rate=100.0)
+
+
+@contextlib.contextmanager
+def opened(address):
+    source = open_source(address)
+    try:
+        yield source
+    finally:
+        source.close()
+        source.close()
+
+
+def counts(source, wanted=5):
+    found = []
+    while len(found) < wanted:
+        found += source.read(2.0).counter.tolist()
+    return found
+
+
+def test_readings_come_over_tcp_stamped_with_the_hosts_time():
+    with Sender([TEXT]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
+        before = time.monotonic()
+        chunk = source.read(2.0)
+        assert chunk.counter.tolist() == [0, 1, 2, 3, 4]
+        assert chunk.values[0].tolist() == [1, 2, 3]
+        assert before <= chunk.host_time[0] <= time.monotonic()
+
+
+def test_a_device_that_hangs_up_is_a_lost_link_and_can_be_opened_again():
+    with Sender([TEXT], hang_up=True) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
+        counts(source)
+        with pytest.raises(LinkError, match=r"wanted readings, got a lost link: the other side closed .*; reconnect"):
+            source.read(2.0)
+
+
+def test_silence_and_rubbish_are_timeouts_that_say_which():
+    with Sender([b""]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
+        start = time.monotonic()
+        with pytest.raises(
+            RigTimeout, match=r"wanted a reading within 0.1 s, got nothing; check that the device sends"
+        ):
+            source.read(0.1)
+        assert time.monotonic() - start < 1.0
+    with Sender([b"x\n" * 50]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
+        with pytest.raises(RigTimeout, match=r"got 100 bytes and no reading in them; check format, checksum and baud"):
+            source.read(0.2)
+        assert source.errors == 49  # the first may have been under way
+
+
+def test_nobody_there_is_a_lost_link():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises(LinkError, match=r"wanted a connection, got '.*refused.*'; check power, cable and address"):
+        open_source(f"tcp://127.0.0.1:{port}{OPTIONS}")
+
+
+def test_a_source_that_is_not_open_does_not_read():
+    with pytest.raises(LinkError, match=r"wanted an open link, got a closed one; open it first"):
+        source_at(f"tcp://127.0.0.1:9{OPTIONS}").read(0.1)
+
+
+def test_readings_come_over_udp_a_datagram_each():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with (
+        opened(f"udp://127.0.0.1:{port}{OPTIONS}") as source,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device,
+    ):
+        for line in (*TEXT.splitlines(), b""):
+            device.sendto(line, ("127.0.0.1", port))
+        assert counts(source) == [0, 1, 2, 3, 4]
+        with pytest.raises(RigTimeout, match=r"got nothing"):
+            source.read(0.05)
+
+
+def test_a_udp_port_that_is_taken_is_a_lost_link():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        with pytest.raises(LinkError, match=r"udp://127.0.0.1:\d+: wanted a connection, got"):
+            open_source(f"udp://127.0.0.1:{taken.getsockname()[1]}{OPTIONS}")
+
+
+def test_readings_come_over_a_serial_line():
+    ours, theirs = os.openpty()
+    try:
+        with opened(f"serial://{os.ttyname(theirs)}{OPTIONS}&baud=115200") as source:
+            os.write(ours, TEXT)
+            assert counts(source) == [0, 1, 2, 3, 4]
+            with pytest.raises(RigTimeout, match=r"got nothing"):
+                source.read(0.05)
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_a_serial_port_that_is_not_there_is_a_lost_link():
+    with pytest.raises(LinkError, match=r"serial:/dev/none: wanted a connection, got"):
+        open_source(f"serial:///dev/none{OPTIONS}")
+
+
+class FakeInlet:
+    def __init__(self, *pulls):
+        self.pulls, self.closed = list(pulls), 0
+
+    def pull_chunk(self, timeout=0.0):
+        pull = self.pulls.pop(0) if self.pulls else ([], [])
+        if isinstance(pull, Exception):
+            raise pull
+        return pull
+
+    def close_stream(self):
+        self.closed += 1
+
+
+def test_lsl_stamps_are_the_devices_clock():
+    inlet = FakeInlet(([], []), ([[1.0, 2, 3], [4, 5, 6]], [7.5, 7.51]))
+    source = LslSource("lsl:imu", PLAIN, lambda: inlet)
+    source.open()
+    chunk = source.read(1.0)
+    assert chunk.counter.tolist() == [7.5, 7.51]
+    assert chunk.values.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert source.description.tick_s == 1.0
+    source.close()
+    source.close()
+    assert inlet.closed == 1
+
+
+def test_an_lsl_stream_of_another_width_or_that_ends_says_so():
+    inlet = FakeInlet(([[1.0, 2.0], [1.0, float("inf"), 0.0]], [7.5, 7.6]))
+    source = LslSource("lsl:imu", PLAIN, lambda: inlet)
+    with pytest.raises(LinkError, match=r"wanted an open stream, got a closed one; open it first"):
+        source.read(0.1)
+    source.open()
+    with pytest.raises(RigTimeout, match=r"got 2 samples of another width than 3"):
+        source.read(0.01)
+    inlet.pulls.append(RuntimeError("the stream has been lost"))
+    with pytest.raises(LinkError, match=r"got a lost stream: the stream has been lost; start the sender again"):
+        source.read(0.1)
+
+
+def test_readings_come_over_lsl_on_this_computer(monkeypatch, tmp_path):
+    pylsl = pytest.importorskip("pylsl")
+    monkeypatch.setenv("LSLAPICFG", str(tmp_path / "lsl.cfg"))
+    (tmp_path / "lsl.cfg").write_text("[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n")
+    name = f"undrift-test-{os.getpid()}"
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo(name, "IMU", 3, 100, "float32", name))
+    stop = threading.Event()
+
+    def send() -> None:
+        while not stop.wait(0.01):
+            outlet.push_sample([1.0, 2.0, 3.0])
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        with opened(f"lsl:{name}?channels=gyro_x,gyro_y,gyro_z&rate=100&offline=yes") as source:
+            assert source.read(5.0).values[0].tolist() == [1, 2, 3]
+    finally:
+        stop.set()
+        sender.join()
+
+
+def test_lsl_stays_on_this_computer_unless_configured_otherwise(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("LSLAPICFG", "mine.cfg")
+    stay_offline()
+    assert os.environ["LSLAPICFG"] == "mine.cfg"
+    monkeypatch.delenv("LSLAPICFG")
+    stay_offline()
+    with open(os.environ["LSLAPICFG"]) as file:
+        assert "ResolveScope = machine" in file.read()
+
+
+class FakeClient:
+    """As a Bluetooth client: brings some values, then may be lost."""
+
+    def __init__(self, on_loss, values, lost=False, absent=False):
+        self.on_loss, self.values, self.lost, self.absent = on_loss, values, lost, absent
+
+    async def connect(self):
+        if self.absent:
+            raise TimeoutError("device was not found")
+
+    async def start_notify(self, characteristic, callback):
+        async def bring() -> None:
+            for value in self.values:
+                callback(characteristic, bytearray(value))
+            if self.lost:
+                self.on_loss(self)
+
+        self._task = asyncio.get_running_loop().create_task(bring())
+
+    async def disconnect(self):
+        await self._task
+
+
+def ble(values, **options):
+    what = StreamDescription(channels=("count", "gyro_x", "gyro_y", "gyro_z"), rate=100.0)
+    return ByteSource("ble:A", what, lambda: BlePort(lambda on_loss: FakeClient(on_loss, values, **options), "uuid"))
+
+
+def test_bluetooth_notifications_are_datagrams():
+    source = ble(TEXT.splitlines())
+    source.open()
+    try:
+        assert counts(source) == [0, 1, 2, 3, 4]
+        with pytest.raises(RigTimeout, match=r"got nothing"):
+            source.read(0.05)
+    finally:
+        source.close()
+    assert not [thread for thread in threading.enumerate() if thread.name == "ble"]
+
+
+def test_a_bluetooth_device_out_of_reach_is_a_lost_link():
+    source = ble(TEXT.splitlines()[:1], lost=True)
+    source.open()
+    try:
+        assert counts(source, 1) == [0]
+        with pytest.raises(LinkError, match=r"the device is out of reach or was switched off; reconnect"):
+            source.read(1.0)
+    finally:
+        source.close()
+
+
+def test_a_bluetooth_device_that_is_not_there_is_a_lost_link_and_leaves_no_thread():
+    with pytest.raises(LinkError, match=r"ble:A: wanted a connection, got 'device was not found'"):
+        ble([], absent=True).open()
+    assert not [thread for thread in threading.enumerate() if thread.name == "ble"]
+
+
+def test_chunks_hold_what_they_say():
+    with Sender([TEXT]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
+        chunk = source.read(2.0)
+        assert len(chunk) == len(chunk.values) == len(chunk.host_time) == 5
+        assert np.isfinite(chunk.values).all()

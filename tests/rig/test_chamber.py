@@ -1,0 +1,207 @@
+"""The chamber's driver: against answers that are written down, then against the emulated chamber over a socket."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from scripted import Scripted
+from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
+from undrift.rig.chamber import ChamberSettings, ScpiChamber, SoakSettings, Steadiness, open_chamber
+from undrift.sim.rig.air import AirSettings
+from undrift.sim.rig.chamber import EmulatedChamber
+from undrift.sim.rig.clock import HostClock
+
+SPEED = 400.0
+SOAK = SoakSettings(window_s=60.0)
+SETTINGS = ChamberSettings(clock_speed=SPEED, soak=SOAK, reply_timeout_s=0.3)
+TRUE = {
+    "*IDN?": b"maker,model,7,1.2\n",
+    "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?": b"45.0\n",
+    "TEMP:RAMP 2.00;:TEMP:RAMP?": b"2.0\n",
+    "TEMP:SPO?": b"45.0\n",
+    "SYST:ERR?": b'0,"No error"\n',
+    "MEAS:TEMP?": b"24.9\r\n",
+    "OUTP OFF;:OUTP?": b"0\n",
+}
+
+
+def scripted(**changed):
+    answers = TRUE | changed.pop("answers", {})
+    return Scripted(answers.get, terminator=b"\n")
+
+
+@pytest.fixture
+def emulated():
+    chamber = EmulatedChamber(AirSettings(ramp_c_per_min=10.0, period_s=30.0), HostClock(SPEED))
+    try:
+        yield chamber
+    finally:
+        chamber.close()
+
+
+def test_every_command_goes_out_as_written():
+    with scripted() as server, open_chamber(server.url, SETTINGS) as chamber:
+        assert chamber.identity == "maker,model,7,1.2"
+        assert chamber.set_ramp(2.0) == 2.0
+        assert chamber.set(45.0) == 45.0
+        assert chamber.set_point() == 45.0
+        assert chamber.read() == 24.9
+        assert chamber.soaked() is False
+    assert server.heard == [
+        "*IDN?", "TEMP:RAMP 2.00;:TEMP:RAMP?", "SYST:ERR?", "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", "SYST:ERR?", "TEMP:SPO?",
+        "MEAS:TEMP?", "MEAS:TEMP?", "OUTP OFF;:OUTP?",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("temp_c", [-0.1, 80.1, math.nan, math.inf])
+def test_a_set_point_beyond_the_limits_is_refused_before_a_byte_is_sent(temp_c):
+    with scripted() as server, open_chamber(server.url, SETTINGS) as chamber:
+        with pytest.raises(
+            LimitError, match=r"chamber: wanted a set-point from 0 to 80 degC, got .*; choose one in between"
+        ):
+            chamber.set(temp_c)
+        assert server.heard == ["*IDN?"]
+
+
+@pytest.mark.parametrize("ramp", [0.0, 21.0, math.nan])
+def test_a_ramp_beyond_the_limits_is_refused_before_a_byte_is_sent(ramp):
+    with scripted() as server, open_chamber(server.url, SETTINGS) as chamber:
+        with pytest.raises(LimitError, match=r"wanted a ramp above 0 and up to 20 K/min, got"):
+            chamber.set_ramp(ramp)
+        assert server.heard == ["*IDN?"]
+
+
+@pytest.mark.parametrize(
+    ("command", "said", "error", "text"),
+    [
+        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"40.0\n", RigFault, r"wanted a set-point of 45 degC, got 40; look at"),
+        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"warm\n", LinkError, r"wanted a number in answer to .*, got 'warm'"),
+        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"nan\n", LinkError, r"wanted a number in answer to .*, got 'nan'"),
+        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"45", RigTimeout, r"got only b'45'"),
+        ("SYST:ERR?", b'-222,"Data out of range"\n', RigFault, r"wanted a command obeyed, got error -222"),
+    ],
+)
+def test_an_answer_that_does_not_fit_is_told(command, said, error, text):
+    with (
+        scripted(answers={command: said}) as server,
+        open_chamber(server.url, SETTINGS) as chamber,
+        pytest.raises(error, match=text),
+    ):
+        chamber.set(45.0)
+
+
+def test_what_is_no_chamber_is_not_opened():
+    with (
+        scripted(answers={"*IDN?": b"DMC1415\n"}) as server,
+        pytest.raises(
+            LinkError, match=r"wanted a chamber's maker, model, number, firmware, got 'DMC1415'; check address"
+        ),
+    ):
+        open_chamber(server.url, SETTINGS)
+
+
+def test_a_chamber_that_stays_on_is_told():
+    with (
+        scripted(answers={"OUTP OFF;:OUTP?": b"1\n"}) as server,
+        open_chamber(server.url, SETTINGS) as chamber,
+        pytest.raises(RigFault, match=r"wanted heater and compressor off, got them on; switch the chamber off by hand"),
+    ):
+        chamber.switch_off()
+
+
+def test_the_heater_is_off_after_every_end(emulated):
+    chamber = ScpiChamber(emulated.address, SETTINGS)
+    chamber.set(60.0)
+    assert emulated.air.on
+    emulated.inject("half_reply", answers=1)
+    with pytest.raises(RigError):
+        chamber.read()
+    chamber.close()
+    chamber.close()
+    assert not emulated.air.on
+
+
+def test_a_soak_ends_when_the_air_is_steady_at_its_set_point(emulated):
+    with open_chamber(emulated.address, SETTINGS) as chamber:
+        chamber.set(45.0)
+        temp = chamber.soak(1200.0)
+        times = np.linspace(emulated.air.time[-1] - 60.0, emulated.air.time[-1], 100)
+        air = emulated.air.at(times)[0]
+        assert temp == pytest.approx(45.0, abs=0.1)
+        assert 60.0 * np.abs(np.polyfit(times - times[0], air, 1)[0]) < 0.1
+        assert np.ptp(air) < 0.3
+
+
+@pytest.mark.parametrize("fault", ["stuck_heater", "open_door"])
+def test_a_chamber_that_does_not_get_there_is_a_timeout_that_says_how_far_it_came(emulated, fault):
+    emulated.inject(fault)
+    with open_chamber(emulated.address, SETTINGS) as chamber:
+        chamber.set(45.0)
+        start = time.monotonic()
+        with pytest.raises(
+            RigTimeout, match=r"wanted 45 degC and less than 0.1 K/min within 120 s, got 2\d.* check door and heater"
+        ):
+            chamber.soak(120.0)
+        assert time.monotonic() - start < 2.0
+
+
+def test_a_door_that_opens_ends_a_soak_and_one_that_closes_lets_it_come(emulated):
+    with open_chamber(emulated.address, SETTINGS) as chamber:
+        chamber.set(40.0)
+        chamber.soak(1200.0)
+        emulated.inject("open_door")
+        end = time.monotonic() + 60.0 / SPEED
+        while time.monotonic() < end:
+            assert chamber.read() < 41.0
+        assert not chamber.soaked()
+        emulated.clear()
+        assert chamber.soak(1200.0) == pytest.approx(40.0, abs=0.1)
+
+
+@pytest.mark.parametrize("fault", ["stall", "garbage", "half_reply", "drop_bytes", "disconnect"])
+def test_a_link_that_fails_is_an_error_and_never_a_hang(emulated, fault):
+    with open_chamber(emulated.address, SETTINGS) as chamber:
+        emulated.inject(fault)
+        start = time.monotonic()
+        with pytest.raises(RigError):
+            chamber.set(45.0)
+        assert time.monotonic() - start < 2.0
+        emulated.clear()
+    assert not emulated.air.on
+
+
+def test_a_soak_needs_a_set_point(emulated):
+    with (
+        open_chamber(emulated.address, SETTINGS) as chamber,
+        pytest.raises(InputError, match=r"chamber: wanted a set-point before a soak, got none; set it first"),
+    ):
+        chamber.soak(1.0)
+
+
+def test_steady_is_a_full_window_of_little_slope_near_the_set_point():
+    window = SoakSettings(window_s=100.0)
+    level, ramp, apart, early, hill = (Steadiness(window) for _ in range(5))
+    for t in range(0, 121, 5):
+        level.add(t, 45.0 + 0.01 * (-1) ** t)
+        ramp.add(t, 44.8 + 0.12 / 60.0 * t)
+        apart.add(t, 45.6)
+        hill.add(t, 45.0 - 1e-4 * (t - 70.0) ** 2)  # over its top: the line through all is level
+        if t <= 90:
+            early.add(t, 45.0)
+    assert level.steady_at(45.0)
+    assert not ramp.steady_at(45.0)
+    assert ramp.slope_c_per_min() == pytest.approx(0.12)
+    assert not apart.steady_at(45.0)
+    assert early.slope_c_per_min() == math.inf
+    assert hill.slope_c_per_min() > 0.1
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match=r"soak: wanted window_s above 0, got 0"):
+        SoakSettings(window_s=0)
+    with pytest.raises(InputError, match=r"wanted a lowest set-point below the highest, got 80 and 80 degC"):
+        ChamberSettings(lowest_c=80, highest_c=80)
+    with pytest.raises(InputError, match=r"chamber: wanted clock_speed above 0, got 0; state it"):
+        ChamberSettings(clock_speed=0)

@@ -1,0 +1,147 @@
+"""Programmes: what a protocol becomes, how long it takes, and what is refused before anything moves."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from undrift.errors import InputError, LimitError
+from undrift.protocol import Protocol
+from undrift.rig.programme import Dwell, Mount, Programme, ProgrammeSettings, Soak, programme_of
+from undrift.rig.rig import Limits
+from undrift.rig.safety import check_programme
+from undrift.rig.settle import dwell_time, settle_time, whole_turns_time
+
+DPS = math.pi / 180.0
+SIT_TO_STAND = Protocol(
+    turn_rate_min=5.0 * DPS, turn_rate_max=90.0 * DPS, turn_rate_step=5.0 * DPS, grid="paper", cutoff_hz=11.1
+)
+SMALL = Protocol(
+    faces=("+x", "-z"), turn_rate_min=10.0 * DPS, turn_rate_max=30.0 * DPS, turn_rate_step=10.0 * DPS, axes=("x", "z")
+)
+
+
+def kinds(programme):
+    return [step.purpose if isinstance(step, Dwell) else type(step).__name__ for step in programme.steps]
+
+
+def test_a_device_settles_to_a_thousandth_and_never_less_than_the_table_needs():
+    assert settle_time(11.1) == 0.3
+    assert settle_time(2.0) == pytest.approx(math.log(1000.0) / (math.sqrt(0.5) * 2.0 * math.pi * 2.0))
+    assert settle_time(2.0, damping=1.0) < settle_time(2.0)
+    with pytest.raises(InputError, match="wanted cutoff_hz and damping above 0, got 0"):
+        settle_time(0.0)
+
+
+def test_a_dwell_is_as_long_as_a_count_and_the_noise_need():
+    count = 0.009 * DPS
+    assert dwell_time(0.0015 * DPS, count=count) == pytest.approx(6.0)
+    assert dwell_time(0.01 * DPS, count=0.0, noise_density=0.02 * DPS) == pytest.approx(4.0)
+    u, noise = 0.002 * DPS, 0.003 * DPS
+    t = dwell_time(u, count=count, noise_density=noise)
+    assert (count / t) ** 2 + noise**2 / t == pytest.approx(u * u)
+    with pytest.raises(InputError, match="wanted an uncertainty above 0 rad/s, got 0"):
+        dwell_time(0.0, count=count)
+
+
+def test_whole_turns_are_the_next_ones():
+    assert whole_turns_time(-90.0 * DPS, 6.0) == pytest.approx(8.0)
+    assert whole_turns_time(90.0 * DPS, 4.0) == pytest.approx(4.0)
+    assert whole_turns_time(90.0 * DPS, 4.1) == pytest.approx(8.0)
+    assert whole_turns_time(5.0 * DPS, 6.0) == pytest.approx(72.0)
+
+
+def test_the_notes_grid_becomes_102_dwells_on_six_mountings_and_a_stated_time():
+    programme = programme_of(SIT_TO_STAND)
+    assert sum(dwell.purpose == "rate" for dwell in programme.dwells) == 102
+    assert sum(isinstance(step, Mount) for step in programme.steps) == 6
+    rates = [dwell for dwell in programme.dwells if dwell.purpose == "rate"]
+    by_hand = sum(2.0 * abs(dwell.turn_rate) / 40.0 + 6.3 for dwell in rates) + (6 + 6) * 6.3
+    assert programme.rig_s == pytest.approx(by_hand)
+    assert programme.duration_s == pytest.approx(by_hand + 6 * 30.0)
+    assert programme_of(SIT_TO_STAND) == programme
+
+
+def test_blocks_stand_between_rests_and_a_face_shares_the_mounting_of_its_axis():
+    programme = programme_of(SMALL)
+    block = ["bracket", *["rate"] * 6, "bracket"]
+    assert kinds(programme) == ["Mount", "face", *block, "Mount", "face", "Mount", *block]
+    assert [step.up for step in programme.steps if isinstance(step, Mount)] == ["+x", "-z", "+z"]
+    rates = [round(d.turn_rate / DPS) for d in programme.dwells if d.purpose == "rate"]
+    assert rates[:6] == [10, -10, 20, -20, 30, -30]
+
+
+def test_a_random_order_is_the_seeds_and_holds_the_same_rates():
+    drawn = [programme_of(replace(SMALL, order="random", seed=seed)) for seed in (1, 1, 2)]
+    assert drawn[0] == drawn[1] != drawn[2]
+    first, last = drawn[0].dwells[2:8], drawn[2].dwells[2:8]
+    assert sorted(d.turn_rate for d in first) == pytest.approx(sorted(d.turn_rate for d in last))
+    assert [d.turn_rate for d in first] != sorted(d.turn_rate for d in first)
+
+
+def test_every_temperature_is_soaked_at_in_each_mounting():
+    heated = programme_of(replace(SMALL, temperatures_c=(20.0, 40.0)), ProgrammeSettings(room_c=25.0))
+    soaks = [step for step in heated.steps if isinstance(step, Soak)]
+    assert [soak.temp_c for soak in soaks] == [20.0, 40.0] * 3
+    assert soaks[0].duration_s == pytest.approx(150.0 + 1200.0)
+    assert soaks[1].duration_s == pytest.approx(600.0 + 1200.0)
+    assert all(dwell.temp_c in (20.0, 40.0) for dwell in heated.dwells)
+    assert len(heated.dwells) == 2 * len(programme_of(SMALL).dwells)
+
+
+def test_dwells_are_as_long_as_asked_for_and_as_the_uncertainty_needs():
+    stated = replace(SMALL, dwell_s=2.0, turn_rate_uncertainty=0.0009 * DPS)
+    assert {round(d.dwell_s, 9) for d in programme_of(stated).dwells if d.purpose == "rate"} == {10.0}
+    coarse = programme_of(stated, ProgrammeSettings(encoder_lines=5000))
+    assert {round(d.dwell_s, 9) for d in coarse.dwells if d.purpose == "rate"} == {20.0}
+    turns = programme_of(replace(SMALL, whole_turns=True))
+    assert [round(d.dwell_s, 9) for d in turns.dwells if d.purpose == "rate"][:6] == [
+        36.0,
+        36.0,
+        18.0,
+        18.0,
+        12.0,
+        12.0,
+    ]
+
+
+def test_no_bracket_is_asked_for_by_zero_seconds():
+    assert "bracket" not in kinds(programme_of(replace(SMALL, bracket_s=0.0)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"purpose": "face"}, "wanted a rest at 0 rad/s, got 0.1; a rest does not turn"),
+        ({"up": "-x"}, "wanted the device mounted -x up, got \\+x; mount it first"),
+        ({"temp_c": 40.0}, "wanted a soak at its temperature before it, got None; soak first"),
+        ({"axis": "y"}, "wanted a rate about the axis that is up, got 0.1 rad/s"),
+        ({"turn_rate": 0.0}, "wanted a rate about the axis that is up, got 0 rad/s"),
+        ({"dwell_s": 0.0}, "wanted times above 0 s, got a dwell of 0 s"),
+        ({"dwell_s": math.nan}, "wanted times above 0 s, got a dwell of nan s"),
+    ],
+)
+def test_steps_that_do_not_fit_together_are_refused(change, message):
+    dwell = Dwell(purpose="rate", up="+x", axis="x", turn_rate=0.1, ramp_s=0.1, settle_s=0.3, dwell_s=1.0)
+    mount = Mount(up="+x", duration_s=30.0)
+    assert Programme(steps=(mount, dwell), acceleration=1.0).dwells == (dwell,)
+    with pytest.raises(InputError, match=message):
+        Programme(steps=(mount, replace(dwell, **change)), acceleration=1.0)
+
+
+def test_a_programme_without_a_dwell_is_refused():
+    with pytest.raises(InputError, match="wanted one dwell or more, got none"):
+        Programme(steps=(Mount(up="+x", duration_s=1.0),), acceleration=1.0)
+
+
+def test_rates_accelerations_and_travel_beyond_the_rigs_are_refused_before_it_is_opened():
+    programme = programme_of(SMALL)
+    check_programme(programme, Limits())
+    with pytest.raises(LimitError, match=r"step 7 \(\+30 deg/s about x\): turn rate: wanted at most 0.4"):
+        check_programme(programme, Limits(turn_rate=0.4))
+    with pytest.raises(LimitError, match="acceleration: wanted above 0 and at most 10 rad/s2, got 40"):
+        check_programme(programme, Limits(acceleration=10.0))
+    with pytest.raises(LimitError, match=r"step [3-7] .*: travel: wanted to stay within 2 rad of the start"):
+        check_programme(programme, Limits(travel=2.0))
+    check_programme(programme, Limits(travel=4.0))  # back and forth: 30 deg/s for 6.3 s is 3.3 rad
+    check_programme(programme, Limits(turn_rate=0.4), frozenset(range(7, 99)))

@@ -1,0 +1,165 @@
+"""What a run survives: kill -9, a full disk, half-written pieces; and what a resume refuses."""
+
+import errno
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from run_bench import SHORT, at_rest, emulated, run
+from undrift.errors import InputError
+from undrift.io.protocol import write_protocol
+from undrift.io.session import read_session
+from undrift.protocol import Protocol
+from undrift.rig import folder as folder_file
+from undrift.rig.folder import JOURNAL, RunFolder
+from undrift.rig.journal import read_journal
+from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench
+from undrift.sim.rig.emulator import EmulatorSettings
+from undrift.units import RADIAN_PER_DEGREE as DPS
+
+SPEED = 10.0
+LONGER = Protocol(
+    faces=("+z",), face_s=1.0, turn_rate_min=30.0 * DPS, turn_rate_max=90.0 * DPS, turn_rate_step=30.0 * DPS, axes=("z",),
+    dwell_s=2.0, bracket_s=1.0,
+)  # fmt: skip
+LIMIT_FILES = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000)); "
+
+
+def words(bench, protocol, path, *more):
+    addresses = ("--rig", bench.rig_address, "--device", bench.device_address, "--hands", bench.hands_address)
+    return ["rig", "run", str(protocol), *addresses, "-o", str(path), "--yes", *more]
+
+
+def started(calls, before=""):
+    code = before + f"from undrift.cli.app import main; main({calls!r})"
+    return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_kill_9_at_random_moments_leaves_a_table_at_rest_and_loses_one_dwell_at_most(tmp_path):
+    write_protocol(LONGER, tmp_path / "protocol.toml")
+    path, rng = tmp_path / "run", random.Random(5)
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+        kept = 0
+        for _ in range(3):
+            process = started(words(bench, tmp_path / "protocol.toml", path, "--resume"))
+            last = time.monotonic() + 20.0
+            while len(read_journal(path / JOURNAL)[0]) <= kept and process.poll() is None and time.monotonic() < last:
+                time.sleep(0.01)
+            time.sleep(rng.uniform(0.0, 0.8))
+            process.kill()
+            process.communicate(timeout=20.0)
+            assert at_rest(bench.rig, 20.0), "the guard did not stop the table"
+            now = len(read_journal(path / JOURNAL)[0])
+            assert now > kept
+            kept = now
+            if now > 1:
+                assert len(read_session(path).records) in (now - 1, now - 2)  # one behind, if struck just then
+        process = started(words(bench, tmp_path / "protocol.toml", path, "--resume", "--json"))
+        out, err = process.communicate(timeout=60.0)
+        assert process.returncode == 0, err
+        assert json.loads(out)["dwells"] == 9
+        assert at_rest(bench.rig)
+    session = read_session(path)
+    assert len(session.turns) == 6
+    assert len(session.stills) == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_end_at_rest_with_what_was_done(tmp_path, number):
+    write_protocol(LONGER, tmp_path / "protocol.toml")
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+        process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
+        last = time.monotonic() + 20.0
+        while len(read_journal(tmp_path / "run" / JOURNAL)[0]) < 4 and time.monotonic() < last:
+            time.sleep(0.01)
+        os.kill(process.pid, number)
+        _, err = process.communicate(timeout=30.0)
+        assert process.returncode == 130
+        assert "stopped; nothing was left half written" in err
+        assert at_rest(bench.rig)
+    assert len(read_session(tmp_path / "run").records) >= 3
+
+
+def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):
+    real = folder_file.synchronise
+
+    def full(path):
+        if path.name == "0005.parquet":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(path)
+
+    with emulated() as emulator:
+        with monkeypatch.context() as patched:
+            patched.setattr(folder_file, "synchronise", full)
+            with pytest.raises(
+                InputError, match=r"No space left on device.*make room on the disk and go on with --resume"
+            ):
+                run(emulator, tmp_path / "run")
+        assert at_rest(emulator)
+        assert [turn.axis for turn in read_session(tmp_path / "run").turns] == ["z", "z"]
+        result, _ = run(emulator, tmp_path / "run", resume=True)
+        assert (result.added, len(result.pieces)) == (3, 7)
+        assert os.listdir(tmp_path / "run" / "aside") == ["0005.parquet"]
+
+
+def test_a_file_that_may_not_grow_is_a_clear_error_in_a_process_of_its_own(tmp_path):
+    write_protocol(LONGER, tmp_path / "protocol.toml")
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+        process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"), LIMIT_FILES)
+        _, err = process.communicate(timeout=30.0)
+        assert process.returncode == 2
+        assert re.search("wanted to write a dwell, got .*; all dwells before it are kept", err)
+        assert at_rest(bench.rig)
+
+
+def test_half_written_pieces_are_put_aside_and_whole_ones_checked(tmp_path):
+    path = tmp_path / "run"
+    with emulated() as emulator:
+        run(emulator, path)
+    (path / "pieces" / "0099.parquet.part").write_bytes(b"PAR1 half")
+    (path / "pieces" / "0098.parquet").write_bytes(b"PAR1 half")
+    with RunFolder(path, SHORT, resume=True) as folder:
+        assert sorted(os.listdir(path / "aside")) == ["0098.parquet", "0099.parquet.part"]
+        assert len(folder.done) == 7
+    name = path / folder.pieces[0].name
+    name.write_bytes(name.read_bytes()[:-1])
+    with pytest.raises(
+        InputError, match="wanted the readings of step 1 as they were written, got them missing or changed"
+    ):
+        RunFolder(path, SHORT, resume=True)
+
+
+def test_another_run_is_not_mixed_in(tmp_path):
+    path = tmp_path / "run"
+    with emulated() as emulator:
+        run(emulator, path)
+        with pytest.raises(
+            InputError, match="wanted an empty folder, got one with a run in it; go on with it by --resume"
+        ):
+            RunFolder(path, SHORT)
+        with pytest.raises(InputError, match="wanted the protocol that the run began with, got another"):
+            RunFolder(path, replace(SHORT, dwell_s=2.0), resume=True)
+        with RunFolder(path, SHORT, resume=True) as folder:
+            assert folder.head is not None
+            with pytest.raises(InputError, match=r"wanted the rig that the run began with, 'DMC.*', got 'other'"):
+                folder.begin(replace(folder.head, rig="other"))
+
+
+def test_a_line_of_the_journal_that_is_lost_is_a_dwell_done_again(tmp_path):
+    path = tmp_path / "run"
+    with emulated() as emulator:
+        run(emulator, path)
+        data = (path / JOURNAL).read_bytes()
+        (path / JOURNAL).write_bytes(data[:-20])
+        result, hands = run(emulator, path, resume=True)
+    assert result.added == 1
+    assert hands.mounted == ["+z"]
+    assert len(read_session(path).records) == 7

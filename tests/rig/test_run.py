@@ -1,0 +1,175 @@
+"""Runs on the emulator: achieved rates reach the session, and every ending is at rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from run_bench import GAIN, SHORT, Hands, Oven, at_rest, emulated, gain_of, opened, run
+from undrift.errors import InputError, LimitError, RigFault, RigTimeout
+from undrift.io.session import read_session
+from undrift.protocol import Protocol
+from undrift.rig.achieved import achieved_turn_rate
+from undrift.rig.hands import AskedHands
+from undrift.rig.rig import Position
+from undrift.rig.run import RunSettings
+from undrift.rig.status import read_status
+from undrift.units import RADIAN_PER_DEGREE as DPS
+
+
+def grid(low, high, step, **more):
+    rates = {"turn_rate_min": low * DPS, "turn_rate_max": high * DPS, "turn_rate_step": step * DPS}
+    return Protocol(faces=(), axes=("z",), bracket_s=0.0, **rates, **more)
+
+
+def test_a_run_is_a_session_with_the_rates_that_were_achieved(tmp_path):
+    said = []
+    with emulated() as emulator:
+        result, hands = run(emulator, tmp_path, report=said.append)
+        assert at_rest(emulator)
+    session = read_session(tmp_path)
+    assert hands.mounted == ["+z"]
+    assert [round(turn.turn_rate / DPS) for turn in session.turns] == [30, -30, 60, -60]
+    assert [still.face for still in session.stills] == ["+z"] * 3
+    for turn, piece in zip(session.turns, [p for p in result.pieces if p.purpose == "rate"], strict=True):
+        assert abs(turn.turn_rate - piece.set_turn_rate) < 5.0 * piece.turn_rate_uncertainty + 1e-4
+    phases = {progress.phase for progress in said}
+    assert phases == {"mounting", "enabling", "ramping", "settling", "dwelling", "resting", "writing", "closing"}
+    left = [progress.left_s for progress in said]
+    assert left[0] > left[-1] >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "step", "dwell_s"),
+    [("sit-to-stand", 5.0, 90.0, 17.0, 2.0), ("step", 3.0, 45.0, 14.0, 2.0), ("posturography", 0.1, 0.5, 0.1, 20.0)],
+)
+def test_nominal_rates_would_bias_the_scale_factor_where_the_card_rounds(
+    tmp_path, capsys, name, low, high, step, dwell_s
+):
+    with emulated(speed=40.0) as emulator:
+        result, _ = run(emulator, tmp_path, grid(low, high, step, dwell_s=dwell_s))
+    pieces = result.pieces
+    gain, uncertainty = gain_of(read_session(tmp_path))
+    nominal, _ = gain_of(read_session(tmp_path), [piece.nominal_turn_rate for piece in pieces])
+    with capsys.disabled():
+        print(f"\n{name}: scale factor {GAIN[2, 2]:.4f}, by achieved rates {gain:.4f}, by nominal rates {nominal:.4f}")
+        for piece in pieces[:2]:
+            print(
+                f"  nominal {piece.nominal_turn_rate / DPS:+.4f}, set {piece.set_turn_rate / DPS:+.4f}, achieved "
+                f"{piece.turn_rate / DPS:+.4f} deg/s"
+            )
+    assert gain == pytest.approx(GAIN[2, 2], abs=max(5.0 * uncertainty, 3e-3))
+    if name == "posturography":
+        assert pieces[0].set_turn_rate / DPS == pytest.approx(0.099)
+        off = np.array([abs(p.turn_rate / p.nominal_turn_rate - 1.0) for p in pieces[:2]])
+        assert np.all(off > 0.005), "0.1 deg/s is 11 counts/s, 0.099 deg/s"
+
+
+def test_a_chamber_is_set_and_waited_for_with_the_motor_off(tmp_path):
+    with emulated() as emulator:
+        motor = []
+        result, _ = run(
+            emulator,
+            tmp_path,
+            replace(SHORT, temperatures_c=(30.0, 40.0)),
+            chamber=Oven(),
+            report=lambda progress: motor.append(emulator.motor_on) if progress.phase == "soaking" else None,
+        )
+        assert motor
+        assert not any(motor)
+    assert {piece.temp_c for piece in result.pieces} == {30.0, 40.0}
+    assert {turn.temp_c for turn in read_session(tmp_path).turns} == {30.0, 40.0}
+
+
+def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
+    with emulated() as emulator:
+        with pytest.raises(InputError, match="wanted a chamber for the programme's temperatures, got none"):
+            run(emulator, tmp_path / "a", replace(SHORT, temperatures_c=(30.0,)))
+        with pytest.raises(LimitError, match="turn rate: wanted at most"):
+            run(emulator, tmp_path / "b", replace(SHORT, turn_rate_max=300.0 * DPS))
+        assert at_rest(emulator)
+        assert emulator.axis_angle() == 0.0
+
+
+def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypatch):
+    monkeypatch.setattr(Oven, "soaked", lambda self: False)
+    with emulated() as emulator:
+        with pytest.raises(RigTimeout, match=r"chamber: wanted 30 degC steady to 0.1 K/min within 5 s, got 30.00 degC"):
+            run(
+                emulator,
+                tmp_path,
+                replace(SHORT, temperatures_c=(30.0,)),
+                chamber=Oven(),
+                giving_up=RunSettings(soak_timeout_s=5.0),
+            )
+        assert at_rest(emulator)
+
+
+def test_hands_that_give_up_or_are_not_there_are_a_fault():
+    def nobody(line):
+        raise EOFError
+
+    for ask in (lambda line: "q", nobody):
+        with pytest.raises(RigFault, match=r"wanted the device mounted \+x up, got 'q'; go on with --resume"):
+            AskedHands(ask).mount("+x")
+
+
+def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(tmp_path):
+    with emulated() as emulator:
+        with pytest.raises(
+            RigFault, match=r"rad/s held within .* in step 3 .*look at the table, its amplifier and its encoder"
+        ):
+            run(emulator, tmp_path / "a", giving_up=RunSettings(turn_rate_tolerance=-1.0))
+        with pytest.raises(
+            RigTimeout, match=r"device: wanted readings of 0.5 s in step 1 .*look at the device and its link"
+        ):
+            run(emulator, tmp_path / "b", giving_up=RunSettings(least_part=99.0))
+        assert at_rest(emulator)
+
+
+def test_an_exception_in_the_middle_of_a_dwell_ends_at_rest(tmp_path):
+    def report(progress):
+        if progress.phase == "dwelling" and progress.number == 4:
+            raise KeyboardInterrupt
+
+    with emulated() as emulator:
+        with pytest.raises(KeyboardInterrupt):
+            run(emulator, tmp_path, report=report)
+        assert at_rest(emulator)
+    assert len(read_session(tmp_path).records) == 3
+
+
+def test_a_status_is_read_beside_the_one_who_drives(tmp_path):
+    with emulated() as emulator:
+        rig = opened(emulator)
+        try:
+            rig.enable(True)
+            rig.turn(30.0 * DPS)
+            found = read_status(f"galil:tcp://{emulator.host}:{emulator.port}?clock_speed=20")
+            assert (found.moving, found.motor_on, found.fault) == (True, True, None)
+            assert found.identity.startswith("DMC")
+            assert abs(emulator.axis_rate()) > 0.1
+        finally:
+            rig.close()
+        assert at_rest(emulator)
+    with pytest.raises(InputError, match="status: wanted a Galil card on TCP or serial, got 'manual:'"):
+        read_status("manual:")
+
+
+def test_quick_answers_count_more_in_the_achieved_rate():
+    times = np.arange(20) * 0.1
+    late = np.where(np.arange(20) == 18, 0.05, 0.0)
+    positions = [Position(angle=2.0 * (t - d), time=float(t)) for t, d in zip(times, late, strict=True)]
+    even = achieved_turn_rate(positions, [0.001] * 20)
+    weighted = achieved_turn_rate(positions, (0.001 + 2.0 * late).tolist())
+    assert abs(weighted.turn_rate - 2.0) < 1e-3 * abs(even.turn_rate - 2.0) + 1e-5
+    assert weighted.uncertainty < even.uncertainty
+    with pytest.raises(InputError, match="wanted three positions or more, got 2"):
+        achieved_turn_rate(positions[:2], [0.001] * 2)
+
+
+def test_hands_that_are_there_mount():
+    asked = []
+    AskedHands(lambda line: asked.append(line) or "").mount("-y")
+    assert "Mount the device with -y up" in asked[0]
+    assert Hands().up is None

@@ -1,0 +1,170 @@
+"""A run's bench over the emulator: a device that does not exist on its axis, hands and a chamber that obey at once."""
+
+import contextlib
+import math
+import time
+
+import numpy as np
+
+from undrift.protocol import Protocol
+from undrift.record import Record
+from undrift.rig.address import RigSettings, open_rig
+from undrift.rig.clock import Clock
+from undrift.rig.folder import RunFolder
+from undrift.rig.programme import programme_of
+from undrift.rig.rig import Limits
+from undrift.rig.run import Bench, RunSettings, run_programme
+from undrift.sim.rig.emulator import Emulator, EmulatorSettings
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+DPS = RADIAN_PER_DEGREE
+GAIN = np.array([[1.02, 0.01, -0.005], [0.0, 0.97, 0.008], [0.012, -0.004, 1.01]])
+OFFSET = np.array([1.5, -0.8, 0.4])  # dps
+NOISE_DPS = 0.02
+LIMITS = Limits(turn_rate=200.0 * DPS, acceleration=50.0, travel=None)
+UP = {sign + axis: (1 if sign == "+" else -1) * np.eye(3)[k] for k, axis in enumerate("xyz") for sign in "+-"}
+SHORT = Protocol(
+    name="short",
+    faces=("+z",),
+    face_s=0.5,
+    turn_rate_min=30.0 * DPS,
+    turn_rate_max=60.0 * DPS,
+    turn_rate_step=30.0 * DPS,
+    axes=("z",),
+    dwell_s=1.0,
+    bracket_s=0.5,
+)
+
+
+class Hands:
+    """Mount at once, and remember how."""
+
+    def __init__(self):
+        self.up = None
+        self.mounted = []
+
+    def mount(self, up):
+        self.up = up
+        self.mounted.append(up)
+
+
+class Device:
+    """Reads the emulator's true axis through a matrix, an offset and noise, 100 times an emulated second."""
+
+    def __init__(self, emulator, hands, seed=1):
+        self.emulator, self.hands = emulator, hands
+        self.rng = np.random.default_rng(seed)
+        self.began = None
+
+    def start(self):
+        self.began = self.emulator.now()
+
+    def stop(self):
+        times = np.arange(self.began, self.emulator.now(), 0.01)
+        _, rate = self.emulator.axis_states(times, mean_s=0.01)
+        up = UP[self.hands.up]
+        gyro = (rate[:, None] / DPS * up) @ GAIN.T + OFFSET + NOISE_DPS * self.rng.normal(size=(len(times), 3))
+        accel = np.tile(STANDARD_GRAVITY * up, (len(times), 1)) + 1e-3 * self.rng.normal(size=(len(times), 3))
+        return Record(time=times, gyro=gyro, accel=accel, gyro_unit="dps", accel_unit="m/s2", device="made")
+
+    def latest(self):
+        return ""
+
+    def close(self):
+        pass
+
+
+class Oven:
+    """A chamber that is soaked on the second question."""
+
+    def __init__(self):
+        self.temp_c, self.asked = 25.0, 0
+
+    def set(self, temp_c):
+        self.temp_c, self.asked = temp_c, 0
+        return temp_c
+
+    def read(self):
+        return self.temp_c
+
+    def soaked(self):
+        self.asked += 1
+        return self.asked > 1
+
+    def close(self):
+        pass
+
+
+def emulated(speed=20.0, **settings):
+    return Emulator(EmulatorSettings(speed=speed, **settings))
+
+
+def opened(emulator, **settings):
+    speed = emulator.settings.speed
+    return open_rig(
+        f"galil:tcp://{emulator.host}:{emulator.port}",
+        RigSettings(**{"clock_speed": speed, "reply_timeout_s": 0.5, "limits": LIMITS, **settings}),
+    )
+
+
+def run(
+    emulator,
+    path,
+    protocol=SHORT,
+    *,
+    resume=False,
+    report=lambda progress: None,
+    chamber=None,
+    giving_up=RunSettings(),
+    **settings,
+):
+    """Run a protocol on an emulator; return the result and the hands."""
+    hands = Hands()
+    with RunFolder(path, protocol, resume=resume) as folder:
+        bench = Bench(
+            rig=opened(emulator, **settings),
+            readings=Device(emulator, hands),
+            mounting=hands,
+            chamber=chamber,
+            clock=Clock(speed=emulator.settings.speed),
+        )
+        made = run_programme(
+            programme_of(protocol),
+            bench,
+            folder,
+            report=report,
+            serial="made",
+            gravity_m_s2=STANDARD_GRAVITY,
+            settings=giving_up,
+        )
+    return made, hands
+
+
+def at_rest(emulator, within_s=5.0):
+    """Wait until the true axis is at rest with its motor off; False when it never is."""
+    last = time.monotonic() + within_s
+    while abs(emulator.axis_rate()) > 1e-3 or emulator.motor_on:
+        if time.monotonic() > last:
+            return False
+        time.sleep(0.005)
+    return True
+
+
+def gain_of(session, turn_rates=None):
+    """Return the device's own-axis gain by least squares, and its standard uncertainty."""
+    turns = session.turns
+    rates = np.array([t.turn_rate for t in turns]) / DPS if turn_rates is None else np.asarray(turn_rates) / DPS
+    axis = "xyz".index(turns[0].axis)
+    means = np.array([session.records[t.recording].gyro[t.start : t.stop, axis].mean() for t in turns])
+    shape = np.stack((rates, np.ones_like(rates)), axis=1)
+    fit, _, _, _ = np.linalg.lstsq(shape, means, rcond=None)
+    left = means - shape @ fit
+    scatter = math.sqrt(max(left @ left / max(1, len(rates) - 2), NOISE_DPS**2 / 50))
+    return fit[0], scatter * math.sqrt(np.linalg.inv(shape.T @ shape)[0, 0])
+
+
+@contextlib.contextmanager
+def timed(label, log):
+    start = time.monotonic()
+    yield
+    log.append((label, time.monotonic() - start))
