@@ -6,6 +6,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.fit.noise import block_size
+from undrift.calibration.one_temperature import piece_temperature
 from undrift.calibration.plausibility import check_gravity
 from undrift.calibration.rest_mean import mean_of_rests
 from undrift.calibration.stillness import check_counted_once, check_stills
@@ -130,15 +131,10 @@ class Observed:
         float
             degC: set-points where stated, else the board's thermometer; NaN without either.
         """
-        values: list[float] = []
         pieces: tuple[Still | Turn, ...] = (*self.stills, *self.session.turns)
-        for piece in pieces:
-            temp_c = self.session.records[piece.recording].temp_c
-            if piece.temp_c is not None:
-                values.append(piece.temp_c)
-            elif temp_c is not None and np.isfinite(temp_c[piece.start : piece.stop]).any():
-                values.append(float(np.nanmean(temp_c[piece.start : piece.stop])))
-        return float(np.mean(values)) if values else float("nan")
+        values = [piece_temperature(self.session, piece) for piece in pieces]
+        known = [value for value in values if np.isfinite(value)]
+        return float(np.mean(known)) if known else float("nan")
 
     def full_turns(self) -> tuple[Turn, ...]:
         """Return three full turns about x, y and z found between rests, with their angles.

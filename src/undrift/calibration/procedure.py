@@ -18,6 +18,7 @@ from undrift.calibration.adc import adc_model, identify_adc, without_truncation
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, face_means, fit_six_face
 from undrift.calibration.model import AdcModel, Calibration, Provenance, Verdict
 from undrift.calibration.observed import CalibrateSettings, Observed, in_one_unit, observe
+from undrift.calibration.one_temperature import at_one_temperature
 from undrift.calibration.outcome import Outcome, said_once, with_offset
 from undrift.calibration.plausibility import missing_faces
 from undrift.calibration.procedure_gyro import GyroMethod, calibrate_gyro
@@ -75,13 +76,13 @@ def calibrate(
             "calibrate: wanted raw readings, got a corrected record, whose offsets are gone; calibrate with the device's own "
             "recording"
         )
-    session = in_one_unit(session)
+    session, set_aside = at_one_temperature(in_one_unit(session))
     adc = _adc(session) if settings.identify_adc else None
     seen = observe(_untruncated(session, adc), settings)
     accel_outcome = _calibrate_accel(seen, accel, mode)
     gyro_outcome = _calibrate_gyro(seen, gyro, mode, accel_outcome)
     ignored = _ignored(mode, accel_outcome, gyro_outcome)
-    reasons = said_once((*seen.reasons, *accel_outcome.reasons, *gyro_outcome.reasons, *ignored))
+    reasons = said_once((*set_aside, *seen.reasons, *accel_outcome.reasons, *gyro_outcome.reasons, *ignored))
     if accel_outcome.fit is None and gyro_outcome.fit is None:
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that serve: {'; '.join(reasons)}")
     return Calibration(

@@ -1,0 +1,36 @@
+"""A session of several set-points: the constant model is that of one of them."""
+
+import numpy as np
+
+from undrift.calibration.one_temperature import at_one_temperature
+from undrift.calibration.procedure import calibrate
+from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.session import simulate_session
+from undrift.sim.thermal.session import simulate_thermal_session
+from undrift.sim.thermal.settings import ThermalSettings
+
+
+def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temperature() -> None:
+    rng = np.random.default_rng(3)
+    device = random_device_of("bmi270", rng)
+    session = simulate_thermal_session(
+        "soak", device, rng=rng, settings=ThermalSettings(set_points_c=(15.0, 27.0, 45.0), faces="six")
+    )
+    made = calibrate(session)
+    assert abs(made.reference_temp_c - 27.0) < 1.5  # the thermometer's trim and the soak's tolerance
+    assert any("visits 3 temperatures" in reason and "undrift drift" in reason for reason in made.verdict.reasons)
+    truth = true_calibration(device, temp_c=27.0)
+    assert made.gyro is not None
+    assert truth.gyro is not None
+    np.testing.assert_allclose(
+        made.gyro.matrix / truth.gyro.matrix.max(), truth.gyro.matrix / truth.gyro.matrix.max(), atol=2e-3
+    )
+
+
+def test_a_session_that_warms_a_little_is_left_as_it_is() -> None:
+    rng = np.random.default_rng(4)
+    session = simulate_session("bench", random_device_of("bmi270", rng), rng=rng, temp_c=(24.0, 29.0))
+    kept, said = at_one_temperature(session)
+    assert kept is session
+    assert said == ()
