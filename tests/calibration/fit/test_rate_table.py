@@ -13,11 +13,11 @@ from undrift.calibration.fit.rate_table import (
     fit_rate_axis,
     fit_rate_table,
     imposed_rates,
-    rate_grid,
 )
 from undrift.calibration.plausibility import axis_vectors
 from undrift.earth import EARTH_RATE
 from undrift.errors import Implausible, InputError, NotObservable
+from undrift.protocol import rate_grid
 from undrift.record import Record
 from undrift.session import Turn
 
@@ -32,28 +32,6 @@ def dwells(offset=B, grid=GRID, noise=0.05, k=K):
     rate = np.tile(grid, 3)
     reading = (axis_vectors(axis) * rate[:, None]) @ k.T + offset
     return DwellMeans(reading=reading, turn_rate=rate, axis=axis, noise=np.full((len(axis), 3), noise), unit="count")
-
-
-@pytest.mark.parametrize(
-    ("limits", "paper", "inclusive"),
-    [((5.0, 90.0, 5.0), 102, 108), ((3.0, 45.0, 3.0), 84, 90), ((0.1, 5.0, 0.1), 294, 300)],
-)
-def test_the_grid_counts_the_columns_as_the_note_does(limits, paper, inclusive):
-    assert 3 * len(rate_grid(*limits, rule="paper")) == paper
-    assert 3 * len(rate_grid(*limits, rule="inclusive")) == inclusive
-    assert rate_grid(*limits, rule="inclusive").max() == pytest.approx(limits[1])
-    assert np.abs(rate_grid(*limits, rule="paper")).min() == pytest.approx(limits[0] + limits[2])
-
-
-def test_the_note_lists_34_rates_an_axis_from_ten_to_ninety():
-    np.testing.assert_allclose(rate_grid(5.0, 90.0, 5.0, rule="paper")[17:], np.arange(10.0, 91.0, 5.0))
-
-
-def test_a_grid_that_cannot_be_is_refused():
-    with pytest.raises(InputError, match=r"wanted a step that divides 85, got 4; try 4\.04"):
-        rate_grid(5.0, 90.0, 4.0)
-    with pytest.raises(InputError, match="wanted 0 < rate_min < rate_max and a positive step, got 5, 3, 1"):
-        rate_grid(5.0, 3.0, 1.0)
 
 
 def test_affine_gives_back_the_device_and_its_table():

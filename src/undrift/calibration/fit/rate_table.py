@@ -5,10 +5,7 @@
 
 L holds the rates that the table achieved, never the nominal ones: at 40,000 counts a turn the note's 0.1 deg/s is 0.099. The
 Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that points up; the horizontal part averages out
-over whole turns. Grid of rates::
-
-    paper       (rate_min, rate_max] both ways on three axes: N = 6 (rate_max - rate_min) / step       102, 84, 294
-    inclusive   [rate_min, rate_max]                                                                   108, 90, 300
+over whole turns. Which rates: protocol.py.
 """
 
 from dataclasses import dataclass
@@ -32,7 +29,6 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 RateTableMode = Literal["paper", "affine"]
-GridRule = Literal["paper", "inclusive"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,41 +237,6 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
     rates: FloatArray = axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None]
     return rates
-
-
-def rate_grid(rate_min: float, rate_max: float, step: float, *, rule: GridRule = "inclusive") -> FloatArray:
-    """Return the rates of one axis, both signs; three axes make the note's N columns.
-
-    Parameters
-    ----------
-    rate_min, rate_max, step : float
-        Least and greatest rate and the increment, all in one unit.
-    rule : str
-        paper leaves rate_min itself out, as the note's count of 102 does; inclusive keeps it.
-
-    Returns
-    -------
-    array, shape (N / 3,)
-        Increasing, negative rates first, in the unit given.
-
-    Raises
-    ------
-    InputError
-        Limits that are not 0 < rate_min < rate_max, or a step that does not divide the span.
-    """
-    if not (0.0 < rate_min < rate_max and step > 0.0):
-        raise InputError(
-            f"rate grid: wanted 0 < rate_min < rate_max and a positive step, got {rate_min:g}, {rate_max:g}, {step:g}"
-        )
-    steps = round((rate_max - rate_min) / step)
-    if abs(steps * step - (rate_max - rate_min)) > 1e-6 * step:
-        raise InputError(
-            f"rate grid: wanted a step that divides {rate_max - rate_min:g}, got {step:g}; "
-            f"try {(rate_max - rate_min) / max(1, steps):g}"
-        )
-    first = 1 if rule == "paper" else 0
-    positive = rate_min + step * np.arange(first, steps + 1)
-    return np.concatenate((-positive[::-1], positive))
 
 
 def _own_axis(dwells: DwellMeans, axis: Axis) -> Linearity:
