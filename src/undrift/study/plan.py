@@ -1,0 +1,140 @@
+"""Plan of a study: which tasks, whose, with which device, and which protocols are tried.
+
+A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step as the note varies them, the rest from the plan. Every combination
+of the four whose step divides the span is a candidate.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+from undrift.errors import InputError
+from undrift.protocol import Protocol
+from undrift.sim.motion.library import TaskName
+from undrift.sim.motion.subject import Group
+
+Objective = Literal["rms", "maximum"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Space:
+    """The values that are tried.
+
+    Parameters
+    ----------
+    cutoff_hz : tuple of float
+        Of the low-pass, Hz.
+    turn_rate_step, turn_rate_min, turn_rate_max : tuple of float
+        d, omega_m, omega_M, rad/s.
+    """
+
+    cutoff_hz: tuple[float, ...]
+    turn_rate_step: tuple[float, ...]
+    turn_rate_min: tuple[float, ...]
+    turn_rate_max: tuple[float, ...]
+
+    def grids(self) -> Iterator[tuple[float, float, float]]:
+        """Return the combinations of step, omega_m and omega_M whose step divides the span.
+
+        Yields
+        ------
+        (float, float, float)
+            step, omega_m, omega_M, rad/s.
+        """
+        for step, low, high in product(self.turn_rate_step, self.turn_rate_min, self.turn_rate_max):
+            count = (high - low) / step
+            if high > low and abs(count - round(count)) < 1e-6:
+                yield step, low, high
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyTask:
+    """One task of a study.
+
+    Parameters
+    ----------
+    name : str
+        sit_to_stand, step or posturography.
+    space : Space
+        What is tried.
+    base : Protocol
+        All that is not varied: dwell, brackets, temperatures.
+    """
+
+    name: TaskName
+    space: Space
+    base: Protocol
+
+    def candidates(self, cutoff_hz: float) -> tuple[Protocol, ...]:
+        """Return the protocols that are tried with one cut-off frequency.
+
+        Parameters
+        ----------
+        cutoff_hz : float
+            Hz.
+
+        Returns
+        -------
+        tuple of Protocol
+            In the order of ``space.grids``.
+        """
+        return tuple(
+            replace(self.base, cutoff_hz=cutoff_hz, turn_rate_step=step, turn_rate_min=low, turn_rate_max=high)
+            for step, low, high in self.space.grids()
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """A study.
+
+    Parameters
+    ----------
+    name : str
+        For people.
+    device : str
+        Kind of device, one of the presets; every subject wears a unit of its own.
+    tasks : tuple of StudyTask
+        One or more.
+    subjects : int
+        How many, from the cohort.
+    group : str
+        simulation or testing, as in the note's Table 2.
+    excursion_k : tuple of float
+        Board temperature of the trials above the calibration's, least and greatest, K.
+    objective : str
+        rms or maximum of the pitch error.
+    level : float
+        Of the tests.
+    rig_minutes_max : float or None
+        Longest session that is allowed, min.
+    seed : int
+        Same seed, same bits.
+    """
+
+    name: str
+    device: str
+    tasks: tuple[StudyTask, ...]
+    subjects: int = 30
+    group: Group = "simulation"
+    excursion_k: tuple[float, float] = (10.0, 15.0)
+    objective: Objective = "rms"
+    level: float = 0.05
+    rig_minutes_max: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.tasks or self.subjects < 3:
+            raise InputError(
+                f"study: wanted a task or more and three subjects or more, got {len(self.tasks)} and {self.subjects}"
+            )
+        for task in self.tasks:
+            if not task.space.cutoff_hz or not any(True for _ in task.space.grids()):
+                raise InputError(
+                    f"study: wanted protocols to try for {task.name}, got none; give cut-offs, and steps that divide omega_M - omega_m"
+                )
+        if not self.excursion_k[0] <= self.excursion_k[1]:
+            raise InputError(
+                f"study: wanted excursion_k as least and greatest, got {self.excursion_k[0]:g} and {self.excursion_k[1]:g}"
+            )
