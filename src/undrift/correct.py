@@ -3,12 +3,15 @@
 For a reading u (3,) at temperature T, in this order::
 
     1  u1 = u + h sign(u)         codes truncated toward zero; u + h where they were rounded down; h is half a step
-    2  u2 = u1 - offset(T)        tuning table of absolute offsets, else the constant offset
+    2  u2 = u1 - offset(T) - o(t) tuning table of absolute offsets, else the constant offset; o is the warm-up of a device that
+                                  was switched on t ago, gyroscopes only, where t is known
     3  w  = M(T) u2               matrix, constant or over temperature
     4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
 
-Tables are held at their ends; a temperature beyond them is an error, is held, or becomes a gap, as ``policy`` says.
+A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, the thermometer's lag taken
+off where the calibration knows it (drift/conditions.py). Tables are held at their ends; a temperature beyond them is an error, is
+held, or becomes a gap, as ``policy`` says; nodes that no data were near are part of the table and give a warning, whatever it says.
 
 ``_evaluate_triad`` is where these lines are. Around it: drift/plan.py turns the calibration into what the kernels take,
 drift/coverage.py looks for what it does not cover, drift/buffers.py and drift/pieces.py say where to and on how many threads, and
@@ -16,7 +19,7 @@ stream.py does the same chunk by chunk.
 """
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -24,7 +27,18 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration
 from undrift.drift.buffers import Buffers, adopt, flat, out_buffers
-from undrift.drift.coverage import NOWHERE, UNMOVED, Reach, Span, find_outside, notes_on, reach_of, warnings_on
+from undrift.drift.conditions import UNKNOWN, Carry, Conditions, conditions_of, switched_on
+from undrift.drift.coverage import (
+    NOWHERE,
+    UNMOVED,
+    Reach,
+    Span,
+    find_extrapolated,
+    find_outside,
+    notes_on,
+    temperature_reach,
+    warnings_on,
+)
 from undrift.drift.pieces import in_pieces
 from undrift.drift.plan import Plans, TriadPlan, plan_record
 from undrift.record import Record
@@ -35,36 +49,43 @@ REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offset
 NOTHING = np.empty(0)
 
 
-def _evaluate_triad(plan: TriadPlan, u: FloatArray, temp: FloatArray, a: FloatArray, w: FloatArray) -> Span:
-    """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do."""
-    from undrift.kernels.correct import affine, subtract_g, tabulated
+def _evaluate_triad(
+    plan: TriadPlan, u: FloatArray, temp: FloatArray, since: FloatArray, a: FloatArray, w: FloatArray
+) -> Span:
+    """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do, since without warm-up."""
+    from undrift.kernels.correct import affine, subtract_g, tabulated, warmed
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
+    h = plan.half_step
+    if plan.warm_up is not None and since.size:  # step 1, and o of step 2
+        warmed(u, since, w, h, *plan.warm_up)
+        u, h = w, np.zeros(3)
     if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
-        least, greatest = tabulated(u, temp, a, w, plan.matrix, plan.offset, plan.half_step, g, plan.tables)
+        least, greatest = tabulated(u, temp, a, w, plan.matrix, plan.offset, h, g, plan.tables)
         return float(least), float(greatest)
-    affine(u, w, plan.matrix, plan.offset, plan.half_step)  # steps 1 to 3: w = M (u + h sign(u) - offset)
+    affine(u, w, plan.matrix, plan.offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
         subtract_g(a, w, g)  # step 4: w - G a
     return NOWHERE
 
 
-def _evaluate(record: Record, plans: Plans, outputs: Buffers, start: int, stop: int) -> Span:
+def _evaluate(record: Record, plans: Plans, at: Conditions, outputs: Buffers, start: int, stop: int) -> Span:
     """Evaluate the model for the samples [start, stop) and return the least and greatest rate that met the dynamic table."""
     from undrift.kernels.correct import affine_pair
 
     gyro, accel = plans
     u, v = flat(record.gyro, start, stop), flat(record.accel, start, stop)
     w, a = flat(outputs[0], start, stop), flat(outputs[1], start, stop)
-    temp = NOTHING if record.temp_c is None else record.temp_c[start:stop]
+    temp, since = at.temp_c[start:stop], at.power_on_s[start:stop]
     g = None if gyro is None else gyro.g_sensitivity
-    if gyro is not None and accel is not None and g is not None and gyro.tables is None and accel.tables is None:
+    plain = all(plan is not None and plan.tables is None for plan in plans) and not since.size
+    if gyro is not None and accel is not None and g is not None and plain:
         of_accel = (accel.matrix, accel.offset, accel.half_step)  # both triads in one pass over the memory
         affine_pair(u, v, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
         return NOWHERE
     if accel is not None:  # first, since step 4 wants a
-        _evaluate_triad(accel, v, temp, NOTHING, a)
-    return NOWHERE if gyro is None else _evaluate_triad(gyro, u, temp, NOTHING if g is None else a, w)
+        _evaluate_triad(accel, v, temp, NOTHING, NOTHING, a)
+    return NOWHERE if gyro is None else _evaluate_triad(gyro, u, temp, since, NOTHING if g is None else a, w)
 
 
 class DriftRangeWarning(UserWarning):
@@ -81,28 +102,51 @@ class Corrected:
         rad/s and m/s2 in frame b, state corrected.
     outside : array, shape (N,)
         True where the temperature lay outside a tuning table.
+    extrapolated : array, shape (N,)
+        True where it lay inside, at nodes that no data were near.
     warnings : tuple of str
         What went beyond the calibration: temperature, span of the constant offsets, rate.
     notes : tuple of str
-        What was done that a reader may not expect: a triad without a model, another serial number.
+        What was done that a reader may not expect: a triad without a model, another serial number, hysteresis that is left, a
+        warm-up that was not subtracted.
     reach : Reach
         How far temperature and rate went, where the calibration cares.
+    carry : Carry
+        What the next chunk of a stream needs.
     """
 
     record: Record
     outside: BoolArray
+    extrapolated: BoolArray
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     reach: Reach = UNMOVED
+    carry: Carry = UNKNOWN
 
     @property
     def seconds_outside(self) -> float:
         """Time spent outside the tuning tables, s."""
-        return float(self.outside.sum()) / self.record.sample_rate_hz
+        return _seconds(self.outside, self.record)
+
+    @property
+    def seconds_extrapolated(self) -> float:
+        """Time spent inside the tuning tables at nodes that no data were near, s."""
+        return _seconds(self.extrapolated, self.record)
+
+
+def _seconds(mask: BoolArray, record: Record) -> float:
+    """How long the marked samples last; the sample rate is a median over the record, which is found only where it is needed."""
+    count = np.count_nonzero(mask)
+    return count / record.sample_rate_hz if count else 0.0
 
 
 def correct(
-    record: Record, calibration: Calibration, *, policy: Policy = "raise", out: Buffers | None = None
+    record: Record,
+    calibration: Calibration,
+    *,
+    policy: Policy = "raise",
+    out: Buffers | None = None,
+    power_on_s: float | None = None,
 ) -> Record:
     """Turn a device's readings into rate and specific force.
 
@@ -116,6 +160,9 @@ def correct(
         What becomes of samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan".
     out : tuple of two arrays, shape (N, 3), optional
         Where to write rate and specific force; saves fresh arrays, and the record then lives on these.
+    power_on_s : float, optional
+        Time since power-on at the first sample, s; without it no warm-up is subtracted, and a note of ``correct_checked`` says
+        how large it is.
 
     Returns
     -------
@@ -125,11 +172,12 @@ def correct(
     Raises
     ------
     InputError
-        Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs.
+        Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs; a
+        negative power_on_s.
     DriftRangeError
         Temperatures outside a table under policy "raise".
     """
-    corrected = correct_checked(record, calibration, policy=policy, out=out)
+    corrected = correct_checked(record, calibration, policy=policy, out=out, power_on_s=power_on_s)
     for text in corrected.warnings:
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -143,6 +191,7 @@ def correct_checked(
     out: Buffers | None = None,
     reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
+    power_on_s: float | None = None,
 ) -> Corrected:
     """Correct a record and say where the calibration did not cover it.
 
@@ -160,11 +209,13 @@ def correct_checked(
         Without a table, warn where the temperature departs from the reference by more than this, degC.
     threads : int, optional
         Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
+    power_on_s : float, optional
+        As for ``correct``, s.
 
     Returns
     -------
     Corrected
-        The record, the mask, warnings and notes.
+        The record, the masks, warnings and notes.
 
     Raises
     ------
@@ -173,9 +224,16 @@ def correct_checked(
     DriftRangeError
         As for ``correct``.
     """
-    plans = plan_record(record, calibration)
+    plans, carry = plan_record(record, calibration), switched_on(float(record.time[0]), power_on_s)
     return correct_planned(
-        record, calibration, plans, policy=policy, out=out, reference_span_c=reference_span_c, threads=threads
+        record,
+        calibration,
+        plans,
+        policy=policy,
+        out=out,
+        reference_span_c=reference_span_c,
+        threads=threads,
+        carry=carry,
     )
 
 
@@ -188,6 +246,7 @@ def correct_planned(
     out: Buffers | None = None,
     reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
+    carry: Carry = UNKNOWN,
 ) -> Corrected:
     """Correct a record with plans made beforehand, as a stream has them.
 
@@ -207,11 +266,13 @@ def correct_planned(
         As for ``correct_checked``, degC.
     threads : int, optional
         As for ``correct_checked``.
+    carry : Carry
+        From the chunk before, or from ``switched_on``.
 
     Returns
     -------
     Corrected
-        The record, the mask, warnings and notes.
+        The record, the masks, warnings and notes.
 
     Raises
     ------
@@ -220,19 +281,29 @@ def correct_planned(
     DriftRangeError
         As for ``correct``.
     """
-    outside = find_outside(record, plans, allowed=policy != "raise")
+    at = conditions_of(record, calibration, plans, carry)
+    outside = find_outside(record, at.temp_c, plans, allowed=policy != "raise")
     outputs = out_buffers(len(record), plans, out)
-    spans = in_pieces(lambda start, stop: _evaluate(record, plans, outputs, start, stop), len(record), threads)
+    spans = in_pieces(lambda start, stop: _evaluate(record, plans, at, outputs, start, stop), len(record), threads)
+    extrapolated, stated = find_extrapolated(record, at.temp_c, plans, outputs, threads)
     if policy == "nan" and outside.any():
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    turn_rate = (min(low for low, _ in spans), max(high for _, high in spans))
-    reach = reach_of(record, calibration, plans, outside, turn_rate)
+    tables = any(plan is not None and plan.tables is not None for plan in plans)
+    reach = replace(
+        temperature_reach(at.temp_c, calibration, plans),
+        seconds_outside=_seconds(outside, record) if tables else 0.0,
+        turn_rate=(min(low for low, _ in spans), max(high for _, high in spans)),
+        seconds_extrapolated=_seconds(extrapolated, record) if tables else 0.0,
+        stated=stated,
+    )
     return Corrected(
         record=adopt(record, plans, outputs),
         outside=outside,
+        extrapolated=extrapolated,
         warnings=warnings_on(reach, calibration, reference_span_c),
-        notes=notes_on(record, calibration),
+        notes=notes_on(record, calibration, power_on_known=carry.power_on_time is not None),
         reach=reach,
+        carry=at.carry,
     )

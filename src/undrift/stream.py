@@ -1,7 +1,8 @@
-"""Correct a stream: the model of correct.py, chunk by chunk, with nothing to carry but how far it has come.
+"""Correct a stream: the model of correct.py, chunk by chunk.
 
-No step of the model looks at another sample, so chunks of any length give the bits of the batch. What is kept between chunks are
-the plans (the calibration made ready for the kernels) and the state, which may be saved and put back. Chunks from a file can be
+No step of the model looks at another sample but the lead that takes off a thermometer's lag, and that one hands its state on; so
+chunks of any length give the bits of the batch. What is kept between chunks are the plans (the calibration made ready for the
+kernels) and the state, which may be saved and put back. Chunks from a file can be
 read ahead: the next one while this one is corrected.
 """
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from undrift.calibration.model import Calibration
 from undrift.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
+from undrift.drift.conditions import UNKNOWN, Carry, switched_on
 from undrift.drift.coverage import UNMOVED, Reach, warnings_on
 from undrift.drift.plan import Plans, plan_record
 from undrift.errors import InputError
@@ -30,16 +32,22 @@ class CorrectorState:
         Corrected so far.
     samples_outside : int
         Of those, outside the tuning tables.
+    samples_extrapolated : int
+        Of those, inside them at nodes that no data were near.
     last_time : float
         Time of the last sample, s; minus infinity before the first.
     reach : Reach
         How far temperature and rate went so far, where the calibration cares.
+    carry : Carry
+        When the device was switched on, and where taking off the thermometer's lag has come to.
     """
 
     samples: int = 0
     samples_outside: int = 0
+    samples_extrapolated: int = 0
     last_time: float = -np.inf
     reach: Reach = UNMOVED
+    carry: Carry = UNKNOWN
 
 
 class Corrector:
@@ -53,12 +61,21 @@ class Corrector:
         "raise", "hold" or "nan", as for ``correct``.
     reference_span_c : float
         As for ``correct_checked``, degC.
+    power_on_s : float, optional
+        Time since power-on at the first sample of the stream, s, as for ``correct``.
     """
 
     def __init__(
-        self, calibration: Calibration, policy: Policy = "raise", *, reference_span_c: float = REFERENCE_SPAN_C
+        self,
+        calibration: Calibration,
+        policy: Policy = "raise",
+        *,
+        reference_span_c: float = REFERENCE_SPAN_C,
+        power_on_s: float | None = None,
     ) -> None:
+        switched_on(0.0, power_on_s)  # refuses now what it would refuse at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c
+        self._power_on_s = power_on_s
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
         self.state = CorrectorState()  # may be saved, and put back by assignment
 
@@ -120,14 +137,22 @@ class Corrector:
         key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
         if key not in self._plans or chunk.state == "corrected":
             self._plans[key] = plan_record(chunk, self._calibration)
+        begun = self.state.samples > 0
         done = correct_planned(
-            chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span
+            chunk,
+            self._calibration,
+            self._plans[key],
+            policy=self._policy,
+            reference_span_c=self._span,
+            carry=self.state.carry if begun else switched_on(float(chunk.time[0]), self._power_on_s),
         )
         self.state = CorrectorState(
             samples=self.state.samples + len(chunk),
             samples_outside=self.state.samples_outside + int(done.outside.sum()),
+            samples_extrapolated=self.state.samples_extrapolated + int(done.extrapolated.sum()),
             last_time=float(chunk.time[-1]),
             reach=self.state.reach.joined(done.reach),
+            carry=done.carry,
         )
         return done
 

@@ -2,7 +2,7 @@
 
 A quantity is one of ``rate``, ``accel``, ``temp``, ``time``, ``mag``, ``length``. Inside the package values are SI
 (rad/s, m/s2, s, m) and degC, uT; raw readings keep the device's unit. ``count`` and ``v`` are device units: they have
-no SI value until a calibration gives them one.
+no SI value until a calibration gives them one. ``lm335_v`` is the voltage of an LM335 thermometer, 10 mV/K from 0 K.
 """
 
 import math
@@ -14,18 +14,21 @@ Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
 
 STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
 RADIAN_PER_DEGREE = math.pi / 180.0
+ZERO_CELSIUS_K = 273.15  # K, of 0 degC
+LM335_K_PER_V = 100.0  # 10 mV/K: 2.982 V at 25 degC
 
 DEVICE_UNITS = ("count", "v")
 
-# SI value = factor * value. Names are lower case.
+# SI value = factor * value, and for temperatures + offset. Names are lower case.
 _TO_SI: dict[Quantity, dict[str, float]] = {
     "rate": {"rad/s": 1.0, "dps": RADIAN_PER_DEGREE},
     "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY * 1e-3},
-    "temp": {"degc": 1.0},
+    "temp": {"degc": 1.0, "lm335_v": LM335_K_PER_V},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "mag": {"ut": 1.0, "gauss": 100.0, "mgauss": 0.1, "t": 1e6},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
 }
+_TEMP_OFFSET = {"degc": 0.0, "lm335_v": -ZERO_CELSIUS_K}
 _SPELLINGS = {
     "deg/s": "dps", "°/s": "dps", "degrees/s": "dps", "rad/sec": "rad/s", "deg/sec": "dps", "rps": "rad/s",
     "m/s^2": "m/s2", "m/s²": "m/s2", "m/s/s": "m/s2", "deg c": "degc", "°c": "degc", "c": "degc", "celsius": "degc",
@@ -83,7 +86,7 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     Returns
     -------
     float
-        SI value = factor * value.
+        SI value = factor * value; for a temperature plus :func:`temp_offset`.
 
     Raises
     ------
@@ -96,6 +99,28 @@ def si_factor(unit: str, quantity: Quantity) -> float:
             f"{quantity}: wanted a physical unit, got {name}; calibrate first, or give the scale of the column"
         )
     return _TO_SI[quantity][name]
+
+
+def temp_offset(unit: str) -> float:
+    """Return what is added to a temperature in ``unit`` once its factor is applied.
+
+    Parameters
+    ----------
+    unit : str
+        Unit name, any known spelling.
+
+    Returns
+    -------
+    float
+        degC: temperature = si_factor * value + temp_offset.
+
+    Raises
+    ------
+    InputError
+        Counts and volts have no temperature without a scale.
+    """
+    si_factor(unit, "temp")
+    return _TEMP_OFFSET[canonical_unit(unit, "temp")]
 
 
 def is_physical(unit: str) -> bool:

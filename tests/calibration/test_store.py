@@ -22,6 +22,7 @@ from undrift.calibration.model import (
     StaticDrift,
     TriadModel,
     Verdict,
+    WarmUp,
 )
 from undrift.calibration.store import calibration_json, calibration_schema, read_calibration, write_calibration
 from undrift.errors import FileFormatError, InputError
@@ -60,29 +61,57 @@ def triads(draw):
     )
 
 
+def marks(*shape: int):
+    return arrays(np.bool_, shape)
+
+
+@st.composite
+def warm_ups(draw):
+    times = draw(st.lists(st.floats(1e-3, 1e5), min_size=1, max_size=4, unique=True).map(sorted))
+    offset = np.vstack((draw(numbers(len(times), 3)), np.zeros(3)))
+    return WarmUp(power_on_s=[0.0, *times], gyro_offset=offset)
+
+
 @st.composite
 def drifts(draw):
     n, m = draw(st.integers(2, 4)), draw(st.integers(2, 4))
+    none, smooth = st.none(), st.floats(1e-6, 1e4)
+    static = st.builds(
+        StaticDrift,
+        temp_c=nodes(n),
+        **{
+            f"{triad}_{what}": none | numbers(n, 3) for triad in ("gyro", "accel") for what in ("offset", "uncertainty")
+        },
+        gyro_extrapolated=none | marks(n),
+        accel_extrapolated=none | marks(n),
+        gyro_hysteresis=none | numbers(3),
+        warm_up=none | warm_ups(),
+    )
+    scale = st.builds(
+        ScaleDrift,
+        temp_c=nodes(n),
+        **{
+            f"{triad}_{what}": none | numbers(n, 3, 3)
+            for triad in ("gyro", "accel")
+            for what in ("matrix", "uncertainty")
+        },
+        gyro_extrapolated=none | marks(n),
+        accel_extrapolated=none | marks(n),
+    )
+    dynamic = st.builds(
+        DynamicDrift,
+        temp_c=nodes(n),
+        turn_rate=nodes(m),
+        error=numbers(n, m, 3),
+        uncertainty=none | numbers(n, m, 3),
+        extrapolated=none | marks(n, m),
+    )
     return DriftTables(
-        static=draw(
-            st.none()
-            | st.builds(
-                StaticDrift,
-                temp_c=nodes(n),
-                gyro_offset=st.none() | numbers(n, 3),
-                accel_offset=st.none() | numbers(n, 3),
-            )
-        ),
-        scale=draw(
-            st.none()
-            | st.builds(
-                ScaleDrift,
-                temp_c=nodes(n),
-                gyro_matrix=st.none() | numbers(n, 3, 3),
-                accel_matrix=st.none() | numbers(n, 3, 3),
-            )
-        ),
-        dynamic=draw(st.none() | st.builds(DynamicDrift, temp_c=nodes(n), turn_rate=nodes(m), error=numbers(n, m, 3))),
+        static=draw(none | static),
+        scale=draw(none | scale),
+        dynamic=draw(none | dynamic),
+        lag_s=draw(st.just(0.0) | smooth),
+        lag_smooth_s=draw(smooth),
     )
 
 
@@ -130,8 +159,11 @@ def assert_same(a: object, b: object, where: str = "calibration") -> None:
             assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
     elif isinstance(a, np.ndarray):
         assert a.shape == b.shape, where
+        assert a.dtype == b.dtype, where
         both_nan = np.isnan(a) & np.isnan(b)
-        assert (both_nan | (a.view(np.int64) == b.view(np.int64))).all(), where
+        assert (
+            (both_nan | ((a == b) & (np.signbit(a) == np.signbit(b)))).all() if a.dtype != bool else (a == b).all()
+        ), where
     elif isinstance(a, tuple) and a and isinstance(a[0], float):
         for x, y in zip(a, b, strict=True):
             assert_same(x, y, where)
@@ -271,6 +303,51 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path, mon
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="wanted a folder to write to, got No such file or directory"):
         write_calibration(example(), tmp_path / "absent" / "calibration.json")
+
+
+def test_tables_without_the_later_keys_are_written_as_before(tmp_path: Path) -> None:
+    static = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=np.ones((2, 3)))
+    dynamic = DynamicDrift(temp_c=[20.0, 30.0], turn_rate=[-1.0, 1.0], error=np.zeros((2, 2, 3)))
+    drift = calibration_json(example(drift=DriftTables(static=static, dynamic=dynamic)))["drift"]
+    assert list(drift) == ["static", "scale", "dynamic"]
+    assert list(drift["static"]) == ["temp_c", "gyro_offset", "accel_offset"]
+    assert drift["scale"] is None
+    assert list(drift["dynamic"]) == ["temp_c", "turn_rate", "error"]
+
+
+def test_a_mark_is_true_or_false_and_each_node_has_one(tmp_path: Path) -> None:
+    static = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=np.ones((2, 3)), gyro_extrapolated=[True, False])
+    content = calibration_json(example(drift=DriftTables(static=static)))
+    path = tmp_path / "c.json"
+    for marks_, text in (
+        ([1, 0], "at drift.static.gyro_extrapolated.0: Input should be a valid boolean"),
+        ([True], r"StaticDrift.gyro_extrapolated: wanted shape \(2,\), got \(1,\); one mark for each node"),
+    ):
+        content["drift"]["static"]["gyro_extrapolated"] = marks_
+        path.write_text(json.dumps(content))
+        with pytest.raises(FileFormatError, match=text):
+            read_calibration(path)
+
+
+def test_a_warm_up_begins_at_power_on_and_dies_away() -> None:
+    with pytest.raises(InputError, match="wanted nodes from 0 s to an offset of zero, got 5 s and 0 at the end"):
+        WarmUp(power_on_s=[5.0, 9.0], gyro_offset=np.zeros((2, 3)))
+    with pytest.raises(InputError, match="got 0 s and 2 at the end; the settled offset belongs into the static table"):
+        WarmUp(power_on_s=[0.0, 9.0], gyro_offset=[[5.0, 5.0, 5.0], [0.0, -2.0, 0.0]])
+
+
+@pytest.mark.parametrize("name", ["lag_s", "lag_smooth_s"])
+def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="wanted lag_s and lag_smooth_s of 0 s or more"):
+        DriftTables(**{name: -1.0})
+    content = calibration_json(example(drift=DriftTables(**{"lag_smooth_s": 1.0, name: 2.0})))
+    assert content["drift"][name] == 2.0
+    content["drift"][name] = -1.0
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="with a lag the smoothing above 0, got 3 and 0; "):
+        DriftTables(lag_s=3.0)
+    with pytest.raises(FileFormatError, match=f"at drift.{name}: Input should be greater than or equal to 0"):
+        read_calibration(tmp_path / "c.json")
 
 
 def test_the_schema_names_every_key_that_is_written() -> None:

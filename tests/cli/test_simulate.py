@@ -9,7 +9,9 @@ import pytest
 from undrift.cli.app import run
 from undrift.io.recording import read_record
 from undrift.io.reference import read_reference, write_reference
+from undrift.io.session import read_session
 from undrift.sim import draw_task, see
+from undrift.sim.device.store import read_device
 
 
 def test_a_task_and_a_preset_make_a_recording_with_its_truth(
@@ -51,12 +53,31 @@ def test_poses_move_the_device_of_a_file(tmp_path: Path, capsys: pytest.CaptureF
     assert f"{gaps} samples are gaps" in capsys.readouterr().out
 
 
+def test_a_thermal_session_is_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, device = tmp_path / "warm", tmp_path / "d.json"
+    words = ["simulate", "thermal_warm_up", "--device", "mpu6050", "-o", str(out), "--sample-rate-hz", "10"]
+    assert run([*words, "--json", "--save-device", str(device)]) == 0
+    said = json.loads(capsys.readouterr().out)
+    session = read_session(out)
+    assert session.kind == "thermal"
+    assert (said["samples"], said["stills"], said["turns"]) == (len(session.records[0]), 1, 0)
+    assert said["temp_c"][1] - said["temp_c"][0] > 15.0
+    assert read_device(device).serial == session.serial
+    assert run([*words, "--power-on-s", "60"]) == 0
+    assert "21600 samples at 10 Hz over 2160 s" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["swim", "--device", "bmi160"], "wanted a file of poses or markers, or one of sit_to_stand"),
         (["free", "--device", "gold"], "wanted a device.json or one of enc03j_3031"),
         (["free", "--device", "DEVICE", "--draw"], "--draw: wanted a preset to draw a unit of"),
+        (
+            ["thermal_bath", "--device", "bmi160"],
+            "wanted one of thermal_soak, thermal_ramp, thermal_warm_up, thermal_mu",
+        ),
+        (["thermal_ramp", "--device", "bmi160", "--temp-c", "30"], "thermal_ramp: wanted none of --temp-c"),
         (["free", "--device", "bmi160", "--sample-rate-hz", "0"], "sample rate: wanted more than 0 Hz, got 0"),
     ],
 )

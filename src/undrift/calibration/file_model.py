@@ -1,6 +1,7 @@
 """The calibration file in pydantic models: every key, its type and its shape. The JSON Schema is made from them.
 
-null stands for NaN; infinity, which JSON does not know, is "inf" or "-inf" where it can occur.
+null stands for NaN; infinity, which JSON does not know, is "inf" or "-inf" where it can occur. A key with a default is written
+only where it says something, so that a file without it reads everywhere.
 """
 
 import math
@@ -45,36 +46,60 @@ class TriadFile(BaseModel, strict=True, extra="forbid", frozen=True):
     valid_range: Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
+class WarmUpFile(BaseModel, strict=True, extra="forbid", frozen=True):
+    """Extra offset over the time since power-on, raw unit; it ends at zero."""
+
+    power_on_s: Nodes
+    gyro_offset: list[Vector]
+
+
 class StaticFile(BaseModel, strict=True, extra="forbid", frozen=True):
-    """Absolute offsets over temperature, raw unit; temperatures in degC."""
+    """Absolute offsets over temperature and their standard uncertainties, raw unit; temperatures in degC.
+
+    extrapolated: no data were near the node. hysteresis: half of what cooling reads more than warming.
+    """
 
     temp_c: Nodes
     gyro_offset: list[Vector] | None = None
     accel_offset: list[Vector] | None = None
+    gyro_uncertainty: list[Vector] | None = None
+    accel_uncertainty: list[Vector] | None = None
+    gyro_extrapolated: list[bool] | None = None
+    accel_extrapolated: list[bool] | None = None
+    gyro_hysteresis: Vector | None = None
+    warm_up: WarmUpFile | None = None
 
 
 class ScaleFile(BaseModel, strict=True, extra="forbid", frozen=True):
-    """Matrices over temperature, unit_out per unit_in; temperatures in degC."""
+    """Matrices over temperature and the standard uncertainty of each element, unit_out per unit_in; temperatures in degC."""
 
     temp_c: Nodes
     gyro_matrix: list[Matrix] | None = None
     accel_matrix: list[Matrix] | None = None
+    gyro_uncertainty: list[Matrix] | None = None
+    accel_uncertainty: list[Matrix] | None = None
+    gyro_extrapolated: list[bool] | None = None
+    accel_extrapolated: list[bool] | None = None
 
 
 class DynamicFile(BaseModel, strict=True, extra="forbid", frozen=True):
-    """Rate error over temperature and measured rate, rad/s; temperatures in degC."""
+    """Rate error over temperature and measured rate and its standard uncertainty, rad/s; temperatures in degC."""
 
     temp_c: Nodes
     turn_rate: Nodes
     error: list[list[Vector]]
+    uncertainty: list[list[Vector]] | None = None
+    extrapolated: list[list[bool]] | None = None
 
 
 class DriftFile(BaseModel, strict=True, extra="forbid", frozen=True):
-    """Tuning tables; null where there is none."""
+    """Tuning tables, null where there is none, over the temperature that the thermometer shows lag_s late (s)."""
 
     static: StaticFile | None = None
     scale: ScaleFile | None = None
     dynamic: DynamicFile | None = None
+    lag_s: Annotated[Finite, Field(ge=0.0)] = 0.0
+    lag_smooth_s: Annotated[Finite, Field(ge=0.0)] = 0.0
 
 
 class AdcFile(BaseModel, strict=True, extra="forbid", frozen=True):

@@ -3,7 +3,7 @@
 In symbols, for a reading u (3,) at temperature T::
 
     u1 = u + rounding(u)          adc      half an LSB back for truncated codes
-    u2 = u1 - offset(T)           static   table of absolute offsets, else the constant offset
+    u2 = u1 - offset(T) - o(t)    static   table of absolute offsets, else the constant offset; warm-up over time since power-on
     w  = M(T) u2                  matrix   constant, or a table over temperature
     w  = w - G a                  g-sensitivity, gyroscopes only
     w  = w - e(w, T)              dynamic  table over measured rate and temperature
@@ -158,6 +158,11 @@ class WarmUp:
         _freeze(self, power_on_s=(None,))
         _check_nodes(self.power_on_s, "warm-up power_on_s")
         _freeze(self, gyro_offset=(len(self.power_on_s), 3))
+        if self.power_on_s[0] != 0.0 or self.gyro_offset[-1].any():
+            raise InputError(
+                f"warm-up: wanted nodes from 0 s to an offset of zero, got {self.power_on_s[0]:g} s and "
+                f"{np.abs(self.gyro_offset[-1]).max():g} at the end; the settled offset belongs into the static table"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -280,7 +285,7 @@ class DriftTables:
     lag_s : float
         Time constant by which the thermometer trails the sensors, s; the tables are over the temperature without it.
     lag_smooth_s : float
-        Time constant of the smoothing that taking the lag off needs, s.
+        Time constant of the smoothing that taking the lag off needs, s; above 0 where there is a lag.
     """
 
     static: StaticDrift | None = None
@@ -290,9 +295,11 @@ class DriftTables:
     lag_smooth_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (0.0 <= self.lag_s < np.inf and 0.0 <= self.lag_smooth_s < np.inf):
+        lag, smooth = self.lag_s, self.lag_smooth_s
+        if not (0.0 <= lag < np.inf and 0.0 <= smooth < np.inf) or (lag > 0.0 and smooth == 0.0):
             raise InputError(
-                f"drift tables: wanted lag_s and lag_smooth_s of 0 or more, got {self.lag_s:g} and {self.lag_smooth_s:g} s"
+                "drift tables: wanted lag_s and lag_smooth_s of 0 s or more, with a lag the smoothing above 0, "
+                f"got {lag:g} and {smooth:g}; drift.lag.default_smooth_s gives one"
             )
 
 

@@ -14,7 +14,18 @@ import numpy as np
 from pydantic import ValidationError
 
 from undrift.arrays import FloatArray
-from undrift.calibration.file_model import FORMAT, KIND, AdcFile, CalibrationFile, DriftFile, TriadFile
+from undrift.calibration.file_model import (
+    FORMAT,
+    KIND,
+    AdcFile,
+    CalibrationFile,
+    DriftFile,
+    DynamicFile,
+    ScaleFile,
+    StaticFile,
+    TriadFile,
+    WarmUpFile,
+)
 from undrift.calibration.model import (
     AdcModel,
     Calibration,
@@ -26,9 +37,15 @@ from undrift.calibration.model import (
     StaticDrift,
     TriadModel,
     Verdict,
+    WarmUp,
 )
 from undrift.errors import FileFormatError, InputError
 from undrift.files import write_whole
+
+LATER_KEYS = (
+    "gyro_uncertainty", "accel_uncertainty", "gyro_extrapolated", "accel_extrapolated", "gyro_hysteresis", "warm_up",
+    "uncertainty", "extrapolated",
+)  # fmt: skip
 
 
 def write_calibration(calibration: Calibration, path: Path | str) -> None:
@@ -128,7 +145,7 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
         "gravity_m_s2": _number(calibration.gravity_m_s2),
         "gyro": _plain(calibration.gyro),
         "accel": _plain(calibration.accel),
-        "drift": None if drift is None else {name: _plain(getattr(drift, name)) for name in drift.__slots__},
+        "drift": _drift_json(drift),
         "adc": None
         if adc is None
         else {
@@ -196,6 +213,18 @@ def _plain(value: Any) -> Any:
     return {name: _plain(getattr(value, name)) for name in value.__slots__}
 
 
+def _drift_json(drift: DriftTables | None) -> dict[str, Any] | None:
+    """The tables, without the keys that came later where they say nothing: a reader that does not know them reads the rest."""
+    if drift is None:
+        return None
+    content = {name: _plain(getattr(drift, name)) for name in drift.__slots__}
+    for table in (content["static"], content["scale"], content["dynamic"]):
+        for name in LATER_KEYS:
+            if table is not None and table.get(name, 0) is None:
+                del table[name]
+    return {name: value for name, value in content.items() if not (name.startswith("lag_") and value == 0.0)}
+
+
 def _compact(text: str) -> str:
     """Put lists of plain values on one line: raw line breaks never stand inside a JSON string."""
     return re.sub(r"\[\n\s*([^\[\]{}]*?)\n\s*\]", lambda found: "[" + re.sub(r"\n\s*", " ", found.group(1)) + "]", text)
@@ -241,26 +270,20 @@ def _triad(file: TriadFile | None) -> TriadModel | None:
 def _drift(file: DriftFile | None) -> DriftTables | None:
     if file is None:
         return None
-    static, scale, dynamic = file.static, file.scale, file.dynamic
-    return DriftTables(
-        static=None
-        if static is None
-        else StaticDrift(
-            temp_c=_array(static.temp_c),
-            gyro_offset=_maybe(static.gyro_offset),
-            accel_offset=_maybe(static.accel_offset),
-        ),
-        scale=None
-        if scale is None
-        else ScaleDrift(
-            temp_c=_array(scale.temp_c), gyro_matrix=_maybe(scale.gyro_matrix), accel_matrix=_maybe(scale.accel_matrix)
-        ),
-        dynamic=None
-        if dynamic is None
-        else DynamicDrift(
-            temp_c=_array(dynamic.temp_c), turn_rate=_array(dynamic.turn_rate), error=_array(dynamic.error)
-        ),
-    )
+    static = scale = dynamic = None
+    if file.static is not None:
+        warm_up = None if file.static.warm_up is None else WarmUp(**_arrays(file.static.warm_up))
+        static = StaticDrift(**_arrays(file.static, but="warm_up"), warm_up=warm_up)
+    if file.scale is not None:
+        scale = ScaleDrift(**_arrays(file.scale))
+    if file.dynamic is not None:
+        dynamic = DynamicDrift(**_arrays(file.dynamic))
+    return DriftTables(static=static, scale=scale, dynamic=dynamic, lag_s=file.lag_s, lag_smooth_s=file.lag_smooth_s)
+
+
+def _arrays(file: WarmUpFile | StaticFile | ScaleFile | DynamicFile, but: str = "") -> dict[str, Any]:
+    """Arrays by name; the value makes booleans of its marks."""
+    return {name: _maybe(values) for name, values in file if name != but}
 
 
 def _adc(file: AdcFile | None) -> AdcModel | None:

@@ -1,6 +1,7 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
 import tempfile
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from undrift.calibration.model import Calibration
     from undrift.record import Record
-    from undrift.stream import CorrectorState
+    from undrift.stream import Corrector, CorrectorState
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 
@@ -26,6 +27,7 @@ def correct(
     calibration: Path,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     policy: Literal["raise", "hold", "nan"] = "raise",
+    power_on_s: float | None = None,
     opening: Opening = Opening(),
     json: Flag = False,
 ) -> int:
@@ -41,6 +43,8 @@ def correct(
         File (.parquet, .csv, .csv.gz) for one recording; folder for several, made where it is missing.
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan).
+    power_on_s : float
+        Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
     opening : Opening
         How to read a foreign recording.
     json : bool
@@ -53,6 +57,7 @@ def correct(
     """
     from undrift.calibration.store import read_calibration
     from undrift.cli.output import console, write_json
+    from undrift.stream import Corrector
 
     if not records:
         raise InputError("correct: wanted one recording or more, got none; name them before --calibration")
@@ -61,8 +66,11 @@ def correct(
     folder = targets[0].parent
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
+    corrected = partial(
+        _correct_one, corrector=partial(Corrector, model, policy, power_on_s=power_on_s), model=model, opening=opening
+    )
     try:
-        results = _correct_all(records, targets, partial(_correct_one, model=model, policy=policy, opening=opening))
+        results = _correct_all(records, targets, corrected)
     except BaseException:
         if made:
             folder.rmdir()
@@ -74,7 +82,11 @@ def correct(
                 "output": str(target),
                 "samples": state.samples,
                 "samples_outside": state.samples_outside,
-                "warnings": said,
+                "seconds_outside": state.reach.seconds_outside,
+                "samples_extrapolated": state.samples_extrapolated,
+                "seconds_extrapolated": state.reach.seconds_extrapolated,
+                "warnings": said.warnings,
+                "notes": said.notes,
             }
             for record, target, state, said in results
         ]
@@ -83,14 +95,16 @@ def correct(
     out = console()
     for record, target, state, said in results:
         out.print(f"{record} -> {target}: {state.samples} samples in rad/s and m/s2", markup=False)
-        for text in said:
+        for text in said.warnings:
             out.print(f"  warning: {text}", markup=False)
+        for text in said.notes:
+            out.print(f"  note: {text}", markup=False)
     return 0
 
 
 def _correct_all(
-    records: tuple[Path, ...], targets: list[Path], correct_one: "Callable[..., tuple[CorrectorState, list[str]]]"
-) -> list[tuple[Path, Path, "CorrectorState", list[str]]]:
+    records: tuple[Path, ...], targets: list[Path], correct_one: "Callable[..., tuple[CorrectorState, Said]]"
+) -> list[tuple[Path, Path, "CorrectorState", "Said"]]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
     from undrift.cli.output import progress
 
@@ -129,33 +143,49 @@ def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, .
     return targets
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Said:
+    """What correcting a recording had to say.
+
+    Parameters
+    ----------
+    warnings : list of str
+        Where the calibration did not cover it, and what makes one doubt that it was read rightly.
+    notes : list of str
+        What a reader of the result may not expect.
+    """
+
+    warnings: list[str]
+    notes: list[str]
+
+
 def _correct_one(
     record: Path,
     part: Path,
     *,
+    corrector: "Callable[[], Corrector]",
     model: "Calibration",
-    policy: Literal["raise", "hold", "nan"],
     opening: Opening,
     advance: "Callable[[float], None]",
-) -> tuple["CorrectorState", list[str]]:
+) -> tuple["CorrectorState", Said]:
     from undrift.io.parquet import ParquetWriter
     from undrift.io.recording import iter_record, write_record
-    from undrift.stream import Corrector, read_ahead
+    from undrift.stream import read_ahead
 
-    corrector, said = Corrector(model, policy), dict[str, None]()
+    stream, doubts, notes = corrector(), list[str](), dict[str, None]()
     if not part.name.endswith(".parquet"):
-        done = corrector.push_checked(opening.read(record))
+        done = stream.push_checked(opening.read(record))
         write_record(done.record, part)
-        return corrector.state, [*_doubts(done.record, model), *done.warnings, *done.notes]
+        return stream.state, Said(warnings=[*_doubts(done.record, model), *done.warnings], notes=[*done.notes])
     with ParquetWriter(part) as writer:
         for chunk in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
-            done = corrector.push_checked(chunk)
+            done = stream.push_checked(chunk)
             writer.write(done.record)
-            if corrector.state.samples == len(chunk):  # the first chunk tells
-                said.update(dict.fromkeys(_doubts(done.record, model)))
-            said.update(dict.fromkeys(done.notes))
+            if stream.state.samples == len(chunk):  # the first chunk tells
+                doubts = _doubts(done.record, model)
+            notes.update(dict.fromkeys(done.notes))
             advance(len(chunk))
-    return corrector.state, [*said, *corrector.warnings]
+    return stream.state, Said(warnings=[*doubts, *stream.warnings], notes=[*notes])
 
 
 def _doubts(done: "Record", model: "Calibration") -> list[str]:

@@ -1,7 +1,7 @@
-"""``undrift simulate``: what a device would say to a motion, taken from poses or drawn as a task."""
+"""``undrift simulate``: what a device would say to a motion, taken from poses or drawn as a task, or in a thermal session."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 
 from cyclopts import Parameter
 
@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from undrift.sim.device.model import DeviceModel
     from undrift.sim.device.simulate import Simulated, Triad
     from undrift.sim.motion.motion import Motion
+    from undrift.sim.thermal.settings import ThermalKind
+
+THERMAL = "thermal_"  # before the kind of a thermal session
 
 
 def simulate(
@@ -23,9 +26,9 @@ def simulate(
     device: str,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     draw: Annotated[bool, Parameter(negative="")] = False,
-    sample_rate_hz: float = 100.0,
+    sample_rate_hz: float | None = None,
     temp_c: float | None = None,
-    power_on_s: float = 0.0,
+    power_on_s: float | None = None,
     gravity_m_s2: float = STANDARD_GRAVITY,
     markers: str | None = None,
     up: Literal["y", "z"] | None = None,
@@ -39,19 +42,20 @@ def simulate(
     Parameters
     ----------
     motion : str
-        A file of poses or markers, or a task: sit_to_stand, step, posturography, free.
+        A file of poses or markers, or a task: sit_to_stand, step, posturography, free; or a thermal session: thermal_soak,
+        thermal_ramp, thermal_warm_up, thermal_multi_position.
     device : str
         A preset (enc03j_3031, mpu6050, icm20948, bmi160, bmi270, bmi088, lsm6dso, xsens_mti1, shimmer3) or a device.json.
     output : Path
-        Recording to write: .parquet, .csv or .csv.gz.
+        Recording to write: .parquet, .csv or .csv.gz; a folder for a thermal session.
     draw : bool
         Draw a unit of the preset within its tolerances; the typical one otherwise.
     sample_rate_hz : float
-        Samples per second.
+        Samples per second; 100 where not given, 50 in a thermal session.
     temp_c : float or None
         Temperature of the board, degC; the device's reference temperature where not given.
     power_on_s : float
-        Time since power-on at the first sample, s.
+        Time since power-on at the first sample, s; 0 where not given, an hour in a thermal session.
     gravity_m_s2 : float
         Local gravity, m/s2.
     markers : str or None
@@ -81,13 +85,23 @@ def simulate(
     from undrift.sim.device.simulate import simulate_device
     from undrift.sim.device.store import write_device
 
-    if not sample_rate_hz > 0.0:
+    if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
     rng = np.random.default_rng(seed)
     model = _device(device, draw, rng)
+    if motion.startswith(THERMAL):
+        kind = _thermal_kind(motion, temp_c=temp_c, markers=markers, up=up, truth=truth)
+        said = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
+        if save_device is not None:
+            write_device(model, save_device)
+        if json:
+            write_json({"motion": motion, "output": str(output), **said})
+        else:
+            console().print(_in_words(motion, output, said), markup=False)
+        return 0
     with waiting(f"simulating {motion}"):
-        moved = _motion(motion, sample_rate_hz, gravity_m_s2, _labels(markers), up, rng)
-        made = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s)
+        moved = _motion(motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), up, rng)
+        made = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
     write_record(made.record, output)
     if truth is not None:
         write_reference(
@@ -103,6 +117,68 @@ def simulate(
     out.print(f"{motion} -> {output}: {len(made.record)} samples at {made.record.sample_rate_hz:.6g} Hz", markup=False)
     _show(made, model)
     return 0
+
+
+def _thermal_kind(motion: str, **unused: object) -> "ThermalKind":
+    from undrift.sim.thermal.settings import ThermalKind
+
+    kind = next((k for k in get_args(ThermalKind) if motion == THERMAL + k), None)
+    if kind is None:
+        names = ", ".join(THERMAL + k for k in get_args(ThermalKind))
+        raise InputError(f"motion: wanted one of {names}, got '{motion}'; name one")
+    given = [f"--{name.replace('_', '-')}" for name, value in unused.items() if value is not None]
+    if given:
+        raise InputError(
+            f"{motion}: wanted none of {', '.join(given)}, which a thermal session has no use for; leave out"
+        )
+    return cast("ThermalKind", kind)
+
+
+def _thermal(
+    kind: "ThermalKind",
+    model: "DeviceModel",
+    output: Path,
+    given: tuple[float | None, float | None, float],
+    rng: "np.random.Generator",
+) -> dict[str, object]:
+    """Write a thermal session and return what it holds."""
+    from dataclasses import replace
+
+    from undrift.cli.output import waiting
+    from undrift.cli.writing import checked_folder
+    from undrift.io.session import write_session
+    from undrift.sim.thermal.session import simulate_thermal_session
+    from undrift.sim.thermal.settings import ThermalSettings
+
+    checked_folder(output)
+    sample_rate_hz, power_on_s, gravity_m_s2 = given
+    settings = ThermalSettings()
+    bench = replace(settings.bench, gravity_m_s2=gravity_m_s2)
+    bench = bench if sample_rate_hz is None else replace(bench, sample_rate_hz=sample_rate_hz)
+    settings = replace(settings, bench=bench)
+    settings = settings if power_on_s is None else replace(settings, power_on_s=power_on_s)
+    with waiting(f"simulating {THERMAL}{kind}"):
+        session = simulate_thermal_session(kind, model, rng=rng, settings=settings)
+        write_session(session, output)
+    record = session.records[0]
+    span = None if record.temp_c is None else [float(record.temp_c.min()), float(record.temp_c.max())]
+    return {
+        "device": {"name": model.name, "serial": model.serial, "source_tag": model.source_tag},
+        "samples": len(record),
+        "sample_rate_hz": record.sample_rate_hz,
+        "duration_s": record.duration_s,
+        "temp_c": span,
+        "stills": len(session.stills),
+        "turns": len(session.turns),
+    }
+
+
+def _in_words(motion: str, output: Path, said: dict[str, object]) -> str:
+    low, high = cast("list[float]", said["temp_c"])
+    return (
+        f"{motion} -> {output}: {said['samples']} samples at {said['sample_rate_hz']:.6g} Hz over {said['duration_s']:.0f} s, "
+        f"{low:.1f} to {high:.1f} degC, {said['stills']} stills, {said['turns']} turns"
+    )
 
 
 def _device(name: str, draw: bool, rng: "np.random.Generator") -> "DeviceModel":

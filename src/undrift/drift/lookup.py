@@ -49,6 +49,27 @@ def even_nodes(nodes: FloatArray) -> FloatArray | None:
     return None
 
 
+def grid_of(nodes: FloatArray) -> "Grid":
+    """Return how the kernel finds the cell: by one multiplication on the even grid, where there is one, else by bisection.
+
+    Parameters
+    ----------
+    nodes : array, shape (n,)
+        Increasing.
+
+    Returns
+    -------
+    Grid
+        Of the even grid, or of the nodes as they are.
+    """
+    from undrift.kernels.correct import Grid
+
+    fine = even_nodes(nodes)
+    held = np.array(nodes) if fine is None else fine
+    cells = len(held) - 1
+    return Grid(held, float(held[0]), 0.0 if fine is None else cells / float(held[-1] - held[0]), cells)
+
+
 def line_cells(nodes: FloatArray, values: FloatArray) -> "tuple[Grid, FloatArray]":
     """Return the grid of a one-dimensional table and its cell coefficients.
 
@@ -66,10 +87,8 @@ def line_cells(nodes: FloatArray, values: FloatArray) -> "tuple[Grid, FloatArray
     coefficients : array, shape (cells * c * 2,)
         Value and slope per cell, flat.
     """
-    fine = even_nodes(nodes)
-    if fine is not None:
-        values = _filled(fine, nodes, values)
-    grid = _grid(nodes if fine is None else fine, even=fine is not None)
+    grid = grid_of(nodes)
+    values = _filled(grid.nodes, nodes, values)
     return grid, np.stack((values[:-1], np.diff(values, axis=0)), axis=-1).reshape(-1)
 
 
@@ -90,26 +109,16 @@ def plane_cells(dynamic: DynamicDrift) -> "tuple[Grid, Grid, FloatArray]":
     """
     error, grids = dynamic.error, []
     for axis, nodes in enumerate((dynamic.temp_c, dynamic.turn_rate)):
-        fine = even_nodes(nodes)
-        if fine is not None:
-            error = np.moveaxis(_filled(fine, nodes, np.moveaxis(error, axis, 0)), 0, axis)
-        grids.append(_grid(nodes if fine is None else fine, even=fine is not None))
+        grids.append(grid_of(nodes))
+        error = np.moveaxis(_filled(grids[axis].nodes, nodes, np.moveaxis(error, axis, 0)), 0, axis)
     corner = error[:-1, :-1]
     over_temp, over_rate = error[1:, :-1] - corner, error[:-1, 1:] - corner
     both = error[1:, 1:] - error[1:, :-1] - over_rate
     return grids[0], grids[1], np.stack((corner, over_temp, over_rate, both), axis=-1).reshape(-1)
 
 
-def _grid(nodes: FloatArray, *, even: bool) -> "Grid":
-    from undrift.kernels.correct import Grid
-
-    cells = len(nodes) - 1
-    inverse = cells / float(nodes[-1] - nodes[0]) if even else 0.0
-    return Grid(np.array(nodes), float(nodes[0]), inverse, cells)
-
-
 def _filled(fine: FloatArray, nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """Values on the even grid: the given ones at the given nodes, the straight line between them."""
+    """Values on the grid: the given ones at the given nodes, the straight line between them."""
     flat = values.reshape(len(nodes), -1)
     if len(fine) == len(nodes):
         return values

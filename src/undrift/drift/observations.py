@@ -16,9 +16,9 @@ class RestBlocks:
     pose : array of int, shape (n,)
         Which orientation; blocks of one number lay the same way throughout, and numbers are not shared by sessions.
     time : array, shape (n,)
-        Middle of the block on its recording's clock, s.
+        Middle of the block, s, on a clock on which the recordings of its session follow each other.
     power_on_s : array, shape (n,)
-        Time since the recording began, s.
+        Time since the block's recording began, s: the device was switched on then, if it was.
     temp_c : array, shape (n,)
         Mean temperature, degC, lag taken off.
     ramp_c_per_min : array, shape (n,)
@@ -70,7 +70,7 @@ class RateSteps:
     soak : array of int, shape (n,)
         Which soak: dwells of one number were made at one temperature.
     time : array, shape (n,)
-        Middle of the dwell on its recording's clock, s.
+        Middle of the dwell, s, on a clock on which the recordings of its session follow each other.
     temp_c : array, shape (n,)
         Mean temperature, degC, lag taken off.
     rate_b : array, shape (n, 3)

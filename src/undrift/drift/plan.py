@@ -2,7 +2,7 @@
 
 For readings in unit r, with c model units per r and s SI units per unit the model gives, the kernels take ::
 
-    M' = s M c        offset' = offset / c        h' = half a code step / c
+    M' = s M c        offset' = offset / c        h' = half a code step / c        warm_up' = warm_up / c
 """
 
 from dataclasses import dataclass
@@ -12,13 +12,14 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration, Rounding, TriadModel
+from undrift.drift.extrapolated import Doubt, Triad, triad_doubts
 from undrift.drift.lookup import line_cells, plane_cells
 from undrift.errors import InputError
 from undrift.record import Record
 from undrift.units import Quantity, is_physical, si_factor
 
 if TYPE_CHECKING:
-    from undrift.kernels.correct import Tables
+    from undrift.kernels.correct import Grid, Tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,6 +42,10 @@ class TriadPlan:
         Temperatures that all its tables hold, degC.
     rate_range : tuple of float
         Rates that the dynamic table holds, rad/s.
+    doubts : tuple of Doubt
+        Of these tables, the ones with extrapolated nodes.
+    warm_up : tuple of Grid and array, or None
+        Offset over the time since power-on (s), cell coefficients, reading unit.
     """
 
     matrix: FloatArray
@@ -50,6 +55,8 @@ class TriadPlan:
     tables: "Tables | None"
     temp_range: tuple[float, float]
     rate_range: tuple[float, float]
+    doubts: tuple[Doubt, ...] = ()
+    warm_up: "tuple[Grid, FloatArray] | None" = None
 
 
 Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers; None: the record has none
@@ -92,7 +99,7 @@ def plan_record(record: Record, calibration: Calibration) -> Plans:
     return gyro, accel
 
 
-def plan_triad(calibration: Calibration, quantity: Quantity, unit: str) -> TriadPlan:
+def plan_triad(calibration: Calibration, quantity: Triad, unit: str) -> TriadPlan:
     """Make one triad ready for the kernels.
 
     Parameters
@@ -125,7 +132,8 @@ def plan_triad(calibration: Calibration, quantity: Quantity, unit: str) -> Triad
     g = None
     if gyro and model.g_sensitivity is not None:
         g = np.ravel(model.g_sensitivity * si_factor(model.unit_out, quantity))
-    tables, temp_range, rate_range = _tables(calibration, gyro, factor, si_factor(model.unit_out, quantity), shift)
+    out = si_factor(model.unit_out, quantity)
+    tables, temp_range, rate_range = _tables(calibration, gyro, factor, out, shift)
     return TriadPlan(
         matrix=plan.matrix,
         offset=plan.offset,
@@ -134,6 +142,8 @@ def plan_triad(calibration: Calibration, quantity: Quantity, unit: str) -> Triad
         tables=tables,
         temp_range=temp_range,
         rate_range=rate_range,
+        doubts=triad_doubts(calibration.drift, model, quantity),
+        warm_up=_warm_up(calibration, factor) if gyro else None,
     )
 
 
@@ -174,6 +184,14 @@ def _rounding(calibration: Calibration, gyro: bool, factor: float) -> tuple[Floa
     mode: Rounding = adc.gyro_rounding if gyro else adc.accel_rounding
     half = 0.5 * lsb / factor
     return (half if mode == "toward_zero" else zero), (half if mode == "floor" else zero)
+
+
+def _warm_up(calibration: Calibration, factor: float) -> "tuple[Grid, FloatArray] | None":
+    """The gyroscopes' warm-up in the reading unit."""
+    static = calibration.drift.static if calibration.drift else None
+    if static is None or static.warm_up is None:
+        return None
+    return line_cells(static.warm_up.power_on_s, static.warm_up.gyro_offset / factor)
 
 
 def _tables(

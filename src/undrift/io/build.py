@@ -9,10 +9,10 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import QUANTITY, Channel, ColumnMap, Scale
+from undrift.io.columns import LM335_RANGE_C, QUANTITY, Channel, ColumnMap, Scale
 from undrift.io.table import Table
 from undrift.record import Record, sample_rate_of
-from undrift.units import Quantity, si_factor
+from undrift.units import LM335_K_PER_V, ZERO_CELSIUS_K, Quantity, si_factor, temp_offset
 
 # Largest believable size of a reading, in its own unit.
 _LARGEST: dict[tuple[Quantity, str], float] = {
@@ -201,6 +201,8 @@ def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
         wanted = _axes_of(table, str(wanted[0]))
     scale = columns.scale_of(channel)
     unit = columns.unit_of(channel)
+    if unit == "lm335_v":
+        return _lm335(table, columns)
     factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
     limit = _DEVICE_LARGEST.get(unit) or _LARGEST[QUANTITY[channel], "ut" if channel == "mag" else unit]
     out = np.empty((len(table), len(wanted)))
@@ -211,6 +213,26 @@ def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
         _check_values(table, table.names[table.position(column)], values, limit, unit, columns)
         out[:, k] = values
     return out
+
+
+def _lm335(table: Table, columns: ColumnMap) -> FloatArray:
+    """Return the temperature that an LM335's voltage says, trimmed, shape (N, 1), degC."""
+    (column,) = columns.columns_of("temp")
+    volts = _scaled(table.numbers(column), columns.temp_scale, 0)
+    name = table.names[table.position(column)]
+    _check_gaps(table, name, volts, columns)
+    low, high = ((limit + ZERO_CELSIUS_K) / LM335_K_PER_V for limit in LM335_RANGE_C)
+    bad = np.flatnonzero((volts < low) | (volts > high))
+    if len(bad):
+        row = table.row(int(bad[0]))
+        raise FileFormatError(
+            f"{table.source}: column {name!r}: wanted {low:.2f} to {high:.2f} V of an LM335 (10 mV/K, {LM335_RANGE_C[0]:g} to "
+            f"{LM335_RANGE_C[1]:g} degC), got {volts[bad[0]]:g} V in data row {row} ({len(bad)} such); check its wiring, or "
+            "give scale.temp from the file's numbers to V at the part",
+            row=row,
+        )
+    kelvin = volts * si_factor("lm335_v", "temp") * (columns.temp_trim.factor if columns.temp_trim else 1.0)
+    return (kelvin + temp_offset("lm335_v"))[:, None]
 
 
 def _axes_of(table: Table, name: str) -> tuple[str, ...]:
@@ -235,14 +257,7 @@ def _check_values(table: Table, name: str, values: FloatArray, limit: float, uni
     low, high = float(values.min()), float(values.max())  # NaN passes through both
     if low >= -limit and high <= limit:
         return
-    gap = np.isnan(values)
-    if gap.any() and columns.gaps == "raise":
-        row = table.row(int(np.flatnonzero(gap)[0]))
-        raise InputError(
-            f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
-            f'data row {row}{_period(gap)}; set gaps = "keep" to keep them as gaps',
-            row=row,
-        )
+    gap = _check_gaps(table, name, values, columns)
     wild = np.flatnonzero(np.abs(np.where(gap, 0.0, values)) > limit)
     if len(wild):
         row = table.row(int(wild[0]))
@@ -251,6 +266,19 @@ def _check_values(table: Table, name: str, values: FloatArray, limit: float, uni
             f"({len(wild)} such); repair the row or check unit and scale",
             row=row,
         )
+
+
+def _check_gaps(table: Table, name: str, values: FloatArray, columns: ColumnMap) -> BoolArray:
+    """Return where a column has gaps; raise where there are any and the map refuses them."""
+    gap = np.isnan(values)
+    if gap.any() and columns.gaps == "raise":
+        row = table.row(int(np.flatnonzero(gap)[0]))
+        raise InputError(
+            f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
+            f'data row {row}{_period(gap)}; set gaps = "keep" to keep them as gaps',
+            row=row,
+        )
+    return gap
 
 
 def _period(gap: BoolArray) -> str:

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 from undrift.errors import InputError
 from undrift.frames import Frame
 from undrift.record import State
-from undrift.units import DEVICE_UNITS, Quantity, canonical_unit
+from undrift.units import DEVICE_UNITS, ZERO_CELSIUS_K, Quantity, canonical_unit
 
 Column: TypeAlias = str | int
 Channel = Literal["time", "gyro", "accel", "temp", "mag"]
@@ -20,12 +20,14 @@ Gaps = Literal["raise", "keep"]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
+LM335_RANGE_C = (-40.0, 125.0)  # where the part works
+MOST_TRIM_C = 20.0  # an untrimmed part is within 9 K by its data sheet
 EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
 
 # Ending of a native column name for each unit a channel may have.
 GYRO_SUFFIX = {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"}
 ACCEL_SUFFIX = {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"}
-TEMP_SUFFIX = {"degc": "c", "count": "count", "v": "v"}
+TEMP_SUFFIX = {"degc": "c", "lm335_v": "lm335_v", "count": "count", "v": "v"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +44,44 @@ class Scale:
 
     gain: float | tuple[float, float, float] = 1.0
     offset: float | tuple[float, float, float] = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trim:
+    """One-point trim of an LM335: what it said at a temperature known from elsewhere.
+
+    The part's output is a line through 0 K, so that one point sets its slope: T = T_said (true + 273.15) / (reads + 273.15),
+    all in K. The potentiometer at the part's third pin does the same.
+
+    Parameters
+    ----------
+    reads_c : float
+        Temperature that its voltage says, degC.
+    true_c : float
+        Temperature that it had, degC.
+    """
+
+    reads_c: float
+    true_c: float
+
+    def __post_init__(self) -> None:
+        for name in ("reads_c", "true_c"):
+            value = getattr(self, name)
+            if not LM335_RANGE_C[0] <= value <= LM335_RANGE_C[1]:
+                raise InputError(
+                    f"temp_trim.{name}: wanted {LM335_RANGE_C[0]:g} to {LM335_RANGE_C[1]:g} degC, got {value:g}; state what the "
+                    "LM335 said and what was true, both in degC"
+                )
+        if abs(self.true_c - self.reads_c) > MOST_TRIM_C:
+            raise InputError(
+                f"temp_trim: wanted a reading within {MOST_TRIM_C:g} K of the truth, got {self.reads_c:g} for {self.true_c:g} "
+                "degC; a part that far off is broken or read through another scale"
+            )
+
+    @property
+    def factor(self) -> float:
+        """True over said absolute temperature, 1."""
+        return (self.true_c + ZERO_CELSIUS_K) / (self.reads_c + ZERO_CELSIUS_K)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +140,8 @@ class ColumnMap:
         Unit after the scale is applied; any spelling of :mod:`undrift.units`.
     gyro_scale, accel_scale, temp_scale, mag_scale : Scale or None
         Conversion from the file's numbers to that unit.
+    temp_trim : Trim or None
+        Of an LM335, where ``temp_unit`` is "lm335_v".
     sample_rate_hz : float or None
         Hz. Never defaulted; beside a time column it is checked against it.
     layout : TextLayout
@@ -130,6 +172,7 @@ class ColumnMap:
     accel_scale: Scale | None = None
     temp_scale: Scale | None = None
     mag_scale: Scale | None = None
+    temp_trim: Trim | None = None
     sample_rate_hz: float | None = None
     layout: TextLayout = field(default_factory=TextLayout)
     gaps: Gaps = "raise"
@@ -143,6 +186,11 @@ class ColumnMap:
             raise InputError(f"columns: wanted gyro or accel, got neither; for example columns = {{ {EXAMPLE} }}")
         for channel in CHANNELS:
             self._check_channel(channel)
+        if self.temp_trim is not None and (self.temp is None or self.unit_of("temp") != "lm335_v"):
+            raise InputError(
+                f'temp_trim: wanted units.temp = "lm335_v" beside it, got {self.temp_unit or "no temperature"}; a column in degC '
+                "is shifted by scale.temp (gain 1, offset in K)"
+            )
         if self.time is None and self.sample_rate_hz is None:
             raise InputError("columns: wanted a time column or sample_rate_hz, got neither; the rate is never assumed")
         if self.sample_rate_hz is not None and not 0.0 < self.sample_rate_hz < 1e7:
@@ -219,9 +267,10 @@ class ColumnMap:
             raise InputError(f"units.{channel}: wanted the unit of {channel}, got none; nothing is assumed")
         if columns and canonical_unit(unit, QUANTITY[channel]) in DEVICE_UNITS and channel in ("temp", "mag"):
             wanted = "degC" if channel == "temp" else "uT"
+            part = ', or "lm335_v" for an LM335 in V' if channel == "temp" else ""
             raise InputError(
                 f"units.{channel}: wanted {wanted}, got {unit}; give scale.{channel} (gain and offset to {wanted}) "
-                f'and units.{channel} = "{wanted}", or leave {channel} out'
+                f'and units.{channel} = "{wanted}"{part}, or leave {channel} out'
             )
 
 
@@ -230,8 +279,8 @@ def native_map(
 ) -> ColumnMap:
     """Return the map of a file that uses undrift's own column names.
 
-    Recognised: time_s; gyro_x_rad_s, _dps, _count, _v; accel_x_m_s2, _g, _mg, _count, _v; temp_c; mag_x_ut (and y, z).
-    Any other name is left unread.
+    Recognised: time_s; gyro_x_rad_s, _dps, _count, _v; accel_x_m_s2, _g, _mg, _count, _v; temp_c, temp_lm335_v;
+    mag_x_ut (and y, z). Any other name is left unread.
 
     Parameters
     ----------

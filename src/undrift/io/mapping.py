@@ -4,6 +4,7 @@ sample_rate_hz = 102.4
 columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }     # names, or positions from 0
 units = { time = "s", gyro = "dps", accel = "m/s2", temp = "degC" }
 scale = { temp = { gain = 0.00294117647, offset = 36.53 } }     # value = gain * cell + offset
+temp_trim = { reads_c = 26.1, true_c = 25.0 }     # of an LM335, units.temp = "lm335_v"
 delimiter = ","      # " " for any number of blanks          header = true     skip_rows = 0     decimal = "."
 gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
 """
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from undrift.errors import InputError
-from undrift.io.columns import Column, ColumnMap, Gaps, Scale, TextLayout
+from undrift.io.columns import Column, ColumnMap, Gaps, Scale, TextLayout, Trim
 from undrift.io.toml import Entry, read_toml
 
 
@@ -84,6 +85,21 @@ class ScaleEntry(Entry):
     mag: LinearEntry | None = None
 
 
+class TrimEntry(Entry):
+    """One-point trim of an LM335.
+
+    Parameters
+    ----------
+    reads_c : float
+        What its voltage says, degC.
+    true_c : float
+        What was true, degC.
+    """
+
+    reads_c: float
+    true_c: float
+
+
 class MapEntry(Entry):
     """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`.
 
@@ -97,6 +113,8 @@ class MapEntry(Entry):
         Units of the mapped channels.
     scale : ScaleEntry
         Conversions, where the file's numbers are not in those units.
+    temp_trim : TrimEntry or None
+        Of an LM335.
     delimiter : str
         One character; " " for any number of blanks or tabs.
     header : bool
@@ -121,6 +139,7 @@ class MapEntry(Entry):
     columns: ColumnsEntry | list[ColumnsEntry] | None = None
     units: UnitsEntry = UnitsEntry()
     scale: ScaleEntry = ScaleEntry()
+    temp_trim: TrimEntry | None = None
     delimiter: str = ","
     header: bool = True
     skip_rows: int = 0
@@ -165,6 +184,9 @@ class MapEntry(Entry):
             accel_scale=_scale(self.scale.accel, "accel"),
             temp_scale=_scale(self.scale.temp, "temp"),
             mag_scale=_scale(self.scale.mag, "mag"),
+            temp_trim=None
+            if self.temp_trim is None
+            else Trim(reads_c=self.temp_trim.reads_c, true_c=self.temp_trim.true_c),
             sample_rate_hz=self.sample_rate_hz,
             layout=TextLayout(
                 delimiter=self.delimiter,

@@ -1,7 +1,8 @@
 """Correction kernels: raw readings to rate and specific force, one triad or both at a time.
 
-Shapes and units: x, a, out flat (3 N,); temp (N,) degC; m flat (9,) row by row, unit_out per unit_in; o (3,) offset and
-h (3,) half a code step, unit_in; g flat (9,) unit_out per m/s2. Unsigned indices let the compiler use the vector units.
+Shapes and units: x, a, out flat (3 N,); temp (N,) degC; since (N,) s since power-on, or empty; m flat (9,) row by row, unit_out
+per unit_in; o (3,) offset and h (3,) half a code step, unit_in; g flat (9,) unit_out per m/s2. Unsigned indices let the compiler
+use the vector units.
 """
 
 import math
@@ -10,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray
 
 ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 FOUR, SIX, TWELVE, EIGHTEEN = np.uint64(4), np.uint64(6), np.uint64(12), np.uint64(18)
 BLOCK = 192  # values, 64 samples: longer blocks measured slower
+AT_NODE = 1e-9  # of a cell: nearer to a node than this is on it
 
 
 class Grid(NamedTuple):
@@ -29,8 +31,8 @@ class Grid(NamedTuple):
 class Tables(NamedTuple):
     """Cell coefficients of one triad's tables, flat; an empty array where there is no such table.
 
-    offset (cells, 3, 2): value and slope. matrix (cells, 9, 2). error (temperature cells, rate cells, 3, 4): value, slope over
-    temperature, slope over rate, and the product term. Slopes are per cell.
+    offset (cells, 3, 2): value and slope. matrix (cells, 9, 2). error
+    (temperature cells, rate cells, 3, 4): value, slope over temperature, slope over rate, product term. Slopes are per cell.
     """
 
     offset: FloatArray
@@ -135,6 +137,18 @@ def cell(grid: Grid, x: float) -> tuple[np.uint64, float]:
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def warmed(x: FloatArray, since: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray) -> None:
+    # out = x + h sign(x) - warm_up(since); cells (cells, 3, 2) flat: value and slope; zero from the last node on
+    settled = grid.nodes[-1]
+    for k in range(np.uint64(since.size)):
+        i, f = cell(grid, since[k])
+        for axis in range(THREE):
+            q, j = THREE * k + axis, SIX * i + TWO * axis
+            u = x[q] + (math.copysign(h[axis], x[q]) if abs(x[q]) > h[axis] else 0.0)
+            out[q] = u - (cells[j] + f * cells[j + ONE]) if since[k] < settled else u
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def tabulated(
     x: FloatArray, temp: FloatArray, a: FloatArray, out: FloatArray,
     m: FloatArray, o: FloatArray, h: FloatArray, g: FloatArray, tables: Tables,
@@ -197,3 +211,45 @@ def tabulated(
             w2 -= pe[j] + f * pe[j + ONE] + r * (pe[j + TWO] + f * pe[j + THREE])
         out[q], out[q + ONE], out[q + TWO] = w0, w1, w2
     return least, greatest
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def half(grid: Grid, x: float) -> np.uint64:
+    # 2 i on node i, 2 i + 1 between nodes i and i + 1
+    i, f = cell(grid, x)
+    return TWO * i + (ZERO if f < AT_NODE else TWO if f > 1.0 - AT_NODE else ONE)
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def mark_line(temp: FloatArray, low: float, high: float, grid: Grid, stated: FloatArray, mask: BoolArray) -> float:
+    # stated (2 cells + 1,): uncertainty on and between nodes, -1 where data were near. Sets mask (N,) where temperatures from
+    # low to high meet another; returns the largest that they met, or -1.
+    largest = -1.0
+    for k in range(np.uint64(temp.size)):
+        t = temp[k]
+        if low <= t <= high:
+            u = stated[half(grid, t)]
+            if u >= 0.0:
+                mask[k] = True
+                largest = u if u > largest else largest
+    return largest
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def mark_plane(
+    temp: FloatArray, w: FloatArray, low: float, high: float, temp_grid: Grid, rate_grid: Grid, stated: FloatArray,
+    mask: BoolArray,
+) -> float:  # fmt: skip
+    # as mark_line, for temperatures and rates w flat (3 N,), rad/s; stated (2 temperature cells + 1, 2 rate cells + 1) flat
+    largest, row = -1.0, TWO * np.uint64(rate_grid.cells) + ONE
+    for k in range(np.uint64(temp.size)):
+        t = temp[k]
+        if low <= t <= high:
+            i = row * half(temp_grid, t)
+            for axis in range(THREE):
+                x = w[THREE * k + axis]
+                u = stated[i + half(rate_grid, x)] if x == x else -1.0
+                if u >= 0.0:
+                    mask[k] = True
+                    largest = u if u > largest else largest
+    return largest

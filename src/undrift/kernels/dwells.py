@@ -47,3 +47,12 @@ def dwell_readings(
                 squares += (u - pivot) * (u - pivot)
             mean[j, i] = pivot + total / n
             variance[j, i] = max(squares - total * total / n, 0.0) / max(n - 1, 1)
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def follow(x: FloatArray, keep: FloatArray) -> None:
+    # Unit normal numbers x (N, 3) to a first-order Gauss-Markov process of unit variance: x_j = keep x_(j-1) + sqrt(1 - keep^2) x_j
+    for j in range(1, x.shape[0]):
+        fresh = math.sqrt(1.0 - keep[j - 1] * keep[j - 1])
+        for i in range(x.shape[1]):
+            x[j, i] = keep[j - 1] * x[j - 1, i] + fresh * x[j, i]

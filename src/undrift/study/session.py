@@ -205,7 +205,7 @@ def read_session(imposed: Imposed, device: DeviceModel, *, rng: np.random.Genera
     DwellReadings
         One row a dwell.
     """
-    return simulate_dwells(device, imposed.dwells, rng=rng)
+    return simulate_dwells(device, imposed.dwells, rng=rng, felt=imposed.kind == FACE)
 
 
 def _ordered(protocol: Protocol, rng: np.random.Generator) -> list[float]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray, frozen
+from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
 from undrift.errors import InputError
 from undrift.sim.device.chain import SensorChain
 from undrift.sim.device.instability import RATIO, BiasInstability
@@ -94,7 +94,12 @@ class DwellReadings:
 
 
 def simulate_dwells(
-    device: DeviceModel, dwells: Dwells, *, rng: np.random.Generator, sample_rate_hz: float = 100.0
+    device: DeviceModel,
+    dwells: Dwells,
+    *,
+    rng: np.random.Generator,
+    sample_rate_hz: float = 100.0,
+    felt: BoolArray | None = None,
 ) -> DwellReadings:
     """Return what a device reads over dwells.
 
@@ -108,6 +113,8 @@ def simulate_dwells(
         Draws the noise, each effect from a stream of its own.
     sample_rate_hz : float
         Hz.
+    felt : array of bool, shape (N,), optional
+        Dwells whose accelerometer readings are wanted; those of the others are one sample long. All where not given.
 
     Returns
     -------
@@ -126,7 +133,8 @@ def simulate_dwells(
         if level is None:
             raise InputError(f"dwells: wanted {name} readings of the device, got none")
         flicker = _flicker(chain.instability, dwells, streams.of(f"{name}_instability"))
-        found += _averaged(chain, level + flicker, samples, sample_rate_hz, streams, name)
+        lengths = samples if name == "gyro" or felt is None else np.where(felt, samples, 1)
+        found += _averaged(chain, level + flicker, lengths, sample_rate_hz, streams, name)
     return DwellReadings(
         gyro=found[0], gyro_variance=found[1], accel=found[2], accel_variance=found[3], samples=samples, temp_c=said
     )
@@ -167,6 +175,8 @@ def _motion(dwells: Dwells) -> Motion:
 
 def _flicker(effect: BiasInstability | None, dwells: Dwells, rng: np.random.Generator) -> FloatArray:
     """Return the mean of the flicker over each dwell, nominal input units, shape (N, 3)."""
+    from undrift.kernels.dwells import follow
+
     n = len(dwells)
     total = np.zeros((n, 3))
     if effect is None:
@@ -178,9 +188,7 @@ def _flicker(effect: BiasInstability | None, dwells: Dwells, rng: np.random.Gene
         shrink = np.sqrt(np.maximum(2.0 / share * (1.0 + np.expm1(-share) / share), 0.0))  # of the mean over a dwell
         draws = rng.standard_normal((n, 3))
         if constant > float(np.median(length)):
-            keep = np.exp(-np.diff(middle) / constant)
-            for j in range(1, n):
-                draws[j] = keep[j - 1] * draws[j - 1] + math.sqrt(1.0 - keep[j - 1] ** 2) * draws[j]
+            follow(draws, np.exp(-np.diff(middle) / constant))
         total += sd * shrink[:, None] * draws
     return total
 

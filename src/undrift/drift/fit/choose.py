@@ -1,0 +1,331 @@
+"""Which tables a device needs: none, scale over temperature, dynamic drift, or both, judged on what was left out.
+
+Each of the four is fitted without a soak (those between the first and the last) and without some of the rates, and foretells the
+steps that were left out: ``M(T) (u - offset(T)) - e`` less the imposed rate, all three axes, about the offset that the mounting
+was left with. The one with the least mean square is best; the simplest whose mean square lies within one standard error of
+it, over what was left out in turn, is taken [1]_.
+
+References
+----------
+.. [1] L. Breiman, J. H. Friedman, R. A. Olshen, C. J. Stone, "Classification and Regression Trees", 1984, section 3.4.3.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.model import Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
+from undrift.drift.fit.dynamic import DynamicFit, DynamicSettings, fit_dynamic, softness_of
+from undrift.drift.fit.scale import ScaleFit, fit_scale
+from undrift.drift.fit.steps import Steps, measured_rate, steps_of
+from undrift.drift.observations import RateSteps, RestBlocks
+from undrift.errors import CalibrationError, NotObservable
+from undrift.units import RADIAN_PER_DEGREE
+
+Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
+ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first
+_RATE_FOLDS = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Alternatives:
+    """What each choice of tables foretells, and which was taken.
+
+    Parameters
+    ----------
+    name : tuple of str
+        none, scale, dynamic, scale + dynamic.
+    fitted_rms_dps : array, shape (4,)
+        Root-mean-square residual of the fit to all steps, deg/s; NaN where it could not be fitted.
+    soak_rms_dps : array, shape (4,)
+        Of the soaks that were left out; NaN with fewer than three soaks.
+    rate_rms_dps : array, shape (4,)
+        Of the rates that were left out; NaN with fewer than three rates.
+    left_out_rms_dps : array, shape (4,)
+        Of both together: what the choice rests on.
+    standard_error_dps : array, shape (4,)
+        Standard error of ``left_out_rms_dps``.
+    chosen : str
+        One of the names.
+    reason : str
+        Why, in words.
+    """
+
+    name: tuple[Alternative, ...]
+    fitted_rms_dps: FloatArray
+    soak_rms_dps: FloatArray
+    rate_rms_dps: FloatArray
+    left_out_rms_dps: FloatArray
+    standard_error_dps: FloatArray
+    chosen: Alternative
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Choice:
+    """The tables that were taken, and those that were not.
+
+    Parameters
+    ----------
+    alternatives : Alternatives
+        The table of figures.
+    scale : ScaleFit or None
+        Matrix over temperature fitted to all steps, whether taken or not; None where not observable.
+    dynamic : DynamicFit or None
+        Dynamic drift with the constant matrix, likewise.
+    both : DynamicFit or None
+        Dynamic drift on top of ``scale``, likewise.
+    verdict : Verdict
+        Of what was taken.
+    """
+
+    alternatives: Alternatives
+    scale: ScaleFit | None
+    dynamic: DynamicFit | None
+    both: DynamicFit | None
+    verdict: Verdict
+
+    @property
+    def scale_drift(self) -> ScaleDrift | None:
+        """The matrix table to use."""
+        taken = self.alternatives.chosen in ("scale", "scale + dynamic")
+        return self.scale.drift if taken and self.scale is not None else None
+
+    @property
+    def dynamic_drift(self) -> DynamicDrift | None:
+        """The dynamic table to use."""
+        fit = {"dynamic": self.dynamic, "scale + dynamic": self.both}.get(self.alternatives.chosen)
+        return None if fit is None else fit.drift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Data:
+    """What every fit takes."""
+
+    steps: Steps
+    calibration: Calibration
+    static: StaticDrift | None
+    rests: RestBlocks | None
+    temp_c: FloatArray
+    settings: DynamicSettings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Fits:
+    """The fits of all alternatives to one part of the data."""
+
+    scale: ScaleFit | None
+    dynamic: DynamicFit | None
+    both: DynamicFit | None
+
+    def residuals(self, data: _Data, which: Alternative) -> FloatArray:
+        """What an alternative leaves of all steps, rad/s, shape (n, 3); NaN where it has no fit."""
+        scale = self.scale if which in ("scale", "scale + dynamic") else None
+        dynamic = self.dynamic if which == "dynamic" else self.both if which == "scale + dynamic" else None
+        if ("scale" in which and scale is None) or ("dynamic" in which and dynamic is None):
+            return np.full((len(data.steps), 3), np.nan)
+        steps = data.steps
+        w = measured_rate(
+            steps.gyro, steps.temp_c, data.calibration, static=data.static, scale=scale.drift if scale else None
+        )
+        for axis, surface in enumerate(dynamic.surfaces if dynamic else ()):
+            if surface is not None:
+                w[:, axis] -= surface.at(w[:, axis], steps.temp_c)
+        return np.asarray(w - steps.rate_b)
+
+
+def choose_tables(
+    steps: RateSteps,
+    calibration: Calibration,
+    *,
+    static: StaticDrift | None,
+    temp_c: FloatArray,
+    rests: RestBlocks | None = None,
+    settings: DynamicSettings = DynamicSettings(),
+) -> Choice:
+    """Fit all alternatives, judge them by what they foretell, and take one.
+
+    Parameters
+    ----------
+    steps : RateSteps
+        Dwells at steady rates at two temperatures or more; five soaks or more make the judgement worth something.
+    calibration : Calibration
+        The device's constant model.
+    static : StaticDrift or None
+        Offset table, raw unit.
+    temp_c : array, shape (n,)
+        Nodes of the matrix table, degC, increasing.
+    rests : RestBlocks, optional
+        Rests at rate zero.
+    settings : DynamicSettings
+        Nodes of the dynamic table.
+
+    Returns
+    -------
+    Choice
+        All fits, the figures, and which was taken.
+
+    Raises
+    ------
+    InputError
+        Steps without a usable row, or a calibration without gyroscopes.
+    NotObservable
+        One temperature only.
+    """
+    data = _Data(
+        steps=steps_of(steps), calibration=calibration, static=static, rests=rests, temp_c=temp_c, settings=settings
+    )
+    soaks = len(np.unique(data.steps.soak))
+    if soaks < 2:
+        raise NotObservable(
+            f"scale and dynamic drift: wanted rate steps at two soaks or more, got one at {data.steps.temp_c.mean():.1f} degC; "
+            "repeat the steps at another temperature, or keep the constant matrix",
+            soaks=soaks,
+        )
+    fits = _fit_all(data, data.steps)
+    if fits.scale is None and fits.dynamic is None:
+        raise NotObservable(
+            f"scale and dynamic drift: wanted an axis turned at two rates at two soaks, got {len(data.steps)} steps at {soaks} "
+            "soaks without; repeat the same turns at another temperature",
+            soaks=soaks,
+        )
+    table = _judged(data, fits)
+    return Choice(
+        alternatives=table,
+        scale=fits.scale,
+        dynamic=fits.dynamic,
+        both=fits.both,
+        verdict=_verdict(table, fits, soaks).also(data.steps.verdict),
+    )
+
+
+def _fit_all(data: _Data, steps: Steps, like: _Fits | None = None) -> _Fits:
+    """Fit every alternative to some steps; as soft as earlier fits where these are given."""
+    scale = dynamic = both = None
+    try:
+        scale = fit_scale(steps, data.calibration, static=data.static, temp_c=data.temp_c)
+    except CalibrationError:
+        scale = None  # the others may still be had
+    alone = data.settings if like is None or like.dynamic is None else _as_soft(data.settings, like.dynamic)
+    on_top = data.settings if like is None or like.both is None else _as_soft(data.settings, like.both)
+    try:
+        dynamic = _dynamic(data, steps, None, alone)
+        both = None if scale is None else _dynamic(data, steps, scale.drift, on_top)
+    except CalibrationError:
+        dynamic = both = None
+    return _Fits(scale=scale, dynamic=dynamic, both=both)
+
+
+def _dynamic(data: _Data, steps: Steps, scale: ScaleDrift | None, settings: DynamicSettings) -> DynamicFit:
+    return fit_dynamic(steps, data.calibration, static=data.static, scale=scale, rests=data.rests, settings=settings)
+
+
+def _as_soft(settings: DynamicSettings, fit: DynamicFit) -> DynamicSettings:
+    return replace(settings, softness=softness_of(fit))
+
+
+def _judged(data: _Data, fits: _Fits) -> Alternatives:
+    steps = data.steps
+    by_soak, by_rate = _soak_folds(steps), _rate_folds(steps)
+    squares = np.full((len(by_soak) + len(by_rate), len(ALTERNATIVES)), np.nan)
+    for k, fold in enumerate((*by_soak, *by_rate)):
+        part = _fit_all(data, steps.taken(~fold), fits)
+        for a, which in enumerate(ALTERNATIVES):
+            squares[k, a] = _mean_square(part.residuals(data, which), steps.mounting, fold, whole=k < len(by_soak))
+    fitted = np.array(
+        [
+            _mean_square(fits.residuals(data, which), steps.mounting, np.ones(len(steps), bool), whole=True)
+            for which in ALTERNATIVES
+        ]
+    )
+    missing = np.isnan(fitted)
+    soak, rate = squares[: len(by_soak)], squares[len(by_soak) :]
+    judged = np.where(missing, np.nan, _mean(squares) if len(squares) else fitted)
+    error = _standard_error(squares)
+    chosen, reason = _one_standard_error(judged, error, len(by_soak))
+    rms = np.sqrt(judged)
+    return Alternatives(
+        name=ALTERNATIVES,
+        fitted_rms_dps=np.sqrt(fitted) / RADIAN_PER_DEGREE,
+        soak_rms_dps=np.sqrt(_mean(soak)) / RADIAN_PER_DEGREE,
+        rate_rms_dps=np.sqrt(_mean(rate)) / RADIAN_PER_DEGREE,
+        left_out_rms_dps=rms / RADIAN_PER_DEGREE,
+        standard_error_dps=0.5 * error / rms / RADIAN_PER_DEGREE,
+        chosen=chosen,
+        reason=reason,
+    )
+
+
+def _soak_folds(steps: Steps) -> list[BoolArray]:
+    """Return the rows of each soak but the coldest and the hottest: what lies beyond the data nobody can foretell."""
+    numbers = np.unique(steps.soak)
+    middle = np.array([steps.temp_c[steps.soak == s].mean() for s in numbers])
+    return [steps.soak == s for s in numbers[(middle > middle.min()) & (middle < middle.max())]]
+
+
+def _rate_folds(steps: Steps) -> list[BoolArray]:
+    """Return the rows of every fourth rate in turn, but for the greatest."""
+    size = np.abs(steps.along)
+    level = np.unique(np.round(size / (0.01 * size.max())), return_inverse=True)[1].reshape(-1)
+    most = int(level.max())
+    return [(level % _RATE_FOLDS == k) & (level < most) for k in range(min(_RATE_FOLDS, most))] if most > 1 else []
+
+
+def _mean_square(residuals: FloatArray, mounting: IntArray, fold: BoolArray, *, whole: bool) -> float:
+    """Return the mean square of the fold's residuals about its mountings' own offsets, (rad/s)^2.
+
+    A soak that was left out knows its offset by itself; a rate that was left out has the offset of the other rates.
+    """
+    about = fold if whole else ~fold
+    left = residuals[fold].copy()
+    for m in np.unique(mounting[fold]):
+        inside = about & (mounting == m)
+        if inside.any():
+            left[mounting[fold] == m] -= residuals[inside].mean(axis=0)
+    return float(np.mean(left**2))
+
+
+def _mean(squares: FloatArray) -> FloatArray:
+    if not len(squares):
+        return np.full(len(ALTERNATIVES), np.nan)
+    return np.asarray(squares.mean(axis=0))
+
+
+def _standard_error(squares: FloatArray) -> FloatArray:
+    if len(squares) < 2:
+        return np.full(len(ALTERNATIVES), 0.0)
+    return np.asarray(squares.std(axis=0, ddof=1) / np.sqrt(len(squares)))
+
+
+def _one_standard_error(judged: FloatArray, error: FloatArray, soaks: int) -> tuple[Alternative, str]:
+    best = int(np.nanargmin(judged))
+    limit = judged[best] + error[best]
+    chosen = int(np.flatnonzero(judged <= limit)[0])
+    dps = np.sqrt(judged) / RADIAN_PER_DEGREE
+    told = f"{soaks} soaks and the rates" if soaks else "the rates"
+    if chosen == best:
+        return ALTERNATIVES[chosen], (
+            f"{ALTERNATIVES[chosen]}: it foretells {told} that were left out best, {dps[best]:.4f} deg/s rms, and nothing simpler "
+            "comes within one standard error"
+        )
+    return ALTERNATIVES[chosen], (
+        f"{ALTERNATIVES[chosen]}: it foretells {told} that were left out to {dps[chosen]:.4f} deg/s rms, within one standard error "
+        f"of the best ({ALTERNATIVES[best]}, {dps[best]:.4f} deg/s), and is simpler"
+    )
+
+
+def _verdict(table: Alternatives, fits: _Fits, soaks: int) -> Verdict:
+    verdict = Verdict(reasons=(table.reason,))
+    if table.chosen in ("scale", "scale + dynamic") and fits.scale is not None:
+        verdict = verdict.also(fits.scale.verdict)
+    dynamic = {"dynamic": fits.dynamic, "scale + dynamic": fits.both}.get(table.chosen)
+    if dynamic is not None:
+        verdict = verdict.also(dynamic.verdict)
+    if soaks < 3:
+        reason = (
+            "two soaks: no soak between others could be left out, and the choice rests on the rates alone; add a soak"
+        )
+        verdict = verdict.also(Verdict(status="marginal", reasons=(reason,)))
+    return verdict

@@ -1,0 +1,368 @@
+"""A C99 header and source that correct readings on a microcontroller, in float, double or fixed point.
+
+The source evaluates the model of ``correct.py`` in its order: rounding, static table, matrix or scale table, g-sensitivity,
+dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table up in a time
+that does not depend on the data. One source makes three builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.model import Calibration
+from undrift.errors import InputError
+from undrift.export.cost import ASSUMPTION, Arithmetic, Cost, cost_of
+from undrift.export.firmware import Axis, Table, Triad, triads_of
+from undrift.export.fixed import FULL_FORCE, FULL_RATE, FixedAxis, FixedTable, FixedTriad, fixed_triad
+from undrift.export.losses import losses
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+WIDTH = 116
+SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
+CARRIED = frozenset(
+    ("rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CSettings:
+    """How the source is written.
+
+    Parameters
+    ----------
+    default : str
+        Arithmetic of a build that defines none: float, double or fixed.
+    prefix : str
+        Begins every name, so that two devices fit into one program: a C identifier in lower case.
+    header_name : str
+        File name that the source includes.
+    gyro_raw_bits, accel_raw_bits : int or None
+        Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets tell of large codes.
+    date : str
+        When it was exported; written into the comment.
+    """
+
+    default: Arithmetic = "float"
+    prefix: str = "undrift"
+    header_name: str = "undrift.h"
+    gyro_raw_bits: int | None = None
+    accel_raw_bits: int | None = None
+    date: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExportedC:
+    """A C99 header and source, and what they cost.
+
+    Parameters
+    ----------
+    header, source : str
+        The files.
+    not_carried : tuple of str
+        What the calibration holds and the source does not.
+    notes : tuple of str
+        What the firmware must know or do.
+    costs : tuple of Cost
+        Of the float, double and fixed builds.
+    gyro_bound, accel_bound : array, shape (3,), or None
+        Fixed point: worst error against exact arithmetic, rad/s and m/s2; None without a model.
+    """
+
+    header: str
+    source: str
+    not_carried: tuple[str, ...]
+    notes: tuple[str, ...]
+    costs: tuple[Cost, ...]
+    gyro_bound: FloatArray | None
+    accel_bound: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _View:
+    """A triad in real numbers and in integers, as the template asks for it."""
+
+    name: str
+    real: Triad
+    fixed: FixedTriad
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.real, name)
+
+    @property
+    def named_tables(self) -> list[tuple[str, Table]]:
+        return [(name, getattr(self.real, name)) for name in _TABLES if getattr(self.real, name) is not None]
+
+    @property
+    def fixed_tables(self) -> list[tuple[str, FixedTable]]:
+        return [(name, getattr(self.fixed, name)) for name in _TABLES if getattr(self.fixed, name) is not None]
+
+    @property
+    def rates(self) -> int:
+        return 0 if self.real.error_table is None else self.real.error_table.values.shape[1]
+
+
+_TABLES = ("offset_table", "matrix_table", "error_table")
+
+
+def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> ExportedC:
+    """Return the C99 header and source of a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The device's model.
+    settings : CSettings
+        Default arithmetic, names, room for codes.
+
+    Returns
+    -------
+    ExportedC
+        Both files, costs, and the error bound of fixed point.
+
+    Raises
+    ------
+    InputError
+        No model, NaN in it, a prefix that is no identifier, or numbers that the arithmetic does not hold.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", settings.prefix):
+        raise InputError(
+            f"export c: wanted a prefix of lower-case letters, digits and _, got {settings.prefix!r}; name it so"
+        )
+    for bits in (settings.gyro_raw_bits, settings.accel_raw_bits):
+        if bits is not None and not 0 <= bits <= 30:
+            raise InputError(f"export c: wanted 0 to 30 bits behind the point of a reading, got {bits}; choose fewer")
+    gyro, accel = triads_of(calibration)
+    of_accel = None if accel is None else fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
+    of_gyro = None if gyro is None else _fixed_gyro(gyro, of_accel, settings)
+    views = [
+        _View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro)) if t is not None and x is not None
+    ]
+    source, sizes = _source(views, calibration, settings)
+    triads = tuple(view.real for view in views)
+    costs = tuple(cost_of(triads, arithmetic, size) for arithmetic, size in sizes)
+    not_carried = losses(calibration, CARRIED)
+    notes = _notes(gyro, accel)
+    return ExportedC(
+        header=_header(views, calibration, settings, costs, not_carried + notes),
+        source=source,
+        not_carried=not_carried,
+        notes=notes,
+        costs=costs,
+        gyro_bound=None if of_gyro is None else of_gyro.bound,
+        accel_bound=None if of_accel is None else of_accel.bound,
+    )
+
+
+def _fixed_gyro(gyro: Triad, accel: FixedTriad | None, settings: CSettings) -> FixedTriad:
+    return fixed_triad(
+        gyro,
+        raw_bits=settings.gyro_raw_bits,
+        full=FULL_RATE,
+        accel_bound=None if accel is None else accel.bound,
+        accel_full=FULL_FORCE,
+    )
+
+
+def _notes(gyro: Triad | None, accel: Triad | None) -> tuple[str, ...]:
+    notes = []
+    if gyro is None:
+        notes.append("gyroscopes have no model: their readings pass as they come")
+    if accel is None:
+        notes.append("accelerometers have no model: their readings pass as they come")
+        if gyro is not None and gyro.g_sensitivity is not None:
+            notes.append("the g-sensitivity wants accel_raw in m/s2, since the accelerometers have no model")
+    return tuple(notes)
+
+
+def _environment() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(  # C source, not HTML
+        loader=PackageLoader("undrift", "export"),
+        autoescape=False,  # noqa: S701
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+
+
+class _Printer:
+    """Prints arrays and lookups, and counts the bytes of the arrays."""
+
+    def __init__(self, prefix: str) -> None:
+        self.prefix, self.upper = prefix, prefix.upper()
+        self.sizes = {"float": 0, "double": 0, "fixed": 0}
+
+    def ints(self, kind: str, name: str, values: FloatArray) -> str:
+        flat = [str(int(v)) for v in np.ravel(values)]
+        self.sizes["fixed"] += len(flat) * (2 if kind == "int16_t" else 4)
+        return self._array(kind, name, flat)
+
+    def reals(self, name: str, values: FloatArray) -> str:
+        flat = [f"{self.upper}_C({literal(float(v))})" for v in np.ravel(values)]
+        self.sizes["float"] += 4 * len(flat)
+        self.sizes["double"] += 8 * len(flat)
+        return self._array(f"{self.prefix}_t", name, flat)
+
+    def _array(self, kind: str, name: str, cells: list[str]) -> str:
+        lines, line = [], "   "
+        for cell in cells:
+            if len(line) + len(cell) + 2 > WIDTH:
+                lines.append(line)
+                line = "   "
+            line += f" {cell},"
+        lines.append(line.rstrip(","))
+        return f"static const {kind} {self.prefix}_{name}[{len(cells)}] = {{\n" + "\n".join(lines) + "\n};\n"
+
+    def fixed_cell(
+        self, triad: str, table: str, axis: FixedAxis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
+    ) -> str:
+        start, stop, name = int(axis.nodes[0]), int(axis.nodes[-1]), f"{self.prefix}_{triad}_{table}_{place}"
+        pad = "\n" + " " * (4 if cell == "cell" else 8)
+        held = f"status |= {x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0;{pad}"
+        if axis.axis.even:
+            inner = f"{x}, {start}, {stop}, {int(axis.inverse[0])}u, {axis.shift}, {axis.axis.cells}, &{fraction}"
+            return f"{held}{cell} = {self.prefix}_cell({inner});"
+        inner = f"{x}, {name}, {name}_inverse, {axis.shift}, {axis.axis.cells}, {axis.axis.stride}, &{fraction}"
+        return f"{held}{cell} = {self.prefix}_search({inner});"
+
+    def real_cell(
+        self, triad: str, table: str, axis: Axis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
+    ) -> str:
+        c, name = f"{self.upper}_C", f"{self.prefix}_{triad}_{table}_{place}"
+        start, stop = literal(axis.start), literal(axis.stop)
+        pad = "\n" + " " * (4 if cell == "cell" else 8)
+        held = f"status |= {x} >= {c}({start}) && {x} <= {c}({stop}) ? 0 : {self.upper}_{what}_HELD;{pad}"
+        if axis.even:
+            inner = f"{x}, {c}({start}), {c}({literal(float(axis.inverse[0]))}), {axis.cells}, &{fraction}"
+            return f"{held}{cell} = {self.prefix}_cell({inner});"
+        inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {axis.stride}, &{fraction}"
+        return f"{held}{cell} = {self.prefix}_search({inner});"
+
+
+def literal(x: float) -> str:
+    """Return a C literal that reads back to the last bit as a double, and that a float can be.
+
+    Parameters
+    ----------
+    x : float
+        Any unit; below 1e-37 it is zero.
+
+    Returns
+    -------
+    str
+        With a point or an exponent, without a suffix.
+
+    Raises
+    ------
+    InputError
+        Beyond what a float holds.
+    """
+    if abs(x) > LARGEST:
+        raise InputError(f"export c: wanted numbers that float holds, got {x:g}; mend the calibration")
+    text = repr(x if abs(x) >= SMALLEST else 0.0)
+    return text if "." in text or "e" in text else text + ".0"
+
+
+def _axes(table: Table | FixedTable) -> list[tuple[str, Any]]:
+    return [("temp", table.temp), *([("rate", table.turn_rate)] if table.turn_rate is not None else [])]
+
+
+def _source(
+    views: list[_View], calibration: Calibration, settings: CSettings
+) -> tuple[str, tuple[tuple[Arithmetic, int], ...]]:
+    printer = _Printer(settings.prefix)
+    tables = [table for view in views for table in view.real.tables]
+    axes = [axis for table in tables for _, axis in _axes(table)]
+    text = _environment().get_template("undrift.c.j2").render(
+        title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
+        triads=views, gyro=next((v for v in views if v.name == "gyro"), None),
+        accel=next((v for v in views if v.name == "accel"), None),
+        any_even=any(axis.even for axis in axes), any_search=any(not axis.even for axis in axes),
+        any_line=any(table.turn_rate is None for table in tables),
+        any_plane=any(table.turn_rate is not None for table in tables),
+        ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
+        fixed_cell=printer.fixed_cell, real_cell=printer.real_cell,
+    )  # fmt: skip
+    sizes: tuple[tuple[Arithmetic, int], ...] = (
+        ("float", printer.sizes["float"]),
+        ("double", printer.sizes["double"]),
+        ("fixed", printer.sizes["fixed"]),
+    )
+    return re.sub(r"\n{3,}", "\n\n", text), sizes
+
+
+def _safe(text: str) -> str:
+    """Text that cannot end a comment, continue a line or form a trigraph."""
+    plain = re.sub(r"[^ -~]", "?", text)
+    return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("\\", "/")
+
+
+def _title(calibration: Calibration) -> str:
+    return f"Correction of the inertial sensor {_safe(calibration.device) or '(no serial number)'}"
+
+
+def _header(
+    views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], said: tuple[str, ...]
+) -> str:
+    p = calibration.provenance
+    return str(
+        _environment().get_template("undrift.h.j2").render(
+            title=_title(calibration),
+            comment=[_safe(line) for line in _comment(views, calibration, settings, costs, said)],
+            default=settings.default, p=settings.prefix, P=settings.prefix.upper(), triads=views, created=p.created,
+        )
+    )  # fmt: skip
+
+
+def _comment(
+    views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], said: tuple[str, ...]
+) -> list[str]:
+    lines = [
+        f"Calibrated {calibration.provenance.created or 'at a time not stated'}, exported {settings.date or 'at a time not stated'}.",
+        f"Verdict of the calibration: {calibration.verdict.status}.",
+        "",
+        "Readings in sensor axes s, results in the case frame b: gyroscopes rad/s, accelerometers m/s2, temperature degC.",
+    ]
+    for view in views:
+        lines.append(f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}")
+    lines += [
+        "Order of the steps: 1 half a code step back, 2 offset(T), 3 matrix M(T), 4 g-sensitivity, 5 dynamic drift e(w, T).",
+        "Tables are linear between their nodes and held at their ends; the return value says when.",
+        "Input and output may be the same arrays. No allocation, no library, no state; a lookup takes the same time everywhere.",
+        "",
+        f"Builds: define {settings.prefix.upper()}_FLOAT, _DOUBLE or _FIXED; without any: {settings.default}.",
+        "Flash (tables exact, code estimated) and time of one call, estimated:",
+        f"  {ASSUMPTION}",
+    ]
+    lines += [
+        f"  {c.arithmetic:6} {c.table_bytes} + {c.code_bytes} = {c.flash_bytes} bytes, {c.cycles} cycles" for c in costs
+    ]
+    lines += ["", "Fixed point: int32, 16 bits behind the point (Q16.16) unless a _RAW_BITS below says fewer. Error against exact"]
+    lines += ["arithmetic on the same inputs, at most, while no axis exceeds 2000 deg/s and 16 g:"]
+    for view in views:
+        worst = float(view.fixed.bound.max())
+        if view.name == "gyro":
+            lines.append(f"  gyro_out {worst:.3g} rad/s ({worst / RADIAN_PER_DEGREE:.3g} deg/s)")
+        else:
+            lines.append(f"  accel_out {worst:.3g} m/s2 ({worst / STANDARD_GRAVITY * 1e3:.3g} mg)")
+    if said:
+        lines += ["", "Not in here:", *(f"  - {text}" for text in said)]
+    return [part for line in lines for part in _wrapped(line)]
+
+
+def _span(triad: Triad) -> str:
+    if not triad.tables:
+        return "without a table"
+    low, high = max(t.temp.start for t in triad.tables), min(t.temp.stop for t in triad.tables)
+    return f"{low:g} to {high:g} degC"
+
+
+def _wrapped(line: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(line, WIDTH + 6, subsequent_indent="    ") or [""]

@@ -1,0 +1,1 @@
+"""Thermal sessions of a device and a climatic chamber that do not exist."""

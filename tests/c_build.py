@@ -1,0 +1,87 @@
+"""The exported C source compiled and run: float, double and fixed point, on the inputs that Python gets too."""
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from undrift.export.c import ExportedC
+
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+TYPES = {"float": np.dtype("f4"), "double": np.dtype("f8"), "fixed": np.dtype("i4")}
+MAIN = """
+#include <stdio.h>
+#include "undrift.h"
+int main(void)
+{
+    undrift_t in[7], out[6];
+    while (fread(in, sizeof in, 1, stdin) == 1) {
+        const int32_t status = undrift_correct(in, in + 3, in[6], out, out + 3);
+        fwrite(out, sizeof out, 1, stdout);
+        fwrite(&status, sizeof status, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+@dataclass(frozen=True)
+class Build:
+    """A program made of an export in one arithmetic."""
+
+    program: Path
+    arithmetic: str
+    bits: tuple[int, int]
+
+    def inputs(self, gyro, accel, temp_c):
+        """Return the nearest inputs that the arithmetic holds, as the program takes them."""
+        kind = TYPES[self.arithmetic]
+        parts = np.column_stack((gyro, accel, temp_c))
+        if self.arithmetic != "fixed":
+            return parts.astype(kind)
+        return np.round(parts * 2.0 ** np.repeat([*self.bits, 16], [3, 3, 1])).astype(kind)
+
+    def real(self, inputs):
+        """Return the same inputs as double: gyro, accel, temp_c."""
+        parts = inputs.astype(float)
+        if self.arithmetic == "fixed":
+            parts = parts / 2.0 ** np.repeat([*self.bits, 16], [3, 3, 1])
+        return parts[:, :3], parts[:, 3:6], parts[:, 6]
+
+    def __call__(self, inputs):
+        """Return gyro, accel and status of every row of inputs."""
+        done = subprocess.run([self.program], input=inputs.tobytes(), capture_output=True, check=True, timeout=120)
+        assert done.stderr == b""
+        row = np.dtype([("out", TYPES[self.arithmetic], 6), ("status", "i4")])
+        rows = np.frombuffer(done.stdout, row)
+        assert len(rows) == len(inputs)
+        out = rows["out"].astype(float) / (65536.0 if self.arithmetic == "fixed" else 1.0)
+        return out[:, :3], out[:, 3:], rows["status"]
+
+
+def bits_of(exported: ExportedC) -> tuple[int, int]:
+    """Return the bits behind the point that the header states for gyroscope and accelerometer readings."""
+    found = []
+    for name in ("GYRO", "ACCEL"):
+        lines = [line for line in exported.header.splitlines() if f"_{name}_RAW_BITS" in line]
+        found.append(int(lines[0].split()[2]) if lines else 16)
+    return found[0], found[1]
+
+
+def write(exported: ExportedC, folder: Path) -> None:
+    """Write both files and a program that reads samples and writes results."""
+    (folder / "undrift.h").write_text(exported.header)
+    (folder / "undrift.c").write_text(exported.source)
+    (folder / "main.c").write_text(MAIN)
+
+
+def build(exported: ExportedC, folder: Path, arithmetic: str, *options: str) -> Build:
+    """Compile an export; warnings are errors."""
+    write(exported, folder)
+    program = folder / f"correct_{arithmetic}"
+    sources = [folder / "undrift.c", folder / "main.c"]
+    words = ["gcc", *STRICT, *(options or ("-O1",)), f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", program]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    return Build(program, arithmetic, bits_of(exported))
