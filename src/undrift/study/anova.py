@@ -7,8 +7,8 @@ Subjects i = 1..n meet every condition j = 1..k (one value of the parameter each
     SS_error     = SS_total - SS_condition - SS_subject   df = (n - 1)(k - 1)
     F = MS_condition / MS_error
 
-p is given as it stands and with the degrees of freedom of Greenhouse-Geisser and Huynh-Feldt. The p to quote is the corrected one:
-Huynh-Feldt where Greenhouse-Geisser's epsilon is above 0.75, else Greenhouse-Geisser (Girden, 1992); it needs no test of
+p is given as it stands and with the degrees of freedom of Greenhouse-Geisser and Huynh-Feldt. The p to quote is the corrected
+one: Huynh-Feldt where Greenhouse-Geisser's epsilon is above 0.75, else Greenhouse-Geisser (Girden, 1992); it needs no test of
 sphericity first. The F of statsmodels' AnovaRM is the same, which a test holds.
 """
 

@@ -1,15 +1,15 @@
 """Calibrate as the note does it: faces, static drift over temperature, matrix, dynamic drift over rate and temperature.
 
-The order is the one of the note's Figure 2: static drift first (not-a-knot splines over the set-points' rests), then the matrix (eq. 6)
-at the set-point nearest to room temperature, then what is left over rate and temperature (bicubic spline). A protocol without set-points
-gives the matrix and a constant offset alone.
+The order is the one of the note's Figure 2: static drift first (not-a-knot splines over the set-points' rests), then the
+matrix (eq. 6) at the set-point nearest to room temperature, then what is left over rate and temperature (bicubic spline). A
+protocol without set-points gives the matrix and a constant offset alone.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.fit.linear import fit_paper
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, fit_six_face
 from undrift.calibration.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
@@ -40,7 +40,12 @@ class NoteSettings:
 
 
 def calibrate_as_the_note(
-    imposed: Imposed, readings: DwellReadings, *, unit_gyro: str, unit_accel: str, settings: NoteSettings = NoteSettings()
+    imposed: Imposed,
+    readings: DwellReadings,
+    *,
+    unit_gyro: str,
+    unit_accel: str,
+    settings: NoteSettings = NoteSettings(),
 ) -> Calibration:
     """Calibrate a device from the dwells of a session.
 
@@ -78,7 +83,7 @@ def calibrate_as_the_note(
         static = StaticDrift(
             temp_c=NODES_C,
             gyro_offset=curve.value,
-            gyro_extrapolated=(NODES_C < temps[0] - 0.5) | (NODES_C > temps[-1] + 0.5),
+            gyro_extrapolated=np.abs(NODES_C - np.clip(NODES_C, temps[0], temps[-1])) > 0.5,
         )
         dynamic = _dynamic(steps, soaks, temps, offsets, gyro) if settings.dynamic else None
         drift = DriftTables(static=static, dynamic=dynamic)
@@ -92,7 +97,7 @@ def calibrate_as_the_note(
     )
 
 
-def _offsets(imposed: Imposed, rests: RestBlocks, soaks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _offsets(imposed: Imposed, rests: RestBlocks, soaks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     soak = imposed.soak[imposed.kind == 1]
     temps = np.array([rests.temp_c[soak == s].mean() for s in soaks])
     means = np.array([rests.gyro[soak == s].mean(axis=0) for s in soaks])
@@ -129,7 +134,7 @@ def _matrix(steps: RateSteps, soak: int, offset: FloatArray, variance: FloatArra
 
 
 def _dynamic(
-    steps: RateSteps, soaks: FloatArray, temps: FloatArray, offsets: FloatArray, gyro: TriadModel
+    steps: RateSteps, soaks: IntArray, temps: FloatArray, offsets: FloatArray, gyro: TriadModel
 ) -> DynamicDrift:
     """Bicubic: at each set-point a spline over the measured rate, then one over temperature at each node."""
     from scipy.interpolate import CubicSpline

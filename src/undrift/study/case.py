@@ -1,7 +1,7 @@
 """Case: one subject in one task with a device of its own, simulated once for a cut-off frequency.
 
-Everything is drawn from (seed, task, subject): the unit of the device, the performance, the temperature, the noise. The cut-off frequency
-changes the filter alone, so that cases of one subject differ by it and by nothing else.
+Everything is drawn from (seed, task, subject): the unit of the device, the performance, the temperature, the noise. The cut-
+off frequency changes the filter alone, so that cases of one subject differ by it and by nothing else.
 """
 
 import zlib

@@ -1,8 +1,9 @@
 """Executor: the one seam between a study and the machines that it runs on.
 
-A study hands over a function and its units of work and takes what comes back, in any order. Three executors do that alike: in this
-process, on a pool of processes, on a Dask scheduler. A unit carries its own seed, so the bits of its result depend on neither the
-executor, nor the number of workers, nor the order. A worker that is killed loses what it had in hand; that is done again.
+A study hands over a function and its units of work and takes what comes back, in any order. Three executors do that alike: in
+this process, on a pool of processes, on a Dask scheduler. A unit carries its own seed, so the bits of its result depend on
+neither the executor, nor the number of workers, nor the order. A worker that is killed loses what it had in hand; that is
+done again.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,8 @@
 
     y_r = m_c(r) + u_s(r) + e_r        u ~ N(0, s_u^2), e ~ N(0, s_e^2)
 
-The conditions are tested together by a Wald test of all contrasts, with n - 1 degrees of freedom in the denominator, which is on
-the safe side.
+The conditions are tested together by a Wald test of all contrasts, with n - 1 degrees of freedom in the denominator, which is
+on the safe side.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Plan of a study: which tasks, whose, with which device, and which protocols are tried.
 
-A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step as the note varies them, the rest from the plan. Every combination
-of the four whose step divides the span is a candidate.
+A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step as the note varies them, the rest from the plan. Every
+combination of the four whose step divides the span is a candidate.
 """
 
 from collections.abc import Iterator
@@ -132,7 +132,7 @@ class Study:
         for task in self.tasks:
             if not task.space.cutoff_hz or not any(True for _ in task.space.grids()):
                 raise InputError(
-                    f"study: wanted protocols to try for {task.name}, got none; give cut-offs, and steps that divide omega_M - omega_m"
+                    f"study: wanted protocols to try for {task.name}, got none; give cut-offs, and steps that divide the span"
                 )
         if not self.excursion_k[0] <= self.excursion_k[1]:
             raise InputError(

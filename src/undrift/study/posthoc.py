@@ -1,7 +1,7 @@
 """Which conditions differ: paired t tests of all pairs, p after Holm.
 
-Holm's p of the r-th smallest of m: max over those up to it of (m - r + 1) p, at most 1; it holds the chance of any false finding at
-the level, whatever the dependence between the tests.
+Holm's p of the r-th smallest of m: max over those up to it of (m - r + 1) p, at most 1; it holds the chance of any false
+finding at the level, whatever the dependence between the tests.
 """
 
 from dataclasses import dataclass

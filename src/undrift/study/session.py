@@ -1,8 +1,8 @@
 """A calibration session as a study simulates it: the protocol's dwells on the virtual bench, and what the device reads.
 
-Order of a session, at each set-point in turn: faces (at the first only); then for each axis a rest, the rates both ways, a rest. What a
-dwell imposes is known; what the device makes of it is simulated (sim/device/dwells.py). Between dwells the table runs up and the filter
-settles, which takes time in which the offset wanders on.
+Order of a session, at each set-point in turn: faces (at the first only); then for each axis a rest, the rates both ways, a
+rest. What a dwell imposes is known; what the device makes of it is simulated (sim/device/dwells.py). Between dwells the table
+runs up and the filter settles, which takes time in which the offset wanders on.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Store of a study's runs: one Parquet piece for each finished unit, whole or not there; joined to one surface in the end.
 
-DIR/study.json says which study the pieces belong to; a folder of another study is refused. A study that was cut off goes on with the
-units that have no piece.
+DIR/study.json says which study the pieces belong to; a folder of another study is refused. A study that was cut off goes on
+with the units that have no piece.
 """
 
 import hashlib
@@ -44,7 +44,9 @@ class RunStore:
         if head.exists():
             self._check(head, told)
         else:
-            write_whole(head, json.dumps({"kind": "undrift.study-runs", "format": 1, "study": json.loads(told)}, indent=1))
+            write_whole(
+                head, json.dumps({"kind": "undrift.study-runs", "format": 1, "study": json.loads(told)}, indent=1)
+            )
 
     def holds(self, unit: Unit) -> bool:
         """Return whether a unit is finished.
@@ -124,5 +126,5 @@ class RunStore:
         if not same:
             mark = hashlib.sha256(told.encode()).hexdigest()[:8]
             raise InputError(
-                f"{head.parent}: wanted an empty folder or one of this study ({mark}), got the runs of another; choose another folder"
+                f"{head.parent}: wanted an empty folder or one of this study ({mark}), got another's runs; choose another"
             )

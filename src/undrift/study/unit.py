@@ -1,7 +1,7 @@
 """Unit of work: one subject in one task with one cut-off frequency, all protocols of it.
 
-For each protocol: simulate the session -> fit -> tables -> correct the trial -> orient -> compare. Nothing but the readings passes from the
-simulated device to the fit.
+For each protocol: simulate the session -> fit -> tables -> correct the trial -> orient -> compare. Nothing but the readings
+passes from the simulated device to the fit.
 """
 
 from dataclasses import dataclass
