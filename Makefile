@@ -12,6 +12,8 @@ demo: $(INSTALLED)
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 
 test: $(INSTALLED)
+	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
+	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
 	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist worksteal --durations=12
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/test_correct.py tests/test_stream.py tests/test_filters.py tests/orientation
 

@@ -19,14 +19,23 @@ def rounded(u, lsb, mode):
     return u + 0.5 * lsb * (np.sign(u) * (np.abs(u) > 0.5 * lsb) if mode == "toward_zero" else 1.0)
 
 
-def triad(u, temp, model: TriadModel, offsets, matrices):
+def triad(u, temp, model: TriadModel, offsets, matrices, warm_up=0.0):
     """Steps 2 and 3: offsets and matrices are (nodes, values) or None."""
-    offset = model.offset if offsets is None else table(*offsets, temp)
+    offset = (model.offset if offsets is None else table(*offsets, temp)) + warm_up
     matrix = model.matrix[None] if matrices is None else table(*matrices, temp)
     return np.einsum("nij,nj->ni", np.broadcast_to(matrix, (len(u), 3, 3)), u - offset)
 
 
-def corrected(calibration: Calibration, gyro, accel, temp):
+def extrapolated(nodes, marks, uncertainty, x):
+    """Whether values drawn from a table at x draw on a marked node, and the largest uncertainty of the nodes they draw on."""
+    drawn = [[i for i in (k, k + 1) if nodes[k] <= v <= nodes[k + 1] and (v == nodes[i] or v not in nodes)]
+             for v in x for k in [min(max(np.searchsorted(nodes, v) - 1, 0), len(nodes) - 2)]]  # fmt: skip
+    mask = np.array([any(marks[i] for i in of) for of in drawn])
+    largest = [uncertainty[i] for of, met in zip(drawn, mask, strict=True) if met for i in of if marks[i]]
+    return mask, max(largest, default=0.0)
+
+
+def corrected(calibration: Calibration, gyro, accel, temp, since=None):
     """The five steps of undrift.correct for readings in the calibration's own units: (rate, specific force)."""
     c, drift, adc = calibration, calibration.drift, calibration.adc
     static, scale, dynamic = (drift.static, drift.scale, drift.dynamic) if drift else (None, None, None)
@@ -40,7 +49,8 @@ def corrected(calibration: Calibration, gyro, accel, temp):
         a = triad(u, temp, c.accel, of(static, "accel_offset"), of(scale, "accel_matrix"))
         a = a * si_factor(c.accel.unit_out, "accel")
     u = gyro if adc is None else rounded(gyro, adc.gyro_lsb, adc.gyro_rounding)
-    w = triad(u, temp, c.gyro, of(static, "gyro_offset"), of(scale, "gyro_matrix"))
+    warm_up = 0.0 if since is None else table(static.warm_up.power_on_s, static.warm_up.gyro_offset, since)
+    w = triad(u, temp, c.gyro, of(static, "gyro_offset"), of(scale, "gyro_matrix"), warm_up)
     if c.gyro.g_sensitivity is not None:
         w = w - a @ c.gyro.g_sensitivity.T
     if dynamic is not None:

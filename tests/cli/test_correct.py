@@ -1,9 +1,13 @@
 """undrift correct: one recording, many, every ending, and nothing half done."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cli_bench import contents
+from undrift.calibration.model import DriftTables, StaticDrift, WarmUp
+from undrift.calibration.store import read_calibration, write_calibration
 from undrift.io.recording import read_record, write_record
 
 
@@ -53,14 +57,70 @@ def test_one_bad_recording_among_good_ones_writes_nothing_at_all(undrift, bench,
 
 def test_a_recording_at_another_temperature_is_corrected_with_a_warning_on_stdout(undrift, bench, tmp_path):
     raw = read_record(bench / "trial.parquet")
-    from dataclasses import replace
-
     write_record(replace(raw, temp_c=raw.temp_c + 15.0), tmp_path / "warm.parquet")
     answer = undrift.good(
         "correct", tmp_path / "warm.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "c.csv"
     )
     assert "  warning: " in answer.out
     assert "degC" in answer.out
+
+
+@pytest.fixture
+def tuned(bench, tmp_path):
+    """The bench's calibration with a table of which the cold end is extrapolated, hysteresis and warm-up; a ramp through it."""
+    c = read_calibration(bench / "calibration.json")
+    static = StaticDrift(
+        temp_c=[20.0, 25.0, 30.0],
+        gyro_offset=np.tile(c.gyro.offset, (3, 1)),
+        gyro_uncertainty=np.full((3, 3), 0.5),
+        gyro_extrapolated=[True, False, False],
+        gyro_hysteresis=[1.0, 1.0, 1.0],
+        warm_up=WarmUp(power_on_s=[0.0, 600.0], gyro_offset=[[9.0, 9.0, 9.0], [0.0, 0.0, 0.0]]),
+    )
+    write_calibration(replace(c, drift=DriftTables(static=static)), tmp_path / "tuned.json")
+    raw = read_record(bench / "trial.parquet")
+    raw = replace(raw, temp_c=np.linspace(17.5, 32.5, len(raw)))
+    for name in ("ramp.parquet", "ramp.csv"):
+        write_record(raw, tmp_path / name)
+    return raw
+
+
+def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift, tuned, tmp_path):
+    words = ["--calibration", tmp_path / "tuned.json", "--policy", "hold"]
+    lasts = len(tuned) / tuned.sample_rate_hz
+    rows = []
+    for name in ("ramp.parquet", "ramp.csv"):
+        out = tmp_path / f"out.{name}"
+        rows.append(undrift.good("correct", tmp_path / name, *words, "-o", out, "--json").json()["recordings"][0])
+        text = undrift.good("correct", tmp_path / name, *words, "-o", out).out
+        assert [line for line in text.splitlines() if line.startswith("  ")] == [
+            *(f"  warning: {said}" for said in rows[-1]["warnings"]),
+            *(f"  note: {said}" for said in rows[-1]["notes"]),
+        ]
+    for row in rows:
+        assert row["seconds_outside"] == pytest.approx(lasts / 3.0, abs=0.05)  # 2.5 degC of 15 at either end
+        assert row["seconds_extrapolated"] == pytest.approx(lasts / 3.0, abs=0.05)  # 20 to 25 degC
+        assert row["samples_outside"] == pytest.approx(row["seconds_outside"] * tuned.sample_rate_hz)
+        assert f"{row['seconds_outside']:.1f} s lie outside the drift table: 17.5 to 32.5 degC" in row["warnings"][0]
+        assert f"{row['seconds_extrapolated']:.1f} s lie where the drift table is extrapolated" in row["warnings"][1]
+        assert row["notes"][0].startswith("hysteresis: the table holds the middle")
+        assert row["notes"][1].startswith("no warm-up was subtracted: it reaches")
+        assert len(row["notes"]) == 2
+    assert rows[0]["warnings"] == rows[1]["warnings"], "streamed and at once"
+
+
+def test_the_time_since_power_on_is_given_in_seconds_and_a_wrong_one_leaves_nothing(undrift, tuned, tmp_path):
+    words = [tmp_path / "ramp.parquet", "--calibration", tmp_path / "tuned.json", "--policy", "hold"]
+    told = undrift.good("correct", *words, "-o", tmp_path / "a.parquet", "--power-on-s", "30", "--json").json()
+    assert not any("warm-up" in note for note in told["recordings"][0]["notes"])
+    undrift.good("correct", *words, "-o", tmp_path / "b.parquet")
+    with_it, without = (read_record(tmp_path / name).gyro[0] for name in ("a.parquet", "b.parquet"))
+    matrix = read_calibration(tmp_path / "tuned.json").gyro.matrix
+    np.testing.assert_allclose(without - with_it, matrix @ np.full(3, 9.0 * 0.95), rtol=1e-9)  # 30 of 600 s are over
+    before = contents(tmp_path)
+    line = undrift.refused("correct", *words, "-o", tmp_path / "new", "--power-on-s", "-1")
+    assert "wanted the time since power-on at the first sample, 0 s or more, got -1" in line
+    assert contents(tmp_path) == before
 
 
 def test_what_correct_refuses(undrift, bench, tmp_path):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from c_build import STRICT, bits_of, build, write
@@ -16,7 +16,8 @@ from tuned import GAP, ROUNDINGS, STEPS, WILD, device, record, tables
 from undrift.calibration.model import AdcModel, Provenance, StaticDrift, Verdict, WarmUp
 from undrift.correct import correct_checked
 from undrift.errors import InputError
-from undrift.export.c import CSettings, export_c, literal
+from undrift.export.c import CSettings, export_c
+from undrift.export.c_text import literal
 from undrift.export.fixed import FULL_FORCE, FULL_RATE
 
 KINDS = {
@@ -114,28 +115,44 @@ def calibrations(draw):
     return replace(made, gyro=gyro, accel=accel)
 
 
-@few
+def at(calibration, name, temp_c):
+    """Matrix and offset of a triad at each temperature."""
+    model, drift = getattr(calibration, name), calibration.drift
+    matrix = np.tile(model.matrix, (len(temp_c), 1, 1))
+    offset = np.tile(model.offset, (len(temp_c), 1))
+    if drift.static is not None and (y := getattr(drift.static, f"{name}_offset")) is not None:
+        offset = np.column_stack([np.interp(temp_c, drift.static.temp_c, c) for c in y.T])
+    if drift.scale is not None and (y := getattr(drift.scale, f"{name}_matrix")) is not None:
+        flat = [np.interp(temp_c, drift.scale.temp_c, c) for c in y.reshape(-1, 9).T]
+        matrix = np.column_stack(flat).reshape(-1, 3, 3)
+    return matrix, offset
+
+
+@settings(few, max_examples=20)
 @given(calibrations(), st.integers(0, 1000))
 def test_fixed_point_stays_within_its_stated_bound(tmp_path_factory, calibration, seed):
     exported = export_c(calibration)
-    run = build(exported, tmp_path_factory.mktemp("c"), "fixed")
+    run = build(exported, tmp_path_factory.mktemp("c"), "fixed", "-O0")
     rng = np.random.default_rng(seed)
     room = [2.0 ** (31 - bits) for bits in bits_of(exported)]
 
-    def readings(model, full, held):
-        true = rng.uniform(-full, full, (400, 3))
-        raw = true @ np.linalg.inv(model.matrix).T + model.offset
-        return np.round(np.clip(raw, -0.999 * held, 0.999 * held))
+    temp_c = rng.uniform(-40.0, 90.0, 400)
 
-    gyro, accel = readings(calibration.gyro, FULL_RATE, room[0]), readings(calibration.accel, FULL_FORCE, room[1])
-    inputs = run.inputs(gyro, accel, rng.uniform(-40.0, 90.0, 400))
+    def readings(name, full, held):
+        matrix, offset = at(calibration, name, temp_c)
+        true = rng.uniform(-full, full, (400, 3)) * rng.choice([1.0, 0.1, 0.01], (400, 1))
+        u = np.linalg.solve(matrix, true[..., None])[..., 0]
+        least = ((0.999 * held - np.abs(offset)) / np.abs(u)).min(axis=1)  # codes that the format holds
+        return u * np.minimum(1.0, least)[:, None] + offset
+
+    inputs = run.inputs(readings("gyro", FULL_RATE, room[0]), readings("accel", FULL_FORCE, room[1]), temp_c)
     gyro, accel, temp_c = run.real(inputs)
     w, a, status = run(inputs)
     w_python, a_python, _ = corrected(calibration, gyro, accel, temp_c, "count")
     # the bound is stated for results of at most 2000 deg/s and 16 g, and for what nothing limited
     a_holds = (np.abs(a_python) <= FULL_FORCE).all(axis=1) & (status & 4 == 0)
     w_holds = (np.abs(w_python) <= FULL_RATE).all(axis=1) & a_holds
-    assert a_holds.any()
+    assert w_holds.mean() > 0.3
     assert (np.abs(a - a_python)[a_holds] <= exported.accel_bound).all()
     assert (np.abs(w - w_python)[w_holds] <= exported.gyro_bound).all()
 
@@ -143,11 +160,18 @@ def test_fixed_point_stays_within_its_stated_bound(tmp_path_factory, calibration
 EXTREMES = np.array([-(2**31), -(2**31) + 1, -65536, -1, 0, 1, 65535, 2**30, 2**31 - 1])
 
 
-@pytest.mark.parametrize("kind", ["constant", "even", "searched", "physical"])
-@pytest.mark.parametrize("arithmetic", ["float", "double", "fixed"])
+@pytest.mark.parametrize("kind", ["even", "searched", "loud"])
+@pytest.mark.parametrize("arithmetic", ["float", "fixed"])
 def test_extreme_inputs_do_nothing_undefined(kind, arithmetic, tmp_path):
-    exported = export_c(device(**KINDS[kind]))
-    run = build(exported, tmp_path, arithmetic, "-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+    made = device(**KINDS["without g" if kind == "loud" else kind])
+    if kind == "loud":  # results that 32 bits do not hold
+        made = replace(
+            made, gyro=replace(made.gyro, matrix=made.gyro.matrix * 1e4, g_sensitivity=np.full((3, 3), -9.0))
+        )
+    exported = export_c(made)
+    run = build(
+        exported, tmp_path, arithmetic, "-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"
+    )
     rng = np.random.default_rng(2)
     if arithmetic == "fixed":
         inputs = rng.choice(EXTREMES, (4000, 7)).astype("i4")
@@ -159,7 +183,7 @@ def test_extreme_inputs_do_nothing_undefined(kind, arithmetic, tmp_path):
     assert ((status >= 0) & (status <= 7)).all()
     if arithmetic == "fixed":
         assert np.abs(np.column_stack((w, a))).max() <= 2.0**15
-        assert (status & 4).any()
+        assert (status & 4).any() == (kind == "loud")
 
 
 def test_a_saturated_result_has_the_sign_of_the_exact_one(tmp_path):
@@ -170,6 +194,19 @@ def test_a_saturated_result_has_the_sign_of_the_exact_one(tmp_path):
     assert status.tolist() == [4]
     assert w[0, 0] == pytest.approx(2.0**15, abs=1e-4)
     assert w[0, 1] == pytest.approx(-(2.0**15), abs=1e-4)
+
+
+def test_a_reading_at_the_end_of_its_range_does_not_saturate_for_its_offset(tmp_path):
+    made = device(g=False, drift=None)
+    made = replace(made, gyro=replace(made.gyro, offset=np.array([9000.0, -9000.0, 16000.0])))
+    exported = export_c(made)
+    run = build(exported, tmp_path, "fixed")
+    inputs = run.inputs([[-32768.0, 32767.0, -32768.0]], [[0.0] * 3], [25.0])
+    w, _, status = run(inputs)
+    gyro, accel, temp_c = run.real(np.repeat(inputs, 2, axis=0))
+    assert status.tolist() == [0]
+    python = corrected(made, gyro, accel, temp_c, "count")[0][0]
+    assert (np.abs(w[0] - python) <= 1.5 * exported.gyro_bound).all()  # up to 48 rad/s; stated for 35
 
 
 def test_the_output_may_be_the_input_and_two_devices_fit_into_one_program(tmp_path):
@@ -199,17 +236,26 @@ def test_constants_have_the_size_that_is_stated_and_there_is_no_state_and_no_lib
     assert not re.findall(r" [UbBdDC] ", symbols)  # nothing undefined, nothing writable
     stated = next(c for c in exported.costs if c.arithmetic == arithmetic)
     assert sum(int(size, 16) for size in re.findall(r"^\S+ (\S+) r ", symbols, re.M)) == stated.table_bytes
-    assert f"{stated.table_bytes} + {stated.code_bytes} = {stated.flash_bytes} bytes, {stated.cycles} cycles" in exported.header
+    assert (
+        f"{stated.table_bytes} + {stated.code_bytes} = {stated.flash_bytes} bytes, {stated.cycles} cycles"
+        in exported.header
+    )
     words[words.index("-O0")] = "-Os"
     subprocess.run([*words, "-o", tmp_path / "s.o"], check=True)
     sections = subprocess.run(["size", "-A", tmp_path / "s.o"], capture_output=True, text=True, check=True).stdout
     code = int(re.findall(r"^\.text\s+(\d+)", sections, re.M)[0])
-    show(f"{arithmetic}: code on this machine, bytes", code, f"estimate {stated.code_bytes} for another processor, factor 2")
+    show(
+        f"{arithmetic}: code on this machine, bytes",
+        code,
+        f"estimate {stated.code_bytes} for another processor, factor 2",
+    )
     assert 0.5 < code / stated.code_bytes < 2.0 or arithmetic == "double"  # double is done by a library there
 
 
 def test_the_header_says_what_a_reader_must_know():
-    calibration = device(drift=tables(), verdict=Verdict(status="marginal"), provenance=Provenance(created="2026-01-02T03:04:05Z"))
+    calibration = device(
+        drift=tables(), verdict=Verdict(status="marginal"), provenance=Provenance(created="2026-01-02T03:04:05Z")
+    )
     header = export_c(calibration, CSettings(date="2026-05-06", default="fixed")).header
     for text in ("sensor A", "2026-01-02", "2026-05-06", "marginal", "rad/s", "m/s2", "degC", "frame b", "count",
                  "18 to 75 degC", "Order of the steps", "bytes", "cycles", "Cortex-M4F", "at most"):  # fmt: skip
@@ -219,7 +265,7 @@ def test_the_header_says_what_a_reader_must_know():
 
 
 def test_a_serial_number_cannot_break_out_of_the_comment(tmp_path):
-    evil = device(**{"device": "A*/ int x; /* ??/\n#error \\"})
+    evil = device(device="A*/ int x; /* ??/\n#error \\")
     build(export_c(evil), tmp_path, "float")
 
 
@@ -228,7 +274,7 @@ def test_what_is_not_carried_is_listed():
         temp_c=[0.0, 1.0], gyro_offset=np.zeros((2, 3)), gyro_hysteresis=[1.0, 2.0, 3.0],
         warm_up=WarmUp(power_on_s=[0.0, 60.0], gyro_offset=[[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
     )  # fmt: skip
-    drift = replace(tables(), static=static, lag_s=30.0)
+    drift = replace(tables(), static=static, lag_s=30.0, lag_smooth_s=5.0)
     exported = export_c(device(drift=drift, adc=ROUNDINGS[1]))
     said = " | ".join(exported.not_carried)
     for text in ("hysteresis", "power-on", "lag of 30 s", "uncertainties"):
@@ -267,7 +313,9 @@ def test_unsigned_codes_get_the_room_that_they_need(tmp_path):
 
 
 def test_what_is_refused():
-    with pytest.raises(InputError, match="wanted a model of gyroscopes or accelerometers, got neither; calibrate first"):
+    with pytest.raises(
+        InputError, match="wanted a model of gyroscopes or accelerometers, got neither; calibrate first"
+    ):
         export_c(device(gyro=None, accel=None))
     bad = device(drift=None)
     with pytest.raises(InputError, match="wanted numbers throughout the model of the gyro, got 3 NaN"):
@@ -279,8 +327,8 @@ def test_what_is_refused():
         export_c(bad, CSettings(accel_raw_bits=31))
     with pytest.raises(InputError, match="fixed point, gyro: wanted gains that 32 bits hold"):
         export_c(replace(bad, gyro=replace(bad.gyro, matrix=np.eye(3) * 1e9)))
+    big = replace(bad, gyro=replace(bad.gyro, offset=np.full(3, 4e4)))
     with pytest.raises(InputError, match="wanted offsets that leave room in 32 bits with 16 bits behind the point"):
-        big = replace(bad, gyro=replace(bad.gyro, offset=np.full(3, 4e4)))
         export_c(big, CSettings(gyro_raw_bits=16))
     close = StaticDrift(temp_c=[20.0, 20.0 + 1e-6, 75.0], gyro_offset=np.zeros((3, 3)))
     with pytest.raises(InputError, match="wanted nodes within 32767 and more than 1/65536 apart"):

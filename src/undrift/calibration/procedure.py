@@ -67,9 +67,14 @@ def calibrate(
     Implausible
         Data or results that cannot be this device.
     InputError
-        A method or mode that is not one.
+        A method or mode that is not one, or a corrected recording.
     """
     _check_choices(accel, gyro, mode, settings.latitude_deg)
+    if any(r.state == "corrected" for r in session.records):
+        raise InputError(
+            "calibrate: wanted raw readings, got a corrected record, whose offsets are gone; calibrate with the device's own "
+            "recording"
+        )
     session = in_one_unit(session)
     adc = _adc(session) if settings.identify_adc else None
     seen = observe(_untruncated(session, adc), settings)

@@ -22,6 +22,7 @@ COMMANDS = {
     "orient": "Initial tilt and strapdown: orientation, inclination, sagittal pitch.",
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and see how far it carries.",
+    "export": "Write what firmware and other programs read, and say what they cannot carry.",
     "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
     "simulate": "What a device would say to a motion: a preset or device.json, moved by poses or by a task.",
     "demo": "The whole flow on a small simulated session, as a report page.",

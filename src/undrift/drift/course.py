@@ -233,7 +233,7 @@ def _freedom(tents: FloatArray, differences: FloatArray, stiffness: float) -> fl
 
     step = 1e-3  # of the logarithm of the stiffness
     slope = 2.0 * (half_log(stiffness * (1.0 + step)) - half_log(stiffness * (1.0 - step))) / (2.0 * step)
-    return tents.shape[1] + 2 - slope
+    return float(tents.shape[1] + 2 - slope)
 
 
 def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> Course:
@@ -258,12 +258,15 @@ def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, noise: flo
 
 def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return when a running mean of the steps passes midway between two of them, at which height, and whether upward."""
+    from scipy.ndimage import median_filter
+
     span = float(time[-1] - time[0])
     passed, ref = [float(time[0])], level[0]
-    for k in np.flatnonzero(np.diff(level)) + 1:
-        if abs(level[k] - ref) >= 2.0:  # two steps on: no chatter between neighbours
+    calm = median_filter(level, size=9, mode="nearest")  # without single readings two steps off
+    for k in np.flatnonzero(np.diff(calm)) + 1:
+        if abs(calm[k] - ref) >= 2.0:  # two steps on: no chatter between neighbours
             passed.append(float(time[k]))
-            ref = level[k]
+            ref = calm[k]
     dwell = 0.5 * float(np.quantile(np.diff(passed), 0.1)) if len(passed) > 1 else 0.2 * span
     mean = _running_mean(level, time, 0.25 * dwell)
     code = np.floor(mean + 0.5)
@@ -281,7 +284,7 @@ def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatAr
 def _without_chatter(
     at: FloatArray, height: FloatArray, up: BoolArray, span: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the crossings with those that noise repeats made one, at their mean time; there and back makes none."""
+    """Return the crossings with those that noise repeats made one, at their mean time; there and back makes two."""
     bounds = np.concatenate(([0], np.flatnonzero(np.diff(height)) + 1, [len(at)]))
     times, first = [], []
     for start, stop in pairwise(bounds.tolist()):
@@ -295,6 +298,11 @@ def _without_chatter(
             if len(group) % 2 == 1:
                 times.append(float(at[group].mean()))
                 first.append(int(group[0]))
+            elif (
+                at[group[-1]] > at[group[0]]
+            ):  # it touched the height and went back: both ends stay, or a slow end of the record would lose it
+                times += [float(at[group[0]]), float(at[group[-1]])]
+                first += [int(group[0]), int(group[-1])]
     return np.array(times), height[first], up[first]
 
 
@@ -332,7 +340,7 @@ def _fading(away: FloatArray, t: FloatArray, y: FloatArray, code: float) -> Floa
         return away
     room = code - y[0]
     slope = _slope(t, y) or 2.0 * abs(room) / float(away.max())
-    return y[0] - room * np.expm1(-away * slope / abs(room))
+    return np.asarray(y[0] - room * np.expm1(-away * slope / abs(room)))
 
 
 def _slope(t: FloatArray, y: FloatArray) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration, TriadModel
 from undrift.drift.buffers import Buffers, flat
-from undrift.drift.extrapolated import NONE_MET, Stated, mark_extrapolated
+from undrift.drift.extrapolated import NONE_MET, Doubt, Stated, mark_extrapolated
 from undrift.drift.pieces import in_pieces
-from undrift.drift.plan import Plans, TriadPlan
+from undrift.drift.plan import Plans
 from undrift.errors import DriftRangeError
 from undrift.record import Record
 from undrift.units import si_factor
@@ -144,18 +144,30 @@ def find_extrapolated(
         Largest standard uncertainties that the tables state there.
     """
     mask, stated = np.zeros(len(record), dtype=bool), NONE_MET
+    if not any(plan is not None and plan.doubts for plan in plans):
+        return mask, stated
+    least, greatest = _extremes(temp_c)
     for plan, values in zip(plans, corrected, strict=True):
         if plan is None or not plan.doubts:
             continue
-        work = partial(_mark, plan, temp_c, values, mask)
+        span = (max(plan.temp_range[0], least), min(plan.temp_range[1], greatest))
+        work = partial(_mark, plan.doubts, span, temp_c, values, mask)
         for found in in_pieces(work, len(record), threads):
             stated = stated.joined(found)
     return mask, stated
 
 
-def _mark(plan: TriadPlan, temp_c: FloatArray, values: FloatArray, mask: BoolArray, start: int, stop: int) -> Stated:
+def _mark(
+    doubts: tuple[Doubt, ...],
+    span: Span,
+    temp_c: FloatArray,
+    values: FloatArray,
+    mask: BoolArray,
+    start: int,
+    stop: int,
+) -> Stated:
     piece = slice(start, stop)
-    return mark_extrapolated(plan.doubts, temp_c[piece], plan.temp_range, flat(values, start, stop), mask[piece])
+    return mark_extrapolated(doubts, temp_c[piece], span, flat(values, start, stop), mask[piece])
 
 
 def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans) -> Reach:

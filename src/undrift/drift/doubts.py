@@ -3,10 +3,10 @@
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.drift.course import block_means
 
 STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
 JUMP_C = 1.0  # K within a second: more than a board changes
+BESIDE = 5  # readings on either side of a jump
 HOT_C = 45.0  # above it all along: no room, and no body
 COARSE_C = 0.5
 ALONE = 8.0  # times the scatter about the running median
@@ -108,18 +108,27 @@ def find_doubts(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: fl
     said: list[str] = []
     if step_c >= COARSE_C:
         said.append(f"quantised, it comes in steps of {step_c:g} K; smoothed over time")
-    t, y, count = block_means(time, temp_c)
-    change = np.abs(np.diff(y))
-    blur = 6.0 * noise_c * np.sqrt(1.0 / count[1:] + 1.0 / count[:-1])
-    jumps = np.flatnonzero((change > JUMP_C * np.maximum(np.diff(t), 1.0)) & (change > 1.5 * step_c) & (change > blur))
-    if len(jumps):
-        said.append(
-            f"jumps by {change[jumps].max():.2f} K, faster than a board changes, first at {t[jumps[0] + 1]:.6g} s "
-            f"({len(jumps)} such)"
-        )
+    said += _jumps(temp_c, time, step_c, noise_c)
     if temp_c.min() > HOT_C:
         said.append(
             f"implausible unless a chamber held it, {temp_c.min():.1f} to {temp_c.max():.1f} degC throughout: the warmth of a "
             "chip, or a wrong scale; a table counts in the degrees of this column"
         )
     return said
+
+
+def _jumps(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: float) -> list[str]:
+    """Return a sentence on medians of five readings that differ from the next five by more than a board changes."""
+    if len(temp_c) < 2 * BESIDE:
+        return []
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(temp_c, BESIDE), axis=1)
+    change = np.abs(middle[BESIDE:] - middle[:-BESIDE])
+    lasts = time[2 * BESIDE - 1 :] - time[: 1 - 2 * BESIDE]
+    jumps = np.flatnonzero(change > np.maximum(JUMP_C * np.maximum(lasts, 1.0), max(1.5 * step_c, 6.0 * noise_c)))
+    if len(jumps) == 0:
+        return []
+    groups = np.split(jumps, np.flatnonzero(np.diff(jumps) > BESIDE) + 1)
+    first = groups[0][len(groups[0]) // 2] + BESIDE  # the medians differ while most of one side is beyond the jump
+    return [
+        f"jumps by {change[jumps].max():.2f} K, faster than a board changes, first at {time[first]:.6g} s ({len(groups)} such)"
+    ]

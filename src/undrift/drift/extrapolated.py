@@ -133,7 +133,8 @@ def mark_extrapolated(
     temp_c : array, shape (N,)
         What the tables are looked up with, degC.
     span_c : tuple of float
-        Temperatures that the tables hold, degC; samples beyond are outside, not extrapolated.
+        From the least to the greatest temperature that the record has and the tables hold, degC; samples beyond are outside,
+        not extrapolated.
     corrected : array, shape (3 N,)
         Corrected rate, rad/s, by which the cell of the dynamic table is found; it differs from the measured one by the error
         that the table holds, far less than a cell.
@@ -150,12 +151,24 @@ def mark_extrapolated(
     met = NONE_MET
     low, high = span_c
     for doubt in doubts:
+        if not _may_meet(doubt, low, high):  # most records stay where data were near
+            continue
         if doubt.rate is None:
             largest = mark_line(temp_c, low, high, doubt.temp, doubt.stated, mask)
         else:
             largest = mark_plane(temp_c, corrected, low, high, doubt.temp, doubt.rate, doubt.stated, mask)
         met = met.joined(Stated(**{doubt.kind: max(float(largest), 0.0)}))
     return met
+
+
+def _may_meet(doubt: Doubt, low: float, high: float) -> bool:
+    """Whether any half from the least to the greatest temperature is extrapolated."""
+    from undrift.kernels.correct import half
+
+    if not low <= high:  # all outside, or gaps alone
+        return False
+    rows = doubt.stated.reshape(2 * doubt.temp.cells + 1, -1)
+    return bool((rows[int(half(doubt.temp, low)) : int(half(doubt.temp, high)) + 1] >= 0.0).any())
 
 
 def _line(kind: Kind, temp_c: FloatArray, marks: BoolArray | None, u: FloatArray | None) -> tuple[Doubt, ...]:

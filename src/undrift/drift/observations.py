@@ -1,6 +1,7 @@
 """What a thermal session shows, one row each: blocks of rest, and dwells at a steady rate, with their temperatures."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from undrift.arrays import FloatArray, IntArray
 
@@ -27,6 +28,8 @@ class RestBlocks:
         Mean reading, raw unit; NaN where the session has no such sensors.
     gyro_variance, accel_variance : array, shape (n, 3)
         Variance of that mean from the scatter inside the block, raw unit squared.
+    gyro_step_error, accel_step_error : array, shape (n, 3), or None
+        Standard deviation of what the converter's steps leave in the mean, raw unit: it does not average out at one level.
     """
 
     session: IntArray
@@ -39,6 +42,8 @@ class RestBlocks:
     accel: FloatArray
     gyro_variance: FloatArray
     accel_variance: FloatArray
+    gyro_step_error: FloatArray | None = None
+    accel_step_error: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.temp_c)
@@ -56,7 +61,9 @@ class RestBlocks:
         RestBlocks
             Those rows.
         """
-        return RestBlocks(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        taken: dict[str, Any] = {name: None if value is None else value[which] for name, value in own.items()}
+        return RestBlocks(**taken)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

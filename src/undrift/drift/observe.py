@@ -8,7 +8,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.fit.dwells import DwellSettings, dwell_means
-from undrift.drift.blocks import rest_blocks
+from undrift.drift.blocks import rest_blocks, whole_of
 from undrift.drift.observations import RateSteps, RestBlocks
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record
@@ -78,6 +78,7 @@ def observe_rests(
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         _check_lengths(session, temps)
         begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
+        wholes = [whole_of(record, float(begin)) for record, begin in zip(session.records, begins, strict=False)]
         stills = _rests(session)
         numbers = poses + _poses(session, stills)
         poses = int(numbers.max()) + 1
@@ -86,9 +87,9 @@ def observe_rests(
                 session.records[still.recording],
                 temps[still.recording],
                 still,
+                wholes[still.recording],
                 block_s=settings.block_s,
                 ramp_s=settings.ramp_s,
-                begin_s=float(begins[still.recording]),
                 session=number,
                 pose=int(pose),
             )
@@ -146,6 +147,8 @@ def observe_steps(
 
 
 def _stacked(parts: Sequence[RestBlocks | RateSteps], name: str) -> Any:
+    if any(getattr(part, name) is None for part in parts):
+        return None
     return np.concatenate([getattr(part, name) for part in parts])
 
 
@@ -172,14 +175,17 @@ def _never_moves(record: Record) -> bool:
     """Tell whether nearly all seconds of a record are as quiet as the median second, and the specific force stays."""
     size = max(4, round(record.sample_rate_hz))
     for values in (record.gyro, record.accel):
-        if values is None or len(values) < 8 * size:
+        if values is None:
+            continue
+        values = values[np.isfinite(values).all(axis=1)]
+        if len(values) < 8 * size:
             return False
         seconds = values[: len(values) // size * size].reshape(-1, size, 3)
-        middle = np.nanmedian(seconds, axis=1)
-        spread = np.nanmedian(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
-        usual = max(float(np.nanmedian(spread)), 1e-300)
+        middle = np.median(seconds, axis=1)
+        spread = np.median(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
+        usual = max(float(np.median(spread)), 1e-300)
         steps = np.abs(np.diff(middle, axis=0)).sum(axis=1)
-        if np.nanquantile(spread, 0.98) > _EVEN * usual or np.nanquantile(steps, 0.98) > _EVEN * usual:
+        if np.quantile(spread, 0.98) > _EVEN * usual or np.quantile(steps, 0.98) > _EVEN * usual:
             return False
     return _direction_stays(record)
 
@@ -187,8 +193,8 @@ def _never_moves(record: Record) -> bool:
 def _direction_stays(record: Record) -> bool:
     if record.accel is None:
         return True
-    parts = np.array_split(record.accel, 8)
-    means = np.array([np.nanmedian(part, axis=0) for part in parts])
+    known = record.accel[np.isfinite(record.accel).all(axis=1)]
+    means = np.array([np.median(part, axis=0) for part in np.array_split(known, 8)])
     return all(_angle(means[0], mean) < _SAME_POSE for mean in means)
 
 

@@ -9,20 +9,17 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration
 from undrift.errors import InputError
+from undrift.export.c_text import Printer, comment_text, wrapped
 from undrift.export.cost import ASSUMPTION, Arithmetic, Cost, cost_of
-from undrift.export.firmware import Axis, Table, Triad, triads_of
-from undrift.export.fixed import FULL_FORCE, FULL_RATE, FixedAxis, FixedTable, FixedTriad, fixed_triad
-from undrift.export.losses import losses
+from undrift.export.firmware import Table, Triad, triads_of
+from undrift.export.fixed import FULL_FORCE, FULL_RATE, FixedTable, FixedTriad, fixed_triad
+from undrift.export.losses import Part, losses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-WIDTH = 116
-SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
-CARRIED = frozenset(
+CARRIED: frozenset[Part] = frozenset(
     ("rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
 )  # fmt: skip
 
@@ -138,7 +135,9 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     of_accel = None if accel is None else fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
     of_gyro = None if gyro is None else _fixed_gyro(gyro, of_accel, settings)
     views = [
-        _View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro)) if t is not None and x is not None
+        _View(name=t.name, real=t, fixed=x)
+        for t, x in ((accel, of_accel), (gyro, of_gyro))
+        if t is not None and x is not None
     ]
     source, sizes = _source(views, calibration, settings)
     triads = tuple(view.real for view in views)
@@ -182,90 +181,12 @@ def _environment() -> Any:
 
     return Environment(  # C source, not HTML
         loader=PackageLoader("undrift", "export"),
-        autoescape=False,  # noqa: S701
+        autoescape=False,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         undefined=StrictUndefined,
     )
-
-
-class _Printer:
-    """Prints arrays and lookups, and counts the bytes of the arrays."""
-
-    def __init__(self, prefix: str) -> None:
-        self.prefix, self.upper = prefix, prefix.upper()
-        self.sizes = {"float": 0, "double": 0, "fixed": 0}
-
-    def ints(self, kind: str, name: str, values: FloatArray) -> str:
-        flat = [str(int(v)) for v in np.ravel(values)]
-        self.sizes["fixed"] += len(flat) * (2 if kind == "int16_t" else 4)
-        return self._array(kind, name, flat)
-
-    def reals(self, name: str, values: FloatArray) -> str:
-        flat = [f"{self.upper}_C({literal(float(v))})" for v in np.ravel(values)]
-        self.sizes["float"] += 4 * len(flat)
-        self.sizes["double"] += 8 * len(flat)
-        return self._array(f"{self.prefix}_t", name, flat)
-
-    def _array(self, kind: str, name: str, cells: list[str]) -> str:
-        lines, line = [], "   "
-        for cell in cells:
-            if len(line) + len(cell) + 2 > WIDTH:
-                lines.append(line)
-                line = "   "
-            line += f" {cell},"
-        lines.append(line.rstrip(","))
-        return f"static const {kind} {self.prefix}_{name}[{len(cells)}] = {{\n" + "\n".join(lines) + "\n};\n"
-
-    def fixed_cell(
-        self, triad: str, table: str, axis: FixedAxis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
-    ) -> str:
-        start, stop, name = int(axis.nodes[0]), int(axis.nodes[-1]), f"{self.prefix}_{triad}_{table}_{place}"
-        pad = "\n" + " " * (4 if cell == "cell" else 8)
-        held = f"status |= {x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0;{pad}"
-        if axis.axis.even:
-            inner = f"{x}, {start}, {stop}, {int(axis.inverse[0])}u, {axis.shift}, {axis.axis.cells}, &{fraction}"
-            return f"{held}{cell} = {self.prefix}_cell({inner});"
-        inner = f"{x}, {name}, {name}_inverse, {axis.shift}, {axis.axis.cells}, {axis.axis.stride}, &{fraction}"
-        return f"{held}{cell} = {self.prefix}_search({inner});"
-
-    def real_cell(
-        self, triad: str, table: str, axis: Axis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
-    ) -> str:
-        c, name = f"{self.upper}_C", f"{self.prefix}_{triad}_{table}_{place}"
-        start, stop = literal(axis.start), literal(axis.stop)
-        pad = "\n" + " " * (4 if cell == "cell" else 8)
-        held = f"status |= {x} >= {c}({start}) && {x} <= {c}({stop}) ? 0 : {self.upper}_{what}_HELD;{pad}"
-        if axis.even:
-            inner = f"{x}, {c}({start}), {c}({literal(float(axis.inverse[0]))}), {axis.cells}, &{fraction}"
-            return f"{held}{cell} = {self.prefix}_cell({inner});"
-        inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {axis.stride}, &{fraction}"
-        return f"{held}{cell} = {self.prefix}_search({inner});"
-
-
-def literal(x: float) -> str:
-    """Return a C literal that reads back to the last bit as a double, and that a float can be.
-
-    Parameters
-    ----------
-    x : float
-        Any unit; below 1e-37 it is zero.
-
-    Returns
-    -------
-    str
-        With a point or an exponent, without a suffix.
-
-    Raises
-    ------
-    InputError
-        Beyond what a float holds.
-    """
-    if abs(x) > LARGEST:
-        raise InputError(f"export c: wanted numbers that float holds, got {x:g}; mend the calibration")
-    text = repr(x if abs(x) >= SMALLEST else 0.0)
-    return text if "." in text or "e" in text else text + ".0"
 
 
 def _axes(table: Table | FixedTable) -> list[tuple[str, Any]]:
@@ -275,7 +196,7 @@ def _axes(table: Table | FixedTable) -> list[tuple[str, Any]]:
 def _source(
     views: list[_View], calibration: Calibration, settings: CSettings
 ) -> tuple[str, tuple[tuple[Arithmetic, int], ...]]:
-    printer = _Printer(settings.prefix)
+    printer = Printer(settings.prefix)
     tables = [table for view in views for table in view.real.tables]
     axes = [axis for table in tables for _, axis in _axes(table)]
     text = _environment().get_template("undrift.c.j2").render(
@@ -296,14 +217,8 @@ def _source(
     return re.sub(r"\n{3,}", "\n\n", text), sizes
 
 
-def _safe(text: str) -> str:
-    """Text that cannot end a comment, continue a line or form a trigraph."""
-    plain = re.sub(r"[^ -~]", "?", text)
-    return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("\\", "/")
-
-
 def _title(calibration: Calibration) -> str:
-    return f"Correction of the inertial sensor {_safe(calibration.device) or '(no serial number)'}"
+    return f"Correction of the inertial sensor {comment_text(calibration.device) or '(no serial number)'}"
 
 
 def _header(
@@ -313,7 +228,7 @@ def _header(
     return str(
         _environment().get_template("undrift.h.j2").render(
             title=_title(calibration),
-            comment=[_safe(line) for line in _comment(views, calibration, settings, costs, said)],
+            comment=[comment_text(line) for line in _comment(views, calibration, settings, costs, said)],
             default=settings.default, p=settings.prefix, P=settings.prefix.upper(), triads=views, created=p.created,
         )
     )  # fmt: skip
@@ -323,13 +238,12 @@ def _comment(
     views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], said: tuple[str, ...]
 ) -> list[str]:
     lines = [
-        f"Calibrated {calibration.provenance.created or 'at a time not stated'}, exported {settings.date or 'at a time not stated'}.",
+        f"Calibrated: {calibration.provenance.created or 'not stated'}. Exported: {settings.date or 'not stated'}.",
         f"Verdict of the calibration: {calibration.verdict.status}.",
         "",
         "Readings in sensor axes s, results in the case frame b: gyroscopes rad/s, accelerometers m/s2, temperature degC.",
     ]
-    for view in views:
-        lines.append(f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}")
+    lines += [f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}" for view in views]
     lines += [
         "Order of the steps: 1 half a code step back, 2 offset(T), 3 matrix M(T), 4 g-sensitivity, 5 dynamic drift e(w, T).",
         "Tables are linear between their nodes and held at their ends; the return value says when.",
@@ -342,7 +256,10 @@ def _comment(
     lines += [
         f"  {c.arithmetic:6} {c.table_bytes} + {c.code_bytes} = {c.flash_bytes} bytes, {c.cycles} cycles" for c in costs
     ]
-    lines += ["", "Fixed point: int32, 16 bits behind the point (Q16.16) unless a _RAW_BITS below says fewer. Error against exact"]
+    lines += [
+        "",
+        "Fixed point: int32, 16 bits behind the point (Q16.16) unless a _RAW_BITS below says fewer. Error against exact",
+    ]
     lines += ["arithmetic on the same inputs, at most, while no axis exceeds 2000 deg/s and 16 g:"]
     for view in views:
         worst = float(view.fixed.bound.max())
@@ -352,7 +269,7 @@ def _comment(
             lines.append(f"  accel_out {worst:.3g} m/s2 ({worst / STANDARD_GRAVITY * 1e3:.3g} mg)")
     if said:
         lines += ["", "Not in here:", *(f"  - {text}" for text in said)]
-    return [part for line in lines for part in _wrapped(line)]
+    return [part for line in lines for part in wrapped(line)]
 
 
 def _span(triad: Triad) -> str:
@@ -360,9 +277,3 @@ def _span(triad: Triad) -> str:
         return "without a table"
     low, high = max(t.temp.start for t in triad.tables), min(t.temp.stop for t in triad.tables)
     return f"{low:g} to {high:g} degC"
-
-
-def _wrapped(line: str) -> list[str]:
-    import textwrap
-
-    return textwrap.wrap(line, WIDTH + 6, subsequent_indent="    ") or [""]

@@ -50,11 +50,24 @@ class Steps:
     code_table: int
 
 
-STEPS: tuple[tuple[Arithmetic, Steps], ...] = (
-    ("float", Steps(call=40, place=24, stride=9, between=12, both=36, row=17, less=8, code_base=300, code_triad=140, code_table=120)),
-    ("double", Steps(call=55, place=290, stride=40, between=190, both=560, row=330, less=90, code_base=520, code_triad=260, code_table=260)),
-    ("fixed", Steps(call=40, place=20, stride=8, between=24, both=52, row=32, less=14, code_base=430, code_triad=170, code_table=150)),
-)  # fmt: skip
+FLOAT = Steps(
+    call=40, place=24, stride=9, between=12, both=36, row=17, less=8, code_base=300, code_triad=140, code_table=120
+)
+DOUBLE = Steps(
+    call=55,
+    place=290,
+    stride=40,
+    between=190,
+    both=560,
+    row=330,
+    less=90,
+    code_base=520,
+    code_triad=260,
+    code_table=260,
+)
+FIXED = Steps(
+    call=40, place=20, stride=8, between=24, both=52, row=44, less=16, code_base=430, code_triad=170, code_table=150
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +114,7 @@ def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int)
     Cost
         Flash and cycles.
     """
-    steps = dict(STEPS)[arithmetic]
+    steps = FLOAT if arithmetic == "float" else DOUBLE if arithmetic == "double" else FIXED
     cycles, code = steps.call, steps.code_base
     for triad in triads:
         code += steps.code_triad + steps.code_table * len(triad.tables)

@@ -158,7 +158,7 @@ def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> T
     static, scale, dynamic = (drift.static, drift.scale, drift.dynamic) if drift else (None, None, None)
     offsets = None if static is None else static.gyro_offset if is_gyro else static.accel_offset
     matrices = None if scale is None else scale.gyro_matrix if is_gyro else scale.accel_matrix
-    half_step, shift = _rounding(calibration, is_gyro)
+    half_step, shift = rounding_of(calibration, is_gyro=is_gyro)
     made = Triad(
         name=name,
         unit_in=model.unit_in,
@@ -168,14 +168,31 @@ def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> T
         g_sensitivity=model.g_sensitivity * out if is_gyro and model.g_sensitivity is not None else None,
         offset_table=None if static is None or offsets is None else _line(static.temp_c, offsets - shift),
         matrix_table=None if scale is None or matrices is None else _line(scale.temp_c, matrices.reshape(-1, 9) * out),
-        error_table=_plane(dynamic.temp_c, dynamic.turn_rate, dynamic.error) if is_gyro and dynamic is not None else None,
+        error_table=_plane(dynamic.temp_c, dynamic.turn_rate, dynamic.error)
+        if is_gyro and dynamic is not None
+        else None,
     )
     _check_finite(made)
     return made
 
 
-def _rounding(calibration: Calibration, is_gyro: bool) -> tuple[FloatArray | None, FloatArray]:
-    """Half a step to add with the sign of the code (None: nothing), and half a step to add always."""
+def rounding_of(calibration: Calibration, *, is_gyro: bool) -> tuple[FloatArray | None, FloatArray]:
+    """Return what gives back the half step that the rounding of the codes took.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The device's model.
+    is_gyro : bool
+        Gyroscopes, not accelerometers.
+
+    Returns
+    -------
+    half_step : array, shape (3,), or None
+        To add with the sign of the code, raw unit.
+    shift : array, shape (3,)
+        To add always, raw unit.
+    """
     adc, zero = calibration.adc, np.zeros(3)
     lsb = None if adc is None else adc.gyro_lsb if is_gyro else adc.accel_lsb
     if adc is None or lsb is None:

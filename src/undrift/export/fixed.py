@@ -23,7 +23,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 OUT_BITS = 16
 FULL_RATE = 2000.0 * RADIAN_PER_DEGREE  # rad/s: the range that the error bound is stated for
 FULL_FORCE = 16.0 * STANDARD_GRAVITY  # m/s2
-MATRIX_BITS = 28  # of the largest element: three products with 32 bits stay below 2^62
+MATRIX_BITS = 28  # of the largest element: three products with a reading less its offset, 33 bits, stay below 2^62
 MOST_SHIFT = 60
 HALF = 0.5
 
@@ -162,8 +162,9 @@ def fixed_triad(
         raise InputError(
             f"fixed point, {triad.name}: wanted gains that 32 bits hold, got {largest:.3g} SI per {triad.unit_in}; use float"
         )
-    if float(np.abs(triad.offsets).max()) * 2.0**raw >= 2.0**30:
-        largest = float(np.abs(triad.offsets).max())
+    half = 0.0 if triad.half_step is None else float(np.abs(triad.half_step).max())
+    largest = max(half, float(np.abs(triad.offsets).max()))
+    if largest * 2.0**raw >= 2.0**30:
         raise InputError(
             f"fixed point, {triad.name}: wanted offsets that leave room in 32 bits with {raw} bits behind the point, got "
             f"{largest:.6g} {triad.unit_in}; use fewer raw bits",

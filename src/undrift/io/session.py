@@ -20,6 +20,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from undrift.arrays import FloatArray
 from undrift.earth import gravity_at
 from undrift.errors import FileFormatError, InputError
 from undrift.io.build import join_records
@@ -36,6 +37,8 @@ from undrift.units import RADIAN_PER_DEGREE
 NAME = "session.toml"
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-273.15, allow_inf_nan=False)]
+Clock = tuple[FloatArray, float]  # times and their step, s
+Place = tuple[str | int, ...]
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
@@ -181,20 +184,28 @@ def read_session(folder: str | Path) -> Session:
         except InputError as error:
             raise type(error)(f"{_where(path, text, ('recording', number))}: {error}") from error
         inputs += [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
-    stills = tuple(_still(path, text, number, entry, records) for number, entry in enumerate(held.still))
-    turns = tuple(_turn(path, text, number, entry, records) for number, entry in enumerate(held.turn))
+    clocks = [(record.time, float(np.median(np.diff(record.time)))) for record in records]
+    place: Place = ("session",)
     try:
+        stills, turns = [], []
+        for number, still in enumerate(held.still):
+            place = ("still", number)
+            stills.append(_still(still, clocks))
+        for number, turn in enumerate(held.turn):
+            place = ("turn", number)
+            turns.append(_turn(turn, clocks))
+        place = ("session",)
         return Session(
             kind=held.session.kind,
             serial=held.session.serial,
             gravity_m_s2=_gravity(held.session),
             records=tuple(records),
-            stills=stills,
-            turns=turns,
+            stills=tuple(stills),
+            turns=tuple(turns),
             inputs=tuple(inputs),
         )
     except InputError as error:
-        raise InputError(f"{_where(path, text, ('session',))}: {error}") from error
+        raise type(error)(f"{_where(path, text, place)}: {error}") from error
 
 
 def write_session(session: Session, folder: str | Path) -> None:
@@ -273,21 +284,17 @@ def _gravity(head: HeadEntry) -> float:
     raise InputError(f"wanted gravity_m_s2, or latitude_deg and height_m, got {got}; state local gravity once")
 
 
-def _still(path: Path, text: str, number: int, entry: StillEntry, records: list[Record]) -> Still:
-    where = _where(path, text, ("still", number))
-    start, stop = _samples(where, entry, records)
+def _still(entry: StillEntry, clocks: list[Clock]) -> Still:
+    start, stop = _samples(entry, clocks)
     return Still(start=start, stop=stop, face=entry.face, recording=entry.recording, temp_c=entry.temp_c)
 
 
-def _turn(path: Path, text: str, number: int, entry: TurnEntry, records: list[Record]) -> Turn:
-    where = _where(path, text, ("turn", number))
+def _turn(entry: TurnEntry, clocks: list[Clock]) -> Turn:
     if entry.turn_rate_dps is not None and entry.angle_deg is not None:
-        raise FileFormatError(f"{where}: wanted turn_rate_dps or angle_deg, got both; keep the one that was measured")
+        raise FileFormatError("wanted turn_rate_dps or angle_deg, got both; keep the one that was measured")
     if entry.angle_deg == 0.0:
-        raise FileFormatError(
-            f"{where}: wanted angle_deg other than 0, got 0; state the angle turned, 360 for a full turn"
-        )
-    start, stop = _samples(where, entry, records)
+        raise FileFormatError("wanted angle_deg other than 0, got 0; state the angle turned, 360 for a full turn")
+    start, stop = _samples(entry, clocks)
     return Turn(
         start=start,
         stop=stop,
@@ -299,23 +306,19 @@ def _turn(path: Path, text: str, number: int, entry: TurnEntry, records: list[Re
     )
 
 
-def _samples(where: str, entry: PieceEntry, records: list[Record]) -> tuple[int, int]:
+def _samples(entry: PieceEntry, clocks: list[Clock]) -> tuple[int, int]:
     """Return the samples [start, stop) of a stated span of time."""
-    if not 0 <= entry.recording < len(records):
-        raise FileFormatError(f"{where}: wanted recording 0 to {len(records) - 1}, got {entry.recording}")
-    time = records[entry.recording].time
-    step = float(np.median(np.diff(time)))
+    if not 0 <= entry.recording < len(clocks):
+        raise FileFormatError(f"wanted recording 0 to {len(clocks) - 1}, got {entry.recording}")
+    time, step = clocks[entry.recording]
     first, last = float(time[0]), float(time[-1]) + step
     if not first - step <= entry.start_s < entry.stop_s <= last + step:
         raise FileFormatError(
-            f"{where}: wanted {first:g} <= start_s < stop_s <= {last:g} s as in its recording, got {entry.start_s:g} to "
-            f"{entry.stop_s:g} s"
+            f"wanted {first:g} <= start_s < stop_s <= {last:g} s as in its recording, got {entry.start_s:g} to {entry.stop_s:g} s"
         )
     start, stop = np.searchsorted(time, (entry.start_s - _SLACK * step, entry.stop_s - _SLACK * step))
     if stop <= start:
-        raise FileFormatError(
-            f"{where}: wanted a sample or more between {entry.start_s:g} and {entry.stop_s:g} s, got none"
-        )
+        raise FileFormatError(f"wanted a sample or more between {entry.start_s:g} and {entry.stop_s:g} s, got none")
     return int(start), int(stop)
 
 
@@ -326,7 +329,7 @@ def _span(piece: Still | Turn, session: Session) -> list[str]:
     return lines if piece.temp_c is None else [*lines, f"temp_c = {_number(piece.temp_c)}"]
 
 
-def _where(path: Path, text: str, place: tuple[str | int, ...]) -> str:
+def _where(path: Path, text: str, place: Place) -> str:
     return f"{checked_file(path)}: line {line_of(text, place)}: {entry_name(place) or place[0]}"
 
 

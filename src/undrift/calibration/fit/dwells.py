@@ -2,8 +2,8 @@
 
 The note filters each gyroscope signal with a cubic spline and averages it. A cubic smoothing spline f minimises
 sum (y - f)^2 + lambda * integral f''^2: a low-pass of fourth order that halves the signal at the frequency with
-lambda dt w^4 = 1. It leaves straight lines alone, so the mean over its samples equals the mean of the readings: the filter
-shows slow wobble, the mean is what calibrates.
+lambda dt w^4 = 1. It leaves straight lines alone, so the mean over its samples is the mean of the readings, to rounding: the plain
+mean is taken unless the filter is asked for.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,12 @@ class DwellSettings:
     ----------
     settle_s : float
         Start of each dwell that is thrown away, s; a second-order filter at 11 Hz settles to 0.1 % in 0.15 s.
-    cutoff_hz : float
-        Where the smoothing spline halves the signal, Hz.
+    cutoff_hz : float or None
+        Where the note's smoothing spline halves the signal, Hz; None leaves it out, which changes no mean.
     """
 
     settle_s: float = 0.3
-    cutoff_hz: float = 5.0
+    cutoff_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,6 +119,7 @@ def dwell_means(
     """
     used = [t for t in turns if t.axis is not None and t.turn_rate is not None]
     unit = records[used[0].recording].gyro_unit if used else "rad/s"
+    blocks = {k: block_size(records[k].sample_rate_hz) for k in {t.recording for t in used}}
     means, windows, sizes, up = [], [], [], []
     for turn in used:
         record = records[turn.recording]
@@ -130,9 +131,10 @@ def dwell_means(
         part = _settled(record, turn, settings.settle_s)
         values = part.gyro if part.gyro is not None else np.empty((0, 3))
         check_saturation(values, f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
-        means.append(spline_filter(part.time, values, settings.cutoff_hz).mean(axis=0))
+        cutoff = settings.cutoff_hz
+        means.append((values if cutoff is None else spline_filter(part.time, values, cutoff)).mean(axis=0))
         windows.append(values)
-        sizes.append(block_size(record.sample_rate_hz))
+        sizes.append(blocks[turn.recording])
         up.append(_points_up(part, AXES.index(turn.axis or "x")))
     return DwellMeans(
         reading=np.array(means).reshape(-1, 3),

@@ -24,6 +24,7 @@ _FAR = 6.0  # robust standard deviations: a block further from its cell is left 
 _ROBUST = 1.4826
 _MOST_PAIRED = 30  # blocks of a cell that its correlation is taken from
 _LEAST_TRIPLES = 8
+_STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +45,7 @@ class CellSettings:
 
     least_width_c: float = 0.5
     most_cells: int = 100
-    most_groups: int = 12
+    most_groups: int = 20
     chunk_s: float = np.inf
 
 
@@ -87,6 +88,7 @@ def gather(
     *,
     direction: FloatArray,
     regressors: FloatArray,
+    step_error: FloatArray | None = None,
     settings: CellSettings = CellSettings(),
 ) -> Cells:
     """Gather blocks into temperature cells.
@@ -101,6 +103,8 @@ def gather(
         Of the sweep, -1 to 1; cells do not mix directions.
     regressors : array, shape (n, p)
         Averaged along.
+    step_error : array, shape (n, 3), or None
+        What the converter's steps leave in each block, raw unit: averages out only as far as a cell's values cross steps.
     settings : CellSettings
         Widths.
 
@@ -130,7 +134,12 @@ def gather(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
         temp_c=temp_c,
         value=np.array([value[rows].mean(axis=0) for rows in members]),
-        variance=np.array([variance[rows].mean(axis=0) / len(rows) for rows in members]),
+        variance=np.array(
+            [
+                _variance(value[rows], variance[rows], None if step_error is None else step_error[rows])
+                for rows in members
+            ]
+        ),
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         correlation=_correlation(blocks, members),
         groups=groups,
@@ -190,6 +199,16 @@ def wander(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> Float
     error = noise * np.sqrt(4.0 / len(middle))  # neighbouring differences share blocks
     share = 6.0 - 8.0 * _rho(np.array(usual)) + 2.0 * _rho(np.array(2.0 * usual))
     return np.asarray(np.maximum(second.mean(axis=0) - noise, error) / share)
+
+
+def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
+    noise: FloatArray = variance.mean(axis=0) / len(value)
+    if step_error is None:
+        return noise
+    left = np.nanmean(step_error, axis=0)
+    crossed = np.ptp(value, axis=0) / np.maximum(_STEP_PER_ERROR * left, 1e-300)
+    total: FloatArray = noise + left**2 / (1.0 + np.where(left > 0.0, crossed, 0.0))
+    return total
 
 
 def _rho(lag_s: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 Each of the four is fitted without a soak (those between the first and the last) and without some of the rates, and foretells the
 steps that were left out: ``M(T) (u - offset(T)) - e`` less the imposed rate, all three axes, about the offset that the mounting
 was left with. The one with the least mean square is best; the simplest whose mean square lies within one standard error of
-it, over what was left out in turn, is taken [1]_.
+it, over what was left out in turn, is taken [1]_; so is one whose rms is within 5 %, which no table is worth.
 
 References
 ----------
@@ -27,6 +27,7 @@ from undrift.units import RADIAN_PER_DEGREE
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
 ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first
 _RATE_FOLDS = 4
+_WORTH = 1.05  # a table more has to earn this factor of rms at least, however well it is known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -301,18 +302,18 @@ def _standard_error(squares: FloatArray) -> FloatArray:
 
 def _one_standard_error(judged: FloatArray, error: FloatArray, soaks: int) -> tuple[Alternative, str]:
     best = int(np.nanargmin(judged))
-    limit = judged[best] + error[best]
+    limit = max(judged[best] + error[best], judged[best] * _WORTH**2)
     chosen = int(np.flatnonzero(judged <= limit)[0])
     dps = np.sqrt(judged) / RADIAN_PER_DEGREE
     told = f"{soaks} soaks and the rates" if soaks else "the rates"
     if chosen == best:
         return ALTERNATIVES[chosen], (
             f"{ALTERNATIVES[chosen]}: it foretells {told} that were left out best, {dps[best]:.4f} deg/s rms, and nothing simpler "
-            "comes within one standard error"
+            "comes within one standard error or 5 %"
         )
     return ALTERNATIVES[chosen], (
         f"{ALTERNATIVES[chosen]}: it foretells {told} that were left out to {dps[chosen]:.4f} deg/s rms, within one standard error "
-        f"of the best ({ALTERNATIVES[best]}, {dps[best]:.4f} deg/s), and is simpler"
+        f"or 5 % of the best ({ALTERNATIVES[best]}, {dps[best]:.4f} deg/s), and is simpler"
     )
 
 

@@ -4,7 +4,7 @@ Effects enter one after another: the scatter between sessions, the loop where bo
 the warm-up where it was asked for and can be told.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -165,8 +165,6 @@ def fit_curve(offsets: Offsets, settings: CurveSettings = CurveSettings()) -> Of
 def _fit(
     offsets: Offsets, state: FloatArray, tau: float | None, *, with_loop: bool, settings: CurveSettings
 ) -> tuple[Cells, SmoothSpline, TurnOn | None]:
-    from dataclasses import replace
-
     blocks = offsets.blocks
     columns = [state] if with_loop else []
     if tau is not None:
@@ -178,6 +176,7 @@ def _fit(
         offsets.variance,
         direction=state if with_loop else np.zeros(len(blocks)),
         regressors=np.column_stack(columns) if columns else np.zeros((len(blocks), 0)),
+        step_error=offsets.step_error,
         settings=chunked,
     )
     turn_on = None

@@ -13,7 +13,8 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
-from undrift.drift.fit.scale import NodeSettings, beyond
+from undrift.drift.fit.scale import NodeSettings
+from undrift.drift.fit.static import near_data
 from undrift.drift.fit.steps import Steps, measured_rate, rests_of, steps_of
 from undrift.drift.fit.tensor import Surface, SurfacePoints, fit_surface
 from undrift.drift.observations import RateSteps, RestBlocks
@@ -282,7 +283,8 @@ def _unseen(own: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray, setti
     slack = _NEAR_RATE * float(np.abs(own.turn_rate).max())
     low, high = (np.interp(temp_c, at[order], end)[:, None] for end in ends)
     outside = (turn_rate < low - slack) | (turn_rate > high + slack)
-    return np.asarray(outside | beyond(temp_c, at, settings.nodes)[:, None])
+    near = near_data(temp_c, at, edge_c=settings.nodes.edge_c, gap_c=settings.nodes.gap_c)
+    return np.asarray(outside | ~near[:, None])
 
 
 def _rms_about_mountings(own: SurfacePoints) -> float:

@@ -32,6 +32,8 @@ class Offsets:
         The n blocks that they are of.
     value, variance : array, shape (n, 3)
         Offset and the variance of its noise, raw unit and its square.
+    step_error : array, shape (n, 3), or None
+        What the converter's steps leave in each, raw unit.
     common_variance : array, shape (3,)
         Of what all of them have in common, raw unit squared.
     reasons : tuple of str
@@ -41,6 +43,7 @@ class Offsets:
     blocks: RestBlocks
     value: FloatArray
     variance: FloatArray
+    step_error: FloatArray | None
     common_variance: FloatArray
     reasons: tuple[str, ...] = ()
 
@@ -94,6 +97,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
         blocks=blocks,
         value=value,
         variance=_known(blocks.gyro_variance),
+        step_error=blocks.gyro_step_error,
         common_variance=common,
         reasons=tuple(reasons),
     )
@@ -138,6 +142,7 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
         blocks=chosen,
         value=np.array(chosen.accel),
         variance=_known(chosen.accel_variance),
+        step_error=chosen.accel_step_error,
         common_variance=np.zeros(3),
         reasons=tuple(reasons),
     )

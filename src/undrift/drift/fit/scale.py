@@ -21,6 +21,7 @@ from undrift.calibration.fit.excess import excess_variance
 from undrift.calibration.fit.result import inverse_jacobian
 from undrift.calibration.model import AXES, Calibration, ScaleDrift, StaticDrift, Verdict
 from undrift.drift.fit.spline import fit_smooth
+from undrift.drift.fit.static import near_data
 from undrift.drift.fit.steps import Steps, gyro_model, offset_at, steps_of
 from undrift.drift.observations import RateSteps
 from undrift.errors import NotObservable
@@ -35,14 +36,14 @@ class NodeSettings:
 
     Parameters
     ----------
-    outside_c : float
-        Beyond the first and last soak by more than this, degC.
+    edge_c : float
+        Further than this beyond the first and last soak, degC.
     gap_c : float
-        Between two soaks that are further apart than this, and further than half of it from both, degC.
+        Between soaks and further than this from both, degC. Matrices change more evenly than offsets.
     """
 
-    outside_c: float = 0.5
-    gap_c: float = 12.0
+    edge_c: float = 0.5
+    gap_c: float = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -150,7 +151,7 @@ def fit_scale(
         temp_c=temp_c,
         gyro_matrix=matrix * to_out,
         gyro_uncertainty=uncertainty * to_out,
-        gyro_extrapolated=beyond(temp_c, soaks.temp_c[soaks.seen.any(axis=1)], settings),
+        gyro_extrapolated=~near_data(temp_c, soaks.temp_c, edge_c=settings.edge_c, gap_c=settings.gap_c),
     )
     return ScaleFit(
         drift=drift,
@@ -194,29 +195,6 @@ def soak_matrices(steps: Steps, calibration: Calibration, *, static: StaticDrift
         offset_left=np.array([part[3] for part in parts]),
         rms=np.array([part[4] for part in parts]),
     )
-
-
-def beyond(nodes: FloatArray, seen: FloatArray, settings: NodeSettings) -> BoolArray:
-    """Mark the nodes that have no data near.
-
-    Parameters
-    ----------
-    nodes : array, shape (n,)
-        degC.
-    seen : array, shape (S,)
-        Temperatures with data, degC.
-    settings : NodeSettings
-        What counts as near.
-
-    Returns
-    -------
-    array of bool, shape (n,)
-        True beyond the ends, and in the middle of wide gaps.
-    """
-    at = np.sort(seen)
-    outside = (nodes < at[0] - settings.outside_c) | (nodes > at[-1] + settings.outside_c)
-    far = np.abs(nodes[:, None] - at).min(axis=1) > 0.5 * settings.gap_c
-    return np.asarray(outside | far)
 
 
 def _one_soak(

@@ -21,6 +21,7 @@ from undrift.errors import InputError, NotObservable
 _POINTS = 9  # of the grid along each hyperparameter, in each of two rounds
 _LEAST_GROUPS = 5  # fewer groups cannot be left out one by one
 _NEGLIGIBLE = 1e-5  # weight
+_ENDS = np.array([-0.5, -0.4, 0.4, 0.5])  # scaled temperature: where the slope at either end of the data is taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +111,9 @@ class SmoothSpline:
     def at(self, temp_c: FloatArray) -> NodeValues:
         """Return the curves at nodes; regressors count as 0 there.
 
+        Outside the data the curve runs straight on, and what the mean curvature over their span would make of the distance
+        counts as uncertainty besides.
+
         Parameters
         ----------
         temp_c : array, shape (m,)
@@ -121,13 +125,19 @@ class SmoothSpline:
             Values with covariance.
         """
         nodes = (np.asarray(temp_c, float) - self.origin_c) / self.span_c
+        beyond = 0.5 * np.maximum(np.abs(nodes) - 0.5, 0.0) ** 2
+        asked = np.concatenate((nodes, _ENDS))
         values, covariances = [], []
         for problem, bend, scatter, weight in zip(self.problems, self.bend, self.scatter, self.weight, strict=True):
-            value, covariance = curve_at(problem, solved(problem, bend, scatter), bend, nodes)
+            value, covariance = curve_at(problem, solved(problem, bend, scatter), bend, asked)
             mean = weight @ value
             off = value - mean
-            values.append(mean)
-            covariances.append(np.einsum("g,gij->ij", weight, covariance) + np.einsum("g,gi,gj->ij", weight, off, off))
+            both = np.einsum("g,gij->ij", weight, covariance) + np.einsum("g,gi,gj->ij", weight, off, off)
+            n = len(nodes)
+            slopes = np.diff(mean[n:])[::2] / (_ENDS[1] - _ENDS[0])
+            bow = beyond * (slopes[1] - slopes[0])  # a curvature that lasts goes on outside
+            values.append(mean[:n])
+            covariances.append(both[:n, :n] + np.outer(bow, bow))
         return NodeValues(
             temp_c=np.array(temp_c, float),
             value=np.stack(values, axis=1),
@@ -255,7 +265,7 @@ def fit_smooth(
         )
         parts.append(_weighed(problem, None if scatter is None else float(scatter[column]), span, settings))
     known = 0.0 if scatter is None else 2.0 / settings.scatter_spread**2
-    widening = _widening(len(x) - basis.shape[1] - 1 + known)
+    widening = _widening(max(len(x) - basis.shape[1] - 1, 0) + known)
     return SmoothSpline(
         origin_c=origin,
         span_c=span,

@@ -11,7 +11,7 @@ between and beyond the temperatures seen, half the loop of hysteresis where one 
 where there are several. It is of the offset at a reading of this thermometer, whose trim and self-heating belong to the table.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -258,8 +258,6 @@ def _slope(found: NodeValues, inside: slice) -> tuple[FloatArray, FloatArray]:
 def _accel(
     offsets: Offsets, nodes: FloatArray, calibration: Calibration | None, settings: StaticSettings
 ) -> tuple[TriadDrift | None, list[str]]:
-    from dataclasses import replace
-
     model = None if calibration is None else calibration.accel
     reference = calibration.reference_temp_c if calibration is not None else float("nan")
     told = ""

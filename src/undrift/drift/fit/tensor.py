@@ -19,7 +19,6 @@ References
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -29,8 +28,8 @@ from undrift.errors import NotObservable
 
 _LOOSE = 1e2  # variance of d_g about the mean of its rows, in units of the residuals' own: it is free
 _SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # prior size of a second derivative, in spans and in residuals; stiff first
-_MOST_INTERVALS = 8
-_TIE = 1.01  # a stiffer surface wins up to this much more error
+_MOST_INTERVALS = 6  # of 30 deg/s over the note's rates
+_NEGLIGIBLE = 1e-2  # weight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,7 +142,7 @@ class Surface:
     covariance : array, shape (P, P)
         Of c, (rad/s)^2.
     softness : (float, float)
-        Chosen size of second derivatives over rate and temperature, in spans and residuals.
+        Size of second derivatives over rate and temperature, in spans and residuals: mean of the logarithms.
     excess : float
         Standard deviation that the residuals show beyond the variances stated, rad/s.
     residuals : array, shape (n,)
@@ -241,63 +240,60 @@ def fit_surface(
 
 
 def _settled(points: SurfacePoints, rate: Cubics, temp: Cubics, softness: tuple[float, float] | None) -> Surface:
-    """Fit, find the excess, and fit again with it."""
+    """Fit, find the excess, fit again with it, and mix the surfaces that foretell about as well."""
     groups = int(points.mounting.max()) + 1
     means = np.bincount(points.mounting, points.value, groups) / np.maximum(np.bincount(points.mounting), 1)
     points = replace(points, value=points.value - means[points.mounting])
     x = np.column_stack((_design(rate, temp, points.turn_rate, points.temp_c), np.eye(groups)[points.mounting]))
-    p, excess, found = x.shape[1] - groups, 0.0, softness or (_SOFTNESS[0], _SOFTNESS[0])
+    bends, p, excess = _roughness(rate, temp), x.shape[1] - groups, 0.0
     size = max(float(np.sqrt(np.mean(points.value**2))), float(np.sqrt(points.variance.min())))
-    bend_rate, bend_temp = _roughness(rate, temp)
+    pairs = [softness or (_SOFTNESS[0], _SOFTNESS[0])]
+    weights: FloatArray = np.ones(1)
     for turn in range(3):
         v = points.variance + excess
         if softness is None and (turn == 0 or (turn == 1 and excess > float(np.median(points.variance)))):
-            found = _softest(points, x, v, size, bend_rate, bend_temp)
-        a_inverse, r, hats = _solve(points, x, v, _penalty(found, size, bend_rate, bend_temp, groups))
-        before, excess = excess, excess_variance(r, points.variance, round(len(r) - hats))
+            pairs, weights = _softnesses(points, x, v, size, bends)
+        solutions = [_solve(points, x, v, _penalty(pair, size, bends, groups)) for pair in pairs]
+        r = sum((w * s.residuals for w, s in zip(weights, solutions, strict=True)), np.zeros(len(points)))
+        freedom = len(points) - float(weights @ [s.effective for s in solutions])
+        before, excess = excess, excess_variance(r, points.variance, round(freedom))
         if abs(excess - before) <= 0.02 * float(np.median(v)):
             break
-    c = a_inverse @ (x.T @ (points.value / v))
+    c = weights @ np.array([s.coefficients for s in solutions])
+    typical = np.exp(weights @ np.log(np.array(pairs)))
+    covariance = np.zeros((p, p))
+    for w, s in zip(weights, solutions, strict=True):
+        off = (s.coefficients - c)[:p]
+        covariance += w * (s.covariance[:p, :p] + np.outer(off, off))
     return Surface(
         rate=rate,
         temp=temp,
         coefficients=c[:p],
-        covariance=a_inverse[:p, :p],
-        softness=found,
+        covariance=covariance,
+        softness=(float(typical[0]), float(typical[1])),
         excess=float(np.sqrt(excess)),
         residuals=r,
         offsets=means + c[p:],
     )
 
 
-def _softest(
-    points: SurfacePoints, x: FloatArray, v: FloatArray, size: float, bend_rate: FloatArray, bend_temp: FloatArray
-) -> tuple[float, float]:
-    """Return the stiffest softness over each that foretells what was left out about as well as any."""
+def _softnesses(
+    points: SurfacePoints, x: FloatArray, v: FloatArray, size: float, bends: tuple[FloatArray, FloatArray]
+) -> tuple[list[tuple[float, float]], FloatArray]:
+    """Return the pairs that foretell what was left out well enough to count, and their weights."""
     groups, few = int(points.mounting.max()) + 1, len(np.unique(points.soak)) < 3
-
-    @cache
-    def score(of_rate: float, of_temp: float) -> float:
-        return _left_out(points, x, v, _penalty((of_rate, of_temp), size, bend_rate, bend_temp, groups))
-
-    of_rate, of_temp = _SOFTNESS[2], _SOFTNESS[0 if few else 2]
-    for _ in range(2):  # one after the other, twice
-        of_rate = _stiffest([score(soft, of_temp) for soft in _SOFTNESS])
-        of_temp = of_temp if few else _stiffest([score(of_rate, soft) for soft in _SOFTNESS])
-    return of_rate, of_temp
-
-
-def _stiffest(scores: list[float]) -> float:
-    """Return the first softness whose score is about the best."""
-    return next(soft for soft, score in zip(_SOFTNESS, scores, strict=True) if score <= _TIE * min(scores))
+    pairs = [(of_rate, of_temp) for of_temp in _SOFTNESS[: 1 if few else None] for of_rate in _SOFTNESS]
+    scores = np.array([_left_out(points, x, v, _penalty(pair, size, bends, groups)) for pair in pairs])
+    if not scores.any():  # nothing could be left out: as stiff as may be
+        return pairs[:1], np.ones(1)
+    weights = (scores / scores.min()) ** (-0.5 * len(points))
+    kept = weights > _NEGLIGIBLE * weights.sum()
+    return [pair for pair, keep in zip(pairs, kept, strict=True) if keep], weights[kept] / weights[kept].sum()
 
 
 def _left_out(points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray) -> float:
     """Return the weighted sum of squares of all rows when their soak, or their rate, is left out."""
-    from scipy.linalg import cholesky, solve_triangular
-
-    root = cholesky(x.T @ (x / v[:, None]) + penalty, lower=True)
-    z = solve_triangular(root, x.T, lower=True)
+    z = np.linalg.inv(np.linalg.cholesky(x.T @ (x / v[:, None]) + penalty)) @ x.T
     r = points.value - z.T @ (z @ (points.value / v))
     total = 0.0
     soaks = np.unique(points.soak)
@@ -323,21 +319,29 @@ def _missed(rows: IntArray, z: FloatArray, r: FloatArray, v: FloatArray) -> Floa
     return missed
 
 
-def _solve(
-    points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the covariance of all coefficients, the residuals, and the parameters in effect."""
-    a_inverse = np.linalg.inv(x.T @ (x / v[:, None]) + penalty)
-    r = points.value - x @ (a_inverse @ (x.T @ (points.value / v)))
-    return a_inverse, r, float(((x @ a_inverse) * x / v[:, None]).sum())
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Solution:
+    """Coefficients of surface and offsets, their covariance, what is left, and the parameters in effect."""
+
+    coefficients: FloatArray
+    covariance: FloatArray
+    residuals: FloatArray
+    effective: float
+
+
+def _solve(points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray) -> _Solution:
+    covariance = np.linalg.inv(x.T @ (x / v[:, None]) + penalty)
+    c = covariance @ (x.T @ (points.value / v))
+    effective = float(((x @ covariance) * x / v[:, None]).sum())
+    return _Solution(coefficients=c, covariance=covariance, residuals=points.value - x @ c, effective=effective)
 
 
 def _penalty(
-    softness: tuple[float, float], size: float, bend_rate: FloatArray, bend_temp: FloatArray, groups: int
+    softness: tuple[float, float], size: float, bends: tuple[FloatArray, FloatArray], groups: int
 ) -> FloatArray:
-    p = len(bend_rate)
+    p = len(bends[0])
     penalty = np.zeros((p + groups, p + groups))
-    penalty[:p, :p] = bend_rate / (softness[0] * size) ** 2 + bend_temp / (softness[1] * size) ** 2
+    penalty[:p, :p] = sum(bend / (soft * size) ** 2 for bend, soft in zip(bends, softness, strict=True))
     penalty[p:, p:] = np.eye(groups) / (_LOOSE * size**2)
     return penalty
 

@@ -1,0 +1,158 @@
+"""Real thermal logs: a warm-up of an MPU-6050 (FreeIMU, 2014; MIT), two plateaus of a BMI270 (2026; MIT) with torn lines, and
+eleven short recordings of a bicycle's MPU-6050 (2013; BSD)."""
+
+import gzip
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from data import data_path, show
+from undrift.drift.fit.static import StaticSettings, fit_static
+from undrift.drift.observe import observe_rests
+from undrift.record import Record
+from undrift.session import Session, Still
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+G_UNIT = StaticSettings(accel_unit="g")
+
+
+def thermal(*records, stills=()):
+    return Session(kind="thermal", serial="A", gravity_m_s2=STANDARD_GRAVITY, records=records, stills=stills)
+
+
+def blocks_of(session):
+    return observe_rests([session], temperatures=[[record.temp_c for record in session.records]])
+
+
+@pytest.fixture(scope="module")
+def warm_up():
+    with gzip.open(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), "rt") as file:
+        raw = np.genfromtxt(file, delimiter=",", skip_header=1)
+    return Record(
+        time=1e-3 * raw[:, 12],
+        gyro=raw[:, 3:6] / 16.4,
+        accel=raw[:, :3] / 16384.0,
+        temp_c=raw[:, 9] / 340.0 + 36.53,
+        gyro_unit="dps",
+        accel_unit="g",
+    )
+
+
+def read_two_point(name):
+    """Return the lines that hold seven numbers; no time column: 50 Hz by the author."""
+    rows = []
+    with gzip.open(data_path("thermal_bmi270_two_point", name), "rt", errors="replace") as file:
+        for line in file:
+            try:
+                row = [float(word) for word in line.split(",")]
+            except ValueError:
+                continue
+            if len(row) == 7:
+                rows.append(row)
+    values = np.array(rows)
+    return Record(
+        time=np.arange(len(values)) / 50.0,
+        gyro=values[:, 4:],
+        accel=values[:, 1:4],
+        temp_c=values[:, 0],
+        gyro_unit="dps",
+        accel_unit="g",
+    )
+
+
+def test_the_slopes_of_a_warm_up_are_those_of_its_ten_second_means(warm_up):
+    fit = fit_static(blocks_of(thermal(warm_up)), nodes=np.arange(10.0, 29.1, 0.5), settings=G_UNIT)
+    show("MPU-6050 gyro slopes, mdeg/s/degC", np.round(1e3 * fit.gyro.slope, 2), "-3.5 / +27.9 / -2.4 within 0.5")
+    show("their uncertainty", np.round(1e3 * fit.gyro.slope_uncertainty, 2))
+    show("accelerometer slopes, mg/degC", np.round(1e3 * fit.accel.slope, 2), "+0.276 / -0.094 / -1.79")
+    np.testing.assert_allclose(1e3 * fit.gyro.slope, [-3.5, 27.9, -2.4], atol=0.5)
+    np.testing.assert_allclose(1e3 * fit.accel.slope, [0.276, -0.094, -1.79], atol=0.15)
+    assert fit.table.accel_offset is None
+    assert any("calibrate six faces" in reason for reason in fit.verdict.reasons)
+    assert any("one session" in reason for reason in fit.verdict.reasons)
+
+
+def split_by(record, seconds):
+    """Return which stretches of a record, of so many seconds each, as stills."""
+    number = ((record.time - record.time[0]) // seconds).astype(int)
+    edges = np.append(np.searchsorted(number, np.arange(number[-1] + 1)), len(number))
+    return [Still(start=int(a), stop=int(b)) for a, b in pairwise(edges)]
+
+
+def left(record, seconds, parity, nodes):
+    """Fit on every other stretch and return what is left of the ten-second means of the rest, and their uncertainty."""
+    stretches = split_by(record, seconds)
+    taught = thermal(record, stills=tuple(stretches[parity::2]))
+    fit = fit_static(blocks_of(taught), nodes=nodes, settings=G_UNIT)
+    judged = blocks_of(thermal(record, stills=tuple(stretches[1 - parity :: 2])))
+    accel = fit.accel.curve.spline.at(nodes).value
+
+    def at(table):
+        return np.column_stack([np.interp(judged.temp_c, nodes, column) for column in table.T])
+
+    stated = np.hypot(at(fit.table.gyro_uncertainty), np.sqrt(judged.gyro_variance))
+    beyond = np.interp(judged.temp_c, nodes, fit.table.gyro_extrapolated.astype(float)) > 0.0
+    return judged.gyro - at(fit.table.gyro_offset), judged.accel - at(accel), stated, beyond
+
+
+def test_a_table_of_every_other_ten_seconds_serves_the_rest(warm_up):
+    nodes = np.arange(10.0, 29.6, 0.5)
+    parts = [left(warm_up, 10.0, parity, nodes) for parity in (1, 0)]
+    for gyro, accel, _, _ in parts:
+        show("left of the other half, mdeg/s", np.round(1e3 * np.sqrt((gyro**2).mean(axis=0)), 2))
+        show("accelerometers, mg", np.round(1e3 * np.sqrt((accel**2).mean(axis=0)), 3))
+    rms = 1e3 * np.sqrt((np.concatenate([gyro for gyro, _, _, _ in parts]) ** 2).mean(axis=0))
+    accel_rms = 1e3 * np.sqrt((np.concatenate([accel for _, accel, _, _ in parts]) ** 2).mean(axis=0))
+    show("both halves, mdeg/s", np.round(rms, 2), "5.4 / 6.7 / 4.8")
+    show("accelerometer Z, mg", np.round(accel_rms[2], 3), 0.20)
+    assert (rms <= [5.4, 6.7, 4.8]).all()
+    assert (1e3 * np.sqrt((parts[0][0] ** 2).mean(axis=0)) <= [5.4, 6.7, 4.8]).all()
+    assert accel_rms[2] <= 0.20
+
+
+def test_minutes_that_were_not_seen_are_covered_even_at_the_cold_end(warm_up):
+    gyro, _, stated, beyond = left(warm_up, 60.0, 1, np.arange(10.0, 29.6, 0.5))
+    inside = np.abs(gyro) <= 1.96 * stated
+    show("alternate minutes: blocks inside", np.round(inside.mean(axis=0), 3))
+    show(f"of these {beyond.sum()} blocks at extrapolated nodes", np.round(inside[beyond].mean(axis=0), 3))
+    assert beyond.sum() >= 4
+    assert (inside[beyond].mean(axis=0) >= 0.8).all()  # six blocks: at most one outside
+    assert (inside.mean(axis=0) >= 0.80).all()  # the wander of single blocks is not in the node's uncertainty
+
+
+def test_two_plateaus_give_a_line_that_owns_up_to_the_gap():
+    session = thermal(read_two_point("BMI_270_cold_test.csv.gz"), read_two_point("BMI_270_hot_test.csv.gz"))
+    nodes = np.arange(13.0, 50.1, 0.5)
+    fit = fit_static(blocks_of(session), nodes=nodes, settings=G_UNIT)
+    show("BMI270 gyro slopes, mdeg/s/degC", np.round(1e3 * fit.gyro.slope, 2), "+19.1 / +12.9 / -1.5 within 0.5")
+    np.testing.assert_allclose(1e3 * fit.gyro.slope, [19.1, 12.9, -1.5], atol=0.5)
+    middle = (nodes > 20.0) & (nodes < 40.0)
+    assert fit.table.gyro_extrapolated[middle].all()
+    show("uncertainty at 13, 30 and 47.5 degC, mdeg/s", np.round(1e3 * fit.table.gyro_uncertainty[[0, 34, 69]], 0))
+    assert (fit.table.gyro_uncertainty[middle] > fit.table.gyro_uncertainty[0]).all()
+    assert (fit.table.gyro_uncertainty[34, :2] > 5.0 * fit.table.gyro_uncertainty[0, :2]).all()
+    line = fit.table.gyro_offset[0] + (nodes - 13.0)[:, None] * fit.gyro.slope
+    np.testing.assert_allclose(fit.table.gyro_offset[middle], line[middle], atol=0.05)
+    assert fit.accel is None
+    assert any("readings are 4 times too small" in reason for reason in fit.verdict.reasons)
+    assert fit.verdict.status == "marginal"
+
+
+def test_eleven_short_recordings_of_a_bicycle_give_slopes_over_two_degrees():
+    records = []
+    for path in sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz")):
+        d = np.load(path)
+        records.append(
+            Record(time=d["t_s"], gyro=d["gyro_rad_s"], accel=d["acc_raw"], accel_unit="count", temp_c=d["temp_degC"])
+        )
+    blocks = blocks_of(thermal(*records))
+    assert len(records) == len(np.unique(blocks.pose)) == 11
+    fit = fit_static(blocks, nodes=np.arange(21.0, 24.6, 0.5))
+    slope = 1e3 * fit.gyro.slope / RADIAN_PER_DEGREE
+    stated = 1e3 * fit.gyro.slope_uncertainty / RADIAN_PER_DEGREE
+    show("bicycle gyro slopes, mdeg/s/degC", np.round(slope, 1), "-84 / +18 / -4")
+    show("their uncertainty", np.round(stated, 1))
+    show("span, degC", f"{np.ptp(blocks.temp_c):.2f}")
+    np.testing.assert_array_less(np.abs(slope - [-84.0, 18.0, -4.0]), 3.0 * np.maximum(stated, 1.0))
+    assert (stated < 40.0).all()

@@ -1,0 +1,115 @@
+"""undrift export: every target from the demo's calibration, what is printed, and what is refused without a trace."""
+
+import json
+import subprocess
+
+import numpy as np
+import pytest
+
+from c_build import STRICT
+from cli_bench import contents
+from undrift.calibration.store import read_calibration
+
+NOMINAL = ["--gyro-dps-per-unit", "0.06", "--accel-g-per-unit", "0.0005"]
+TARGETS = {"c": "a.h", "px4": "a.params", "ardupilot": "a.param", "fusion": "a.h", "imucal": "a.json", "ros": "a.yaml"}
+
+
+def words_for(target):
+    return NOMINAL if target in ("px4", "ardupilot") else []
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_target_is_written_and_says_what_it_cannot_carry(undrift, bench, tmp_path, target):
+    output = tmp_path / TARGETS[target]
+    words = ["export", bench / "calibration.json", "--target", target, "-o", output, *words_for(target)]
+    told = undrift.good(*words, "--json").json()
+    assert told["target"] == target
+    assert told["files"] == [str(output), *([str(tmp_path / "a.c")] if target == "c" else [])]
+    assert sorted(contents(tmp_path)) == sorted(name.rsplit("/", 1)[1] for name in told["files"])
+    assert any("uncertainties" in text for text in told["not_carried"])
+    assert told["verdict"]["status"] in ("good", "marginal")
+    answer = undrift.good(*words)
+    for text in (*told["not_carried"], *told["notes"]):
+        assert text in answer.out
+    assert f"Wrote {output}" in answer.out
+    assert "verdict: " in answer.out
+
+
+@pytest.mark.parametrize(("flag", "kind"), [([], "float"), (["--fixed"], "int32_t"), (["--double"], "double")])
+def test_the_c_source_compiles_in_the_arithmetic_that_was_chosen(undrift, bench, tmp_path, flag, kind):
+    words = [
+        "export",
+        bench / "calibration.json",
+        "--target",
+        "c",
+        "-o",
+        tmp_path / "foot-1.h",
+        "--prefix",
+        "foot",
+        *flag,
+    ]
+    told = undrift.good(*words, "--json").json()
+    body = f"{kind} x = 0;\n    foot_t *y = &x;\n    return (int)*y;"
+    (tmp_path / "main.c").write_text(f'#include "foot-1.h"\nint main(void)\n{{\n    {body}\n}}\n')
+    subprocess.run(["gcc", *STRICT, tmp_path / "foot-1.c", tmp_path / "main.c", "-o", tmp_path / "a"], check=True)
+    assert [b["arithmetic"] for b in told["builds"]] == ["float", "double", "fixed"]
+    assert 0.0 < told["fixed_point_bound"]["gyro_rad_s"] < 1e-3
+    assert 0.0 < told["fixed_point_bound"]["accel_m_s2"] < 1e-2
+    assert "fixed point, gyroscopes: within" in undrift.good(*words).out
+
+
+def test_a_calibration_of_imucal_comes_back(undrift, bench, tmp_path):
+    undrift.good("export", bench / "calibration.json", "--target", "imucal", "-o", tmp_path / "theirs.json")
+    told = undrift.good(
+        "export", tmp_path / "theirs.json", "--target", "undrift", "-o", tmp_path / "c.json", "--json"
+    ).json()
+    assert told["not_carried"] == []
+    assert told["verdict"]["status"] == "marginal"
+    ours, back = read_calibration(bench / "calibration.json"), read_calibration(tmp_path / "c.json")
+    np.testing.assert_allclose(back.gyro.matrix, ours.gyro.matrix, rtol=0, atol=1e-14 * np.abs(ours.gyro.matrix).max())
+    assert back.device == ours.device
+
+
+def test_a_bad_verdict_is_written_and_ends_with_1(undrift, bench, tmp_path):
+    held = json.loads((bench / "calibration.json").read_text())
+    held["verdict"] = {"status": "bad", "reasons": ["one [axis] was never turned"]}
+    (tmp_path / "bad.json").write_text(json.dumps(held))
+    answer = undrift("export", tmp_path / "bad.json", "--target", "c", "-o", tmp_path / "a.h")
+    assert (answer.code, answer.err) == (1, "")
+    assert "one [axis] was never turned" in answer.out
+    assert (tmp_path / "a.c").exists()
+
+
+def test_what_export_refuses(undrift, bench, tmp_path):
+    source = tmp_path / "calibration.json"
+    source.write_bytes((bench / "calibration.json").read_bytes())
+    (tmp_path / "old.h").write_text("kept")
+    (tmp_path / "folder.c").mkdir()
+    (tmp_path / "theirs.json").write_text('{"cal_type": "Turntable"}')
+    before = contents(tmp_path)
+
+    def refused(*words, of=source):
+        line = undrift.refused("export", of, *words)
+        assert contents(tmp_path) == before
+        return line
+
+    c = ["--target", "c", "-o"]
+    assert "wanted --fixed or --double, got both" in refused(*c, tmp_path / "old.h", "--fixed", "--double")
+    assert "wanted a name ending in .h" in refused(*c, tmp_path / "a.c")
+    assert "wanted a name ending in .yaml or .yml" in refused("--target", "ros", "-o", tmp_path / "a.h")
+    assert "than those that are read" in refused("--target", "imucal", "-o", source)
+    assert "got a folder" in refused(*c, tmp_path / "folder.h")
+    assert "make it first" in refused(*c, tmp_path / "none" / "a.h")
+    assert "wanted a file name of letters" in refused(*c, tmp_path / 'a".h')
+    assert "wanted a prefix" in refused(*c, tmp_path / "old.h", "--prefix", "A B")
+    assert "wanted 0 to 30 bits" in refused(*c, tmp_path / "old.h", "--gyro-raw-bits", "40")
+    assert "wanted the gain that the autopilot's driver uses" in refused("--target", "px4", "-o", tmp_path / "a.params")
+    assert "wanted sensor 0, 1 or 2" in refused(
+        "--target", "px4", "-o", tmp_path / "a.params", "--sensor", "7", *NOMINAL
+    )
+    assert "Say undrift export --help" in refused("--target", "betaflight", "-o", tmp_path / "a.txt")
+    assert "theirs.json: imucal calibration: wanted cal_type" in refused(
+        *c, tmp_path / "old.h", of=tmp_path / "theirs.json"
+    )
+    assert "wanted a calibration file" in refused(*c, tmp_path / "old.h", of=tmp_path / "missing.json")
+    assert "wanted kind" in refused(*c, tmp_path / "old.h", of=bench / "summary.json")
