@@ -32,7 +32,10 @@ class Coefficients(NamedTuple):
     integral: float  # KI / 2
     volts_per_count: float
     clip: float
-    torque_per_volt: float
+    torque_constant: float  # Kt, and the back voltage of the motor in V s/rad
+    amplifier_gain: float  # Ka
+    supply: float  # V behind the amplifier
+    resistance: float
     inertia: float
     counts_per_rad: float
     coulomb: float
@@ -45,6 +48,8 @@ class Coefficients(NamedTuple):
     error_limit: float
     forward: float
     reverse: float
+    forward_at: float  # encoder counts where the limit switches close
+    reverse_at: float
     offset: float  # encoder register minus encoder count
     quantise: bool
     powered: bool
@@ -84,21 +89,22 @@ def profile(state: FloatArray, c: Coefficients) -> bool:
         if abs(left) <= down * c.period and along <= 1.5 * down:
             state[REFERENCE], state[SPEED], state[MODE] = state[TARGET], 0.0, REST
             return True
-        brake = down * (math.sqrt(0.25 + 2.0 * abs(left) / (down * c.period)) - 0.5)  # stops on the target, to the sample
-        if along < 0.0:
-            speed = way * min(along + down, 0.0)
-        else:
-            speed = way * max(min(along + up, c.slew, brake), along - down)
+        ahead = max(abs(left) - 0.5 * along * c.period, 0.0)
+        brake = down * (math.sqrt(0.25 + 2.0 * ahead / (down * c.period)) - 0.5)  # stops on the target, to the sample
+        forward = max(min(along + up, c.slew, brake), along - down)
+        speed = way * (min(along + down, 0.0) if along < 0.0 else forward)
+    state[REFERENCE] += 0.5 * (state[SPEED] + speed) * c.period
     state[SPEED] = speed
-    state[REFERENCE] += speed * c.period
-    return mode == STOPPING and speed == 0.0
+    return bool(mode == STOPPING and speed == 0.0)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def turn(state: FloatArray, c: Coefficients, voltage: float) -> None:
-    # the axis over one sample under a constant voltage: J alpha = Kt Ka V - friction - cogging
+    # the axis over one sample under a constant voltage: J alpha = Kt i - friction - cogging, i = Ka V within the supply
     angle, rate = state[ANGLE], state[RATE]
-    torque = c.torque_per_volt * voltage
+    back = c.torque_constant * rate
+    current = min(max(c.amplifier_gain * voltage, (-c.supply - back) / c.resistance), (c.supply - back) / c.resistance)
+    torque = c.torque_constant * current if c.motor_on and c.powered and c.amplifier_good else 0.0
     if c.cogging != 0.0:
         torque -= c.cogging * math.sin(c.cogging_periods * angle)
     drive = torque
@@ -124,22 +130,22 @@ def control(state: FloatArray, c: Coefficients) -> float:
     if not (c.powered and c.motor_on):
         state[REFERENCE], state[SPEED], state[SUM], state[LAST], state[ERROR] = register, 0.0, 0.0, 0.0, 0.0
         return 0.0
-    reference = math.floor(state[REFERENCE] + 0.5) if c.quantise else state[REFERENCE]
+    reference = math.floor(state[REFERENCE]) if c.quantise else state[REFERENCE]
     error = reference - register
     state[SUM] += error
     word = c.proportional * error + c.derivative * (error - state[LAST]) + c.integral * state[SUM]
     state[LAST], state[ERROR] = error, error
-    return min(max(c.volts_per_count * word, -c.clip), c.clip)
+    return float(min(max(c.volts_per_count * word, -c.clip), c.clip))
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def check(state: FloatArray, c: Coefficients, done: bool) -> int:
     # what the card notices at the end of its sample: limits and following error, else the end of a motion
     if state[MODE] == JOG or state[MODE] == MOVE:
-        if state[SPEED] > 0.0 and (c.forward_closed or state[REFERENCE] > c.forward):
+        if state[SPEED] > 0.0 and (c.forward_closed or state[COUNT] >= c.forward_at or state[REFERENCE] > c.forward):
             state[MODE] = STOPPING
             return FORWARD_LIMIT
-        if state[SPEED] < 0.0 and (c.reverse_closed or state[REFERENCE] < c.reverse):
+        if state[SPEED] < 0.0 and (c.reverse_closed or state[COUNT] <= c.reverse_at or state[REFERENCE] < c.reverse):
             state[MODE] = STOPPING
             return REVERSE_LIMIT
     over = abs(state[ERROR]) > c.error_limit
@@ -166,7 +172,7 @@ def servo(
         done = profile(state, c)
         voltage = control(state, c)
         state[VOLTAGE] = voltage
-        turn(state, c, voltage if c.amplifier_good else 0.0)
+        turn(state, c, voltage)
         state[SAMPLES] += 1.0
         state[TIME] += c.period
         if int(state[SAMPLES]) % c.stride == 0:

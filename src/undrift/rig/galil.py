@@ -6,62 +6,19 @@ positions (TP) over the time between them; the card's own TV is an average over 
 or makes no sense the driver stops the axis (ST, then AB), switches the motor off (MO), and says whether the card confirmed it.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-
-from undrift.errors import InputError, LinkError, RigError, RigFault
+from undrift.errors import LinkError, RigError, RigFault
 from undrift.rig.address import RigSettings
 from undrift.rig.clock import Clock
-from undrift.rig.counts import ACCELERATION, JOG, JOG_BY_TWO, LONGEST_MOVE, MOVE, SLEW, CountScale
-from undrift.rig.galil_axis import UNCONFIRMED, GalilAxis
-from undrift.rig.galil_card import GalilCard
+from undrift.rig.counts import ACCELERATION, JOG, JOG_BY_TWO, LONGEST_MOVE, MOVE
+from undrift.rig.galil_axis import UNCONFIRMED
 from undrift.rig.galil_gclib import GclibPort
 from undrift.rig.galil_port import GalilPort, LinkPort
-from undrift.rig.galil_words import STOPS_THAT_ARE_FAULTS, Switches, stop_in_words
+from undrift.rig.galil_reports import GalilReports, GalilSettings
+from undrift.rig.galil_words import stop_in_words
 from undrift.rig.link import LinkSettings
-from undrift.rig.rig import Limits, Position
-from undrift.units import RADIAN_PER_DEGREE
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GalilSettings:
-    """What the driver cannot ask the card.
-
-    Parameters
-    ----------
-    limits : Limits
-        What the rig may be told.
-    encoder_lines : int
-        Lines of the encoder; a turn is 4 times as many counts.
-    axis : str
-        Letter of the axis, A to H or X, Y, Z, W.
-    speed_step : int
-        Counts/s between two jog speeds: 1, or 2 on older cards.
-    move_turn_rate : float
-        Rate of `move_by`, rad/s.
-    error_limit : float
-        Following error at which the card switches the motor off by itself (ER, OE1), rad.
-    clock : Clock
-        Hardware's, or a faster emulator's.
-    """
-
-    limits: Limits = field(default_factory=Limits)
-    encoder_lines: int = 10_000
-    axis: str = "X"
-    speed_step: int = 1
-    move_turn_rate: float = 90.0 * RADIAN_PER_DEGREE
-    error_limit: float = 5.0 * RADIAN_PER_DEGREE
-    clock: Clock = field(default_factory=Clock)
-
-    def __post_init__(self) -> None:
-        if self.axis not in tuple("ABCDEFGHXYZW"):
-            raise InputError(f"galil: wanted an axis A to H or X, Y, Z, W, got '{self.axis}'; name one")
-        if self.speed_step not in (1, 2):
-            raise InputError(f"galil: wanted speed_step 1 or 2, got {self.speed_step}; see JG in the card's manual")
-
-
-class GalilRig:
+class GalilRig(GalilReports):
     """A rate table on a Galil card; nothing moves until `turn` or `move_by`.
 
     Parameters
@@ -80,31 +37,12 @@ class GalilRig:
     """
 
     def __init__(self, port: GalilPort, settings: GalilSettings = GalilSettings()) -> None:
-        self._settings = settings
-        self._scale = CountScale.from_lines(settings.encoder_lines)
-        self._move_speed = SLEW.round(self._scale.counts(min(settings.move_turn_rate, settings.limits.turn_rate)))
-        fastest = max(self._scale.counts(settings.limits.turn_rate), self._move_speed)
-        self.card = GalilCard(port, settings.axis)
-        self._axis = GalilAxis(self.card, settings.clock, fastest, slack=self._scale.counts_per_turn / 36.0)
-        self._closed = False
+        super().__init__(port, settings)
         try:
             self._home = self._prepare()
         except RigError:
             port.close()
             raise
-
-    @property
-    def limits(self) -> Limits:
-        """What it may be told."""
-        return self._settings.limits
-
-    def identify(self) -> str:
-        """Return the card's model and firmware, as it answers to control-R control-V."""
-        with self._guarded():
-            said = self.card.text("\x12\x16").strip()
-            if not said.isprintable() or not said:
-                raise LinkError(f"{self.card.port.name}: wanted a model in answer to ^R^V, got {said!r}; check baud")
-            return said
 
     def enable(self, on: bool) -> None:
         """Switch the motor on (SH) or off (MO); off stops the axis first.
@@ -232,42 +170,6 @@ class GalilRig:
             self._axis.stop()
             self._axis.settled()
 
-    def position(self) -> Position:
-        """Return where the axis stands (TP), from where it stood when the rig was opened, rad."""
-        with self._guarded():
-            counts, now = self._axis.read_position()
-        return Position(angle=self._angle(counts), time=now)
-
-    def measured_turn_rate(self, duration_s: float) -> float:
-        """Return the mean rate over a while, from two positions.
-
-        Parameters
-        ----------
-        duration_s : float
-            s.
-
-        Returns
-        -------
-        float
-            rad/s.
-        """
-        return self._settings.clock.mean_turn_rate(self.position, duration_s)
-
-    def following_error(self) -> float:
-        """Return commanded minus actual angle (TE), rad."""
-        with self._guarded():
-            return self._scale.angle(self.card.position(f"TE{self.card.axis}"))
-
-    def fault(self) -> str | None:
-        """Return what is wrong in words (TS, SC), None when all is well."""
-        with self._guarded():
-            switches = Switches.from_byte(self.card.integer(f"TS{self.card.axis}", 0, 255))
-            code = self._axis.stop_code()
-        wrong = [*switches.wrong(self._axis.enabled)]
-        if code in STOPS_THAT_ARE_FAULTS:
-            wrong.append(f"{stop_in_words(code)} (stop code {code})")
-        return "; ".join(wrong) or None
-
     def close(self) -> None:
         """Stop, switch the motor off, let go of the link; harmless when called again.
 
@@ -300,12 +202,12 @@ class GalilRig:
             self._axis.deceleration = card.number(f"MG _DC{card.axis}")
             self._axis.enabled = self._axis.is_on()
             home, _ = self._axis.read_position()
-            forward, reverse = LONGEST_MOVE, -LONGEST_MOVE - 1  # switched off
+            forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # as good as none
             if self.limits.travel is not None:
                 reach = int(self._scale.counts(self.limits.travel))
                 forward, reverse = home + reach, home - reach
-            card.set("FL", forward)
-            card.set("BL", reverse)
+            card.set("FL", forward, tolerance=2)
+            card.set("BL", reverse, tolerance=2)
         return home
 
     def _speak_plainly(self) -> None:
@@ -317,9 +219,6 @@ class GalilRig:
             port.mask_unsolicited()
         card.fix_format()
 
-    def _angle(self, counts: int) -> float:
-        return self._scale.angle(counts - self._home)
-
     def _check_arrived(self) -> None:
         code = self._axis.stop_code()
         if code != 1:
@@ -328,15 +227,6 @@ class GalilRig:
                 "look at the table",
                 code=code,
             )
-
-    @contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """Refuse a rig that is closed or lost; else let the axis guard what is done."""
-        why = "it is closed" if self._closed else self._axis.refused
-        if why:
-            raise LinkError(f"{self.card.port.name}: wanted a rig ready for commands, got none: {why}; open it again")
-        with self._axis.guarded():
-            yield
 
 
 def open_from(url: str, settings: RigSettings) -> GalilRig:

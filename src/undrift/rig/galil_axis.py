@@ -16,6 +16,7 @@ from undrift.rig.galil_card import GalilCard
 
 UNCONFIRMED = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
 RECONNECTIONS = 4
+STOP_MARGIN_S = 2.0  # on top of twice the time that coming to rest should take
 AXIS_DECELERATION = 256_000.0  # counts/s2, the card's own default
 
 log = logging.getLogger(__name__)
@@ -146,8 +147,8 @@ class GalilAxis:
         RigTimeout
             It still moves.
         """
-        allowed_s = 2.0 * expected_s + 2.0
-        last = time.monotonic() + max(allowed_s / self._clock.speed, 1.0)
+        allowed_s = 2.0 * expected_s + STOP_MARGIN_S
+        last = time.monotonic() + max(allowed_s / self._clock.speed, 0.5 * STOP_MARGIN_S)
         while self.is_moving():
             if time.monotonic() > last:
                 raise RigTimeout(
@@ -205,13 +206,14 @@ class GalilAxis:
         except RigError as error:
             log.error("%s: not confirmed at rest: %s", port.name, error)
             self.refused = "it could not be brought to rest"
-            for command in (
-                f"ST{self.card.axis}",
-                "AB",
-                f"MO{self.card.axis}",
-            ):  # in the dark: the card may still listen
-                port.shout(command)
+            self._stop_in_the_dark()
             return False
+
+    def _stop_in_the_dark(self) -> None:
+        """Give the card, which may still listen, time for each; MO is refused until AB has ended the motion."""
+        for command in (f"ST{self.card.axis}", "AB", f"MO{self.card.axis}", f"MO{self.card.axis}"):
+            self.card.port.shout(command)
+            time.sleep(0.05)
 
     def _come_to_rest(self) -> None:
         try:

@@ -49,8 +49,10 @@ class GalilCard:
         LinkError
             It answered something else.
         """
-        answer = self.text(command, deadline_s)
-        if answer.strip():
+        answer = self.port.ask(command, deadline_s)
+        if answer is None:
+            raise _refusal(self.port, command)
+        if answer:
             raise LinkError(
                 f"{self.port.name}: wanted ':' in answer to '{command}', got {answer!r}; check cable and baud"
             )
@@ -92,8 +94,8 @@ class GalilCard:
         """
         answer = self.port.ask(command, deadline_s)
         if answer is None:
-            raise self._refusal(command)
-        return answer
+            raise _refusal(self.port, command)
+        return answer.strip("\r\n")
 
     def number(self, command: str) -> float:
         """Ask for a number.
@@ -221,17 +223,16 @@ class GalilCard:
             )
         return held
 
-    def _refusal(self, command: str) -> RigFault:
-        """Return what TC1 says about the last ``?``, in our words."""
-        said = self.port.ask("TC1") or ""
-        found = re.match(r"\s*(\d{1,3})\b", said)
-        if not found:
-            raise LinkError(
-                f"{self.port.name}: wanted an error code in answer to 'TC1', got {said!r}; check cable and baud"
-            )
-        code = int(found.group(1))
-        return RigFault(
-            f"{self.port.name}: wanted '{command}', got error {code}: {error_in_words(code)}; see the state of the card",
-            code=code,
-            command=command,
-        )
+
+def _refusal(port: GalilPort, command: str) -> RigFault:
+    """Return what TC1 says about the last ``?``, in our words."""
+    said = port.ask("TC1") or ""
+    found = re.match(r"\s*(\d{1,3})\b", said)
+    if not found:
+        raise LinkError(f"{port.name}: wanted an error code in answer to 'TC1', got {said!r}; check cable and baud")
+    code = int(found.group(1))
+    return RigFault(
+        f"{port.name}: wanted '{command}', got error {code}: {error_in_words(code)}; see the state of the card",
+        code=code,
+        command=command,
+    )

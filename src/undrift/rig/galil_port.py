@@ -8,7 +8,8 @@ import re
 from typing import Protocol
 
 from undrift.errors import LinkError, RigError, RigTimeout
-from undrift.rig.link import Link, LinkSettings, ReplyEnd
+from undrift.rig.link import Link, LinkSettings
+from undrift.rig.receiver import ReplyEnd
 
 PROMPT = re.compile(rb"(?:^|\n)[:?]")
 
@@ -130,7 +131,7 @@ class LinkPort:
         Returns
         -------
         str or None
-            "" for a bare ``:``; None when the card refused.
+            With its CR LF; "" for a bare ``:``; None when the card refused.
 
         Raises
         ------
@@ -144,7 +145,7 @@ class LinkPort:
             return None
         if not reply.endswith(":") or "?" in reply:
             raise LinkError(f"{self.name}: wanted an answer to '{command}', got {reply!r}; check cable and baud")
-        return reply[:-1].removesuffix("\n").removesuffix("\r").removeprefix("\r\n")
+        return reply[:-1]
 
     def shout(self, command: str) -> None:
         """Send without waiting for an answer; a lost link is left to whoever asks next.
@@ -181,7 +182,7 @@ class LinkPort:
 
     def mask_unsolicited(self) -> None:
         """Keep characters with the high bit set out of the answers from now on."""
-        self._link.high_bit_is_unsolicited = True
+        self._link.mask_high_bit()
 
     def unsolicited(self) -> str:
         """Return what the card said without being asked, once.

@@ -4,6 +4,8 @@ The state is advanced in whole samples of the card. Where the axis was is kept i
 interpolation from angle and rate.
 """
 
+from typing import Any
+
 import numpy as np
 
 from undrift.arrays import FloatArray
@@ -31,13 +33,15 @@ class Axis:
         self.coefficients: Coefficients = resting_coefficients(servo)
         self.values: FloatArray = np.zeros(k.SIZE)
         length = max(16, round(history_s / (self.coefficients.stride * servo.period_s)))
-        self._log_time, self._log_angle, self._log_rate = np.empty(length), np.empty(length), np.empty(length)
+        self._log_time: FloatArray = np.empty(length)
+        self._log_angle: FloatArray = np.empty(length)
+        self._log_rate: FloatArray = np.empty(length)
         self._log_time[0] = self._log_angle[0] = self._log_rate[0] = 0.0
         self.values[k.LOGGED] = 1.0  # the axis at rest at time zero
         self._tell: FloatArray = np.zeros(1)
         self.set_period(servo.period_s)
 
-    def change(self, **coefficients: float | bool) -> None:
+    def change(self, **coefficients: Any) -> None:
         """Change coefficients of the loop or the state of its parts from the next sample on.
 
         Parameters
@@ -60,7 +64,7 @@ class Axis:
 
     def warm(self) -> None:
         """Compile the loop, so that the first look does not wait for it."""
-        k.servo(np.zeros(k.SIZE), self.coefficients, np.zeros(2), *np.zeros((3, 2)), 2)
+        k.servo(np.zeros(k.SIZE), self.coefficients, np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), 2)
 
     def advance(self, time: float) -> int:
         """Bring the axis up to a moment, or to the first event before it.
@@ -89,15 +93,15 @@ class Axis:
     @property
     def register(self) -> int:
         """Position register, counts: what TP tells."""
-        return round(self.values[k.COUNT] + self.coefficients.offset)
+        return round(float(self.values[k.COUNT]) + self.coefficients.offset)
 
     @property
     def velocity_counts(self) -> int:
         """Mean speed of the last quarter of a second, counts/s: what TV tells."""
-        newest = (int(self.values[k.SAMPLES]) - 1) % self._tell.size
+        newest: int = (int(self.values[k.SAMPLES]) - 1) % self._tell.size
         oldest = (newest + 1) % self._tell.size
         span = (self._tell.size - 1) * self.coefficients.period
-        return round((self._tell[newest] - self._tell[oldest]) / span)
+        return round(float(self._tell[newest] - self._tell[oldest]) / span)
 
     def define(self, counts: int) -> None:
         """Call where the axis stands a number; the axis and its loop notice nothing.
@@ -129,8 +133,8 @@ class Axis:
         InputError
             A time that is not reached yet, or is no longer kept.
         """
-        time, angle, rate = self.history()
         t = np.asarray(times, float)
+        time, angle, rate = self.history(max(self.time - t.min(initial=self.time), 0.0) + 0.1)
         if t.size and (t.max() > time[-1] + self.coefficients.period or t.min() < time[0]):
             raise InputError(
                 f"axis state: wanted times in {time[0]:.4f}..{time[-1]:.4f} s, got {t.min():.4f}..{t.max():.4f} s; "

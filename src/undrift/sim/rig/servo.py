@@ -3,7 +3,8 @@
     e    = reference - count                                 counts
     word = 4 KP e + 4 KD (e - e_last) + KI/2 sum(e)          D(z) = 4 KP + 4 KD (1 - 1/z) + KI/2 / (1 - 1/z)
     V    = clip(Kd word, 10)                                 converter, Kd volts a count
-    J alpha = Kt Ka V - friction - cogging                   motor behind a current amplifier, M(s) = Kt / (J s^2)
+    i    = Ka V, within (+-supply - Kt omega) / R            current amplifier
+    J alpha = Kt i - friction - cogging                      motor, M(s) = Kt / (J s^2)
     count = floor(4N/2pi angle)                              encoder of N lines
 
 The defaults are the figures of the note, which are those of the makers' textbook example with N = 10,000 lines and T = 0.1 ms:
@@ -20,6 +21,11 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.kernels.servo import Coefficients
 
+_POSITIVE = (
+    "torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage",
+    "encoder_lines", "period_s", "volts_per_count", "voltage_limit",
+)  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoSettings:
@@ -34,9 +40,11 @@ class ServoSettings:
     payload_inertia : float
         Device and fixture, kg m2; adds to J.
     resistance : float
-        R of the winding, ohm; a current amplifier hides it from the loop.
+        R of the winding, ohm; a current amplifier hides it from the loop until its supply is used up.
     amplifier_gain : float
         Ka, A/V.
+    supply_voltage : float
+        Supply of the amplifier, V: sets the speed at which a motor runs away.
     encoder_lines : int
         N, lines a turn; 4 N counts.
     period_s : float
@@ -67,19 +75,20 @@ class ServoSettings:
     payload_inertia: float = 0.0
     resistance: float = 2.0
     amplifier_gain: float = 4.0
+    supply_voltage: float = 48.0
     encoder_lines: int = 10_000
     period_s: float = 1.0e-4
     gains: tuple[float, float, float] = (12.5, 245.0, 0.0)
     volts_per_count: float = 3.0e-4
     voltage_limit: float = 10.0
-    coulomb_friction: float = 1.0e-3
+    coulomb_friction: float = 2.0e-3
     viscous_friction: float = 0.0
     cogging_torque: float = 0.0
     cogging_periods: int = 24
     quantise: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("torque_constant", "inertia", "amplifier_gain", "encoder_lines", "period_s", "volts_per_count"):
+        for name in _POSITIVE:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"servo {name}: wanted a positive number, got {value}; give the loop's own figure")
@@ -233,7 +242,10 @@ def resting_coefficients(servo: ServoSettings) -> Coefficients:
         integral=0.5 * servo.gains[2],
         volts_per_count=servo.volts_per_count,
         clip=servo.voltage_limit,
-        torque_per_volt=servo.torque_constant * servo.amplifier_gain,
+        torque_constant=servo.torque_constant,
+        amplifier_gain=servo.amplifier_gain,
+        supply=servo.supply_voltage,
+        resistance=servo.resistance,
         inertia=servo.inertia + servo.payload_inertia,
         counts_per_rad=servo.counts_per_rad,
         coulomb=servo.coulomb_friction,
@@ -246,6 +258,8 @@ def resting_coefficients(servo: ServoSettings) -> Coefficients:
         error_limit=16_384.0,
         forward=2_147_483_647.0,
         reverse=-2_147_483_648.0,
+        forward_at=math.inf,
+        reverse_at=-math.inf,
         offset=0.0,
         quantise=servo.quantise,
         powered=True,

@@ -1,0 +1,95 @@
+"""Addresses of rigs."""
+
+import pytest
+
+from scripted import Card, Scripted
+from undrift.errors import InputError, LimitError, LinkError
+from undrift.rig.address import RigSettings, open_rig, parse_address
+from undrift.rig.clock import Clock
+from undrift.rig.galil import GalilRig
+from undrift.rig.manual import ManualRig
+from undrift.rig.rig import Limits
+
+
+def test_an_address_names_the_rig_its_link_and_its_options():
+    kind, url, settings = parse_address(
+        "galil:serial:///dev/ttyUSB0?baud=9600&encoder_lines=2500&axis=b&hardware_handshake=yes"
+    )
+    assert (kind, url) == ("galil", "serial:///dev/ttyUSB0")
+    assert (settings.baud, settings.encoder_lines, settings.axis, settings.hardware_handshake) == (
+        9600,
+        2500,
+        "B",
+        True,
+    )
+
+
+def test_an_option_of_the_address_wins_over_the_settings():
+    _, _, settings = parse_address("grbl:/dev/pts/3?clock_speed=20", RigSettings(clock_speed=2.0, reply_timeout_s=7.0))
+    assert (settings.clock_speed, settings.reply_timeout_s) == (20.0, 7.0)
+
+
+@pytest.mark.parametrize("address", ["", "galil", "lathe:tcp://host:1", "tcp://host:1"])
+def test_a_rig_that_is_none_of_ours_is_refused(address):
+    with pytest.raises(InputError, match=r"rig: wanted one of galil:..., grbl:..., manual:..., got"):
+        open_rig(address)
+
+
+@pytest.mark.parametrize(
+    ("query", "text"),
+    [
+        ("limits=9", "wanted options out of encoder_lines, axis"),
+        ("baud=fast", "wanted a value for baud, got 'fast'"),
+        ("hardware_handshake=1", "wanted a value for hardware_handshake, got '1'"),
+        ("baud", "wanted options as name=value"),
+    ],
+)
+def test_an_option_that_is_none_is_refused(query, text):
+    with pytest.raises(InputError, match=text):
+        open_rig(f"galil:tcp://127.0.0.1:1?{query}")
+
+
+def test_the_factory_opens_each_kind():
+    with Scripted(Card()) as server:
+        rig = open_rig(f"galil:{server.url}?encoder_lines=2500")
+        assert isinstance(rig, GalilRig)
+        rig.close()
+    assert isinstance(open_rig("manual:", RigSettings(ask=lambda line: "")), ManualRig)
+
+
+def test_nobody_there_is_a_link_error():
+    with pytest.raises(LinkError, match="wanted a connection"):
+        open_rig("grbl:tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("name", ["turn_rate", "acceleration", "travel"])
+def test_limits_that_are_none_are_refused(name):
+    with pytest.raises(InputError, match=f"limits: wanted {name} above 0, got 0"):
+        Limits(**{name: 0.0})
+
+
+def test_limits_refuse_what_goes_beyond_and_allow_what_meets_them():
+    limits = Limits(turn_rate=1.0, acceleration=2.0, travel=3.0)
+    limits.check_turn_rate(-1.0)
+    limits.check_acceleration(2.0)
+    limits.check_travel(-3.0)
+    with pytest.raises(
+        LimitError, match=r"turn rate: wanted at most 1 rad/s either way, got -1.1; choose a slower one"
+    ):
+        limits.check_turn_rate(-1.1)
+    with pytest.raises(LimitError, match=r"acceleration: wanted above 0 and at most 2 rad/s2, got 0"):
+        limits.check_acceleration(0.0)
+    with pytest.raises(LimitError, match=r"travel: wanted to stay within 3 rad of the start, got a move to 3.1"):
+        limits.check_travel(3.1)
+    with pytest.raises(LimitError, match="turn rate"):
+        limits.check_turn_rate(float("nan"))
+
+
+def test_a_clock_that_stands_still_is_refused_and_a_fast_one_runs_ahead():
+    with pytest.raises(InputError, match="clock: wanted a speed above 0, got 0"):
+        Clock(speed=0.0)
+    clock = Clock(speed=100.0)
+    start = clock.now()
+    clock.wait(1.0)
+    clock.wait(-1.0)
+    assert 1.0 <= clock.now() - start < 50.0

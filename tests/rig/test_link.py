@@ -1,0 +1,214 @@
+"""Link: every exchange ends in an answer or an error, never in a wait."""
+
+import os
+import sys
+import threading
+import time
+
+import pytest
+
+from scripted import Scripted
+from undrift.errors import InputError, LinkError, RigTimeout
+from undrift.rig.link import Link, LinkSettings
+
+QUICK = LinkSettings(terminator="\r", reply_timeout_s=0.2, connect_timeout_s=1.0)
+
+
+def echo(command: str) -> bytes:
+    return f"{command}!\n".encode("latin-1")
+
+
+def test_a_question_is_answered_over_tcp():
+    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+        assert link.exchange("hello") == "hello!\n"
+        assert server.heard == ["hello"]
+
+
+def test_a_question_is_answered_over_what_pyserial_opens():
+    with Scripted(echo) as server, Link(server.url.replace("tcp", "socket"), QUICK) as link:
+        assert link.exchange("hello") == "hello!\n"
+    with Link("loop://", LinkSettings(reply_timeout_s=1.0)) as link:
+        assert link.exchange("hello") == "hello\n"
+
+
+@pytest.mark.parametrize("prefix", ["", "serial://"])
+def test_a_question_is_answered_over_a_pseudo_terminal(prefix):
+    ours, theirs = os.openpty()
+    try:
+        with Link(f"{prefix}{os.ttyname(theirs)}", LinkSettings(terminator="\r", reply_timeout_s=2.0)) as link:
+            answerer = threading.Thread(target=lambda: os.write(ours, os.read(ours, 100).replace(b"\r", b"!\n")))
+            answerer.start()
+            assert link.exchange("hello") == "hello!\n"
+            answerer.join()
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_marked_bytes_that_nobody_asked_for_are_kept_out_of_an_answer():
+    hidden = bytes(byte | 0x80 for byte in b"limit\r\n")
+    with Scripted(lambda command: b"12" + hidden + b"34\n") as server, Link(server.url, QUICK) as link:
+        link.mask_high_bit()
+        assert link.exchange("TP") == "1234\n"
+        assert link.unsolicited() == "limit\r\n"
+        assert link.unsolicited() == ""
+
+
+def test_bytes_that_come_between_two_exchanges_are_kept_aside():
+    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+        link.exchange("a")
+        server.say(b"by the way\n")
+        time.sleep(0.05)
+        assert link.exchange("b") == "b!\n"
+        assert link.unsolicited() == "by the way\n"
+
+
+def test_a_line_that_comes_by_itself_can_be_waited_for():
+    with Scripted(echo, greeting=b"Grbl 1.1h\r\n") as server, Link(server.url, QUICK) as link:
+        assert link.read() == "Grbl 1.1h\r\n"
+        with pytest.raises(RigTimeout, match="got nothing"):
+            link.read(0.01)
+        assert link.exchange("a") == "a!\n"
+
+
+def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_taken_for_the_next():
+    with Scripted(lambda command: None) as server, Link(server.url, QUICK) as link:
+        start = time.monotonic()
+        with pytest.raises(
+            RigTimeout, match=r"wanted an answer to 'TP' within 0.2 s, got nothing; check power and cable"
+        ):
+            link.exchange("TP")
+        assert 0.15 < time.monotonic() - start < 1.0
+        server.say(b"late\n")
+        with pytest.raises(LinkError, match=r"out of step with its device; resynchronise first"):
+            link.exchange("TP")
+        server._answer = lambda command: b"token\n"
+        found = link.resynchronise("say token", lambda got: got.find(b"token\n") + 6 if b"token\n" in got else 0)
+        assert found.endswith("token\n")
+        server._answer = echo
+        assert link.exchange("TP") == "TP!\n"
+
+
+def test_half_a_reply_is_a_timeout_that_shows_what_came():
+    with (
+        Scripted(lambda command: b" 00000") as server,
+        Link(server.url, QUICK) as link,
+        pytest.raises(RigTimeout, match=r"got only b' 00000'"),
+    ):
+        link.exchange("TP")
+
+
+def test_a_reply_that_trickles_in_is_a_timeout_too():
+    stop = threading.Event()
+    with Scripted(lambda command: None) as server, Link(server.url, QUICK) as link:
+
+        def trickle() -> None:
+            while not stop.wait(0.02):
+                server.say(b".")
+
+        thread = threading.Thread(target=trickle)
+        link.send(b"")
+        time.sleep(0.05)
+        thread.start()
+        start = time.monotonic()
+        try:
+            with pytest.raises(RigTimeout, match="got only"):
+                link.exchange("TP")
+        finally:
+            stop.set()
+            thread.join()
+        assert time.monotonic() - start < 1.0
+
+
+def test_a_flood_without_an_end_is_refused_before_the_deadline():
+    with (
+        Scripted(lambda command: b"x" * 100_000) as server,
+        Link(server.url, QUICK) as link,
+        pytest.raises(LinkError, match="wanted an end of the answer to 'TP'"),
+    ):
+        link.exchange("TP", 30.0)
+
+
+def test_bytes_that_are_no_text_are_refused():
+    with (
+        Scripted(lambda command: b"\xff\xfe\n") as server,
+        Link(server.url, QUICK) as link,
+        pytest.raises(LinkError, match=r"wanted text in answer to 'TP', got b'\\xff\\xfe\\n'"),
+    ):
+        link.exchange("TP")
+
+
+def test_a_lost_link_says_so_at_once_and_can_be_opened_again():
+    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+        link.exchange("a")
+        server.hang_up()
+        start = time.monotonic()
+        with pytest.raises(LinkError, match="lost"):
+            link.exchange("b", 30.0)
+        assert time.monotonic() - start < 5.0
+        assert not link.is_open
+        with pytest.raises(LinkError, match="wanted an open link"):
+            link.send(b"c\r")
+        link.reconnect()
+        assert link.is_open
+        assert link.exchange("d") == "d!\n"
+
+
+def test_an_interrupted_wait_leaves_the_link_out_of_step():
+    def interrupted(received: bytes) -> int:
+        raise KeyboardInterrupt
+
+    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+        with pytest.raises(KeyboardInterrupt):
+            link.exchange("a", until=interrupted)
+        with pytest.raises(LinkError, match="out of step"):
+            link.exchange("b")
+
+
+def test_closing_twice_is_harmless_and_leaves_no_thread():
+    before = threading.active_count()
+    with Scripted(echo) as server:
+        link = Link(server.url, QUICK)
+        link.exchange("a")
+        link.close()
+        link.close()
+        assert not any(thread.name.startswith("link") for thread in threading.enumerate())
+        with pytest.raises(LinkError, match="closed"):
+            link.exchange("b")
+    assert threading.active_count() == before
+
+
+def test_closing_ends_a_wait_in_another_thread():
+    with Scripted(lambda command: None) as server, Link(server.url, QUICK) as link:
+        closer = threading.Timer(0.05, link.close)
+        closer.start()
+        with pytest.raises(LinkError, match="closed"):
+            link.exchange("a", 30.0)
+        closer.join()
+
+
+def test_nobody_there_is_a_link_error():
+    with pytest.raises(LinkError, match=r"tcp://127.0.0.1:9: wanted a connection, got '.*refused'; check power, cable"):
+        Link("tcp://127.0.0.1:9", QUICK)
+    with pytest.raises(LinkError, match="wanted a connection"):
+        Link("serial:///dev/ttyNONE", QUICK)
+
+
+@pytest.mark.parametrize(
+    "url", ["", "tcp://", "tcp://host", "tcp://host:x", "tcp://host:1/path", "http://host", "serial://"]
+)
+def test_what_is_no_address_is_refused(url):
+    with pytest.raises(InputError, match="link: wanted tcp://host:port"):
+        Link(url, QUICK)
+
+
+@pytest.mark.parametrize("name", ["reply_timeout_s", "connect_timeout_s", "baud"])
+def test_a_wait_without_an_end_is_refused(name):
+    with pytest.raises(InputError, match=f"wanted {name} above 0"):
+        LinkSettings(**{name: 0})
+
+
+def test_a_serial_port_without_pyserial_is_one_clear_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(LinkError, match=r"wanted the package pyserial, got none; pip install undrift\[live\]"):
+        Link("loop://", QUICK)

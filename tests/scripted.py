@@ -1,0 +1,180 @@
+"""Servers that answer as they are told to: for the rig's drivers, over a real socket on loopback."""
+
+import contextlib
+import re
+import socket
+import threading
+from collections.abc import Callable, Iterable
+
+Answer = Callable[[str], bytes | None]
+
+
+class Scripted:
+    """Listens on a free port; each command that ends with the terminator is answered by a function, None says nothing."""
+
+    def __init__(self, answer: Answer, terminator: bytes = b"\r", at_once: str = "", greeting: bytes = b"") -> None:
+        self.heard: list[str] = []
+        self._answer = answer
+        self._terminator = terminator
+        self._at_once = at_once.encode("latin-1")
+        self._greeting = greeting
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._clients: list[socket.socket] = []
+        self._threads = [threading.Thread(target=self._accept)]
+        self._threads[0].start()
+
+    @property
+    def url(self) -> str:
+        host, port = self._listener.getsockname()
+        return f"tcp://{host}:{port}"
+
+    def __enter__(self) -> "Scripted":
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self.close()
+
+    def say(self, data: bytes) -> None:
+        self._clients[-1].sendall(data)
+
+    def hang_up(self) -> None:
+        self._clients[-1].shutdown(socket.SHUT_RDWR)
+
+    def refuse_from_now_on(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.hang_up()
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        for client in self._clients:
+            with contextlib.suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+        for thread in self._threads:
+            thread.join(timeout=5)
+        for client in self._clients:
+            client.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            self._clients.append(client)
+            thread = threading.Thread(target=self._serve, args=(client,))
+            self._threads.append(thread)
+            thread.start()
+
+    def _serve(self, client: socket.socket) -> None:
+        waiting = b""
+        try:
+            if self._greeting:
+                client.sendall(self._greeting)
+            while data := client.recv(4096):
+                for byte in data:
+                    waiting += bytes([byte])
+                    if bytes([byte]) in self._at_once and self._at_once:
+                        self._do(client, chr(byte))
+                        waiting = waiting[:-1]
+                    elif waiting.endswith(self._terminator):
+                        self._do(client, waiting[: -len(self._terminator)].decode("latin-1"))
+                        waiting = b""
+        except OSError:
+            return
+
+    def _do(self, client: socket.socket, command: str) -> None:
+        self.heard.append(command)
+        if (answer := self._answer(command)) is not None:
+            client.sendall(answer)
+
+
+def transcript(lines: Iterable[tuple[str, bytes]]) -> tuple[Answer, list[str]]:
+    """Return an answer that plays a dialogue in its order, and the list of what did not fit it."""
+    left = list(lines)
+    wrong: list[str] = []
+
+    def answer(command: str) -> bytes:
+        if not left or left[0][0] != command:
+            wrong.append(f"heard {command!r}, wanted {left[0][0] if left else 'nothing'!r}")
+            return b"?"
+        return left.pop(0)[1]
+
+    return answer, wrong
+
+
+class Card:
+    """A card that believes everything: what was set is read back, a move is over after some polls, and answers can be spoilt."""
+
+    def __init__(self, polls: int = 1) -> None:
+        self.held: dict[str, str] = {
+            "AC": "256000",
+            "DC": "256000",
+            "MO": "1",
+            "TP": "0",
+            "TE": "0",
+            "SC": "1",
+            "TS": "44",
+        }
+        self.spoilt: dict[str, list[bytes | None]] = {}
+        self.polls = polls
+        self.moving = 0
+        self.refused: dict[str, int] = {}
+        self.code = 0
+        self.arrives = True
+
+    def spoil(self, command: str, *answers: bytes | None) -> None:
+        """Answer the next times that a command begins so with these bytes instead."""
+        self.spoilt[command] = list(answers)
+
+    def __call__(self, command: str) -> bytes | None:
+        for start, answers in self.spoilt.items():
+            if command.startswith(start) and answers:
+                return answers.pop(0)
+        for start, code in self.refused.items():
+            if command.startswith(start):
+                self.code = code
+                return b"?"
+        return self.answer(command)
+
+    def answer(self, command: str) -> bytes:
+        if command == "TC1":
+            return f"{self.code} Some words\r\n:".encode()
+        if command == "\x12\x16":
+            return b"DMC1415 Rev 1.0u\r\n:"
+        if found := re.fullmatch(r"MG (\d+)", command):
+            return f" {found.group(1)}.0000\r\n:".encode()
+        if command == "MG _BGX":
+            self.moving = max(self.moving - 1, 0)
+            return f" {int(self.moving > 0)}.0000\r\n:".encode()
+        if found := re.fullmatch(r"MG _([A-Z]{2})X?", command):
+            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
+        if found := re.fullmatch(r"(TP|TE)X", command):
+            value = int(self.held[found.group(1)])
+            return f"{'-' if value < 0 else ' '}{abs(value):010d}\r\n:".encode()
+        if found := re.fullmatch(r"(TS|SC)X", command):
+            return f" {int(self.held[found.group(1)]):03d}\r\n:".encode()
+        if found := re.fullmatch(r"([A-Z]{2}) \?", command):
+            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
+        if found := re.fullmatch(r"([A-Z]{2}) (-?[\d.]+)", command):
+            self.held[found.group(1)] = found.group(2)
+            return b":"
+        return self.act(command)
+
+    def act(self, command: str) -> bytes:
+        if command == "SHX":
+            self.held["MO"] = "0"
+        elif command == "MOX":
+            self.held["MO"] = "1"
+        elif command == "BGX":
+            self.moving = self.polls
+            if "PR" in self.held and self.arrives:
+                self.held["TP"] = str(int(self.held["TP"]) + int(self.held["PR"]))
+        elif command in ("STX", "AB"):
+            self.moving = 0
+        else:
+            self.code = 1
+            return b"?"
+        return b":"
