@@ -4,8 +4,10 @@ Everything is drawn from (seed, task, subject): the unit of the device, the perf
 off frequency changes the filter alone, so that cases of one subject differ by it and by nothing else.
 """
 
+import json
 import zlib
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -20,9 +22,11 @@ from undrift.sim.device.low_pass import LowPass
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.library import draw_task
+from undrift.sim.device.store import device_from_json
+from undrift.sim.motion.library import TaskName, draw_task
 from undrift.sim.motion.subject import Subject, cohort
 from undrift.sim.motion.task import Task
+from undrift.study.motion import RecordedTask, read_motion
 from undrift.study.plan import Study, StudyTask
 from undrift.study.session import ROOM_TEMP_C
 from undrift.units import STANDARD_GRAVITY
@@ -120,6 +124,53 @@ def with_cutoff(device: DeviceModel, cutoff_hz: float) -> DeviceModel:
     return replace(device, gyro=made[0], accel=made[1])
 
 
+def device_of(study: Study, number: int) -> DeviceModel:
+    """Return the device that a subject wears.
+
+    Parameters
+    ----------
+    study : Study
+        Gives the kind, or the device itself.
+    number : int
+        Which subject, from 0.
+
+    Returns
+    -------
+    DeviceModel
+        A unit drawn within the preset's tolerances, or the study's one device.
+    """
+    if study.worn:
+        return device_from_json(json.loads(study.worn))
+    return random_device_of(study.device, seeded(study, "device", number))
+
+
+def perform(study: Study, task: StudyTask, number: int) -> Task | RecordedTask:
+    """Return what a subject does.
+
+    Parameters
+    ----------
+    study : Study
+        Gives seed and cohort.
+    task : StudyTask
+        What is done.
+    number : int
+        Which subject, from 0.
+
+    Returns
+    -------
+    Task or RecordedTask
+        A performance of the library's task, or the recorded motion.
+    """
+    if task.motion is not None:
+        return read_motion(task.motion)
+    return draw_task(
+        cast("TaskName", task.name),
+        rng=seeded(study, "task", task.name, number),
+        subject=subject_of(study, number),
+        rest_s=REST_S,
+    )
+
+
 def make_case(study: Study, task: StudyTask, number: int, cutoff_hz: float) -> Case:
     """Simulate a subject's trial.
 
@@ -139,10 +190,8 @@ def make_case(study: Study, task: StudyTask, number: int, cutoff_hz: float) -> C
     Case
         Record and truth.
     """
-    device = with_cutoff(random_device_of(study.device, seeded(study, "device", number)), cutoff_hz)
-    performed = draw_task(
-        task.name, rng=seeded(study, "task", task.name, number), subject=subject_of(study, number), rest_s=REST_S
-    )
+    device = with_cutoff(device_of(study, number), cutoff_hz)
+    performed = perform(study, task, number)
     time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     warmer = float(seeded(study, "temperature", number).uniform(*study.excursion_k))
     record = simulate_device(
@@ -184,7 +233,7 @@ def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
     return error[case.moving[0] : case.moving[1]]
 
 
-def _delayed_pitch(performed: Task, time: FloatArray, device: DeviceModel) -> FloatArray:
+def _delayed_pitch(performed: Task | RecordedTask, time: FloatArray, device: DeviceModel) -> FloatArray:
     low_pass = device.gyro.low_pass
     delay = 0.0 if low_pass is None else float(np.median(low_pass.group_delay_s))
     return sagittal_pitch(performed.at(time - delay, STANDARD_GRAVITY).q_nb)

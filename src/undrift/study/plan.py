@@ -4,10 +4,11 @@ A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step as the n
 combination of the four whose step divides the span is a candidate.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal
+from typing import Literal, get_args
 
 from undrift.errors import InputError
 from undrift.protocol import Protocol
@@ -49,22 +50,58 @@ class Space:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OwnMotion:
+    """A recorded motion: every subject performs it, each with another unit of the device.
+
+    Parameters
+    ----------
+    path : str
+        File of poses or markers; workers read it there.
+    sha256 : str
+        Of its content.
+    rest_s : float
+        How long the body is at rest at the beginning, s.
+    markers : tuple of str
+        Labels of one rigid cluster, for TRC or C3D.
+    up : str or None
+        Laboratory axis that points up, for markers.
+    """
+
+    path: str
+    sha256: str
+    rest_s: float
+    markers: tuple[str, ...] = ()
+    up: Literal["y", "z"] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StudyTask:
     """One task of a study.
 
     Parameters
     ----------
     name : str
-        sit_to_stand, step or posturography.
+        sit_to_stand, step, posturography or free; any word for a motion of one's own.
     space : Space
         What is tried.
     base : Protocol
         All that is not varied: dwell, brackets, temperatures.
+    motion : OwnMotion, optional
+        Performed in place of the library's task.
     """
 
-    name: TaskName
+    name: str
     space: Space
     base: Protocol
+    motion: OwnMotion | None = None
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9_]+", self.name):
+            raise InputError(f"task: wanted a name of letters, digits and _, got '{self.name}'; rename it")
+        if self.motion is None and self.name not in get_args(TaskName):
+            raise InputError(
+                f"task: wanted one of {', '.join(get_args(TaskName))}, got '{self.name}'; name one, or give a motion of your own"
+            )
 
     def candidates(self, cutoff_hz: float) -> tuple[Protocol, ...]:
         """Return the protocols that are tried with one cut-off frequency.
@@ -94,7 +131,7 @@ class Study:
     name : str
         For people.
     device : str
-        Kind of device, one of the presets; every subject wears a unit of its own.
+        Kind of device, one of the presets; every subject wears a unit of its own. For people where ``worn`` is given.
     tasks : tuple of StudyTask
         One or more.
     subjects : int
@@ -111,6 +148,8 @@ class Study:
         Longest session that is allowed, min.
     seed : int
         Same seed, same bits.
+    worn : str
+        Text of a device.json, which every subject wears; none draws units of ``device``.
     """
 
     name: str
@@ -123,8 +162,12 @@ class Study:
     level: float = 0.05
     rig_minutes_max: float | None = None
     seed: int = 0
+    worn: str = ""
 
     def __post_init__(self) -> None:
+        names = [task.name for task in self.tasks]
+        if len(set(names)) < len(names):
+            raise InputError(f"study: wanted another name for each task, got {', '.join(names)}; rename one")
         if not self.tasks or self.subjects < 3:
             raise InputError(
                 f"study: wanted a task or more and three subjects or more, got {len(self.tasks)} and {self.subjects}"
