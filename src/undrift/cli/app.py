@@ -25,6 +25,7 @@ COMMANDS = {
     "export": "Write what firmware and other programs read, and say what they cannot carry.",
     "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
     "simulate": "What a device would say to a motion: a preset or device.json, moved by poses or by a task.",
+    "study": "Which calibration protocol is enough for a task: optimum, statistics, other subjects, the note's tables.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
 

@@ -143,9 +143,12 @@ class Dask:
     ----------
     address : str
         As in ``tcp://host:8786``.
+    timeout_s : float
+        To wait for the scheduler, s.
     """
 
     address: str
+    timeout_s: float = 10.0
 
     @property
     def workers(self) -> int:
@@ -194,7 +197,7 @@ class Dask:
 
         connect: Any = distributed.Client
         try:
-            return connect(self.address, timeout=10.0, set_as_default=False)
+            return connect(self.address, timeout=self.timeout_s, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(
                 f"scheduler: wanted a Dask scheduler at {self.address}, got no answer ({error}); start one with dask scheduler"

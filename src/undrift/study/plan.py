@@ -181,3 +181,34 @@ class Study:
             raise InputError(
                 f"study: wanted excursion_k as least and greatest, got {self.excursion_k[0]:g} and {self.excursion_k[1]:g}"
             )
+
+
+def ends_of(study: Study) -> Study:
+    """Return a study of the first and last value of everything that it tries: a first look.
+
+    Parameters
+    ----------
+    study : Study
+        Any.
+
+    Returns
+    -------
+    Study
+        At most sixteen protocols a task; all of a task's where no pair of ends divides its span.
+    """
+    return replace(study, tasks=tuple(map(_ends, study.tasks)))
+
+
+def _ends(task: StudyTask) -> StudyTask:
+    space = task.space
+    ends = Space(
+        cutoff_hz=_outer(space.cutoff_hz),
+        turn_rate_step=_outer(space.turn_rate_step),
+        turn_rate_min=_outer(space.turn_rate_min),
+        turn_rate_max=_outer(space.turn_rate_max),
+    )
+    return replace(task, space=ends if any(True for _ in ends.grids()) else space)
+
+
+def _outer(values: tuple[float, ...]) -> tuple[float, ...]:
+    return values if len(values) < 3 else (values[0], values[-1])
