@@ -42,7 +42,7 @@ SETTLED_S = 3600.0  # on for an hour before the bench, and before it is put on
 WORN_S, WARMING_S = 1800.0, 600.0
 BENCH = BenchSettings(turn_rates=tuple(rate * RADIAN_PER_DEGREE for rate in range(15, 91, 15)), dwell_s=1.5)
 RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's, both ways, at each of the set-points
-THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=RATES), back=True)
+THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=RATES))
 OPTICS = OpticsSettings(gaps=0)
 
 
@@ -139,6 +139,7 @@ def figure3(
     seed: int = 0,
     excursion_k: float = 12.5,
     hidden: tuple[Hidden, ...] = HIDDEN,
+    back: bool = True,
 ) -> Figure3:
     """Make the note's Figure 3.
 
@@ -152,16 +153,20 @@ def figure3(
         Board temperature in the trial above that of the bench, K.
     hidden : tuple of str
         Effects of the actual device that the simulated one lacks.
+    back : bool
+        Tables from soaks on the way up and down; False from those on the way up alone, as a worn board warms.
 
     Returns
     -------
     Figure3
         Both devices, one person, one reference.
     """
-    return _figures(unit, seed, excursion_k, (hidden,))[0]
+    return _figures(unit, _Wanted(seed, excursion_k, back), (hidden,))[0]
 
 
-def effect_table(unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5) -> tuple[EffectRow, ...]:
+def effect_table(
+    unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = True
+) -> tuple[EffectRow, ...]:
     """Switch the actual device's effects on one at a time: what limits the agreement of simulated and actual.
 
     Parameters
@@ -172,6 +177,8 @@ def effect_table(unit: DeviceModel | None = None, *, seed: int = 0, excursion_k:
         As in ``figure3``.
     excursion_k : float
         As in ``figure3``, K.
+    back : bool
+        As in ``figure3``.
 
     Returns
     -------
@@ -186,7 +193,7 @@ def effect_table(unit: DeviceModel | None = None, *, seed: int = 0, excursion_k:
             simulated_actual_max_deg=figure.simulated_actual_max_deg,
             full_max_deg=float(figure.actual_max_deg[2]),
         )
-        for name, figure in zip(names, _figures(unit, seed, excursion_k, cases), strict=True)
+        for name, figure in zip(names, _figures(unit, _Wanted(seed, excursion_k, back), cases), strict=True)
     )
 
 
@@ -201,21 +208,28 @@ class _Errors:
     lag_s: float
 
 
-def _figures(
-    unit: DeviceModel | None, seed: int, excursion_k: float, cases: tuple[tuple[Hidden, ...], ...]
-) -> tuple[Figure3, ...]:
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    seed: int
+    excursion_k: float
+    back: bool
+
+
+def _figures(unit: DeviceModel | None, wanted: _Wanted, cases: tuple[tuple[Hidden, ...], ...]) -> tuple[Figure3, ...]:
     """Return a figure for each set of hidden effects; the simulated device, the person and the optics are the same in all."""
     held = unit or preset("enc03j_3031")
-    person = np.random.default_rng([seed, 0])
+    person = np.random.default_rng([wanted.seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
-    simulated = _errors(study_model(held), performed, reference, excursion_k, np.random.default_rng([seed, 1]))
-    made = []
-    for hidden in cases:
-        device = actual_device(held, hidden)
-        actual = _errors(device, performed, reference, excursion_k, np.random.default_rng([seed, 2]))
-        made.append(_figure(simulated, actual, excursion_k))
-    return tuple(made)
+
+    def errors(device: DeviceModel, stream: int) -> _Errors:
+        sessions, trial = (np.random.default_rng([wanted.seed, stream, part]) for part in range(2))
+        levels = calibrated(device, rng=sessions, back=wanted.back)
+        record = worn_record(device, performed, excursion_k=wanted.excursion_k, rng=trial)
+        return _errors(levels, record, reference)
+
+    simulated = errors(study_model(held), 1)
+    return tuple(_figure(simulated, errors(actual_device(held, hidden), 2), wanted.excursion_k) for hidden in cases)
 
 
 def _figure(simulated: _Errors, actual: _Errors, excursion_k: float) -> Figure3:
@@ -231,22 +245,21 @@ def _figure(simulated: _Errors, actual: _Errors, excursion_k: float) -> Figure3:
     )
 
 
-def _errors(
-    device: DeviceModel, performed: Task, reference: Reference, excursion_k: float, rng: np.random.Generator
-) -> _Errors:
-    levels = calibrated(device, rng=rng)
-    record = worn_record(device, performed, excursion_k=excursion_k, rng=rng)
+def _errors(levels: tuple[Calibration, ...], record: Record, reference: Reference) -> _Errors:
     trials = [validate_trial(record, reference, calibration=level) for level in levels]
+    full = trials[-1]
     return _Errors(
-        time=trials[2].time,
-        reference_pitch=trials[2].reference_pitch,
+        time=full.time,
+        reference_pitch=full.reference_pitch,
         error=np.array([trial.error.pitch for trial in trials]),
-        start_s=trials[2].motion.start_s - trials[2].lag.seconds - TRIAL_SETTINGS.lead_s,
-        lag_s=trials[2].lag.seconds,
+        start_s=full.motion.start_s - full.lag.seconds - TRIAL_SETTINGS.lead_s,
+        lag_s=full.lag.seconds,
     )
 
 
-def calibrated(device: DeviceModel, *, rng: np.random.Generator) -> tuple[Calibration, Calibration, Calibration]:
+def calibrated(
+    device: DeviceModel, *, rng: np.random.Generator, back: bool = True
+) -> tuple[Calibration, Calibration, Calibration]:
     """Calibrate a device on the simulated bench and in the simulated chamber.
 
     Parameters
@@ -255,6 +268,8 @@ def calibrated(device: DeviceModel, *, rng: np.random.Generator) -> tuple[Calibr
         The device.
     rng : Generator
         Draws the sessions and their noise.
+    back : bool
+        Soaks on the way down as well as up.
 
     Returns
     -------
@@ -272,7 +287,7 @@ def calibrated(device: DeviceModel, *, rng: np.random.Generator) -> tuple[Calibr
         turns=motion.turns,
     )
     none = calibrate(session)
-    thermal = simulate_thermal_session("soak", device, rng=rng, settings=THERMAL)
+    thermal = simulate_thermal_session("soak", device, rng=rng, settings=replace(THERMAL, back=back))
     full = fit_drift((thermal,), none).calibration
     tables = full.drift or DriftTables()
     static = replace(tables, scale=None, dynamic=None)
