@@ -49,7 +49,8 @@ def test_the_tables_take_more_than_the_notes_three_degrees_off_the_typical_unit(
 
 def test_simulated_and_actual_agree_within_the_hysteresis_that_the_tables_cannot_hold(typical: Figure3) -> None:
     # Half the loop, 0.05 deg/s, over 4 s: the worn board has only warmed, the tables lie between warming and cooling.
-    assert typical.simulated_actual_max_deg.max() < 0.05 * 4.0 + 0.05
+    # Noise alone, of both devices and both calibrations, comes to 0.03 to 0.1 deg.
+    assert typical.simulated_actual_max_deg.max() < 0.05 * 4.0 + 0.1
 
 
 def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_difference() -> None:
