@@ -185,7 +185,7 @@ class Dask:
                 future = client.submit(work, unit, pure=False, retries=MOST_LOSSES)
                 places[future] = place
             try:
-                for future in in_order_of_end(list(places)):
+                for future in in_order_of_end(list(places), loop=client.loop):
                     yield places[future], future.result()
                     future.release()
             finally:
