@@ -85,6 +85,8 @@ def compare_with_note(
     error, apart = float(mean[place]), float(mean[place] - mean[optimum.best])
     count, tried = int(optimum.equivalent.sum()), len(mean)
     flat = "; the minimum is flat" if optimum.flat else ""
+    if count == tried:
+        flat = "; nothing that was tried is worse, so the four parameters do not decide the error here"
     if place == optimum.best:
         because = f"its protocol is our optimum, with {count - 1} of {tried - 1} others as good{flat}"
         verdict: Literal["agrees", "differs"] = "agrees"

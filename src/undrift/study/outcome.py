@@ -58,6 +58,9 @@ class TaskOutcome:
         With its equals.
     tested : (Tested, Tested)
         The optimum and its cheapest equal on the other cohort.
+    effect_reach_deg : tuple of float
+        Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and Masson, 1994);
+        0 where it could not be tested, deg.
     powers : tuple of EffectPower
         One for each parameter that could be tested.
     stopping : OptionalStopping or None
@@ -71,6 +74,7 @@ class TaskOutcome:
     surface: TaskSurface
     optimum: Optimum
     tested: tuple[Tested, Tested]
+    effect_reach_deg: tuple[float, ...]
     powers: tuple[EffectPower, ...]
     stopping: OptionalStopping | None
     stopping_of: str
@@ -157,6 +161,7 @@ def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[T
         surface=surface,
         optimum=optimum,
         tested=tested,
+        effect_reach_deg=tuple(map(_reach, optimum.effects)),
         powers=tuple(_power(study, effect) for effect in optimum.effects if effect.anova is not None),
         stopping=stopping,
         stopping_of=least,
@@ -164,6 +169,15 @@ def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[T
         if row is None
         else compare_with_note(surface, optimum, row, objective=study.objective, level=study.level),
     )
+
+
+def _reach(effect: ParameterEffect) -> float:
+    from scipy.stats import t as t_distribution
+
+    found = effect.anova
+    if found is None:
+        return 0.0
+    return float(t_distribution.ppf(0.975, found.dof[1]) * np.sqrt(found.mean_square_error / found.subjects))
 
 
 def _power(study: Study, effect: ParameterEffect) -> EffectPower:

@@ -28,12 +28,15 @@ class Space:
         Of the low-pass, Hz.
     turn_rate_step, turn_rate_min, turn_rate_max : tuple of float
         d, omega_m, omega_M, rad/s.
+    only : tuple of (float, float, float)
+        These combinations of the three and no others, where given.
     """
 
     cutoff_hz: tuple[float, ...]
     turn_rate_step: tuple[float, ...]
     turn_rate_min: tuple[float, ...]
     turn_rate_max: tuple[float, ...]
+    only: tuple[tuple[float, float, float], ...] = ()
 
     def grids(self) -> Iterator[tuple[float, float, float]]:
         """Return the combinations of step, omega_m and omega_M whose step divides the span.
@@ -43,6 +46,9 @@ class Space:
         (float, float, float)
             step, omega_m, omega_M, rad/s.
         """
+        if self.only:
+            yield from self.only
+            return
         for step, low, high in product(self.turn_rate_step, self.turn_rate_min, self.turn_rate_max):
             count = (high - low) / step
             if high > low and abs(count - round(count)) < 1e-6:

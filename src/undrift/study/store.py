@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import write_whole
-from undrift.study.plan import Study
+from undrift.study.plan import Study, StudyTask
 from undrift.study.unit import COLUMNS, Unit, UnitRuns
 
 PIECES = "runs"
@@ -30,16 +31,20 @@ class RunStore:
         Made where it is missing.
     study : Study
         Whose runs they are.
+    only : tuple of StudyTask
+        A part of it, in place of the study's own tasks.
     """
 
-    def __init__(self, folder: Path, study: Study) -> None:
+    def __init__(self, folder: Path, study: Study, *, only: tuple[StudyTask, ...] = ()) -> None:
         self._pieces = folder / PIECES
         self._folder = folder
         try:
             self._pieces.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
-        told = json.dumps(asdict(study), sort_keys=True)
+        held = asdict(study)
+        held["tasks"] = [asdict(task) for task in only or study.tasks]
+        told = json.dumps(held, sort_keys=True)
         head = folder / HEAD
         if head.exists():
             self._check(head, told)
@@ -88,6 +93,24 @@ class RunStore:
         held = io.BytesIO()
         pq.write_table(pa.table(columns), held)
         write_whole(self._piece(unit), held.getvalue())
+
+    def read(self, unit: Unit) -> dict[str, FloatArray]:
+        """Read what came of a unit.
+
+        Parameters
+        ----------
+        unit : Unit
+            A finished one.
+
+        Returns
+        -------
+        dict of str to array, shape (P,)
+            By the names of ``COLUMNS``.
+        """
+        import pyarrow.parquet as pq
+
+        table = pq.read_table(self._piece(unit))
+        return {name: np.asarray(table.column(name).to_numpy(), float) for name in COLUMNS}
 
     def join(self, units: tuple[Unit, ...]) -> Path:
         """Join the pieces to one file.
