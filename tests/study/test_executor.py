@@ -60,7 +60,12 @@ def cluster() -> Iterator[Any]:
     import distributed
 
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1", silence_logs=50
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        silence_logs=50,
     ) as made:
         yield made
 
@@ -127,6 +132,30 @@ def test_dask_gives_the_same_bits_with_a_worker_killed_in_the_middle(
     found = run_study(study, executor, tmp_path)
     assert executor.killed
     assert (found[0].error_rms_deg == expected).all()
+
+
+def test_work_that_kills_the_workers_of_a_scheduler_is_given_up(cluster: Any) -> None:
+    cluster.scheduler.allowed_failures = 0  # of the default four, so that the test need not wait for four new workers
+    with pytest.raises(UndriftError, match="wanted workers that live, got 1 losses"):
+        list(Dask(cluster.scheduler_address).run(dies, [0]))
+    cluster.scheduler.allowed_failures = 3
+
+
+def test_a_scheduler_that_goes_away_is_said(tmp_path: Path) -> None:
+    import distributed
+
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        silence_logs=50,
+    ) as short:
+        found = Dask(short.scheduler_address).run(sleeps, [0.01, 30.0])
+        assert next(found) == (0, 0.01)
+    with pytest.raises(UndriftError, match=r"scheduler: wanted an answer from tcp://.*, got none any more"):
+        list(found)
 
 
 def test_dask_with_two_workers_is_faster_than_with_one(study: Study, cluster: Any) -> None:

@@ -68,8 +68,9 @@ def study(
 
     planned = _planned(plan, preset, quick, subjects, seed)
     executor = choose_executor(scheduler, workers)
+    workers = executor.workers
     _check_folder(output, planned)
-    _announce(planned, executor, json)
+    _announce(planned, workers, json)
     outcome = _with_progress(planned, executor, output)
     summary = study_summary(outcome)
     write_whole(output / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
@@ -113,7 +114,7 @@ def _check_folder(output: Path, planned: "Study") -> None:
     RunStore(output, planned)
 
 
-def _announce(planned: "Study", executor: "Executor", json: bool) -> None:
+def _announce(planned: "Study", workers: int, json: bool) -> None:
     """Say how many runs there are and about how long they take: to a person, or to a terminal where stdout is for JSON."""
     import sys
 
@@ -125,11 +126,11 @@ def _announce(planned: "Study", executor: "Executor", json: bool) -> None:
     if json and not sys.stderr.isatty():
         return
     out = Console(stderr=True, highlight=False) if json else console()
-    seconds = estimate_s(planned) / executor.workers
+    seconds = estimate_s(planned) / workers
     tasks = ", ".join(task.name for task in planned.tasks)
     out.print(
         f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects), about {_duration(seconds)} on "
-        f"{executor.workers} worker{'s' * (executor.workers > 1)}",
+        f"{workers} worker{'s' * (workers > 1)}",
         markup=False,
     )
 

@@ -94,8 +94,8 @@ def _worth(task: "TaskOutcome") -> str:
     flat = "; the minimum is flat, use the cheapest" if found.flat else ""
     failed = f" {found.failed} runs could not calibrate their device." if found.failed else ""
     return (
-        f"{_words(task.surface.task)}: {found.equivalent.sum()} of {len(task.surface.cutoff_hz)} protocols are statistically as good "
-        f"as the optimum (paired, Holm){flat}. Error of the optimum, by subjects that did not choose it: "
+        f"{_words(task.surface.task)}: {found.equivalent.sum()} of {len(task.surface.cutoff_hz)} protocols are statistically as "
+        f"good as the optimum (paired, Holm){flat}. Error of the optimum, by subjects that did not choose it: "
         f"{found.honest_error_deg:.3f} deg [{found.honest_interval_deg[0]:.3f}, {found.honest_interval_deg[1]:.3f}].{failed}"
     )
 
@@ -194,15 +194,12 @@ def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Sectio
         ),
         Section(
             title=f"{name}: error against minutes on the rig",
-            columns=("nothing is both shorter and better", *FOUR[1:], "rms (deg)", "max (deg)", "rig (min)"),
-            rows=tuple((f"cut-off {cells[0]} Hz", *cells[1:]) for cells in _front(task)),
+            text=("Protocols that no other beats in both error and time:",),
+            columns=(*FOUR, "rms (deg)", "max (deg)", "rig (min)"),
+            rows=tuple(_protocol(task, int(place)) for place in task.optimum.pareto),
             pictures=(svg_of(draw_pareto(outcome, task)),),
         ),
     )
-
-
-def _front(task: "TaskOutcome") -> list[tuple[str, ...]]:
-    return [_protocol(task, int(place)) for place in task.optimum.pareto]
 
 
 def _anova_rows(task: "TaskOutcome") -> tuple[tuple[str, ...], ...]:
@@ -227,7 +224,7 @@ def _anova_rows(task: "TaskOutcome") -> tuple[tuple[str, ...], ...]:
                 f"{effect.p_holm:.2g}",
                 f"{found.sphericity.greenhouse_geisser:.2f}",
                 f"{found.sphericity.huynh_feldt:.2f}",
-                f"{found.sphericity.p_value:.2g}",
+                f"{found.sphericity.p_value:.2g}" if found.conditions > 2 else "",
                 f"{found.partial_eta_squared:.2f}",
                 f"{power.power:.2f}",
                 "no number" if power.subjects is None else str(power.subjects),

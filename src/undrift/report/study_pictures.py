@@ -138,7 +138,8 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     figure, (axes,) = new_figure(1, height=3.0)
     surface, found = task.surface, task.optimum
     mean, good = surface.error(outcome.study.objective).mean(axis=0), found.equivalent
-    axes.scatter(surface.rig_minutes[~good], mean[~good], color=LIMIT, s=9, label="worse than the optimum")
+    if not good.all():
+        axes.scatter(surface.rig_minutes[~good], mean[~good], color=LIMIT, s=9, label="worse than the optimum")
     axes.scatter(surface.rig_minutes[good], mean[good], color=DEVICE, s=11, label="as good as the optimum")
     axes.plot(
         surface.rig_minutes[found.pareto], mean[found.pareto], color=ERROR, label="nothing is both shorter and better"
@@ -166,7 +167,7 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
             zorder=4,
             label="the note",
         )
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, 1.1 * float(np.nanmax(mean)))
     axes.set_xlabel("minutes on the rig")
     axes.set_ylabel(f"mean {outcome.study.objective} error (deg)")
     figure.legend(loc="outside right upper", frameon=False)

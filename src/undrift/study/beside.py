@@ -116,7 +116,7 @@ def _least_seen(apart: FloatArray, tests: int, level: float) -> float:
     from scipy.stats import t as t_distribution
 
     n = len(apart)
-    return float(t_distribution.ppf(1.0 - level / tests, n - 1)) * float(apart.std(ddof=1)) / n**0.5
+    return float(t_distribution.ppf(1.0 - level / tests, n - 1) * apart.std(ddof=1) / np.sqrt(n))
 
 
 def _reason(table: FloatArray, mean: FloatArray, place: int, best: int) -> str:

@@ -114,9 +114,7 @@ class Pool:
             except BrokenProcessPool:
                 losses += 1
                 if losses > MOST_LOSSES:
-                    raise UndriftError(
-                        f"study: wanted workers that live, got {losses} losses; look at the memory, or run with one worker"
-                    ) from None
+                    raise _given_up(losses) from None
 
     def _run(self, work: Callable[[U], R], left: dict[int, U]) -> Iterator[tuple[int, R]]:
         from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -175,19 +173,29 @@ class Dask:
         ------
         InputError
             No scheduler answers there.
+        UndriftError
+            Workers are lost again and again, or the scheduler is.
         """
-        from distributed import as_completed
+        from concurrent.futures import CancelledError
+
+        from distributed import KilledWorker, as_completed
 
         in_order_of_end: Any = as_completed
         with self._client() as client:
             places: dict[Any, int] = {}
             for place, unit in enumerate(units):
-                future = client.submit(work, unit, pure=False, retries=MOST_LOSSES)
+                future = client.submit(work, unit, pure=False)
                 places[future] = place
             try:
                 for future in in_order_of_end(list(places), loop=client.loop):
                     yield places[future], future.result()
                     future.release()
+            except KilledWorker as error:
+                raise _given_up(error.allowed_failures + 1) from error
+            except CancelledError as error:
+                raise UndriftError(
+                    f"scheduler: wanted an answer from {self.address}, got none any more; start it again and go on"
+                ) from error
             finally:
                 with suppress(RuntimeError):
                     client.cancel(list(places))
@@ -202,6 +210,12 @@ class Dask:
             raise InputError(
                 f"scheduler: wanted a Dask scheduler at {self.address}, got no answer ({error}); start one with dask scheduler"
             ) from error
+
+
+def _given_up(losses: int) -> UndriftError:
+    return UndriftError(
+        f"study: wanted workers that live, got {losses} losses; look at the memory, or run with one worker"
+    )
 
 
 def choose_executor(scheduler: str | None = None, workers: int | None = None) -> Executor:

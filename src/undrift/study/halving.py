@@ -131,11 +131,9 @@ def halve(
     met, wanted, runs = 0, min(settings.first_subjects, study.subjects), 0
     rungs: list[Rung] = []
     while True:
-        names = tuple(range(met, wanted))
-        error[np.ix_(names, left)] = _run(
-            study, task, (names, left), protocols, executor, folder / f"rung-{len(rungs)}"
-        )
-        runs += len(names) * len(left)
+        block = tuple(range(met, wanted)), left
+        error[met:wanted, left] = _run(study, task, block, protocols, executor, folder / f"rung-{len(rungs)}")
+        runs += (wanted - met) * len(left)
         mean = error[:wanted, left].mean(axis=0)
         mean = np.where(np.isfinite(mean), mean, np.inf)
         rungs.append(Rung(subjects=wanted, candidates=left, mean_deg=mean))
