@@ -83,7 +83,7 @@ def test_same_seed_same_bits() -> None:
 def test_a_wrong_call_is_told() -> None:
     device = random_device_of("enc03j_3031", np.random.default_rng(4))
     rng = np.random.default_rng(5)
-    with pytest.raises(InputError, match="wanted a method of data_sheet, rate_table, .*, got 'pendulum'"):
+    with pytest.raises(InputError, match=r"wanted a method of data_sheet, rate_table, .*, got 'pendulum'"):
         calibrate_by("pendulum", device, kind="enc03j_3031", rng=rng)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="wanted 2 s or more for each still or run"):
         calibrate_by("inclined_plane", device, kind="enc03j_3031", rng=rng, minutes=1.0)

@@ -1,7 +1,8 @@
 """A simulated device worn in captured motions: the pitch it would show, against the optics that captured them.
 
-The device goes through ``figure3.calibrated``; the capture is what it is worn in, at a board temperature above the bench's. Captures
-begin in motion or nearly so: six seconds of rest in the first pose are put before each, so that the tilt at the start can be taken.
+The device goes through ``figure3.calibrated``; the capture is what it is worn in, at a board temperature above the bench's.
+Captures begin in motion or nearly so: six seconds of rest in the first pose are put before each, so that the tilt at the start
+can be taken.
 """
 
 from dataclasses import dataclass
@@ -151,18 +152,17 @@ def _case(
     delay_s -= 0.5 / SAMPLE_RATE_HZ  # strapdown holds each reading over the step before its stamp
     time = first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     motion = _after_rest(spline.at(time, STANDARD_GRAVITY))
-    late = spline.at(np.clip(time - delay_s, first, None) if delay_s > 0.0 else time, STANDARD_GRAVITY)
     before = len(motion) - len(time)
     made = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C + excursion_k, power_on_s=SETTLED_S)
-    pitch = sagittal_pitch(np.concatenate((motion.q_nb[:before], late.q_nb)))
+    pitch = np.unwrap(sagittal_pitch(motion.q_nb))
     case = Case(
         device=device,
         record=made.record,
-        pitch=pitch,
+        pitch=np.interp(motion.time - delay_s, motion.time, pitch),
         still=(0, before - round(0.2 * SAMPLE_RATE_HZ)),
         moving=(before, len(motion)),
     )
-    return case, sagittal_pitch(motion.q_nb), float(made.gyro.saturated.any(axis=1).mean())
+    return case, pitch, float(made.gyro.saturated.any(axis=1).mean())
 
 
 def _after_rest(motion: Motion) -> Motion:
