@@ -1,6 +1,8 @@
 """study.toml: what it says arrives, what it cannot mean is refused with its line, and motions of one's own are performed."""
 
 import pickle
+import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +17,9 @@ from undrift.sim.device.store import write_device
 from undrift.sim.motion.library import draw_task
 from undrift.study.case import device_of, make_case
 from undrift.study.executor import InProcess
-from undrift.study.file import read_study
+from undrift.study.file import ProtocolEntry, StudyFile, read_study
 from undrift.study.motion import read_motion
+from undrift.study.note import note_study
 from undrift.study.run import run_study
 
 DPS = np.pi / 180.0
@@ -133,6 +136,17 @@ def test_motions_that_cannot_be_performed_are_refused(tmp_path: Path) -> None:
 def test_files_that_cannot_be_meant_are_refused(tmp_path: Path, was: str, becomes: str, text: str) -> None:
     with pytest.raises(FileFormatError, match=text):
         read_study(written(tmp_path, TEXT.replace(was, becomes)))
+
+
+def test_the_example_of_the_page_is_one_and_its_defaults_are_the_notes() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "study.md").read_text()
+    found = re.search(r"```toml\n(.*?)```", page, re.S)
+    assert found
+    held = StudyFile.model_validate(tomllib.loads(found.group(1)))
+    assert held.task[0].protocol == ProtocolEntry()
+    base = note_study().tasks[0].base
+    assert (base.dwell_s, base.bracket_s, base.face_s, base.grid) == (2.0, 6.0, 6.0, "paper")
+    assert list(base.temperatures_c) == held.task[0].protocol.set_points_c
 
 
 def test_two_tasks_of_one_name_are_refused(tmp_path: Path) -> None:

@@ -10,8 +10,6 @@ from undrift.cli.opening import Flag
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from undrift.study.executor import Executor
     from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
@@ -141,7 +139,11 @@ def _with_progress(planned: "Study", executor: "Executor", output: Path) -> "Stu
 
     with progress() as shown:
         bar = shown.add_task(planned.name, total=None)
-        advance: Callable[[int, int], None] = lambda done, total: shown.update(bar, completed=done, total=total)  # noqa: E731
+
+        def advance(done: int, total: int) -> None:
+            what = planned.name if done < total else f"{planned.name}: other cohort, statistics"
+            shown.update(bar, description=what, completed=done, total=total)
+
         return judge_study(planned, executor, output, advance=advance)
 
 
@@ -294,35 +296,26 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
     from undrift.cli.output import console, table
 
     out = console()
-    heads = (
-        "cut-off (Hz)",
-        "step (deg/s)",
-        "omega_m (deg/s)",
-        "omega_M (deg/s)",
-        "p",
-        "rms (deg)",
-        "max (deg)",
-        "rig (min)",
-    )
-    shown = table("Optimised parameters, the note's beside them", "task", *heads, "as good")
+    heads = ("cut-off (Hz)", "step (deg/s)", "omega_m (deg/s)", "omega_M (deg/s)", "p", "rms (deg)", "rig (min)")
+    shown = table("Optimised parameters, the note's beside them", "task", *heads)
     for task in outcome.tasks:
         found, surface = task.optimum, task.surface
-        rows = [(surface.task, found.best), ("  cheapest as good", found.cheapest)]
+        rows = [(surface.task, found.best), (" cheapest", found.cheapest)]
         for name, place in rows[: 1 if found.best == found.cheapest else 2]:
             own = [f"{value:.4g}" for value in _protocol(task, place).values()]
-            error = f"{surface.error_rms_deg[:, place].mean():.3f}", f"{surface.error_max_deg[:, place].mean():.3f}"
             p = f"{found.p_value:.2g}" if place == found.best else ""
-            good = f"{found.equivalent.sum()} of {len(surface.cutoff_hz)}" if place == found.best else ""
-            shown.add_row(name, *own, p, *error, f"{surface.rig_minutes[place]:.0f}", good)
+            error, minutes = surface.error_rms_deg[:, place].mean(), surface.rig_minutes[place]
+            shown.add_row(name, *own, p, f"{error:.3f}", f"{minutes:.0f}")
         if task.beside is not None:
             row = task.beside.row
             four = row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
-            shown.add_row("  the note", *(f"{value:.4g}" for value in four), f"{row.p_value:.3f}", "", "", "", "")
+            shown.add_row(" the note", *(f"{value:.4g}" for value in four), f"{row.p_value:.3f}", "", "")
     out.print(shown)
     for task in outcome.tasks:
-        tested = task.tested[0]
+        tested, found = task.tested[0], task.optimum
         out.print(
-            f"{task.surface.task}: on {tested.subjects} other subjects {tested.error_rms_deg:.3f} deg rms "
+            f"{task.surface.task}: {found.equivalent.sum()} of {len(found.equivalent)} protocols are as good as the optimum; on "
+            f"{tested.subjects} other subjects {tested.error_rms_deg:.3f} deg rms "
             f"[{tested.interval_rms_deg[0]:.3f}, {tested.interval_rms_deg[1]:.3f}], {tested.error_max_deg:.3f} deg at most",
             markup=False,
         )
