@@ -236,4 +236,6 @@ def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
 def _delayed_pitch(performed: Task | RecordedTask, time: FloatArray, device: DeviceModel) -> FloatArray:
     low_pass = device.gyro.low_pass
     delay = 0.0 if low_pass is None else float(np.median(low_pass.group_delay_s))
+    if device.sampling.gyro_averaging == "instant":  # strapdown holds a reading over the step before its stamp
+        delay -= 0.5 / SAMPLE_RATE_HZ
     return sagittal_pitch(performed.at(time - delay, STANDARD_GRAVITY).q_nb)
