@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data import data_path, show
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
@@ -100,6 +101,24 @@ def test_a_motion_of_ones_own_is_performed_by_every_subject_with_another_unit(tm
     (surface,) = run_study(study, InProcess(), tmp_path / "runs")
     assert np.isfinite(surface.error_rms_deg).all()
     assert 0.0 < surface.error_rms_deg.mean() < 1.5  # deg: with tables a sit-to-stand is good to that
+
+
+def test_a_captured_sit_to_stand_is_a_motion_of_ones_own(tmp_path: Path) -> None:
+    trial = data_path("mocap_sit_to_stand", "STS1.trc.gz")
+    own = TEXT.replace('"sit_to_stand"', '"rising"').replace("excursion_k", "name = 'captured'\nexcursion_k")
+    own += f'[task.motion]\nfile = "{trial}"\nbody = "pelvis"\nup = "y"\nrest_s = 0.5\n'
+    study = read_study(written(tmp_path, own))
+    case = make_case(study, study.tasks[0], 0, 11.1)
+    lean = np.ptp(case.pitch[case.moving[0] : case.moving[1] - 50]) / DPS
+    show("pelvis, pitch of five stand-ups, deg", lean, "20 to 60")
+    assert 20.0 < lean < 60.0  # a trunk leans 43 deg
+    (surface,) = run_study(study, InProcess(), tmp_path / "runs")
+    show("pitch error over them, mean over three units, deg rms", surface.error_rms_deg.mean(axis=0), "< 2")
+    assert np.isfinite(surface.error_rms_deg).all()
+    assert surface.error_rms_deg.mean() < 2.0  # 14 s at tables good to 0.1 deg/s
+    for becomes, got in (("", "no up"), ('up = "y"\nmarkers = ["C7"]\n', "markers too")):
+        with pytest.raises(FileFormatError, match=f"wanted a body and up, got {got}"):
+            read_study(written(tmp_path, own.replace('up = "y"\n', becomes)))
 
 
 def test_motions_that_cannot_be_performed_are_refused(tmp_path: Path) -> None:

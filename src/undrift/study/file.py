@@ -25,7 +25,7 @@ grid = "paper"
 set_points_c = [18.0, 30.0, 45.0, 60.0, 75.0]
 [task.motion]                       # own poses or markers in place of a drawn performance
 file = "squat.c3d"                  # from the folder of study.toml
-markers = ["LASI", "RASI", "SACR"]
+body = "pelvis"                     # or thorax, trunk; or markers = [...] of one rigid cluster
 up = "z"
 rest_s = 2.0                        # the body is at rest that long at the beginning
 """
@@ -36,6 +36,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from undrift.errors import FileFormatError, InputError
+from undrift.io.bodies import BodyName
 from undrift.io.toml import Entry, read_toml
 from undrift.protocol import GridRule, Protocol
 from undrift.sim.device.presets import PRESETS
@@ -97,6 +98,8 @@ class MotionEntry(Entry):
         Rest at the beginning, s.
     markers : list of str
         Labels of one rigid cluster, for TRC or C3D.
+    body : str or None
+        Or pelvis, thorax or trunk, found by its markers.
     up : str or None
         Laboratory axis that points up, for markers.
     """
@@ -104,6 +107,7 @@ class MotionEntry(Entry):
     file: str
     rest_s: Positive
     markers: list[str] = Field(default_factory=list)
+    body: BodyName | None = None
     up: Literal["y", "z"] | None = None
 
 
@@ -232,6 +236,7 @@ def _task(entry: TaskEntry, folder: Path) -> StudyTask:
             sha256=sha256_of(file),
             rest_s=entry.motion.rest_s,
             markers=tuple(entry.motion.markers),
+            body=entry.motion.body,
             up=entry.motion.up,
         )
         read_motion(motion)  # refused now rather than by a worker

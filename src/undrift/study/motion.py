@@ -7,11 +7,14 @@ from pathlib import Path
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.io.reference import read_reference
+from undrift.io.bodies import L5_OFFSET, device_on, find_body
+from undrift.io.reference import read_markers, read_reference
+from undrift.record import Reference
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
+from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.study.plan import OwnMotion
 
+SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
 LEAST_REST_S = 0.5  # the tilt at the start is a mean over the rest
 
 
@@ -81,8 +84,8 @@ def _read(own: OwnMotion) -> RecordedTask:
         raise InputError(
             f"{own.path}: wanted the file that the study began with, got another content; start a new study"
         )
-    reference = read_reference(Path(own.path), labels=own.markers or None, up=own.up)
-    spline = fit_pose_spline(reference)
+    reference = _poses(own)
+    spline = fit_pose_spline(reference, SKIN if own.body else PoseSettings())
     if reference.position is None:
         raise InputError(
             f"{own.path}: wanted poses with positions, got none; without them nobody knows what accelerometers feel"
@@ -98,6 +101,17 @@ def _read(own: OwnMotion) -> RecordedTask:
             "body is at rest at the beginning"
         )
     return RecordedTask(spline=spline, moving_s=(own.rest_s, length))
+
+
+def _poses(own: OwnMotion) -> Reference:
+    """Return the poses of the cluster or file, or of a device on a segment: at L5 on a pelvis, at the origin of another."""
+    path = Path(own.path)
+    if own.body is None:
+        return read_reference(path, labels=own.markers or None, up=own.up)
+    if own.markers or own.up is None:
+        raise InputError(f"{path}: wanted a body and up, got {'markers too' if own.markers else 'no up'}; name the two")
+    offset = L5_OFFSET if own.body == "pelvis" else (0.0, 0.0, 0.0)
+    return device_on(find_body(read_markers(path, up=own.up), own.body), offset_b=offset)
 
 
 def sha256_of(path: Path) -> str:

@@ -11,6 +11,7 @@ from itertools import product
 from typing import Literal, get_args
 
 from undrift.errors import InputError
+from undrift.io.bodies import BodyName
 from undrift.protocol import Protocol
 from undrift.sim.motion.library import TaskName
 from undrift.sim.motion.subject import Group
@@ -69,6 +70,8 @@ class OwnMotion:
         How long the body is at rest at the beginning, s.
     markers : tuple of str
         Labels of one rigid cluster, for TRC or C3D.
+    body : str or None
+        Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5), thorax or trunk.
     up : str or None
         Laboratory axis that points up, for markers.
     """
@@ -77,6 +80,7 @@ class OwnMotion:
     sha256: str
     rest_s: float
     markers: tuple[str, ...] = ()
+    body: BodyName | None = None
     up: Literal["y", "z"] | None = None
 
 
