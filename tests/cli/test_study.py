@@ -62,21 +62,10 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
 
 
 def test_another_seed_and_number_of_subjects(undrift, plan, tmp_path):
-    words = [
-        "study",
-        plan,
-        "-o",
-        tmp_path / "a",
-        "--quick",
-        "--seed",
-        "3",
-        "--subjects",
-        "4",
-        "--workers",
-        "1",
-        "--json",
-    ]
-    told = undrift.good(*words).json()
+    step = tmp_path / "step.toml"
+    step.write_text(plan.read_text().replace("sit_to_stand", "step"))
+    words = ["study", step, "-o", tmp_path / "a", "--quick", "--seed", "3", "--subjects", "4", "--workers", "1"]
+    told = undrift.good(*words, "--json").json()
     assert (told["seed"], told["subjects"], told["runs"]) == (3, 4, 16)
     assert told["figure3"] is None
     assert told["figure3_missing"] == "the study has no sit-to-stand of the library"
