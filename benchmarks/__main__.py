@@ -1,7 +1,8 @@
 """Run every benchmarks/bench_*.py and print one table; with ``--strict`` exit with 1 where a gate is broken.
 
-``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``). Gates hold for an
-idle machine of two cores; a busy one breaks some.
+``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``). Those that take minutes are run
+by their names alone (``study-note`` for ``long_study_note.py``). Gates hold for an idle machine of two cores; a busy one breaks
+some.
 """
 
 import importlib
@@ -26,16 +27,17 @@ def main(names: list[str]) -> int:
         0; 1 where a gate is broken and ``--strict`` was said.
     """
     strict = "--strict" in names
-    names = [name for name in names if name != "--strict"]
-    found = sorted(path.stem.removeprefix("bench_") for path in Path(__file__).parent.glob("bench_*.py"))
-    unknown = sorted(set(names) - set(found))
+    names = [name.replace("_", "-") for name in names if name != "--strict"]
+    found, long = _modules("bench_"), _modules("long_")
+    every = {**found, **long}
+    unknown = sorted(set(names) - set(every))
     if unknown:
-        print(f"no benchmark named {', '.join(unknown)}; there are {', '.join(found)}", file=sys.stderr)
+        print(f"no benchmark named {', '.join(unknown)}; there are {', '.join(every)}", file=sys.stderr)
         return 2
     broken: list[str] = []
     for name in names or found:
         start = time.perf_counter()
-        figures: list[Figure] = importlib.import_module(f"benchmarks.bench_{name}").run()
+        figures: list[Figure] = importlib.import_module(f"benchmarks.{every[name]}").run()
         print(f"\n{name}   ({time.perf_counter() - start:.0f} s)")
         for figure in figures:
             mark = "" if not figure.gate else "ok" if figure.passed else "BROKEN"
@@ -43,6 +45,12 @@ def main(names: list[str]) -> int:
         broken += [f"{name}: {figure.label}" for figure in figures if not figure.passed]
     print(f"\n{len(broken)} gates broken" + "".join(f"\n  {line}" for line in broken))
     return 1 if broken and strict else 0
+
+
+def _modules(prefix: str) -> dict[str, str]:
+    """Return the modules of a kind by the names that they are asked for by."""
+    stems = sorted(path.stem for path in Path(__file__).parent.glob(f"{prefix}*.py"))
+    return {stem.removeprefix(prefix).replace("_", "-"): stem for stem in stems}
 
 
 if __name__ == "__main__":

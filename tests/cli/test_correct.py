@@ -158,3 +158,32 @@ def _folder(tmp_path, before):
     (tmp_path / "f.csv").mkdir()
     before["f.csv"] = None
     return tmp_path / "f.csv"
+
+
+def test_workers_of_a_scheduler_write_the_same_bytes(undrift, bench, tmp_path):
+    import distributed
+
+    raw = read_record(bench / "trial.parquet")
+    records = [tmp_path / f"walk{k}.parquet" for k in range(3)]
+    for record in records:
+        write_record(raw, record)
+    words = [*records, "--calibration", bench / "calibration.json"]
+    undrift.good("correct", *words, "-o", tmp_path / "here")
+    torn = tmp_path / "torn.parquet"
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        silence_logs=50,
+    ) as cluster:
+        address = cluster.scheduler_address
+        undrift.good("correct", *words, "-o", tmp_path / "there", "--scheduler", address)
+        assert contents(tmp_path / "there") == contents(tmp_path / "here")
+        before = contents(tmp_path)
+        torn.write_bytes(records[0].read_bytes()[:5000])
+        line = undrift.refused("correct", torn, *words, "-o", tmp_path / "no", "--scheduler", address)
+        assert "torn.parquet" in line
+        torn.unlink()
+        assert contents(tmp_path) == before

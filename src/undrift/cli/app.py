@@ -27,6 +27,7 @@ COMMANDS = {
     "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
     "simulate": "What a device would say to a motion: a preset or device.json, moved by poses or by a task.",
     "rig": "Run a protocol on a rate table, stop it from another shell, or emulate one; each takes --json.",
+    "study": "Which calibration protocol is enough for a task: optimum, statistics, other subjects, the note's tables.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
 

@@ -15,6 +15,8 @@ from undrift.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rich.progress import Progress
+
     from undrift.calibration.model import Calibration
     from undrift.record import Record
     from undrift.stream import Corrector, CorrectorState
@@ -29,6 +31,7 @@ def correct(
     policy: Literal["raise", "hold", "nan"] = "raise",
     power_on_s: float | None = None,
     opening: Opening = Opening(),
+    scheduler: str | None = None,
     json: Flag = False,
 ) -> int:
     """Turn raw recordings into rad/s and m/s2. Parquet streams in constant memory.
@@ -47,6 +50,8 @@ def correct(
         Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
     opening : Opening
         How to read a foreign recording.
+    scheduler : str or None
+        Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
     json : bool
         One JSON object on stdout.
 
@@ -70,7 +75,7 @@ def correct(
         _correct_one, corrector=partial(Corrector, model, policy, power_on_s=power_on_s), model=model, opening=opening
     )
     try:
-        results = _correct_all(records, targets, corrected)
+        results = _correct_all(records, targets, corrected, scheduler)
     except BaseException:
         if made:
             folder.rmdir()
@@ -103,21 +108,60 @@ def correct(
 
 
 def _correct_all(
-    records: tuple[Path, ...], targets: list[Path], correct_one: "Callable[..., tuple[CorrectorState, Said]]"
+    records: tuple[Path, ...],
+    targets: list[Path],
+    correct_one: "Callable[..., tuple[CorrectorState, Said]]",
+    scheduler: str | None,
 ) -> list[tuple[Path, Path, "CorrectorState", "Said"]]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
     from undrift.cli.output import progress
 
-    results = []
+    done = []
     with tempfile.TemporaryDirectory(dir=targets[0].parent, prefix=".undrift-") as held, progress() as shown:
         parts = [Path(held) / target.name for target in targets]
-        for record, part, target in zip(records, parts, targets, strict=True):
-            task = shown.add_task(record.name, total=_rows(record))
-            state, said = correct_one(record, part, advance=partial(shown.advance, task))
-            results.append((record, target, state, said))
+        if scheduler is not None:
+            done = _on_workers(records, parts, correct_one, scheduler, shown)
+        else:
+            for record, part in zip(records, parts, strict=True):
+                task = shown.add_task(record.name, total=_rows(record))
+                done.append(correct_one(record, part, advance=partial(shown.advance, task)))
         for part, target in zip(parts, targets, strict=True):
             part.replace(target)
-    return results
+    return [(record, target, *one) for record, target, one in zip(records, targets, done, strict=True)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A recording for a worker: absolute paths, since a worker stands in a folder of its own."""
+
+    record: Path
+    part: Path
+    correct_one: "Callable[..., tuple[CorrectorState, Said]]"
+
+
+def _do(job: _Job) -> tuple["CorrectorState", "Said"]:
+    return job.correct_one(job.record, job.part, advance=_unwatched)
+
+
+def _unwatched(_: float) -> None:
+    """Take no notice: a worker has no bar to move."""
+
+
+def _on_workers(
+    records: tuple[Path, ...],
+    parts: list[Path],
+    correct_one: "Callable[..., tuple[CorrectorState, Said]]",
+    scheduler: str,
+    shown: "Progress",
+) -> list[tuple["CorrectorState", "Said"]]:
+    from undrift.study.executor import Dask
+
+    jobs = [_Job(record.resolve(), part.resolve(), correct_one) for record, part in zip(records, parts, strict=True)]
+    task, done = shown.add_task("recordings", total=len(jobs)), {}
+    for place, one in Dask(scheduler).run(_do, jobs):
+        done[place] = one
+        shown.advance(task)
+    return [done[place] for place in range(len(jobs))]
 
 
 def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, ...]) -> list[Path]:

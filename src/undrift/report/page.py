@@ -24,6 +24,8 @@ class Section:
         Cells.
     pictures : tuple of str
         SVG elements.
+    words : bool
+        Cells hold words rather than figures: aligned at the left.
     """
 
     title: str
@@ -31,6 +33,7 @@ class Section:
     columns: tuple[str, ...] = ()
     rows: tuple[tuple[str, ...], ...] = ()
     pictures: tuple[str, ...] = ()
+    words: bool = False
 
 
 def write_page(

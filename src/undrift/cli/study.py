@@ -1,0 +1,330 @@
+"""``undrift study``: which calibration protocol is enough for a task, found by simulation, tested on other subjects."""
+
+import json as text_json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from undrift.cli.opening import Flag
+from undrift.errors import InputError
+
+if TYPE_CHECKING:
+    from undrift.study.executor import Executor
+    from undrift.study.outcome import StudyOutcome, TaskOutcome
+    from undrift.study.plan import Study
+    from undrift.study.testing import Cohort, Tested
+
+QUICK_SUBJECTS = 8
+
+
+def study(
+    plan: Path | None = None,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("study"),
+    preset: Literal["note"] | None = None,
+    quick: Flag = False,
+    subjects: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    json: Flag = False,
+) -> int:
+    """Try calibration protocols on simulated subjects; say which is enough, how surely, and in how many minutes on the rig.
+
+    Parameters
+    ----------
+    plan : Path or None
+        study.toml: tasks, subjects, device, what is tried. See docs/study.md.
+    output : Path
+        Folder for surface.parquet, report.html and summary.json; one that holds a part of the same study is gone on with.
+    preset : str or None
+        "note" in place of a plan: the technical note's three tasks, thirty subjects, over 400 protocols each.
+    quick : bool
+        The ends of what is tried, on eight subjects: a first look.
+    subjects : int or None
+        Other number of subjects than the plan's.
+    seed : int or None
+        Other seed than the plan's; the same seed gives the same bits on any machine and any number of workers.
+    workers : int or None
+        Processes on this machine; all its processors where not given.
+    scheduler : str or None
+        Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from undrift.cli.output import plain, write_json
+    from undrift.files import write_whole
+    from undrift.report.study import write_study_report
+    from undrift.study.executor import choose_executor
+
+    planned = _planned(plan, preset, quick, subjects, seed)
+    executor = choose_executor(scheduler, workers)
+    workers = executor.workers
+    _check_folder(output, planned)
+    _announce(planned, workers, json)
+    outcome = _with_progress(planned, executor, output)
+    summary = study_summary(outcome)
+    write_whole(output / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
+    write_study_report(outcome, output / "report.html")
+    if json:
+        write_json(summary)
+    else:
+        _show(outcome, output)
+    return 0
+
+
+def _planned(plan: Path | None, preset: str | None, quick: bool, subjects: int | None, seed: int | None) -> "Study":
+    from dataclasses import replace
+
+    from undrift.study.file import read_study
+    from undrift.study.note import note_study
+    from undrift.study.plan import ends_of
+
+    if (plan is None) == (preset is None):
+        both = "neither" if plan is None else "both"
+        raise InputError(f"study: wanted a study.toml or --preset note, got {both}; name one")
+    if seed is not None and seed < 0:
+        raise InputError(f"seed: wanted 0 or more, got {seed}; give another")
+    held = note_study(quick=quick) if plan is None else read_study(plan)
+    if quick and plan is not None:
+        held = ends_of(held)
+    count = subjects if subjects is not None else min(QUICK_SUBJECTS, held.subjects) if quick else held.subjects
+    return replace(held, subjects=count, seed=held.seed if seed is None else seed)
+
+
+def _check_folder(output: Path, planned: "Study") -> None:
+    """Refuse a folder of another study, or one with somebody's own files, before anything is computed."""
+    from undrift.cli.writing import checked_folder
+    from undrift.study.store import HEAD, RunStore
+
+    checked_folder(output)
+    if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
+        raise InputError(
+            f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
+        )
+    RunStore(output, planned)
+
+
+def _announce(planned: "Study", workers: int, json: bool) -> None:
+    """Say how many runs there are and about how long they take: to a person, or to a terminal where stdout is for JSON."""
+    import sys
+
+    from rich.console import Console
+
+    from undrift.cli.output import console
+    from undrift.study.run import count_runs, estimate_s
+
+    if json and not sys.stderr.isatty():
+        return
+    out = Console(stderr=True, highlight=False) if json else console()
+    seconds = estimate_s(planned) / workers
+    tasks = ", ".join(task.name for task in planned.tasks)
+    out.print(
+        f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects), about {_duration(seconds)} on "
+        f"{workers} worker{'s' * (workers > 1)}",
+        markup=False,
+    )
+
+
+def _with_progress(planned: "Study", executor: "Executor", output: Path) -> "StudyOutcome":
+    from undrift.cli.output import progress
+    from undrift.study.outcome import judge_study
+
+    with progress() as shown:
+        bar = shown.add_task(planned.name, total=None)
+
+        def advance(done: int, total: int) -> None:
+            what = planned.name if done < total else f"{planned.name}: other cohort, statistics"
+            shown.update(bar, description=what, completed=done, total=total)
+
+        return judge_study(planned, executor, output, advance=advance)
+
+
+def _duration(seconds: float) -> str:
+    return (
+        f"{seconds:.0f} s"
+        if seconds < 90.0
+        else f"{seconds / 60.0:.0f} min"
+        if seconds < 5400.0
+        else f"{seconds / 3600.0:.1f} h"
+    )
+
+
+def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
+    """Return what JSON says of a study.
+
+    Parameters
+    ----------
+    outcome : StudyOutcome
+        What came out.
+
+    Returns
+    -------
+    dict
+        Tasks, cohorts, Figure 3.
+    """
+    held, figure = outcome.study, outcome.figure3
+    return {
+        "name": held.name,
+        "device": held.device,
+        "subjects": held.subjects,
+        "seed": held.seed,
+        "objective": held.objective,
+        "level": held.level,
+        "runs": outcome.runs,
+        "tasks": [_task_summary(task) for task in outcome.tasks],
+        "cohorts": [_cohort_summary(cohort) for cohort in outcome.cohorts],
+        "figure3": {
+            "none_max_deg": figure.actual_max_deg[0],
+            "static_max_deg": figure.actual_max_deg[1],
+            "full_max_deg": figure.actual_max_deg[2],
+            "decrease_deg": figure.decrease_deg,
+            "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
+            "simulated_max_deg": figure.simulated_max_deg,
+            "simulated_actual_by_level_deg": figure.simulated_actual_max_deg,
+        }
+        if figure is not None
+        else None,
+        "figure3_missing": outcome.figure3_missing or None,
+    }
+
+
+def _protocol(task: "TaskOutcome", place: int) -> dict[str, object]:
+    from undrift.study.optimise import PARAMETERS
+
+    return {name: round(float(getattr(task.surface, name)[place]), 9) for name in PARAMETERS}
+
+
+def _task_summary(task: "TaskOutcome") -> dict[str, object]:
+    surface, found = task.surface, task.optimum
+    powers = {power.name: power for power in task.powers}
+    return {
+        "task": surface.task,
+        "optimum": _protocol(task, found.best),
+        "error_rms_deg": found.error_rms_deg,
+        "error_max_deg": found.error_max_deg,
+        "honest_error_deg": found.honest_error_deg,
+        "honest_interval_deg": found.honest_interval_deg,
+        "p_value": found.p_value,
+        "equivalent_protocols": int(found.equivalent.sum()),
+        "protocols": len(surface.cutoff_hz),
+        "flat": found.flat,
+        "failed_runs": found.failed,
+        "rig_minutes": float(surface.rig_minutes[found.best]),
+        "cheapest": {
+            "protocol": _protocol(task, found.cheapest),
+            "error_rms_deg": float(surface.error_rms_deg[:, found.cheapest].mean()),
+            "rig_minutes": float(surface.rig_minutes[found.cheapest]),
+        },
+        "tested": {name: _tested_summary(t) for name, t in zip(("optimum", "cheapest"), task.tested, strict=True)},
+        "pareto": [
+            {
+                **_protocol(task, int(place)),
+                "rig_minutes": float(surface.rig_minutes[place]),
+                "error_rms_deg": float(surface.error_rms_deg[:, place].mean()),
+                "error_max_deg": float(surface.error_max_deg[:, place].mean()),
+            }
+            for place in found.pareto
+        ],
+        "effects": [
+            {
+                "parameter": effect.name,
+                "values": effect.values,
+                "means_deg": effect.means_deg,
+                "f": None if effect.anova is None else effect.anova.f,
+                "p_value": None if effect.anova is None else effect.anova.p_value,
+                "p_holm": effect.p_holm,
+                "partial_eta_squared": None if effect.anova is None else effect.anova.partial_eta_squared,
+                "greenhouse_geisser": None if effect.anova is None else effect.anova.sphericity.greenhouse_geisser,
+                "power": powers[effect.name].power if effect.name in powers else None,
+                "subjects_needed": powers[effect.name].subjects if effect.name in powers else None,
+            }
+            for effect in found.effects
+        ],
+        "optional_stopping": None
+        if task.stopping is None
+        else {
+            "parameter": task.stopping_of,
+            "looks": task.stopping.looks,
+            "crossings": task.stopping.crossings,
+            "false_alarm": task.stopping.false_alarm,
+        },
+        "note": None if task.beside is None else _note_summary(task),
+    }
+
+
+def _note_summary(task: "TaskOutcome") -> dict[str, object]:
+    from dataclasses import asdict
+
+    held = task.beside
+    if held is None:
+        return {}
+    return {
+        **asdict(held.row),
+        "error_deg": held.error_deg,
+        "difference_deg": held.difference_deg,
+        "verdict": held.verdict,
+        "because": held.because,
+    }
+
+
+def _tested_summary(tested: "Tested") -> dict[str, object]:
+    from dataclasses import asdict
+
+    return {key: value for key, value in asdict(tested).items() if key != "place"}
+
+
+def _cohort_summary(cohort: "Cohort") -> dict[str, object]:
+    return {
+        "group": cohort.group,
+        "subjects": cohort.count,
+        "age_years": cohort.age_years,
+        "height_m": cohort.height,
+        "note_age_years": cohort.printed.age_years,
+        "note_height_m": cohort.printed.height,
+    }
+
+
+def _show(outcome: "StudyOutcome", output: Path) -> None:
+    from undrift.cli.output import console, table
+
+    out = console()
+    heads = ("cut-off (Hz)", "step (deg/s)", "omega_m (deg/s)", "omega_M (deg/s)", "p", "rms (deg)", "rig (min)")
+    shown = table("Optimised parameters, the note's beside them", "task", *heads)
+    for task in outcome.tasks:
+        found, surface = task.optimum, task.surface
+        rows = [(surface.task, found.best), (" cheapest", found.cheapest)]
+        for name, place in rows[: 1 if found.best == found.cheapest else 2]:
+            own = [f"{value:.4g}" for value in _protocol(task, place).values()]
+            p = f"{found.p_value:.2g}" if place == found.best else ""
+            error, minutes = surface.error_rms_deg[:, place].mean(), surface.rig_minutes[place]
+            shown.add_row(name, *own, p, f"{error:.3f}", f"{minutes:.0f}")
+        if task.beside is not None:
+            row = task.beside.row
+            four = row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
+            shown.add_row(" the note", *(f"{value:.4g}" for value in four), f"{row.p_value:.3f}", "", "")
+    out.print(shown)
+    for task in outcome.tasks:
+        tested, found = task.tested[0], task.optimum
+        out.print(
+            f"{task.surface.task}: {found.equivalent.sum()} of {len(found.equivalent)} protocols are as good as the optimum; on "
+            f"{tested.subjects} other subjects {tested.error_rms_deg:.3f} deg rms "
+            f"[{tested.interval_rms_deg[0]:.3f}, {tested.interval_rms_deg[1]:.3f}], {tested.error_max_deg:.3f} deg at most",
+            markup=False,
+        )
+        if task.beside is not None:
+            out.print(f"  the note {task.beside.verdict}: {task.beside.because}", markup=False)
+    if outcome.figure3 is not None:
+        none, static, full = outcome.figure3.actual_max_deg
+        out.print(
+            f"Figure 3, largest error: {none:.2f} deg without compensation, {static:.2f} deg static, {full:.2f} deg static and "
+            "dynamic"
+        )
+    out.print(f"Wrote {output}: look at {output / 'report.html'}", markup=False)

@@ -1,0 +1,296 @@
+"""The page of a study: Table 1 with the note's rows, the error surface, statistics, the other cohort, Figure 3."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from undrift.report.figures import svg_of
+from undrift.report.page import Section, write_page
+from undrift.report.study_pictures import LEVEL_NAMES, NAMES, draw_effects, draw_figure3, draw_pareto, draw_surface
+
+if TYPE_CHECKING:
+    from undrift.study.figure3 import Figure3
+    from undrift.study.outcome import StudyOutcome, TaskOutcome
+    from undrift.study.testing import Tested
+
+FOUR = tuple(NAMES.values())
+
+
+def write_study_report(outcome: "StudyOutcome", path: Path) -> None:
+    """Write the page of a study.
+
+    Parameters
+    ----------
+    outcome : StudyOutcome
+        What came out.
+    path : Path
+        The .html file.
+    """
+    held = outcome.study
+    write_page(
+        path,
+        title=f"Study: {held.name}",
+        lead=f"{outcome.runs} calibration sessions simulated, fitted and judged: {held.subjects} subjects, device {held.device}, "
+        f"seed {held.seed}; the {'root-mean-square' if held.objective == 'rms' else 'maximum'} error of the sagittal pitch is "
+        "minimised.",
+        sections=study_sections(outcome),
+    )
+
+
+def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
+    """Return the sections of a study's page.
+
+    Parameters
+    ----------
+    outcome : StudyOutcome
+        What came out.
+
+    Returns
+    -------
+    tuple of Section
+        Tables first, then a group for each task, then Figure 3.
+    """
+    tasks = [section for task in outcome.tasks for section in _task_sections(outcome, task)]
+    beside = _beside(outcome)
+    return (
+        _table_1(outcome),
+        *((beside,) if beside.rows else ()),
+        _testing(outcome),
+        _cohorts(outcome),
+        *tasks,
+        _figure3(outcome.figure3, outcome.figure3_missing),
+    )
+
+
+def _table_1(outcome: "StudyOutcome") -> Section:
+    rows = []
+    for task in outcome.tasks:
+        found = task.optimum
+        rows.append((f"{_words(task.surface.task)}: optimum", *_protocol(task, found.best), f"{found.p_value:.2g}"))
+        if found.cheapest != found.best:
+            rows.append(("… cheapest that is as good", *_protocol(task, found.cheapest), ""))
+        if task.beside is not None:
+            row = task.beside.row
+            four = row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
+            mark = " *" if row.erratum else ""
+            rest = ("", "", "") if task.beside.place is None else _protocol(task, task.beside.place)[4:]
+            rows.append((f"… the note{mark}", *(f"{value:.4g}" for value in four), *rest, f"{row.p_value:.3f}"))
+    text = [_worth(task) for task in outcome.tasks]
+    errata = {task.beside.row.erratum for task in outcome.tasks if task.beside and task.beside.row.erratum}
+    return Section(
+        title="Table 1: optimised parameters",
+        text=(
+            *text,
+            "p is the least of the four parameters', after Holm: whether any of them matters at all, others at the optimum. The "
+            "note does not say what its p tests.",
+            *(f"* {erratum}" for erratum in sorted(errata)),
+        ),
+        columns=("task", *FOUR, "rms (deg)", "max (deg)", "rig (min)", "p"),
+        rows=tuple(rows),
+    )
+
+
+def _worth(task: "TaskOutcome") -> str:
+    found = task.optimum
+    flat = "; the minimum is flat, use the cheapest" if found.flat else ""
+    failed = f" {found.failed} runs could not calibrate their device." if found.failed else ""
+    return (
+        f"{_words(task.surface.task)}: {found.equivalent.sum()} of {len(task.surface.cutoff_hz)} protocols are statistically as "
+        f"good as the optimum (paired, Holm){flat}. Error of the optimum, by subjects that did not choose it: "
+        f"{found.honest_error_deg:.3f} deg [{found.honest_interval_deg[0]:.3f}, {found.honest_interval_deg[1]:.3f}].{failed}"
+    )
+
+
+def _beside(outcome: "StudyOutcome") -> Section:
+    rows = [
+        (_words(task.surface.task), held.verdict, held.because)
+        for task in outcome.tasks
+        if (held := task.beside) is not None
+    ]
+    return Section(
+        title="Against the note's Table 1", columns=("task", "the note", "because"), rows=tuple(rows), words=True
+    )
+
+
+def _testing(outcome: "StudyOutcome") -> Section:
+    rows = [
+        (f"{_words(task.surface.task)}: {name}", *_tested(tested))
+        for task in outcome.tasks
+        for name, tested in zip(("optimum", "cheapest as good"), task.tested, strict=True)
+    ]
+    return Section(
+        title="On the other cohort",
+        text=(
+            "Other subjects, other units of the device, other temperatures and noise: means and their 95 % intervals.",
+        ),
+        columns=("protocol", "subjects", "rms (deg)", "interval", "max (deg)", "interval", "not calibrated"),
+        rows=tuple(rows),
+    )
+
+
+def _tested(tested: "Tested") -> tuple[str, ...]:
+    return (
+        str(tested.subjects),
+        f"{tested.error_rms_deg:.3f}",
+        f"{tested.interval_rms_deg[0]:.3f} to {tested.interval_rms_deg[1]:.3f}",
+        f"{tested.error_max_deg:.3f}",
+        f"{tested.interval_max_deg[0]:.3f} to {tested.interval_max_deg[1]:.3f}",
+        str(tested.failed),
+    )
+
+
+def _cohorts(outcome: "StudyOutcome") -> Section:
+    rows = []
+    for cohort, role in zip(outcome.cohorts, ("chose", "tested"), strict=True):
+        age, height = cohort.age_years, [100.0 * value for value in cohort.height]
+        note_age, note_height = cohort.printed.age_years, [100.0 * value for value in cohort.printed.height]
+        rows.append(
+            (
+                f"{cohort.group} ({role})",
+                str(cohort.count),
+                f"{age[0]:.0f} to {age[2]:.0f}, mean {age[1]:.1f}",
+                f"{note_age[0]:.0f} to {note_age[2]:.0f}, mean {note_age[1]:.0f}",
+                f"{height[0]:.0f} to {height[2]:.0f}, mean {height[1]:.1f}",
+                f"{note_height[0]:.0f} to {note_height[2]:.0f}, mean {note_height[1]:.0f}",
+            )
+        )
+    return Section(
+        title="Table 2: cohorts",
+        columns=("group", "subjects", "age (years)", "the note's", "height (cm)", "the note's"),
+        rows=tuple(rows),
+    )
+
+
+def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Section, ...]:
+    name = _words(task.surface.task)
+    return (
+        Section(
+            title=f"{name}: error surface",
+            text=("Each cell is the best of the protocols that share it. Star: optimum; ring: the note's protocol.",),
+            pictures=(svg_of(draw_surface(outcome, task)),),
+        ),
+        Section(
+            title=f"{name}: what each parameter does",
+            text=(
+                "One parameter at a time, the others at the optimum; bars are 95 % intervals within subjects, p after Holm.",
+                *_stopping(outcome, task),
+            ),
+            columns=(
+                "parameter",
+                "values",
+                "F",
+                "degrees of freedom",
+                "p",
+                "correction",
+                "p after Holm",
+                "epsilon GG",
+                "epsilon HF",
+                "p of Mauchly",
+                "partial eta²",
+                "power",
+                "subjects for 0.8",
+            ),
+            rows=_anova_rows(task),
+            pictures=(svg_of(draw_effects(task)),),
+        ),
+        Section(
+            title=f"{name}: error against minutes on the rig",
+            text=("Protocols that no other beats in both error and time:",),
+            columns=(*FOUR, "rms (deg)", "max (deg)", "rig (min)"),
+            rows=tuple(_protocol(task, int(place)) for place in task.optimum.pareto),
+            pictures=(svg_of(draw_pareto(outcome, task)),),
+        ),
+    )
+
+
+def _anova_rows(task: "TaskOutcome") -> tuple[tuple[str, ...], ...]:
+    powers = {power.name: power for power in task.powers}
+    rows = []
+    for effect in task.optimum.effects:
+        values, found = ", ".join(f"{value:.3g}" for value in effect.values), effect.anova
+        if found is None:
+            rows.append(
+                (NAMES[effect.name], values, *("",) * 3, "one value was possible, or no difference", *("",) * 7)
+            )
+            continue
+        power = powers[effect.name]
+        rows.append(
+            (
+                NAMES[effect.name],
+                values,
+                f"{found.f:.2f}",
+                f"{found.dof[0]:.0f}, {found.dof[1]:.0f}",
+                f"{found.p_value:.2g}",
+                found.correction,
+                f"{effect.p_holm:.2g}",
+                f"{found.sphericity.greenhouse_geisser:.2f}",
+                f"{found.sphericity.huynh_feldt:.2f}",
+                f"{found.sphericity.p_value:.2g}" if found.conditions > 2 else "",
+                f"{found.partial_eta_squared:.2f}",
+                f"{power.power:.2f}",
+                "no number" if power.subjects is None else str(power.subjects),
+            )
+        )
+    return tuple(rows)
+
+
+def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[str, ...]:
+    held = task.stopping
+    if held is None:
+        return ()
+    first, last = held.p_by_subjects[0][0], held.p_by_subjects[-1][0]
+    return (
+        f"Optional stopping: adding subjects until p falls below {outcome.study.level:g}, as the note's thirty subjects that "
+        f"obtained the target significance invite, finds a difference where there is none in {100.0 * held.false_alarm:.0f} % of "
+        f"studies (looks from {first} to {last} subjects), not in {100.0 * outcome.study.level:g} %. Here p of "
+        f"{NAMES[task.stopping_of]} crossed the level {held.crossings} times on the way; only the last p, with the number of "
+        "subjects fixed beforehand, counts.",
+    )
+
+
+def _figure3(found: "Figure3 | None", missing: str) -> Section:
+    if found is None:
+        return Section(title="Figure 3", text=(f"Not made: {missing}.",))
+    rows = tuple(
+        (
+            name,
+            f"{found.simulated_max_deg[k]:.2f}",
+            f"{found.actual_max_deg[k]:.2f}",
+            f"{found.simulated_rms_deg[k]:.2f}",
+            f"{found.actual_rms_deg[k]:.2f}",
+            f"{found.simulated_actual_max_deg[k]:.2f}",
+        )
+        for k, name in enumerate(LEVEL_NAMES)
+    )
+    return Section(
+        title="Figure 3: sit-to-stand, simulated and actual device",
+        text=(
+            f"Board {found.excursion_k:g} K above the bench. Compensation takes {found.decrease_deg:.2f} deg off the actual "
+            "device's largest error (the note: more than 3.2). The actual device is the simulated one with hysteresis, a "
+            "lagging thermometer, a bowed converter and g-sensitivity, of which the model knows nothing; with both tables the "
+            f"two errors differ by {found.simulated_actual_max_deg[2]:.2f} deg at most (the note: 0.15).",
+        ),
+        columns=(
+            "compensation",
+            "max, simulated (deg)",
+            "max, actual (deg)",
+            "rms, simulated",
+            "rms, actual",
+            "differ by at most",
+        ),
+        rows=rows,
+        pictures=(svg_of(draw_figure3(found)),),
+    )
+
+
+def _protocol(task: "TaskOutcome", place: int) -> tuple[str, ...]:
+    surface = task.surface
+    return (
+        *(f"{getattr(surface, name)[place]:.4g}" for name in NAMES),
+        f"{surface.error_rms_deg[:, place].mean():.3f}",
+        f"{surface.error_max_deg[:, place].mean():.3f}",
+        f"{surface.rig_minutes[place]:.0f}",
+    )
+
+
+def _words(task: str) -> str:
+    return task.replace("_", " ")

@@ -1,0 +1,336 @@
+"""The note's Figure 3: pitch error over time in a sit-to-stand, of the simulated and the actual device.
+
+Each of the two goes the product's own way::
+
+    bench session at 25 degC          -> calibrate    offset, matrix
+    thermal session, soaks up and down -> fit_drift    tables
+    trial, 10 to 15 K warmer           -> correct, orient, compare with the optics, lag undone (validate_trial)
+
+with three levels of correction: none (constant offset), static (offset over temperature), full (static and dynamic). Errors are
+those of the acquisition's 4 s, from the moment that the integration begins; the note's 3.2 deg stand for 0.8 deg/s over it.
+The board warms from 25 degC while it is worn, with a time constant of 10 min, and has been worn for half an hour.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from undrift.arrays import FloatArray, frozen
+from undrift.calibration.model import Calibration, DriftTables
+from undrift.calibration.procedure import calibrate
+from undrift.drift.procedure import fit_drift
+from undrift.record import Record, Reference
+from undrift.session import Session
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import preset
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.library import draw_task
+from undrift.sim.motion.task import Task
+from undrift.sim.optics import OpticsSettings, see
+from undrift.sim.thermal.session import simulate_thermal_session
+from undrift.sim.thermal.settings import ThermalSettings
+from undrift.study.actual import HIDDEN, Hidden, actual_device, study_model
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.trial import TRIAL_SETTINGS, validate_trial
+
+LEVELS = ("none", "static", "full")
+ROOM_TEMP_C = 25.0
+ACQUISITION_S = 4.0
+SAMPLE_RATE_HZ = 100.0
+SETTLED_S = 3600.0  # on for an hour before the bench, and before it is put on
+WORN_S, WARMING_S = 1800.0, 600.0
+BENCH = BenchSettings(turn_rates=tuple(rate * RADIAN_PER_DEGREE for rate in range(15, 91, 15)), dwell_s=1.5)
+RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's, both ways, at each of the set-points
+THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=RATES))
+OPTICS = OpticsSettings(gaps=0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Figure3:
+    """Pitch error over the acquisition, N instants, for ``LEVELS`` none, static and full.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        From the beginning of the acquisition, s.
+    reference_pitch : array, shape (N,)
+        What the optics saw, deg.
+    simulated, actual : array, shape (3, N)
+        Pitch error of each level, deg.
+    lag_ms : (float, float)
+        Lag that was undone, simulated and actual, ms.
+    excursion_k : float
+        Board temperature above that of the bench, K.
+    """
+
+    time: FloatArray
+    reference_pitch: FloatArray
+    simulated: FloatArray
+    actual: FloatArray
+    lag_ms: tuple[float, float]
+    excursion_k: float
+
+    def __post_init__(self) -> None:
+        n = len(self.time)
+        for name, shape in (("time", (n,)), ("reference_pitch", (n,)), ("simulated", (3, n)), ("actual", (3, n))):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Figure3.{name}"))
+
+    @property
+    def simulated_max_deg(self) -> FloatArray:
+        """Largest error of the simulated device at each level, shape (3,), deg."""
+        return _largest(self.simulated)
+
+    @property
+    def actual_max_deg(self) -> FloatArray:
+        """Largest error of the actual device at each level, shape (3,), deg."""
+        return _largest(self.actual)
+
+    @property
+    def simulated_rms_deg(self) -> FloatArray:
+        """Root mean square of the simulated device's error, shape (3,), deg."""
+        return _rms(self.simulated)
+
+    @property
+    def actual_rms_deg(self) -> FloatArray:
+        """Root mean square of the actual device's error, shape (3,), deg."""
+        return _rms(self.actual)
+
+    @property
+    def decrease_deg(self) -> float:
+        """What both tables take off the actual device's largest error, deg; the note: more than 3.2."""
+        largest = self.actual_max_deg
+        return float(largest[0] - largest[2])
+
+    @property
+    def simulated_decrease_deg(self) -> float:
+        """What both tables take off the simulated device's largest error, deg."""
+        largest = self.simulated_max_deg
+        return float(largest[0] - largest[2])
+
+    @property
+    def simulated_actual_max_deg(self) -> FloatArray:
+        """Largest difference between the two devices' errors at each level, shape (3,), deg; the note: 0.15 at most."""
+        return _largest(self.actual - self.simulated)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EffectRow:
+    """What one effect that the study's model lacks does to the figure.
+
+    Parameters
+    ----------
+    effect : str
+        noise alone (another recording of the same model), one of ``HIDDEN``, or all.
+    simulated_actual_max_deg : array, shape (3,)
+        Largest difference from the simulated device's error at each of ``LEVELS``, deg.
+    full_max_deg : float
+        Largest error with both tables, deg.
+    """
+
+    effect: str
+    simulated_actual_max_deg: FloatArray
+    full_max_deg: float
+
+
+def figure3(
+    unit: DeviceModel | None = None,
+    *,
+    seed: int = 0,
+    excursion_k: float = 12.5,
+    hidden: tuple[Hidden, ...] = HIDDEN,
+    back: bool = True,
+) -> Figure3:
+    """Make the note's Figure 3.
+
+    Parameters
+    ----------
+    unit : DeviceModel, optional
+        The unit; the typical one of the note's kind where not given.
+    seed : int
+        Draws person, optics, and the noise of each device, each from a stream of its own.
+    excursion_k : float
+        Board temperature in the trial above that of the bench, K.
+    hidden : tuple of str
+        Effects of the actual device that the simulated one lacks.
+    back : bool
+        Tables from soaks on the way up and down; False from those on the way up alone, as a worn board warms.
+
+    Returns
+    -------
+    Figure3
+        Both devices, one person, one reference.
+    """
+    return _figures(unit, _Wanted(seed, excursion_k, back), (hidden,))[0]
+
+
+def effect_table(
+    unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = True
+) -> tuple[EffectRow, ...]:
+    """Switch the actual device's effects on one at a time: what limits the agreement of simulated and actual.
+
+    Parameters
+    ----------
+    unit : DeviceModel, optional
+        The unit; the typical one of the note's kind where not given.
+    seed : int
+        As in ``figure3``.
+    excursion_k : float
+        As in ``figure3``, K.
+    back : bool
+        As in ``figure3``.
+
+    Returns
+    -------
+    tuple of EffectRow
+        Noise alone, each effect alone, all together.
+    """
+    cases: tuple[tuple[Hidden, ...], ...] = ((), *((name,) for name in HIDDEN), HIDDEN)
+    names = ("noise alone", *HIDDEN, "all")
+    return tuple(
+        EffectRow(
+            effect=name,
+            simulated_actual_max_deg=figure.simulated_actual_max_deg,
+            full_max_deg=float(figure.actual_max_deg[2]),
+        )
+        for name, figure in zip(names, _figures(unit, _Wanted(seed, excursion_k, back), cases), strict=True)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Errors:
+    """Errors of one device at each level on the reference's clock, rad, and the lag that was undone, s."""
+
+    time: FloatArray
+    reference_pitch: FloatArray
+    error: FloatArray
+    start_s: float
+    lag_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    seed: int
+    excursion_k: float
+    back: bool
+
+
+def _figures(unit: DeviceModel | None, wanted: _Wanted, cases: tuple[tuple[Hidden, ...], ...]) -> tuple[Figure3, ...]:
+    """Return a figure for each set of hidden effects; the simulated device, the person and the optics are the same in all."""
+    held = unit or preset("enc03j_3031")
+    person = np.random.default_rng([wanted.seed, 0])
+    performed = draw_task("sit_to_stand", rng=person)
+    reference = see(performed, rng=person, settings=OPTICS)
+
+    def errors(device: DeviceModel, stream: int) -> _Errors:
+        sessions, trial = (np.random.default_rng([wanted.seed, stream, part]) for part in range(2))
+        levels = calibrated(device, rng=sessions, back=wanted.back)
+        record = worn_record(device, performed, excursion_k=wanted.excursion_k, rng=trial)
+        return _errors(levels, record, reference)
+
+    simulated = errors(study_model(held), 1)
+    return tuple(_figure(simulated, errors(actual_device(held, hidden), 2), wanted.excursion_k) for hidden in cases)
+
+
+def _figure(simulated: _Errors, actual: _Errors, excursion_k: float) -> Figure3:
+    start_s = max(simulated.start_s, actual.start_s)
+    inside = (actual.time >= start_s) & (actual.time < start_s + ACQUISITION_S)
+    return Figure3(
+        time=actual.time[inside] - start_s,
+        reference_pitch=actual.reference_pitch[inside] / RADIAN_PER_DEGREE,
+        simulated=simulated.error[:, inside] / RADIAN_PER_DEGREE,
+        actual=actual.error[:, inside] / RADIAN_PER_DEGREE,
+        lag_ms=(1e3 * simulated.lag_s, 1e3 * actual.lag_s),
+        excursion_k=excursion_k,
+    )
+
+
+def _errors(levels: tuple[Calibration, ...], record: Record, reference: Reference) -> _Errors:
+    trials = [validate_trial(record, reference, calibration=level) for level in levels]
+    full = trials[-1]
+    return _Errors(
+        time=full.time,
+        reference_pitch=full.reference_pitch,
+        error=np.array([trial.error.pitch for trial in trials]),
+        start_s=full.motion.start_s - full.lag.seconds - TRIAL_SETTINGS.lead_s,
+        lag_s=full.lag.seconds,
+    )
+
+
+def calibrated(
+    device: DeviceModel, *, rng: np.random.Generator, back: bool = True
+) -> tuple[Calibration, Calibration, Calibration]:
+    """Calibrate a device on the simulated bench and in the simulated chamber.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        The device.
+    rng : Generator
+        Draws the sessions and their noise.
+    back : bool
+        Soaks on the way down as well as up.
+
+    Returns
+    -------
+    tuple of Calibration
+        One for each of ``LEVELS``: constant, static tables, all tables.
+    """
+    motion = bench_motion("bench", rng=rng, settings=BENCH)
+    record = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S).record
+    session = Session(
+        kind="calibration",
+        serial=device.serial,
+        gravity_m_s2=motion.gravity_m_s2,
+        records=(record,),
+        stills=motion.stills,
+        turns=motion.turns,
+    )
+    none = calibrate(session)
+    thermal = simulate_thermal_session("soak", device, rng=rng, settings=replace(THERMAL, back=back))
+    full = fit_drift((thermal,), none).calibration
+    tables = full.drift or DriftTables()
+    static = replace(tables, scale=None, dynamic=None)
+    return none, replace(full, drift=static), full
+
+
+def worn_record(device: DeviceModel, performed: Task, *, excursion_k: float, rng: np.random.Generator) -> Record:
+    """Return what a device reads in a task after half an hour on a person, whose warmth it has taken on.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        The device.
+    performed : Task
+        What the person does.
+    excursion_k : float
+        Board temperature at the task above room temperature, K.
+    rng : Generator
+        Draws the noise.
+
+    Returns
+    -------
+    Record
+        Of the task alone; the board came to its temperature from below, as hysteresis and thermometer remember.
+    """
+    before = round(WORN_S * SAMPLE_RATE_HZ)
+    time = (np.arange(before + round(performed.duration_s * SAMPLE_RATE_HZ)) - before) / SAMPLE_RATE_HZ
+    share = -np.expm1(-(time + WORN_S) / WARMING_S) / -np.expm1(-WORN_S / WARMING_S)
+    record = simulate_device(
+        device,
+        performed.at(time, STANDARD_GRAVITY),
+        rng=rng,
+        temp_c=ROOM_TEMP_C + excursion_k * share,
+        power_on_s=SETTLED_S,
+    ).record
+    return record.part(before, len(record))
+
+
+def _largest(curves: FloatArray) -> FloatArray:
+    largest: FloatArray = np.nanmax(np.abs(curves), axis=-1)
+    return largest
+
+
+def _rms(curves: FloatArray) -> FloatArray:
+    size: FloatArray = np.sqrt(np.nanmean(curves**2, axis=-1))
+    return size

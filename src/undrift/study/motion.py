@@ -1,0 +1,138 @@
+"""Motion of one's own in a study: poses from a file, to be asked at any instant as a task of the library is."""
+
+import hashlib
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.io.bodies import L5_OFFSET, device_on, find_body
+from undrift.io.reference import read_markers, read_reference
+from undrift.record import Reference
+from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
+from undrift.study.plan import OwnMotion
+
+SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
+LEAST_REST_S = 0.5  # the tilt at the start is a mean over the rest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedTask:
+    """A recorded motion as a task.
+
+    Parameters
+    ----------
+    spline : PoseSpline
+        The poses.
+    moving_s : (float, float)
+        First and last instant of motion, s from the first pose.
+    """
+
+    spline: PoseSpline
+    moving_s: tuple[float, float]
+
+    @property
+    def duration_s(self) -> float:
+        """Length, s."""
+        start, stop = self.spline.span_s
+        return stop - start
+
+    def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
+        """Return the motion at given instants.
+
+        Parameters
+        ----------
+        time : array, shape (N,)
+            s from the first pose, increasing.
+        gravity_m_s2 : float
+            m/s2.
+
+        Returns
+        -------
+        Motion
+            NaN outside the recording.
+        """
+        return replace(self.spline.at(time + self.spline.span_s[0], gravity_m_s2), time=time)
+
+
+def read_motion(own: OwnMotion) -> RecordedTask:
+    """Read a recorded motion.
+
+    Parameters
+    ----------
+    own : OwnMotion
+        Which file, and how long the rest at its beginning is.
+
+    Returns
+    -------
+    RecordedTask
+        Kept for the next unit of work in the same process.
+
+    Raises
+    ------
+    InputError
+        No such file, a file that has changed, gaps, no positions, or a rest that is too short or too long.
+    """
+    return _read(own)
+
+
+@lru_cache(maxsize=4)
+def _read(own: OwnMotion) -> RecordedTask:
+    if sha256_of(Path(own.path)) != own.sha256:
+        raise InputError(
+            f"{own.path}: wanted the file that the study began with, got another content; start a new study"
+        )
+    reference = _poses(own)
+    spline = fit_pose_spline(reference, SKIN if own.body else PoseSettings())
+    if reference.position is None:
+        raise InputError(
+            f"{own.path}: wanted poses with positions, got none; without them nobody knows what accelerometers feel"
+        )
+    if len(spline.pieces) > 1:
+        raise InputError(
+            f"{own.path}: wanted poses without long gaps, got {len(spline.pieces) - 1}; cut the recording between gaps"
+        )
+    length = spline.span_s[1] - spline.span_s[0]
+    if not LEAST_REST_S <= own.rest_s < length - 1.0:
+        raise InputError(
+            f"{own.path}: wanted a rest_s of {LEAST_REST_S:g} s to {length - 1.0:.1f} s, got {own.rest_s:g}; state how long the "
+            "body is at rest at the beginning"
+        )
+    return RecordedTask(spline=spline, moving_s=(own.rest_s, length))
+
+
+def _poses(own: OwnMotion) -> Reference:
+    """Return the poses of the cluster or file, or of a device on a segment: at L5 on a pelvis, at the origin of another."""
+    path = Path(own.path)
+    if own.body is None:
+        return read_reference(path, labels=own.markers or None, up=own.up)
+    if own.markers or own.up is None:
+        raise InputError(f"{path}: wanted a body and up, got {'markers too' if own.markers else 'no up'}; name the two")
+    offset = L5_OFFSET if own.body == "pelvis" else (0.0, 0.0, 0.0)
+    return device_on(find_body(read_markers(path, up=own.up), own.body), offset_b=offset)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the mark of a file's content.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    str
+        Sixty-four hexadecimal digits.
+
+    Raises
+    ------
+    InputError
+        No such file.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: wanted a file of poses or markers, got {error.strerror}; check the path") from error

@@ -1,0 +1,230 @@
+"""Optimum of a task: the protocol with the least error, those that are as good, and the cheapest of them.
+
+The least of many noisy means is too small (the winner was also lucky). So the error that is stated for the optimum is taken
+from subjects that did not choose it: the subjects are split in two, each half chooses, the other half says what that is
+worth. A protocol is as good as the optimum where a paired t test over the subjects, after Holm over all protocols, does not
+tell them apart. Where that holds for many, the minimum is flat, and the cheapest of them in minutes on the rig is the one to
+use.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.errors import InputError, NotObservable
+from undrift.study.anova import Anova, compare_conditions
+from undrift.study.posthoc import adjust_holm
+from undrift.study.run import TaskSurface
+
+PARAMETERS = ("cutoff_hz", "turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
+FLAT_SHARE = 0.25  # a minimum that a quarter of the protocols share is called flat
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ParameterEffect:
+    """Whether one parameter of the protocol matters, the others at the optimum.
+
+    Parameters
+    ----------
+    name : str
+        Of the parameter.
+    values : array, shape (k,)
+        Its values, Hz or deg/s.
+    means_deg : array, shape (k,)
+        Mean error at each, deg.
+    anova : Anova or None
+        None where only one value was possible.
+    p_holm : float
+        p after Holm over the parameters; NaN without an analysis.
+    """
+
+    name: str
+    values: FloatArray
+    means_deg: FloatArray
+    anova: Anova | None
+    p_holm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Optimum:
+    """What a study says of one task.
+
+    Parameters
+    ----------
+    task : str
+        Its name.
+    best : int
+        Place of the protocol with the least mean error.
+    error_rms_deg, error_max_deg : float
+        Mean over the subjects of both errors at the optimum, deg.
+    honest_error_deg, honest_interval_deg : float, (float, float)
+        Mean of the objective by subjects that did not choose it, and its 95 % interval, deg.
+    equivalent : array of bool, shape (P,)
+        Protocols that are statistically as good.
+    cheapest : int
+        Of those, the one with the shortest session.
+    flat : bool
+        Whether a quarter of all protocols or more are as good.
+    effects : tuple of ParameterEffect
+        One a parameter.
+    p_value : float
+        Least p after Holm over the parameters: whether any of them matters.
+    pareto : array of int
+        Protocols that no other beats in both error and minutes, by rising minutes.
+    failed : int
+        Runs whose protocol could not calibrate the device.
+    """
+
+    task: str
+    best: int
+    error_rms_deg: float
+    error_max_deg: float
+    honest_error_deg: float
+    honest_interval_deg: tuple[float, float]
+    equivalent: BoolArray
+    cheapest: int
+    flat: bool
+    effects: tuple[ParameterEffect, ...]
+    p_value: float
+    pareto: IntArray
+    failed: int
+
+
+def find_optimum(
+    surface: TaskSurface, *, objective: str = "rms", level: float = 0.05, rig_minutes_max: float | None = None
+) -> Optimum:
+    """Find the best protocol of a task, and those that are as good.
+
+    Parameters
+    ----------
+    surface : TaskSurface
+        Errors of all subjects with all protocols.
+    objective : str
+        rms or maximum.
+    level : float
+        Of the tests.
+    rig_minutes_max : float, optional
+        Longest session that is allowed, min.
+
+    Returns
+    -------
+    Optimum
+        With its statistics.
+
+    Raises
+    ------
+    NotObservable
+        No protocol calibrated every subject's device, or none is short enough.
+    """
+    error = surface.error(objective)
+    usable: BoolArray = np.asarray(np.isfinite(error).all(axis=0))
+    if rig_minutes_max is not None:
+        usable = usable & (surface.rig_minutes <= rig_minutes_max)
+    if not usable.any():
+        raise NotObservable(
+            f"study: wanted a protocol of {surface.task} that calibrates every device in the time allowed, got none; "
+            "allow longer sessions or other rates"
+        )
+    mean = np.where(usable, np.where(np.isfinite(error), error, 0.0).mean(axis=0), np.inf)
+    best = int(np.argmin(mean))
+    equivalent = _equivalent(error, usable, best, level)
+    among = np.flatnonzero(equivalent)
+    cheapest = int(among[np.lexsort((mean[among], surface.rig_minutes[among]))[0]])
+    effects = _effects(surface, error, usable, best)
+    honest, interval = _honest(error, usable)
+    tested = [effect.p_holm for effect in effects if effect.anova is not None]
+    return Optimum(
+        task=surface.task,
+        best=best,
+        error_rms_deg=float(surface.error_rms_deg[:, best].mean()),
+        error_max_deg=float(surface.error_max_deg[:, best].mean()),
+        honest_error_deg=honest,
+        honest_interval_deg=interval,
+        equivalent=equivalent,
+        cheapest=cheapest,
+        flat=bool(equivalent.sum() >= FLAT_SHARE * usable.sum()),
+        effects=effects,
+        p_value=min(tested) if tested else float("nan"),
+        pareto=pareto_front(surface.rig_minutes, mean),
+        failed=int(np.isnan(error).sum()),
+    )
+
+
+def pareto_front(minutes: FloatArray, error: FloatArray) -> IntArray:
+    """Return the protocols that no other beats in both time and error.
+
+    Parameters
+    ----------
+    minutes : array, shape (P,)
+        Length of the session, min.
+    error : array, shape (P,)
+        Mean error; infinite where it is not to be used.
+
+    Returns
+    -------
+    array of int
+        Places, by rising minutes and falling error.
+    """
+    front: list[int] = []
+    least = np.inf
+    for place in np.lexsort((error, minutes)):
+        if error[place] < least:
+            front.append(int(place))
+            least = error[place]
+    return np.array(front, dtype=np.int64)
+
+
+def _equivalent(error: FloatArray, usable: BoolArray, best: int, level: float) -> BoolArray:
+    from scipy.stats import t as t_distribution
+
+    subjects = len(error)
+    places = np.flatnonzero(usable)
+    apart = error[:, places] - error[:, [best]]
+    spread = apart.std(axis=0, ddof=1) / np.sqrt(subjects)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(spread > 0.0, apart.mean(axis=0) / spread, np.where(apart.mean(axis=0) > 0.0, np.inf, 0.0))
+    p = t_distribution.sf(t, subjects - 1)  # one-sided: worse than the best
+    found = np.zeros(len(usable), dtype=bool)
+    found[places] = adjust_holm(p) >= level
+    found[best] = True
+    return found
+
+
+def _effects(surface: TaskSurface, error: FloatArray, usable: BoolArray, best: int) -> tuple[ParameterEffect, ...]:
+    columns = [np.asarray(getattr(surface, name)) for name in PARAMETERS]
+    found: list[tuple[str, FloatArray, FloatArray, Anova | None]] = []
+    for k, name in enumerate(PARAMETERS):
+        others = np.all([np.isclose(c, c[best]) for j, c in enumerate(columns) if j != k], axis=0)
+        places = np.flatnonzero(others & usable)
+        places = places[np.argsort(columns[k][places])]
+        anova: Anova | None = None
+        if len(places) > 1:
+            try:
+                anova = compare_conditions(error[:, places])
+            except InputError:  # the parameter changes nothing at all: no variance to test against
+                anova = None
+        found.append((name, columns[k][places], error[:, places].mean(axis=0), anova))
+    p = np.array([np.nan if anova is None else anova.p_value for *_, anova in found])
+    held = np.flatnonzero(~np.isnan(p))
+    holm = np.full(len(p), np.nan)
+    holm[held] = adjust_holm(p[held])
+    return tuple(
+        ParameterEffect(name=name, values=values, means_deg=means, anova=anova, p_holm=float(holm[k]))
+        for k, (name, values, means, anova) in enumerate(found)
+    )
+
+
+def _honest(error: FloatArray, usable: BoolArray) -> tuple[float, tuple[float, float]]:
+    """Error of the protocol that the other half of the subjects chose, each subject once."""
+    from scipy.stats import t as t_distribution
+
+    places = np.flatnonzero(usable)
+    half = np.arange(len(error)) % 2 == 0
+    judged = np.empty(len(error))
+    for choosing in (half, ~half):
+        chosen = places[int(np.argmin(error[np.ix_(choosing, places)].mean(axis=0)))]
+        judged[~choosing] = error[~choosing, chosen]
+    mean, spread = float(judged.mean()), float(judged.std(ddof=1) / np.sqrt(len(judged)))
+    reach = float(t_distribution.ppf(0.975, len(judged) - 1)) * spread
+    return mean, (mean - reach, mean + reach)

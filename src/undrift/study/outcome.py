@@ -1,0 +1,223 @@
+"""Outcome of a study: for each task the optimum, what it is worth on other subjects, its statistics, and the note's row.
+
+surfaces -> optimum -> the other cohort -> power, optional stopping -> Table 1 beside the note's, Figure 3
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from undrift.errors import InputError, UndriftError
+from undrift.sim.motion.library import TaskName
+from undrift.study.beside import Beside, compare_with_note
+from undrift.study.case import device_of, seeded
+from undrift.study.executor import Executor
+from undrift.study.figure3 import Figure3, figure3
+from undrift.study.note import TABLE_1
+from undrift.study.optimise import PARAMETERS, Optimum, ParameterEffect, find_optimum
+from undrift.study.plan import Study
+from undrift.study.power import OptionalStopping, power_reached, stopping_of, subjects_needed
+from undrift.study.run import TaskSurface, count_runs, run_study
+from undrift.study.testing import Cohort, Tested, cohort_of, other_study, run_testing
+
+TESTING = "testing"
+FIRST_LOOK = 10  # subjects
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectPower:
+    """How surely a study of this size finds what one parameter does.
+
+    Parameters
+    ----------
+    name : str
+        Of the parameter.
+    power : float
+        Were this study's means the truth, 0 to 1.
+    subjects : int or None
+        For a power of 0.8; None where no number is worth it.
+    """
+
+    name: str
+    power: float
+    subjects: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TaskOutcome:
+    """What a study says of one task.
+
+    Parameters
+    ----------
+    surface : TaskSurface
+        All errors.
+    optimum : Optimum
+        With its equals.
+    tested : (Tested, Tested)
+        The optimum and its cheapest equal on the other cohort.
+    effect_reach_deg : tuple of float
+        Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and Masson, 1994);
+        0 where it could not be tested, deg.
+    powers : tuple of EffectPower
+        One for each parameter that could be tested.
+    stopping : OptionalStopping or None
+        Of the parameter with the least p; None with fewer than ten subjects.
+    stopping_of : str
+        That parameter.
+    beside : Beside or None
+        The note's row; None for other tasks.
+    """
+
+    surface: TaskSurface
+    optimum: Optimum
+    tested: tuple[Tested, Tested]
+    effect_reach_deg: tuple[float, ...]
+    powers: tuple[EffectPower, ...]
+    stopping: OptionalStopping | None
+    stopping_of: str
+    beside: Beside | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StudyOutcome:
+    """What a study says.
+
+    Parameters
+    ----------
+    study : Study
+        What was done.
+    runs : int
+        Sessions simulated, fitted and judged.
+    tasks : tuple of TaskOutcome
+        One a task.
+    cohorts : (Cohort, Cohort)
+        Who chose, and who tested.
+    figure3 : Figure3 or None
+        For a study with a sit-to-stand.
+    figure3_missing : str
+        Why there is none.
+    """
+
+    study: Study
+    runs: int
+    tasks: tuple[TaskOutcome, ...]
+    cohorts: tuple[Cohort, Cohort]
+    figure3: Figure3 | None
+    figure3_missing: str
+
+
+def judge_study(
+    study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None] | None = None
+) -> StudyOutcome:
+    """Run a study, or what is left of it, and judge it.
+
+    Parameters
+    ----------
+    study : Study
+        What to do.
+    executor : Executor
+        Where.
+    folder : Path
+        Finished units are kept there, and surface.parquet in the end.
+    advance : callable, optional
+        Told how many units are done, of how many.
+
+    Returns
+    -------
+    StudyOutcome
+        All that is said of it.
+
+    Raises
+    ------
+    InputError
+        A folder that holds another study.
+    NotObservable
+        A task without a protocol that calibrates every device in the time allowed.
+    """
+    surfaces = run_study(study, executor, folder, advance=advance)
+    optima = tuple(
+        find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
+        for surface in surfaces
+    )
+    tested = run_testing(study, surfaces, optima, folder / TESTING)
+    figure, missing = _figure3(study)
+    return StudyOutcome(
+        study=study,
+        runs=count_runs(study),
+        tasks=tuple(_judge(study, *held) for held in zip(surfaces, optima, tested, strict=True)),
+        cohorts=(cohort_of(study), cohort_of(other_study(study))),
+        figure3=figure,
+        figure3_missing=missing,
+    )
+
+
+def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[Tested, Tested]) -> TaskOutcome:
+    row = TABLE_1.get(cast("TaskName", surface.task))
+    least, stopping = _stopping(study, surface, optimum)
+    return TaskOutcome(
+        surface=surface,
+        optimum=optimum,
+        tested=tested,
+        effect_reach_deg=tuple(map(_reach, optimum.effects)),
+        powers=tuple(_power(study, effect) for effect in optimum.effects if effect.anova is not None),
+        stopping=stopping,
+        stopping_of=least,
+        beside=None
+        if row is None
+        else compare_with_note(surface, optimum, row, objective=study.objective, level=study.level),
+    )
+
+
+def _reach(effect: ParameterEffect) -> float:
+    from scipy.stats import t as t_distribution
+
+    found = effect.anova
+    if found is None:
+        return 0.0
+    return float(t_distribution.ppf(0.975, found.dof[1]) * np.sqrt(found.mean_square_error / found.subjects))
+
+
+def _power(study: Study, effect: ParameterEffect) -> EffectPower:
+    found = effect.anova
+    if found is None:
+        return EffectPower(name=effect.name, power=float("nan"), subjects=None)
+    try:
+        count: int | None = subjects_needed(
+            found.means,
+            found.mean_square_error,
+            epsilon=found.sphericity.greenhouse_geisser,
+            level=study.level,
+        )
+    except InputError:  # the means hardly differ: no number of subjects is worth it
+        count = None
+    return EffectPower(name=effect.name, power=power_reached(found, level=study.level), subjects=count)
+
+
+def _stopping(study: Study, surface: TaskSurface, optimum: Optimum) -> tuple[str, OptionalStopping | None]:
+    """Look again at the parameter with the least p as if after each subject."""
+    tested = [effect for effect in optimum.effects if effect.anova is not None]
+    if not tested or study.subjects <= FIRST_LOOK:
+        return "", None
+    least = min(tested, key=lambda effect: effect.p_holm)
+    others = [name for name in PARAMETERS if name != least.name]
+    columns = {name: getattr(surface, name) for name in PARAMETERS}
+    same = np.all([np.isclose(columns[name], columns[name][optimum.best]) for name in others], axis=0)
+    held = same & np.isin(columns[least.name], least.values)
+    table = surface.error(study.objective)[:, held]
+    rng = seeded(study, "stopping", surface.task)
+    return least.name, stopping_of(table, first=FIRST_LOOK, level=study.level, simulations=400, rng=rng)
+
+
+def _figure3(study: Study) -> tuple[Figure3 | None, str]:
+    if not any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks):
+        return None, "the study has no sit-to-stand of the library"
+    from undrift.sim.device.presets import preset
+
+    unit = device_of(study, 0) if study.worn else preset(study.device)
+    try:
+        return figure3(unit, seed=study.seed, excursion_k=sum(study.excursion_k) / 2.0), ""
+    except UndriftError as error:  # this device cannot be calibrated so: the study's own figures stand
+        return None, str(error)

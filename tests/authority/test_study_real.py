@@ -1,0 +1,150 @@
+"""The study's report on real recordings: BROAD trials, people rising, squatting and climbing, stance on a force plate.
+
+BROAD: Laidig et al., Data 2021, CC BY 4.0. Captures: repository nimblephysics, snapshot of 2025-09-14. Stance: BMClab/datasets,
+Santos and Duarte 2016 (BDS) and dos Santos et al. 2017 (PDS), CC BY 4.0, snapshot of 2023-09-26. The people captured are not the
+cohort: younger and brisker in rising, on firm ground or with open eyes in standing. What differs is printed, and held to be so.
+"""
+
+from functools import cache
+
+import pytest
+
+from authority.broad import DEVICES, FILES, trial
+from data import data_path, show
+from undrift.io.bodies import device_on, find_body
+from undrift.io.c3d import read_c3d
+from undrift.io.trc import read_trc
+from undrift.study.real import DeviceTrials, real_errors
+from undrift.study.real_motion import BesideRow, Capture, Captured, motion_rows
+from undrift.study.real_sway import Condition, Stance, read_stance, sway_rows
+from undrift.study.real_worn import worn_in
+
+TRIALS: tuple[tuple[str, Captured, tuple[str, str]], ...] = (
+    ("STS1", "sit_to_stand", ("mocap_sit_to_stand", "STS1.trc.gz")),
+    ("STSAsym1", "sit_to_stand", ("mocap_sit_to_stand", "STSAsym1.trc.gz")),
+    ("squats1", "squat", ("mocap_sit_to_stand", "squats1.trc.gz")),
+    ("Squat2", "squat", ("mocap_stair_up", "markers_Squat2.trc.gz")),
+    ("squat.c3d", "squat", ("c3d", "squat.c3d.gz")),
+    ("StairUp3", "stairs", ("mocap_stair_up", "markers_StairUp3.trc.gz")),
+)
+STANCES: tuple[tuple[str, float, Condition], ...] = (
+    ("PDS13OR1grf", 65.35, "open on firm"),
+    ("PDS13CR1grf", 65.35, "closed on firm"),
+    ("PDS13OF1grf", 65.35, "open on foam"),
+    ("BDS00025", 63.4, "closed on firm"),
+    ("BDS00027", 63.4, "closed on firm"),
+    ("BDS00030", 63.4, "open on firm"),
+    ("BDS00033", 63.4, "open on foam"),
+)
+
+
+@cache
+def captures() -> tuple[Capture, ...]:
+    """The six captured trials, a device at L5."""
+    made = []
+    for name, task, parts in TRIALS:
+        read = read_c3d if name.endswith("c3d") else read_trc
+        made.append(
+            Capture(name=name, task=task, device=device_on(find_body(read(data_path(*parts), up="y"), "pelvis")))
+        )
+    return tuple(made)
+
+
+def tell(rows: tuple[BesideRow, ...]) -> None:
+    """Print rows."""
+    for row in rows:
+        show(
+            f"{row.trial} ({row.task}), {row.measure}, {row.unit}",
+            f"{row.real:.2f}; cohort {row.median:.2f}, 95 % {row.low:.2f} to {row.high:.2f}; "
+            + ("inside" if row.inside else "outside")
+            + (f"; {row.said}" if row.said else ""),
+        )
+
+
+def test_broad_trials_by_level_and_their_agreement() -> None:
+    devices = tuple(
+        DeviceTrials(device=name, names=tuple(FILES[n] for n in numbers), pairs=tuple(trial(n) for n in numbers))
+        for name, numbers in DEVICES.items()
+    )
+    none, rest, calibrated = real_errors(devices)
+    for level in (none, rest, calibrated):
+        assert level.agreement is not None
+        limits, icc = level.agreement.limits, level.agreement.icc
+        show(
+            f"BROAD, {level.level}: median rms total, inclination; largest pitch; end, deg",
+            f"{level.rmse_total_deg:.2f}, {level.rmse_inclination_deg:.2f}; {level.max_abs_pitch_deg:.1f}; "
+            f"{level.end_total_deg:.2f}",
+        )
+        show(
+            "   mean inclination: bias, limits, deg; ICC(2,1) and interval",
+            f"{limits.bias:.2f}, {limits.limits[0]:.2f} to {limits.limits[1]:.2f}; {icc.value:.5f}, "
+            f"{icc.interval[0]:.4f} to {icc.interval[1]:.4f}",
+        )
+    assert len(none.trials) == len(FILES)
+    assert none.rmse_total_deg > 4.0 * rest.rmse_total_deg  # offsets of half a degree a second over two minutes
+    # A third at least: what the matrix and the offset in motion are worth beyond the rest and the half step given back, on
+    # trials that the fit never saw.
+    assert calibrated.rmse_total_deg < 0.67 * rest.rmse_total_deg
+    assert calibrated.end_total_deg < 1.5
+    assert calibrated.agreement is not None
+    assert rest.agreement is not None
+    assert calibrated.agreement.limits.standard_deviation < rest.agreement.limits.standard_deviation
+
+
+def test_people_rise_faster_than_the_notes_bound_and_climb_as_the_cohort_does() -> None:
+    rows = motion_rows(captures())
+    tell(rows)
+    by = {(row.trial, row.measure): row for row in rows}
+    for name in ("STS1", "STSAsym1"):
+        assert by[name, "lean"].task.endswith("5 repetitions")  # as the data's own description counts them
+        # The library holds to the note's 90 deg/s for a Tinetti level of 2; these people, told to rise five times, do not.
+        assert by[name, "peak flexion rate"].real > 90.0 > by[name, "peak flexion rate"].high
+    assert by["squats1", "lean"].task.endswith("5 repetitions")
+    assert all(by["StairUp3", m].inside for m in ("pitch range", "peak pitch rate", "peak roll rate"))
+    assert all(row.said for row in rows if not row.task.startswith("sit_to_stand"))
+
+
+def test_the_notes_device_worn_in_captured_motion_keeps_to_the_optics_with_both_tables() -> None:
+    worn = worn_in(captures())
+    for row in worn.rows:
+        show(
+            f"{row.trial}, {row.length_s:.1f} s, {row.level}: rms, largest pitch error, deg; lean optics, device, deg",
+            f"{row.error_rms_deg:.2f}, {row.error_max_deg:.2f}; {row.lean_optics_deg:.1f}, {row.lean_device_deg:.1f}",
+        )
+    for level, pairwise in worn.agreement:
+        show(
+            f"{pairwise.quantity}, {level}: bias, limits; ICC(2,1), interval",
+            f"{pairwise.limits.bias:.2f}, {pairwise.limits.limits[0]:.2f} to {pairwise.limits.limits[1]:.2f}; "
+            f"{pairwise.icc.value:.5f}, {pairwise.icc.interval[0]:.4f} to {pairwise.icc.interval[1]:.4f}",
+        )
+    full = [row for row in worn.rows if row.level == "full"]
+    none = [row for row in worn.rows if row.level == "none"]
+    assert all(row.saturated == 0.0 for row in worn.rows)
+    # Up to 20 s without any aid: 0.015 deg/s of offset that wanders and of noise make 0.3 deg.
+    assert max(row.error_max_deg for row in full) < 0.35
+    assert all(n.error_max_deg > 10.0 * f.error_max_deg for n, f in zip(none, full, strict=True))
+    agreement = dict(worn.agreement)
+    assert abs(agreement["full"].limits.bias) < 0.1
+    assert agreement["full"].limits.standard_deviation < agreement["static"].limits.standard_deviation
+
+
+@pytest.fixture(scope="module")
+def stances() -> tuple[Stance, ...]:
+    """Seven stances of two people."""
+    return tuple(
+        read_stance(data_path("posturography", f"{name}.txt.gz"), mass_kg=mass, condition=condition)
+        for name, mass, condition in STANCES
+    )
+
+
+def test_stance_on_a_plate_beside_the_simulated_sway(stances: tuple[Stance, ...]) -> None:
+    rows = sway_rows(stances)
+    tell(rows)
+    by = {(row.trial, row.measure): row for row in rows}
+    assert all("eyes closed on foam" in row.said for row in rows)  # none of the enclosed trials is in that condition
+    for name, _, condition in STANCES:
+        speed = by[name, "speed of the centre of pressure"]
+        # Foam shakes even open eyes as much as the model; firm ground does not.
+        assert speed.inside if condition == "open on foam" else speed.real < speed.low
+        assert by[name, "acceleration AP, rms"].inside == (condition == "open on foam")
+        assert by[name, "mean frequency AP"].real > by[name, "mean frequency AP"].low

@@ -1,0 +1,106 @@
+"""Figures of real recordings, on motions whose answer is known, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data import show
+from undrift.errors import InputError
+from undrift.record import Reference
+from undrift.sim.motion.library import draw_task
+from undrift.study.real import agreement_of, real_errors
+from undrift.study.real_motion import REPETITION, BesideRow, Capture, motion_rows, repetitions
+from undrift.study.real_sway import MEASURES, Stance, read_stance, sway_figures
+from undrift.study.real_worn import worn_in
+
+
+def captured(seed: int = 3) -> Capture:
+    """A simulated rising as a camera would give it."""
+    task = draw_task("sit_to_stand", rng=np.random.default_rng(seed))
+    time = np.arange(round(task.duration_s * 100.0)) / 100.0
+    reference = Reference(time=time, q_nb=task.at(time, 9.80665).q_nb, position=task.position(time))
+    return Capture(name="made", task="sit_to_stand", device=reference)
+
+
+def test_repetitions_give_back_a_lean_its_rates_and_its_time() -> None:
+    time = np.arange(0.0, 20.0, 0.01)
+    phase = np.clip((time % 5.0) - 1.0, 0.0, 2.0)  # a lean of 2 s every 5 s
+    pitch = np.radians(15.0) * (1.0 - np.cos(np.pi * phase))
+    height = 0.5 + 0.25 * (1.0 - np.cos(np.pi * np.clip((time % 5.0) - 1.5, 0.0, 1.0)))
+    found = repetitions(time, pitch, np.gradient(pitch, time), height)
+    show("lean, deg; flexion, extension rate, deg/s; duration, s", np.round(found, 2).tolist())
+    assert found.shape == (4, 4)
+    # 30 deg as a raised cosine over 2 s: 15 pi deg/s either way; 5 deg/s are passed 0.034 s from its ends.
+    np.testing.assert_allclose(found[:, 0], 30.0, atol=0.2)
+    np.testing.assert_allclose(found[:, 1:3], 15.0 * np.pi, rtol=0.002)
+    np.testing.assert_allclose(found[:, 3], 2.0 - 2.0 * 0.034, atol=0.021)
+
+
+def test_a_body_that_does_not_rise_is_another_task() -> None:
+    time = np.arange(0.0, 5.0, 0.01)
+    with pytest.raises(InputError, match=r"wanted a body that rises by 0.05 m or more, got 0 m"):
+        repetitions(time, np.zeros(500), np.zeros(500), np.ones(500))
+
+
+def test_a_performance_of_the_cohort_lies_inside_the_cohort() -> None:
+    rows = motion_rows((captured(),), subjects=30)
+    for row in rows:
+        show(f"{row.measure}, {row.unit}", f"{row.real:.1f} in {row.low:.1f} to {row.high:.1f}")
+    assert tuple(row.measure for row in rows) == tuple(name for name, _ in REPETITION)
+    assert sum(row.inside for row in rows) >= 3  # each is inside nineteen times in twenty
+    assert not BesideRow(
+        trial="", task="", measure="", unit="", real=float("nan"), low=0.0, median=1.0, high=2.0
+    ).inside
+
+
+def test_a_device_worn_in_captures_agrees_with_their_optics_once_its_drift_is_off() -> None:
+    worn = worn_in(tuple(captured(seed) for seed in range(3)))
+    errors = {level: [r.error_max_deg for r in worn.rows if r.level == level] for level in ("none", "static", "full")}
+    show("largest error none, static, full, deg", {k: np.round(v, 2).tolist() for k, v in errors.items()})
+    assert max(errors["full"]) < 0.3 < min(errors["static"]) < min(errors["none"])
+    assert [level for level, _ in worn.agreement] == ["none", "static", "full"]
+    assert abs(worn.agreement[2][1].limits.bias) < 0.15
+
+
+def test_fewer_than_three_trials_have_no_agreement() -> None:
+    assert agreement_of("lean, deg", np.ones(2), np.ones(2)) is None
+
+
+def test_sway_of_a_sine_has_its_size_speed_and_frequency() -> None:
+    time = np.arange(0.0, 60.0, 0.01)
+    wave = np.sin(2.0 * np.pi * 0.4 * time)
+    stance = Stance(
+        name="sine",
+        condition="closed on foam",
+        time=time,
+        acceleration=np.stack((0.05 * wave, 0.02 * wave), axis=1),
+        pressure=np.stack((0.01 * wave, 0.0 * wave + 0.3), axis=1),
+    )
+    found = dict(zip((name for name, _ in MEASURES), sway_figures(stance), strict=True))
+    assert found["centre of pressure AP, rms"] == pytest.approx(10.0 / np.sqrt(2.0), rel=1e-3)
+    assert found["centre of pressure AP, range"] == pytest.approx(20.0, rel=1e-3)
+    assert found["speed of the centre of pressure"] == pytest.approx(4.0 * 10.0 * 0.4, rel=0.01)  # 4 A f
+    assert found["mean frequency AP"] == pytest.approx(0.4, abs=0.005)
+    assert found["acceleration ML, rms"] == pytest.approx(20.0 / np.sqrt(2.0), rel=1e-3)
+    short = Stance(
+        name="short",
+        condition="closed on foam",
+        time=time[:1000],
+        acceleration=stance.acceleration[:1000],
+        pressure=stance.pressure[:1000],
+    )
+    assert np.isnan(sway_figures(short)).all()
+
+
+def test_files_and_calls_that_do_not_serve_are_told(tmp_path: Path) -> None:
+    other = tmp_path / "other.txt"
+    other.write_text("Time\tA\tB\n0\t1\t2\n")
+    with pytest.raises(InputError, match=r"wanted columns GRFNET_X, .* got Time, A, B; name them so"):
+        read_stance(other, mass_kg=60.0, condition="open on firm")
+    with pytest.raises(InputError, match="wanted a table of numbers under one line of names"):
+        read_stance(tmp_path / "none.txt", mass_kg=60.0, condition="open on firm")
+    with pytest.raises(InputError, match="wanted the person's mass in kg, got 0"):
+        read_stance(other, mass_kg=0.0, condition="open on firm")
+    with pytest.raises(InputError, match="wanted devices with two trials or more, got none"):
+        real_errors(())

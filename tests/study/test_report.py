@@ -1,0 +1,138 @@
+"""Outcome and page of a study: the note's row judged by what was computed, the other cohort, and every table and picture."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from undrift.report.study import write_study_report
+from undrift.study.beside import compare_with_note
+from undrift.study.case import device_of
+from undrift.study.executor import InProcess
+from undrift.study.note import TABLE_1, note_study
+from undrift.study.optimise import find_optimum
+from undrift.study.outcome import StudyOutcome, judge_study
+from undrift.study.plan import ends_of
+from undrift.study.run import TaskSurface, estimate_s
+from undrift.study.testing import other_study
+
+ROW = TABLE_1["sit_to_stand"]
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory: pytest.TempPathFactory) -> StudyOutcome:
+    study = note_study(quick=True, subjects=12)
+    return judge_study(replace(study, tasks=study.tasks[:2]), InProcess(), tmp_path_factory.mktemp("study"))
+
+
+def surface(error: np.ndarray) -> TaskSurface:
+    """Four protocols: the note's, and three of which one parameter differs."""
+    return TaskSurface(
+        task="sit_to_stand",
+        cutoff_hz=np.array([11.1, 5.0, 11.1, 5.0]),
+        turn_rate_step_dps=np.full(4, 5.0),
+        turn_rate_min_dps=np.full(4, 5.0),
+        turn_rate_max_dps=np.array([90.0, 90.0, 60.0, 60.0]),
+        rig_minutes=np.array([200.0, 200.0, 190.0, 190.0]),
+        error_rms_deg=error,
+        error_max_deg=2.0 * error,
+    )
+
+
+def noisy(means: list[float], sd: float = 0.02) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    return np.array(means) + rng.normal(0.0, sd, (30, 4)) + rng.normal(0.0, 0.1, (30, 1))
+
+
+def test_the_note_agrees_where_nothing_tells_its_protocol_from_the_optimum() -> None:
+    held = surface(noisy([0.3, 0.3, 0.3, 0.3]))
+    found = compare_with_note(held, find_optimum(held), ROW)
+    assert found.verdict == "agrees"
+    assert "the four parameters do not decide the error here" in found.because
+    held = surface(noisy([0.3, 0.5, 0.5, 0.5]))
+    found = compare_with_note(held, find_optimum(held), ROW)
+    assert (found.verdict, found.place) == ("agrees", 0)
+    assert "its protocol is our optimum" in found.because
+
+
+def test_the_note_differs_for_the_parameter_that_makes_the_difference() -> None:
+    held = surface(noisy([0.5, 0.48, 0.3, 0.28]))
+    found = compare_with_note(held, find_optimum(held), ROW)
+    assert found.verdict == "differs"
+    assert found.difference_deg == pytest.approx(0.22, abs=0.02)  # 0.02 / sqrt(30) of each mean, a few sigma
+    assert re.search(r"omega_M 60 in place of 90 deg/s alone takes 0\.\d+ deg off", found.because)
+
+
+def test_a_row_that_was_not_tried_is_not_judged() -> None:
+    held = surface(noisy([0.3, 0.3, 0.3, 0.3]))
+    found = compare_with_note(held, find_optimum(held), TABLE_1["step"])
+    assert (found.verdict, found.place) == ("not tried", None)
+    failed = noisy([0.3, 0.3, 0.3, 0.3])
+    failed[3, 0] = np.nan
+    assert (
+        "left a device uncalibrated" in compare_with_note(surface(failed), find_optimum(surface(failed)), ROW).because
+    )
+
+
+def test_the_other_cohort_shares_nothing_with_the_one_that_chose(outcome: StudyOutcome) -> None:
+    other = other_study(outcome.study)
+    assert other.group == "testing"
+    one, two = device_of(outcome.study, 0), device_of(other, 0)
+    assert (one.gyro.offset.constant != two.gyro.offset.constant).all()
+    assert other_study(other).group == "simulation"
+    for task in outcome.tasks:
+        for tested in task.tested:
+            assert tested.subjects == 12
+            assert tested.failed == 0
+            assert tested.interval_rms_deg[0] < tested.error_rms_deg < tested.interval_rms_deg[1]
+            assert tested.error_rms_deg < tested.error_max_deg
+
+
+def test_an_outcome_says_how_surely(outcome: StudyOutcome) -> None:
+    for task in outcome.tasks:
+        assert task.stopping is not None
+        assert task.stopping_of in {power.name for power in task.powers}
+        assert task.stopping.false_alarm > 0.03
+        assert all(0.0 <= power.power <= 1.0 for power in task.powers)
+        assert len(task.effect_reach_deg) == 4
+    assert outcome.figure3 is not None
+    assert [cohort.group for cohort in outcome.cohorts] == ["simulation", "testing"]
+
+
+def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path: Path) -> None:
+    write_study_report(outcome, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    for wanted in (
+        "Table 1: optimised parameters",
+        "Against the note&#39;s Table 1",
+        "On the other cohort",
+        "Table 2: cohorts",
+        "sit to stand: error surface",
+        "step: what each parameter does",
+        "Optional stopping",
+        "printed 111.4 Hz; lies between 11.1 and 11.5",
+        "p of Mauchly",
+        "Figure 3: sit-to-stand, simulated and actual device",
+    ):
+        assert wanted in text, wanted
+    assert text.count("<svg") == 3 * len(outcome.tasks) + 1
+    assert ">nan<" not in text
+    write_study_report(replace(outcome, figure3=None, figure3_missing="no sit-to-stand"), tmp_path / "b.html")
+    assert "Not made: no sit-to-stand." in (tmp_path / "b.html").read_text()
+
+
+def test_the_ends_of_a_study_are_a_first_look() -> None:
+    whole = note_study()
+    ends = ends_of(whole)
+    for task in ends.tasks:
+        count = sum(len(task.candidates(cutoff)) for cutoff in task.space.cutoff_hz)
+        assert 2 <= count <= 16
+        assert len(task.space.cutoff_hz) == 2
+
+
+def test_what_a_study_costs_is_measured() -> None:
+    study = note_study(quick=True, subjects=3)
+    seconds = estimate_s(replace(study, tasks=study.tasks[:1]))
+    assert 0.01 < seconds < 60.0  # six units of two runs

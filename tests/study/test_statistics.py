@@ -1,0 +1,174 @@
+"""Repeated measures: published examples, a second program, and the rates that the tests promise."""
+
+import numpy as np
+import pytest
+
+from data import show
+from undrift.errors import InputError
+from undrift.study.anova import compare_conditions
+from undrift.study.mixed import compare_unbalanced
+from undrift.study.posthoc import adjust_holm, compare_pairs
+from undrift.study.power import power_of_anova, power_reached, stopping_of, subjects_needed
+from undrift.study.sphericity import contrasts
+
+# A. Field, Discovering statistics: eight people, seconds until they retch at four foods.
+FOODS = np.array(
+    [[8, 9, 6, 5, 8, 7, 10, 12], [7, 5, 2, 3, 4, 5, 2, 6], [1, 2, 3, 1, 5, 6, 7, 8], [6, 5, 8, 9, 8, 7, 2, 1]], float
+).T
+# B. Winer, Statistical principles in experimental design, 4.2-1: reaction times of five people under four drugs.
+DRUGS = np.array([[30, 28, 16, 34], [14, 18, 10, 22], [24, 20, 18, 30], [38, 34, 20, 44], [26, 28, 14, 30]], float)
+THREE = np.array([[2.2, 3.1, 4.3, 4.1, 7.2], [1.1, 2.5, 4.1, 5.2, 6.4], [8.2, 4.5, 3.4, 6.2, 7.2]]).T
+
+
+def test_the_example_of_the_foods_comes_out_as_printed() -> None:
+    found = compare_conditions(FOODS)
+    for name, value, printed in (
+        ("F", found.f, 3.79),
+        ("Mauchly's W", found.sphericity.mauchly_w, 0.136),
+        ("chi squared", found.sphericity.chi_squared, 11.41),
+        ("p of Mauchly", found.sphericity.p_value, 0.047),
+        ("Greenhouse-Geisser", found.sphericity.greenhouse_geisser, 0.533),
+        ("Huynh-Feldt", found.sphericity.huynh_feldt, 0.666),
+        ("p", found.p_uncorrected, 0.026),
+        ("p Greenhouse-Geisser", found.p_greenhouse_geisser, 0.063),
+        ("p Huynh-Feldt", found.p_huynh_feldt, 0.048),
+    ):
+        show(f"foods: {name}", value, printed)
+        assert (
+            abs(value - printed) <= 0.0051 if printed > 1 else abs(value - printed) <= 0.00051
+        )  # as many digits as printed
+
+
+def test_the_example_of_the_drugs_comes_out_as_printed() -> None:
+    found = compare_conditions(DRUGS)
+    show("drugs: F", found.f, 24.76)
+    assert found.f == pytest.approx(24.76, abs=0.005)
+    assert found.sphericity.greenhouse_geisser == pytest.approx(0.6049, abs=5e-5)
+
+
+def test_three_conditions_agree_with_a_second_program() -> None:
+    # printed in the documentation of a statistics package for these numbers: epsilons, W, chi squared, p
+    form = compare_conditions(THREE).sphericity
+    assert form.greenhouse_geisser == pytest.approx(0.5587754577585018, rel=1e-12)
+    assert form.huynh_feldt == pytest.approx(0.6223448311539789, rel=1e-12)
+    assert form.lower_bound == 0.5
+    assert (round(form.mauchly_w, 2), round(form.chi_squared, 3), form.dof) == (0.21, 4.677, 2)
+    assert form.p_value == pytest.approx(0.09649016283209633, rel=1e-10)
+
+
+def test_f_is_the_one_of_statsmodels() -> None:
+    import pandas as pd
+    from statsmodels.stats.anova import AnovaRM
+
+    y = np.random.default_rng(1).normal(size=(9, 5)) + np.arange(5)
+    long = pd.DataFrame({"y": y.ravel(), "s": np.repeat(np.arange(9), 5), "c": list("abcde") * 9})
+    theirs = AnovaRM(long, "y", "s", within=["c"]).fit().anova_table
+    ours = compare_conditions(y)
+    assert ours.f == pytest.approx(float(theirs["F Value"].iloc[0]), rel=1e-10)
+    assert ours.p_uncorrected == pytest.approx(float(theirs["Pr > F"].iloc[0]), rel=1e-9)
+
+
+def test_contrasts_are_orthonormal_and_blind_to_the_mean() -> None:
+    c = contrasts(6)
+    np.testing.assert_allclose(c @ c.T, np.eye(5), atol=1e-15)
+    np.testing.assert_allclose(c @ np.ones(6), 0.0, atol=1e-15)
+
+
+def test_with_two_conditions_it_is_the_paired_t_test() -> None:
+    from scipy.stats import ttest_rel
+
+    y = np.random.default_rng(2).normal(size=(12, 2))
+    found, t = compare_conditions(y), ttest_rel(y[:, 0], y[:, 1])
+    assert found.f == pytest.approx(float(t.statistic) ** 2, rel=1e-12)
+    assert found.p_value == pytest.approx(float(t.pvalue), rel=1e-9)
+    (pair,) = compare_pairs(y)
+    assert pair.p_holm == pytest.approx(float(t.pvalue), rel=1e-9)
+
+
+def test_holm_is_the_one_of_statsmodels() -> None:
+    from statsmodels.stats.multitest import multipletests
+
+    p = np.random.default_rng(3).uniform(0, 0.1, 15)
+    np.testing.assert_allclose(adjust_holm(p), multipletests(p, method="holm")[1], rtol=1e-12)
+
+
+def test_the_level_is_kept_on_null_data_spherical_or_not() -> None:
+    rng = np.random.default_rng(4)
+    mixed = np.linalg.cholesky(0.7 ** np.abs(np.subtract.outer(np.arange(6), np.arange(6))))  # neighbours alike
+    for name, root in (("spherical", np.eye(6)), ("neighbours alike", mixed)):
+        y = rng.normal(size=(2000, 30, 6)) @ root.T + rng.normal(size=(2000, 30, 1))
+        rate = np.mean([compare_conditions(study).p_value < 0.05 for study in y])
+        show(f"type I error, {name} (30 subjects, 6 conditions, 2,000 studies)", float(rate), "0.04 to 0.06")
+        assert 0.04 <= rate <= 0.06
+
+
+def test_power_is_what_was_predicted() -> None:
+    rng, means, sd = np.random.default_rng(5), np.array([0.0, 0.1, 0.25, 0.4]), 1.0
+    for n in (20, 40):
+        expected = power_of_anova(means, sd**2, n)
+        y = rng.normal(0.0, sd, (2000, n, 4)) + means + rng.normal(0.0, 2.0, (2000, n, 1))
+        got = float(np.mean([compare_conditions(study).p_uncorrected < 0.05 for study in y]))
+        show(f"power with {n} subjects, predicted {expected:.3f}", got, "within 0.05")
+        assert abs(got - expected) < 0.05
+
+
+def test_the_number_of_subjects_needed_is_the_least_that_has_the_power() -> None:
+    means = [0.0, 0.2, 0.5]
+    n = subjects_needed(means, 1.0)
+    assert power_of_anova(means, 1.0, n) >= 0.8 > power_of_anova(means, 1.0, n - 1)
+    with pytest.raises(InputError, match="hardly differ"):
+        subjects_needed([0.0, 1e-4], 1.0)
+    with pytest.raises(InputError, match="variance above 0"):
+        power_of_anova(means, 0.0, 10)
+
+
+def test_adding_subjects_until_it_is_significant_raises_the_false_alarms() -> None:
+    rng = np.random.default_rng(6)
+    found = stopping_of(rng.normal(size=(30, 4)), first=10, simulations=400, rng=rng)
+    show("false alarms when looking after each of 10 to 30 subjects", found.false_alarm, "> 0.10")
+    assert found.looks == 21
+    assert found.false_alarm > 0.10
+    assert [m for m, _ in found.p_by_subjects] == list(range(10, 31))
+
+
+def test_power_reached_is_a_function_of_the_outcome() -> None:
+    assert 0.7 < power_reached(compare_conditions(DRUGS)) <= 1.0
+
+
+def test_a_mixed_model_on_balanced_data_gives_the_same_means_and_f() -> None:
+    rng = np.random.default_rng(7)
+    y = rng.normal(size=(20, 3)) + np.array([0.0, 0.3, 1.0]) + rng.normal(0.0, 2.0, (20, 1))
+    found = compare_unbalanced(y.ravel(), np.repeat([f"s{i}" for i in range(20)], 3).tolist(), list("abc") * 20)
+    np.testing.assert_allclose(found.means, y.mean(axis=0), rtol=1e-6)
+    assert found.f == pytest.approx(compare_conditions(y).f, rel=1e-3)  # the fit of the variances stops at 1e-4 or so
+
+
+def test_a_mixed_model_takes_missing_conditions() -> None:
+    rng = np.random.default_rng(8)
+    keep = rng.random(120) > 0.2
+    subject, condition = np.repeat(np.arange(40), 3)[keep], np.tile(np.arange(3), 40)[keep]
+    y = rng.normal(size=keep.sum()) + 2.0 * rng.normal(size=40)[subject] + condition
+    found = compare_unbalanced(y, [str(s) for s in subject], [str(c) for c in condition])
+    apart = dict(zip(found.conditions, found.means, strict=True))
+    assert apart["2"] - apart["0"] == pytest.approx(2.0, abs=1.0)  # three standard uncertainties
+    assert found.p_value < 1e-4
+    with pytest.raises(InputError, match="as many subjects"):
+        compare_unbalanced(y, ["a"], ["b"])
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        (np.ones((2, 3)), "three subjects or more"),
+        (np.array([[1.0, np.nan], [1.0, 2.0], [2.0, 2.0]]), "1 of 3 subjects with gaps"),
+        (np.arange(12.0).reshape(4, 3), "subjects that differ in how they respond"),
+    ],
+)
+def test_data_that_cannot_be_compared_are_refused(table: np.ndarray, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        compare_conditions(table)
+
+
+def test_pairs_need_three_subjects() -> None:
+    with pytest.raises(InputError, match="three subjects or more"):
+        compare_pairs(np.ones((2, 3)))

@@ -1,0 +1,187 @@
+"""A small study from plan to optimum, on every executor, cut off and gone on with."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data import show
+from undrift.errors import InputError, NotObservable
+from undrift.protocol import Protocol
+from undrift.study.executor import InProcess, Pool, choose_executor
+from undrift.study.note import TABLE_1, note_study
+from undrift.study.optimise import find_optimum, pareto_front
+from undrift.study.plan import Space, Study, StudyTask
+from undrift.study.run import TaskSurface, count_runs, run_study
+from undrift.study.session import impose
+from undrift.study.unit import run_unit, units_of
+
+DPS = np.pi / 180.0
+TASK = StudyTask(
+    name="sit_to_stand",
+    space=Space(
+        cutoff_hz=(5.0, 11.1),
+        turn_rate_step=(10.0 * DPS, 20.0 * DPS),
+        turn_rate_min=(10.0 * DPS,),
+        turn_rate_max=(50.0 * DPS, 90.0 * DPS),
+    ),
+    base=Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 36.0, 54.0, 75.0)),
+)
+SMALL = Study(name="small", device="enc03j_3031", tasks=(TASK,), subjects=4)
+
+
+class Stops(InProcess):
+    """An executor that dies after a few units."""
+
+    def run(self, work: Any, units: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        for place, unit in enumerate(units[:3]):
+            yield place, work(unit)
+        raise KeyboardInterrupt
+
+
+def test_the_notes_study_has_400_protocols_a_task_and_the_notes_own_among_them() -> None:
+    study = note_study()
+    assert count_runs(study) >= 3 * 30 * 400
+    for task in study.tasks:
+        protocols = [p for cutoff in task.space.cutoff_hz for p in task.candidates(cutoff)]
+        assert len(protocols) >= 400
+        row = TABLE_1[task.name]
+        wanted = (
+            row.cutoff_hz,
+            *(v * DPS for v in (row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps)),
+        )
+        assert any(
+            np.allclose((p.cutoff_hz, p.turn_rate_step, p.turn_rate_min, p.turn_rate_max), wanted) for p in protocols
+        )
+
+
+def test_a_pool_gives_the_bits_of_one_process_and_the_store_both(tmp_path: Path) -> None:
+    one = run_study(SMALL, InProcess(), tmp_path / "one")
+    two = run_study(SMALL, Pool(2), tmp_path / "two")
+    assert one[0].error_rms_deg.shape == (4, 8)
+    assert (one[0].error_rms_deg == two[0].error_rms_deg).all()
+    assert (one[0].error_max_deg == two[0].error_max_deg).all()
+    assert np.isfinite(one[0].error_rms_deg).all()
+
+
+def test_a_study_that_was_cut_off_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    with pytest.raises(KeyboardInterrupt):
+        run_study(SMALL, Stops(), tmp_path, advance=lambda done, total: told.append((done, total)))
+    assert told[-1] == (3, 8)
+    told.clear()
+    resumed = run_study(SMALL, InProcess(), tmp_path, advance=lambda done, total: told.append((done, total)))
+    assert told[0] == (3, 8)
+    whole = run_study(SMALL, InProcess(), tmp_path / "whole")
+    assert (resumed[0].error_rms_deg == whole[0].error_rms_deg).all()
+
+
+def test_a_folder_of_another_study_is_refused(tmp_path: Path) -> None:
+    run_study(replace(SMALL, subjects=3), InProcess(), tmp_path)
+    with pytest.raises(InputError, match="got another's runs"):
+        run_study(SMALL, InProcess(), tmp_path)
+
+
+def test_another_seed_gives_other_noise_and_the_same_order_of_errors() -> None:
+    unit = units_of(SMALL)[0]
+    other = units_of(replace(SMALL, seed=1))[0]
+    one, two = run_unit(unit), run_unit(other)
+    assert (one.error_rms_deg != two.error_rms_deg).all()
+    assert 0.0 < one.error_rms_deg.max() < 3.0  # deg: with tables a sit-to-stand is good to that
+
+
+def surface(error: np.ndarray, minutes: np.ndarray) -> TaskSurface:
+    count = error.shape[1]
+    return TaskSurface(
+        task="sit_to_stand",
+        cutoff_hz=np.full(count, 11.1),
+        turn_rate_step_dps=np.arange(count) + 1.0,
+        turn_rate_min_dps=np.full(count, 5.0),
+        turn_rate_max_dps=np.full(count, 90.0),
+        rig_minutes=minutes,
+        error_rms_deg=error,
+        error_max_deg=2.0 * error,
+    )
+
+
+def test_a_planted_optimum_is_found_and_its_error_is_stated_without_the_winners_luck() -> None:
+    rng = np.random.default_rng(2)
+    true = np.abs(np.arange(9) - 4.0) * 0.2 + 1.0
+    found = find_optimum(surface(true + rng.normal(0.0, 0.1, (30, 9)) + rng.normal(0.0, 0.5, (30, 1)), np.arange(9.0)))
+    assert found.best == 4
+    assert not found.flat
+    assert found.equivalent.sum() == 1
+    assert found.p_value < 1e-6
+    assert found.honest_interval_deg[0] < 1.0 < found.honest_interval_deg[1]
+
+
+def test_a_flat_minimum_is_called_flat_and_the_cheapest_is_named() -> None:
+    rng = np.random.default_rng(3)
+    found = find_optimum(surface(1.0 + rng.normal(0.0, 0.3, (30, 12)), np.linspace(100.0, 20.0, 12)))
+    assert found.flat
+    assert found.cheapest == 11
+    assert found.p_value > 0.05
+
+
+def test_the_winners_luck_does_not_reach_the_stated_error() -> None:
+    rng, means = np.random.default_rng(4), []
+    for _ in range(100):
+        means.append(find_optimum(surface(1.0 + rng.normal(0.0, 0.5, (20, 30)), np.arange(30.0))).honest_error_deg)
+    show("stated error of the best of thirty equal protocols, true 1 deg", float(np.mean(means)), "0.98 to 1.02")
+    assert np.mean(means) == pytest.approx(1.0, abs=0.03)  # 0.5 / sqrt(20) / sqrt(100) = 0.011 each way, 2.7 sigma
+
+
+def test_the_optimum_keeps_to_the_time_that_is_allowed() -> None:
+    error = np.tile(np.linspace(0.1, 1.0, 5), (6, 1)) + np.random.default_rng(5).normal(0.0, 0.01, (6, 5))
+    assert find_optimum(surface(error, np.linspace(100.0, 60.0, 5)), rig_minutes_max=75.0).best == 3
+    with pytest.raises(NotObservable, match="in the time allowed"):
+        find_optimum(surface(error, np.linspace(100.0, 60.0, 5)), rig_minutes_max=10.0)
+
+
+def test_a_protocol_that_failed_for_one_subject_is_no_optimum() -> None:
+    error = np.tile([0.1, 0.5, 0.6], (5, 1)) + np.random.default_rng(6).normal(0.0, 0.01, (5, 3))
+    error[2, 0] = np.nan
+    found = find_optimum(surface(error, np.arange(3.0)))
+    assert found.best == 1
+    assert found.failed == 1
+
+
+def test_the_pareto_front_holds_what_nothing_beats() -> None:
+    front = pareto_front(np.array([10.0, 20.0, 20.0, 30.0, 40.0]), np.array([3.0, 2.0, 2.5, 2.2, 1.0]))
+    np.testing.assert_array_equal(front, [0, 1, 4])
+
+
+def test_a_session_is_laid_out_as_the_protocol_says() -> None:
+    imposed = impose(TASK.candidates(11.1)[0], rng=np.random.default_rng(7))
+    assert (imposed.kind == 0).sum() == 6  # faces, once
+    assert (imposed.kind == 1).sum() == 4 * 3 * 2  # a rest before and after, for each axis and set-point
+    assert (imposed.kind == 2).sum() == 4 * 3 * 2 * 4  # 20, 30, 40, 50 both ways
+    assert (np.diff(imposed.dwells.start_s) > 0.0).all()
+    with pytest.raises(InputError, match="protocol with rates and dwell_s"):
+        impose(replace(TASK.base, turn_rate_step=0.0), rng=np.random.default_rng(7))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"subjects": 2}, "three subjects or more"),
+        ({"tasks": ()}, "a task or more"),
+        ({"excursion_k": (5.0, 1.0)}, "least and greatest"),
+        ({"tasks": (replace(TASK, space=replace(TASK.space, turn_rate_step=(7.0,))),)}, "steps that divide the span"),
+    ],
+)
+def test_a_study_that_cannot_be_is_refused(change: dict[str, Any], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        replace(SMALL, **change)
+
+
+def test_executors_are_chosen_by_what_is_asked_for() -> None:
+    assert isinstance(choose_executor(workers=1), InProcess)
+    assert choose_executor(workers=3) == Pool(3)
+    with pytest.raises(InputError, match="got both"):
+        choose_executor("tcp://127.0.0.1:1", 2)
+    with pytest.raises(InputError, match="one worker or more, got 0"):
+        choose_executor(workers=0)
