@@ -1,12 +1,11 @@
-"""A calibration session as a study simulates it: the protocol's dwells on the virtual bench, and what the device reads.
+"""A calibration session as a study simulates it: the protocol's programme on the virtual bench, and what the device reads.
 
-Order of a session, at each set-point in turn: faces (at the first only); then for each axis a rest, the rates both ways, a
-rest. What a dwell imposes is known; what the device makes of it is simulated (sim/device/dwells.py). Between dwells the table
-runs up and the filter settles, which takes time in which the offset wanders on.
+The steps are those of ``undrift rig run`` (rig/programme.py): first the faces at room temperature, then, for each axis mounted
+once, all set-points in it: a rest, the rates both ways, a rest. What a dwell imposes is known; what the device makes of it is simulated
+(sim/device/dwells.py). Between dwells the chamber soaks, the table runs up and the filter settles, while the offset wanders on.
 """
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,16 +13,14 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.drift.observations import RateSteps, RestBlocks
 from undrift.errors import InputError
 from undrift.protocol import Protocol
-from undrift.session import FACES, Axis, Face
+from undrift.rig.programme import Dwell, Purpose, programme_of
+from undrift.session import FACES, Face
 from undrift.sim.device.dwells import DwellReadings, Dwells, simulate_dwells
 from undrift.sim.device.model import DeviceModel
 from undrift.units import STANDARD_GRAVITY
 
 WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
-SOAK_S = 1800.0  # ramp and soak between set-points
-MOUNT_S = 60.0  # a person turns the device over
 ROOM_TEMP_C = 25.0
-_UP: dict[Axis, Face] = {"x": "+x", "y": "+y", "z": "+z"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,33 +49,16 @@ class Imposed:
 
 
 FACE, REST, RATE = 0, 1, 2
+KINDS: dict[Purpose, int] = {"face": FACE, "bracket": REST, "rate": RATE}
 
 
-def settling_s(cutoff_hz: float) -> float:
-    """Return how long a second-order low-pass takes to settle to a thousandth, 0.3 s at least.
-
-    Parameters
-    ----------
-    cutoff_hz : float
-        Hz.
-
-    Returns
-    -------
-    float
-        ``ln(1000) / (0.7071 * 2 pi f)``, s.
-    """
-    return max(0.3, math.log(1000.0) / (math.sqrt(0.5) * 2.0 * math.pi * cutoff_hz))
-
-
-def impose(protocol: Protocol, *, rng: np.random.Generator, gravity_m_s2: float = STANDARD_GRAVITY) -> Imposed:
+def impose(protocol: Protocol, *, gravity_m_s2: float = STANDARD_GRAVITY) -> Imposed:
     """Lay out the dwells of a protocol.
 
     Parameters
     ----------
     protocol : Protocol
         What to do.
-    rng : Generator
-        Draws a random order.
     gravity_m_s2 : float
         m/s2.
 
@@ -90,40 +70,35 @@ def impose(protocol: Protocol, *, rng: np.random.Generator, gravity_m_s2: float 
     Raises
     ------
     InputError
-        A protocol without rates, or whose dwells have no stated length.
+        A protocol without rates.
     """
-    if protocol.dwell_s is None or protocol.turn_rate_step <= 0.0:
-        raise InputError("study: wanted a protocol with rates and dwell_s, got none; state both")
-    rows: list[tuple[float, float, FloatArray, Face, float, int, int]] = []
-    clock, settle = WARMED_UP_S, settling_s(protocol.cutoff_hz)
+    if protocol.turn_rate_step <= 0.0:
+        raise InputError("study: wanted a protocol with rates, got none; state turn_rate_step and the two ends")
+    steps = [*programme_of(replace(protocol, faces=())).steps]
+    if protocol.faces:
+        steps = [*programme_of(replace(protocol, turn_rate_step=0.0, temperatures_c=())).steps, *steps]
     temperatures = protocol.temperatures_c or (ROOM_TEMP_C,)
-    for soak, temp in enumerate(temperatures):
-        clock += SOAK_S if protocol.temperatures_c else 0.0
-        for face in protocol.faces if soak == 0 else ():
-            clock += MOUNT_S
-            rows.append((clock, protocol.face_s, np.zeros(3), face, temp, soak, FACE))
-            clock += protocol.face_s
-        for axis in protocol.axes:
-            clock += MOUNT_S
-            for signed in (0.0, *_ordered(protocol, rng), 0.0):
-                clock += abs(signed) / protocol.acceleration * 2.0 + settle
-                length = protocol.dwell_s if signed else protocol.bracket_s
-                if length > 0.0:
-                    rate = np.zeros(3)
-                    rate["xyz".index(axis)] = signed
-                    rows.append((clock, length, rate, _UP[axis], temp, soak, RATE if signed else REST))
-                    clock += length
+    rows: list[tuple[float, Dwell]] = []
+    clock = WARMED_UP_S
+    for step in steps:
+        if isinstance(step, Dwell):
+            rows.append((clock + step.ramp_s + step.settle_s, step))
+        clock += step.duration_s
+    dwells = [dwell for _, dwell in rows]
+    warm = [ROOM_TEMP_C if dwell.temp_c is None else dwell.temp_c for dwell in dwells]
     return Imposed(
         dwells=Dwells(
-            start_s=np.array([row[0] for row in rows]),
-            duration_s=np.array([row[1] for row in rows]),
-            rate_b=np.array([row[2] for row in rows]),
-            force_b=np.array([_force(row[3], gravity_m_s2) for row in rows]),
-            temp_c=np.array([row[4] for row in rows]),
+            start_s=np.array([start for start, _ in rows]),
+            duration_s=np.array([dwell.dwell_s for dwell in dwells]),
+            rate_b=np.array([_rate(dwell) for dwell in dwells]),
+            force_b=np.array([_force(dwell.up, gravity_m_s2) for dwell in dwells]),
+            temp_c=np.array(warm),
         ),
-        soak=np.array([row[5] for row in rows]),
-        kind=np.array([row[6] for row in rows]),
-        faces=tuple(row[3] for row in rows),
+        kind=np.array([KINDS[dwell.purpose] for dwell in dwells]),
+        soak=np.array(
+            [0 if dwell.purpose == "face" else temperatures.index(t) for dwell, t in zip(dwells, warm, strict=True)]
+        ),
+        faces=tuple(dwell.up for dwell in dwells),
         duration_s=clock - WARMED_UP_S,
     )
 
@@ -208,12 +183,11 @@ def read_session(imposed: Imposed, device: DeviceModel, *, rng: np.random.Genera
     return simulate_dwells(device, imposed.dwells, rng=rng, felt=imposed.kind == FACE)
 
 
-def _ordered(protocol: Protocol, rng: np.random.Generator) -> list[float]:
-    rates = protocol.turn_rates()
-    if protocol.order == "random":
-        return [float(rate) for rate in rng.permutation(rates)]
-    positive = rates[rates > 0.0]
-    return [float(signed) for rate in positive for signed in (rate, -rate)]
+def _rate(dwell: Dwell) -> FloatArray:
+    rate = np.zeros(3)
+    if dwell.axis is not None:
+        rate["xyz".index(dwell.axis)] = dwell.turn_rate
+    return rate
 
 
 def _force(face: Face, gravity_m_s2: float) -> FloatArray:

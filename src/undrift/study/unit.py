@@ -116,7 +116,7 @@ def run_unit(unit: Unit) -> UnitRuns:
     rms, worst, minutes = (np.full(len(protocols), np.nan) for _ in range(3))
     for k, protocol in enumerate(protocols):
         rng = seeded(study, "session", unit.task.name, unit.subject, k)
-        imposed = impose(protocol, rng=rng)
+        imposed = impose(protocol)
         minutes[k] = imposed.duration_s / 60.0
         readings = read_session(imposed, case.device, rng=rng)
         try:
