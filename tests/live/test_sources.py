@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 import pytest
-from sender import Sender
 
+from sender import Sender
 from undrift.errors import LinkError, RigTimeout
 from undrift.live.address import open_source, source_at
 from undrift.live.ble import BlePort
