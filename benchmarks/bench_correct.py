@@ -189,7 +189,7 @@ def _tables(record: Record) -> list[Figure]:
 
 
 def _c_tables(library: ctypes.CDLL, record: Record, c: Calibration, w: np.ndarray, a: np.ndarray):
-    from undrift.drift.lookup import line_cells, plane_cells
+    from undrift.drift.lookup.cells import line_cells, plane_cells
 
     offsets = np.hstack((c.drift.static.gyro_offset, c.drift.static.accel_offset))
     _, line = line_cells(TEMPS, offsets)

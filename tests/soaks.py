@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.drift.observations import RateSteps, RestBlocks
+from undrift.drift.observe.observations import RateSteps, RestBlocks
 from undrift.sim.device.chain import SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.nonlinearity import bent

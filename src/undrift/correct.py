@@ -9,13 +9,14 @@ For a reading u (3,) at temperature T, in this order::
     4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
 
-A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, the thermometer's lag taken
-off where the calibration knows it (drift/conditions.py). Tables are held at their ends; a temperature beyond them is an error, is
-held, or becomes a gap, as ``policy`` says; nodes that no data were near are part of the table and give a warning, whatever it says.
+A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, the thermometer's lag
+taken off where the calibration knows it (drift/lookup/conditions.py). Tables are held at their ends; a temperature beyond
+them is an error, is held, or becomes a gap, as ``policy`` says; nodes that no data were near are part of the table and give a
+warning, whatever it says.
 
-``_evaluate_triad`` is where these lines are. Around it: drift/plan.py turns the calibration into what the kernels take,
-drift/coverage.py looks for what it does not cover, drift/buffers.py and drift/pieces.py say where to and on how many threads, and
-stream.py does the same chunk by chunk.
+``_evaluate_triad`` is where these lines are. Around it: drift/lookup/plan.py turns the calibration into what the kernels
+take, drift/lookup/coverage.py looks for what it does not cover, drift/lookup/buffers.py and drift/lookup/pieces.py say where
+to and on how many threads, and stream.py does the same chunk by chunk.
 """
 
 import warnings
@@ -26,9 +27,9 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration
-from undrift.drift.buffers import Buffers, adopt, flat, out_buffers
-from undrift.drift.conditions import UNKNOWN, Carry, Conditions, conditions_of, switched_on
-from undrift.drift.coverage import (
+from undrift.drift.lookup.buffers import Buffers, adopt, flat, out_buffers
+from undrift.drift.lookup.conditions import UNKNOWN, Carry, Conditions, conditions_of, switched_on
+from undrift.drift.lookup.coverage import (
     NOWHERE,
     UNMOVED,
     Reach,
@@ -39,8 +40,8 @@ from undrift.drift.coverage import (
     temperature_reach,
     warnings_on,
 )
-from undrift.drift.pieces import in_pieces
-from undrift.drift.plan import Plans, TriadPlan, plan_record
+from undrift.drift.lookup.pieces import in_pieces
+from undrift.drift.lookup.plan import Plans, TriadPlan, plan_record
 from undrift.record import Record
 
 Policy = Literal["raise", "hold", "nan"]

@@ -15,9 +15,9 @@ import numpy as np
 
 from undrift.calibration.model import Calibration
 from undrift.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
-from undrift.drift.conditions import UNKNOWN, Carry, switched_on
-from undrift.drift.coverage import UNMOVED, Reach, warnings_on
-from undrift.drift.plan import Plans, plan_record
+from undrift.drift.lookup.conditions import UNKNOWN, Carry, switched_on
+from undrift.drift.lookup.coverage import UNMOVED, Reach, warnings_on
+from undrift.drift.lookup.plan import Plans, plan_record
 from undrift.errors import InputError
 from undrift.record import Record
 

@@ -9,7 +9,7 @@ import pytest
 
 from data import data_path, show
 from undrift.drift.fit.static import StaticSettings, fit_static
-from undrift.drift.observe import observe_rests
+from undrift.drift.observe.gather import observe_rests
 from undrift.record import Record
 from undrift.session import Session, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY

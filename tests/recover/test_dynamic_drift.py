@@ -18,7 +18,7 @@ from undrift.drift.fit.choose import choose_tables
 from undrift.drift.fit.dynamic import DynamicFit, fit_dynamic
 from undrift.drift.fit.scale import fit_scale
 from undrift.drift.fit.spline import not_a_knot
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.sim import BenchSettings, DeviceModel, simulate_session, true_calibration
 from undrift.sim.device.chain import SensorChain
 from undrift.sim.device.presets import random_device_of

@@ -9,7 +9,7 @@ from data import show
 from devices import motion_of
 from undrift.drift.fit.curve import CurveSettings
 from undrift.drift.fit.static import StaticSettings, fit_static
-from undrift.drift.observe import observe_rests
+from undrift.drift.observe.gather import observe_rests
 from undrift.record import Record
 from undrift.session import Session, Still
 from undrift.sim.device.presets import random_device_of

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from data import show
-from undrift.drift.lag import default_smooth_s, without_lag, without_lag_smooth
-from undrift.drift.lag_fit import estimate_lag
-from undrift.drift.observe import observe_rests
-from undrift.drift.temperature import trusted_temperature
+from undrift.drift.observe.gather import observe_rests
+from undrift.drift.temperature.lag import default_smooth_s, without_lag, without_lag_smooth
+from undrift.drift.temperature.lag_fit import estimate_lag
+from undrift.drift.temperature.trusted import trusted_temperature
 from undrift.session import Session, Still
 from undrift.sim import simulate_device
 from undrift.sim.device.presets import preset

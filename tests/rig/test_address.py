@@ -6,7 +6,7 @@ from scripted import Card, Scripted
 from undrift.errors import InputError, LimitError, LinkError
 from undrift.rig.address import RigSettings, open_rig, parse_address
 from undrift.rig.clock import Clock
-from undrift.rig.galil import GalilRig
+from undrift.rig.galil.rig import GalilRig
 from undrift.rig.manual import ManualRig
 from undrift.rig.rig import Limits
 

@@ -1,1 +1,1 @@
-"""Tuning tables: how they are read at run time."""
+"""Thermal drift, left to right: temperature -> observe -> fit -> tables in a Calibration (procedure.py) -> lookup in use."""

@@ -25,14 +25,21 @@ from undrift.drift.fit.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.fit.asymmetry import Asymmetry, scale_asymmetry
 from undrift.drift.fit.choose import Alternative, Choice, choose_tables
 from undrift.drift.fit.static import StaticFit, StaticSettings, fit_static
-from undrift.drift.lag import default_smooth_s, without_lag_smooth
-from undrift.drift.lag_fit import LagFit, estimate_lag
-from undrift.drift.observations import RateSteps, RestBlocks
-from undrift.drift.observe import ObserveSettings, observe_rests, observe_steps
+from undrift.drift.observe.gather import ObserveSettings, observe_rests, observe_steps
+from undrift.drift.observe.observations import RateSteps, RestBlocks
+from undrift.drift.observe.ready import (
+    accel_unit_of,
+    check_at_rest,
+    in_units_of,
+    met_in_use,
+    nominal_models,
+    since_power_on,
+)
 from undrift.drift.provenance import drift_provenance
-from undrift.drift.sessions import accel_unit_of, check_at_rest, in_units_of, met_in_use, nominal_models, since_power_on
 from undrift.drift.summary import ScaleSummary, TriadSummary, summarise_accel, summarise_gyro, summarise_scale
-from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
+from undrift.drift.temperature.lag import default_smooth_s, without_lag_smooth
+from undrift.drift.temperature.lag_fit import LagFit, estimate_lag
+from undrift.drift.temperature.trusted import Temperature, TemperatureSettings, check_span, trusted_temperature
 from undrift.drift.verdict import (
     accel_verdict,
     choice_verdict,

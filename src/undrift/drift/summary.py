@@ -20,7 +20,7 @@ from undrift.drift.fit.hysteresis import cooling
 from undrift.drift.fit.offsets import Offsets, accel_offsets, gyro_offsets
 from undrift.drift.fit.scale import ScaleFit
 from undrift.drift.fit.static import StaticFit, StaticSettings, TriadDrift
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.units import is_physical, si_factor
 
 

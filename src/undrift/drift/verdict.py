@@ -11,8 +11,8 @@ from undrift.calibration.model import Calibration, Status, Verdict
 from undrift.drift.fit.accel import AccelDriftFit
 from undrift.drift.fit.choose import Choice
 from undrift.drift.fit.static import StaticFit
-from undrift.drift.lag_fit import LagFit
-from undrift.drift.temperature import Temperature
+from undrift.drift.temperature.lag_fit import LagFit
+from undrift.drift.temperature.trusted import Temperature
 
 _MOST_EXTRAPOLATED = 0.25  # of the nodes
 _LAG_WORTH_A_WORD_S = 1.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration, TriadModel
-from undrift.drift.lookup import even_nodes
+from undrift.drift.lookup.cells import even_nodes
 from undrift.errors import InputError
 from undrift.units import Quantity, si_factor
 

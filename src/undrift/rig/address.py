@@ -16,8 +16,8 @@ from undrift.errors import InputError
 from undrift.rig.rig import Limits, Rig
 
 RIGS = {
-    "galil": "undrift.rig.galil",
-    "grbl": "undrift.rig.grbl",
+    "galil": "undrift.rig.galil.rig",
+    "grbl": "undrift.rig.grbl.rig",
     "manual": "undrift.rig.manual",
 }
 

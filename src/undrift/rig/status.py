@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from undrift.errors import InputError
 from undrift.rig.address import RigSettings, parse_address
-from undrift.rig.galil_port import LinkPort
-from undrift.rig.galil_reports import GalilReports, GalilSettings
+from undrift.rig.galil.port import LinkPort
+from undrift.rig.galil.reports import GalilReports, GalilSettings
 from undrift.rig.link import LinkSettings
 
 

@@ -14,7 +14,7 @@ from undrift.calibration.fit.linear import fit_paper
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, fit_six_face
 from undrift.calibration.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
 from undrift.drift.fit.spline import not_a_knot
-from undrift.drift.observations import RateSteps, RestBlocks
+from undrift.drift.observe.observations import RateSteps, RestBlocks
 from undrift.errors import NotObservable
 from undrift.sim.device.dwells import DwellReadings
 from undrift.study.session import FACE, ROOM_TEMP_C, Imposed, rate_steps, rest_blocks

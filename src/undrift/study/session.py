@@ -1,8 +1,9 @@
 """A calibration session as a study simulates it: the protocol's programme on the virtual bench, and what the device reads.
 
-The steps are those of ``undrift rig run`` (rig/programme.py): first the faces at room temperature, then, for each axis mounted
-once, all set-points in it: a rest, the rates both ways, a rest. What a dwell imposes is known; what the device makes of it is simulated
-(sim/device/dwells.py). Between dwells the chamber soaks, the table runs up and the filter settles, while the offset wanders on.
+The steps are those of ``undrift rig run`` (rig/programme.py): first the faces at room temperature, then, for each axis
+mounted once, all set-points in it: a rest, the rates both ways, a rest. What a dwell imposes is known; what the device makes
+of it is simulated (sim/device/dwells.py). Between dwells the chamber soaks, the table runs up and the filter settles, while
+the offset wanders on.
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.drift.observations import RateSteps, RestBlocks
+from undrift.drift.observe.observations import RateSteps, RestBlocks
 from undrift.errors import InputError
 from undrift.protocol import Protocol
 from undrift.rig.programme import Dwell, Purpose, programme_of

@@ -7,7 +7,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.model import Calibration
-from undrift.drift.plan import plan_triad
+from undrift.drift.lookup.plan import plan_triad
 from undrift.errors import InputError
 from undrift.orientation.angles import sagittal_pitch
 from undrift.sim.device.model import DeviceModel

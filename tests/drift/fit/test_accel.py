@@ -9,7 +9,7 @@ from soaks import GRAVITY, reading
 from undrift.calibration.model import DriftTables, ScaleDrift, StaticDrift
 from undrift.drift.fit.accel import fit_accel_drift, with_accel
 from undrift.drift.fit.warm_poses import fit_joint, warm_poses
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.sim import true_calibration
 from undrift.sim.device.presets import random_device_of

@@ -8,7 +8,7 @@ import pytest
 from soaks import GRAVITY, GRID, SOAKS, computed, reading
 from undrift.drift.fit.dynamic import DynamicSettings, fit_dynamic
 from undrift.drift.fit.steps import measured_rate, rests_of, steps_of
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import InputError, NotObservable
 from undrift.sim import true_calibration
 from undrift.sim.device.presets import random_device_of

@@ -11,7 +11,7 @@ from undrift.drift.fit.cells import gather, walk, wander
 from undrift.drift.fit.hysteresis import both_ways, cooling
 from undrift.drift.fit.static import StaticSettings, fit_static, near_data
 from undrift.drift.fit.warm_up import warm_up_table, warm_up_time
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.earth import EARTH_RATE
 from undrift.errors import InputError, NotObservable
 

@@ -2,9 +2,9 @@
 
 import math
 
-from undrift.sim.rig.card import CardSettings
 from undrift.sim.rig.clock import HandClock
-from undrift.sim.rig.galil_session import GalilMachine
+from undrift.sim.rig.galil.card import CardSettings
+from undrift.sim.rig.galil.session import GalilMachine
 from undrift.sim.rig.servo import ServoSettings
 
 

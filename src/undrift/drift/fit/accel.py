@@ -21,7 +21,7 @@ from undrift.drift.fit.scale import NodeSettings
 from undrift.drift.fit.spline import fit_smooth
 from undrift.drift.fit.static import near_data
 from undrift.drift.fit.warm_poses import JOINT_NAMES, WarmPoses, fit_joint, warm_poses
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.units import si_factor
 

@@ -13,7 +13,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.fit.excess import excess_variance
 from undrift.calibration.model import AXES, Calibration, StaticDrift, Verdict
 from undrift.drift.fit.steps import Steps, offset_at, steps_of
-from undrift.drift.observations import RateSteps
+from undrift.drift.observe.observations import RateSteps
 
 _OWN = 0.9  # share of the turning rate from which a row speaks of one axis alone
 

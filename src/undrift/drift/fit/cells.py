@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 
 _TIME_CONSTANTS_S = 10.0 ** np.arange(1.0, 4.1, 0.5)
 _FAR = 6.0  # robust standard deviations: a block further from its cell is left out

@@ -20,7 +20,7 @@ from undrift.calibration.model import Calibration, DynamicDrift, ScaleDrift, Sta
 from undrift.drift.fit.dynamic import DEFAULT_STEP_C, DynamicFit, DynamicSettings, fit_dynamic, softness_of
 from undrift.drift.fit.scale import ScaleFit, fit_scale
 from undrift.drift.fit.steps import Steps, measured_rate, steps_of
-from undrift.drift.observations import RateSteps, RestBlocks
+from undrift.drift.observe.observations import RateSteps, RestBlocks
 from undrift.errors import CalibrationError, NotObservable
 from undrift.units import RADIAN_PER_DEGREE
 

@@ -17,7 +17,7 @@ from undrift.drift.fit.scale import NodeSettings
 from undrift.drift.fit.static import near_data
 from undrift.drift.fit.steps import Steps, measured_rate, rests_of, steps_of
 from undrift.drift.fit.tensor import Surface, SurfacePoints, fit_surface
-from undrift.drift.observations import RateSteps, RestBlocks
+from undrift.drift.observe.observations import RateSteps, RestBlocks
 from undrift.errors import InputError, NotObservable
 
 DEFAULT_STEP_C = 5.0

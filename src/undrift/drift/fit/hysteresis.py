@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 
 _SIGNIFICANT = 3.0  # standard uncertainties, on one axis or more
 

@@ -16,7 +16,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration
 from undrift.calibration.plausibility import check_gravity
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.earth import EARTH_RATE
 from undrift.errors import Implausible, InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor

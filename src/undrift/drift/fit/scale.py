@@ -23,7 +23,7 @@ from undrift.calibration.model import AXES, Calibration, ScaleDrift, StaticDrift
 from undrift.drift.fit.spline import fit_smooth
 from undrift.drift.fit.static import near_data
 from undrift.drift.fit.steps import Steps, gyro_model, offset_at, steps_of
-from undrift.drift.observations import RateSteps
+from undrift.drift.observe.observations import RateSteps
 from undrift.errors import NotObservable
 from undrift.units import si_factor
 

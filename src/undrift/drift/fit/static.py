@@ -20,7 +20,7 @@ from undrift.calibration.model import AXES, Calibration, StaticDrift, TriadModel
 from undrift.drift.fit.curve import CurveSettings, OffsetCurve, fit_curve
 from undrift.drift.fit.offsets import Offsets, accel_offsets, gyro_offsets
 from undrift.drift.fit.spline import NodeValues
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import NotObservable
 
 _SLOPE_POINTS = 60

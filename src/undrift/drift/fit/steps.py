@@ -10,7 +10,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.model import Calibration, ScaleDrift, StaticDrift, TriadModel, Verdict
-from undrift.drift.observations import RateSteps, RestBlocks
+from undrift.drift.observe.observations import RateSteps, RestBlocks
 from undrift.errors import InputError
 from undrift.units import si_factor
 

@@ -16,7 +16,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.fit.excess import excess_variance
 from undrift.calibration.fit.norm import WEAKEST
 from undrift.calibration.model import AXES, TriadModel, Verdict
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.units import si_factor
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.model import WarmUp
-from undrift.drift.observations import RestBlocks
+from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import NotObservable
 
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain

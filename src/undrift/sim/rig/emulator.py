@@ -8,12 +8,12 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.sim.rig.card import CardSettings
 from undrift.sim.rig.clock import Clock, HostClock
 from undrift.sim.rig.faults import LINK_FAULTS, FaultyLink, check_fault
-from undrift.sim.rig.galil_session import GalilMachine
-from undrift.sim.rig.grbl import GrblMachine
-from undrift.sim.rig.grbl_board import GrblSettings
+from undrift.sim.rig.galil.card import CardSettings
+from undrift.sim.rig.galil.session import GalilMachine
+from undrift.sim.rig.grbl.board import GrblSettings
+from undrift.sim.rig.grbl.language import GrblMachine
 from undrift.sim.rig.server import Server
 from undrift.sim.rig.servo import ServoSettings
 

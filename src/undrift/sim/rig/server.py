@@ -3,6 +3,7 @@
 The thread also brings the machine up to now every few milliseconds, so that it goes on while no client says anything.
 """
 
+import contextlib
 import os
 import selectors
 import socket
@@ -110,7 +111,8 @@ class Server:
         """End the thread and close every socket; harmless when called again."""
         if not self._closing:
             self._closing = True
-            self._wake.send(b"x")
+            with contextlib.suppress(OSError):  # the thread may have seen it by itself, and closed all
+                self._wake.send(b"x")
             self._thread.join()
 
     def set_dark(self, dark: bool) -> None:

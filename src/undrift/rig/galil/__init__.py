@@ -1,0 +1,1 @@
+"""Galil motion controllers, by their two-letter ASCII language."""

@@ -1,0 +1,1 @@
+"""GRBL boards: a stepper axis by jogs and status reports."""

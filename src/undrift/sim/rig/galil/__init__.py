@@ -1,0 +1,1 @@
+"""An emulated Galil card: its language, numbers, programs and what it tells."""

@@ -1,0 +1,1 @@
+"""An emulated GRBL board: its language, planner and reports."""
