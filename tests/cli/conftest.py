@@ -1,14 +1,18 @@
-"""One simulated bench, made once by ``undrift demo``, and the command line to call."""
+"""One simulated bench, made once, and the command line to call."""
 
-import contextlib
-import io
-import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cli_bench import Answer, Undrift
-from undrift.cli.app import run
+from cli_bench import Undrift
+from undrift.calibration.procedure import calibrate
+from undrift.calibration.store import write_calibration
+from undrift.correct import correct_checked
+from undrift.io.recording import write_record
+from undrift.io.reference import write_reference
+from undrift.io.session import read_session, write_session
+from undrift.sim import demo_session
 
 
 @pytest.fixture
@@ -17,19 +21,15 @@ def undrift(capsys) -> Undrift:
 
 
 @pytest.fixture(scope="session")
-def demo_answer(tmp_path_factory) -> tuple[Path, Answer]:
-    """What ``undrift demo --quick --json`` wrote and said."""
-    folder = tmp_path_factory.mktemp("bench") / "demo"
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = run(["demo", "--quick", "--json", "--out", str(folder)])
-    return folder, Answer(code, out.getvalue(), err.getvalue())
-
-
-@pytest.fixture(scope="session")
-def bench(demo_answer) -> Path:
+def bench(tmp_path_factory) -> Path:
     """session/, trial.parquet (counts), reference.parquet, calibration.json, corrected.parquet: read only."""
-    folder, answer = demo_answer
-    assert answer.code == 0
-    assert json.loads(answer.out)["checks"]
+    folder = tmp_path_factory.mktemp("bench")
+    made = demo_session(np.random.default_rng(2007), quick=True)
+    write_session(made.session, folder / "session")
+    write_record(made.trial.record, folder / "trial.parquet")
+    write_reference(made.trial.reference, folder / "reference.parquet")
+    calibration = calibrate(read_session(folder / "session"))
+    write_calibration(calibration, folder / "calibration.json")
+    write_record(correct_checked(made.trial.record, calibration).record, folder / "corrected.parquet")
+    (folder / "summary.json").write_text("{}")
     return folder

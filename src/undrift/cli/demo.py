@@ -1,46 +1,42 @@
-"""``undrift demo``: the whole flow on a small simulated session, from raw counts to degrees.
+"""``undrift demo``: the note's method on an emulated bench over real sockets, a reduced study, a page and a summary.
 
-The device is simulated, the rest is not: the session is written to disk and read back, and nothing that fits or corrects
-knows the truth. The truth serves the checks at the end alone.
+Table, chamber and device are emulated, the rest is not: what they say goes over TCP into run folders and is read back, and
+nothing that fits or corrects knows the truth. The truth serves the checks at the end alone.
 """
 
 import json as text_json
+import sys
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from undrift.cli.opening import Flag
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from undrift.calibration.model import Calibration
-    from undrift.sim import Demo
+    from undrift.sim.device.model import DeviceModel
+    from undrift.study.bench_checks import Check
+    from undrift.study.bench_demo import BenchFit, WornTrial
+    from undrift.study.outcome import StudyOutcome
+    from undrift.study.plan import Study
     from undrift.validation import Trial
 
 SEED = 2007
-
-
-class Check(NamedTuple):
-    """A figure, the limit it is held to, and whether it keeps it."""
-
-    name: str
-    value: float
-    limit: float
-
-    @property
-    def passed(self) -> bool:
-        """True where the value does not exceed the limit."""
-        return bool(self.value <= self.limit)
+RUNS = ("bench", "thermal", "study")  # folders of an earlier demo
+STUDY_HOST_S = {False: 18.0, True: 3.0}  # forecasts, host s
+REST_HOST_S = {False: 6.0, True: 3.0}
+SHOWN_EVERY_S = 2.0  # where stderr is not a terminal
 
 
 def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -> int:
-    """Calibrate a simulated device, correct a sit-to-stand, and compare it with the optics.
+    """Calibrate a device on an emulated bench, correct a worn sit-to-stand, find a protocol by a small study.
 
     Parameters
     ----------
     out : Path
-        Folder for the session, the corrected trial, report.html and summary.json.
+        Folder for the runs, calibration.json, the corrected trial, the study, report.html and summary.json.
     quick : bool
-        Fewer rates on the table: seconds instead of more seconds.
+        Fewer rates, set-points and subjects: 20 seconds in place of 90.
     json : bool
         summary.json on stdout too.
 
@@ -49,110 +45,158 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     int
         0, or 1 when a check fails.
     """
-    import numpy as np
-
-    from undrift.calibration.procedure import calibrate
-    from undrift.calibration.store import calibration_json, read_calibration, write_calibration
-    from undrift.cli.output import console, plain, waiting, write_json
-    from undrift.correct import correct_checked
+    from undrift.calibration.store import calibration_json
+    from undrift.cli.output import plain, write_json
+    from undrift.cli.study import study_summary
     from undrift.files import write_whole
-    from undrift.io.recording import read_record, write_record
-    from undrift.io.reference import read_reference, write_reference
-    from undrift.io.session import read_session, write_session
-    from undrift.sim import demo_session
-    from undrift.validation import TrialSettings, validate_trial
+    from undrift.report.demo import write_demo_report
+    from undrift.study.bench_checks import bench_checks
+    from undrift.study.bench_demo import judge_levels
+    from undrift.study.bench_run import bench_device, bench_plan, record_on_bench
 
     _check_fresh(out)
-    with waiting("simulating, calibrating, validating"):
-        made = demo_session(np.random.default_rng(SEED), quick=quick)
-        write_session(made.session, out / "session")
-        write_record(made.trial.record, out / "trial.parquet")
-        write_reference(made.trial.reference, out / "reference.parquet")
-        write_calibration(calibrate(read_session(out / "session")), out / "calibration.json")
-        calibration = read_calibration(out / "calibration.json")
-        record, reference = read_record(out / "trial.parquet"), read_reference(out / "reference.parquet")
-        write_record(correct_checked(record, calibration).record, out / "corrected.parquet")
-        before = validate_trial(
-            record,
-            reference,
-            calibration=made.nominal,
-            settings=TrialSettings(offset="rest"),
-            name="nominal, rest offset",
-        )
-        after = validate_trial(record, reference, calibration=calibration, name="calibrated")
-    checks = _checks(made, calibration, before, after)
+    device, plan = bench_device(), bench_plan(quick=quick)
+    after_s = STUDY_HOST_S[quick] + REST_HOST_S[quick]
+    shown = _Shown()
+    try:
+        run = record_on_bench(plan, device, out, told=lambda what, left_s: shown(what, left_s + after_s))
+        shown("fitting calibration and tables, judging a worn trial", after_s)
+        fit = _fitted(out)
+        trials = judge_levels(fit, _worn(device, out))
+        _correct(out)
+        study = _studied(quick, out, shown)
+        checks = bench_checks(fit, trials, device)
+        shown("report", 0.5 * REST_HOST_S[quick])
+        write_demo_report(out / "report.html", (run, fit, trials), checks, study)
+    finally:
+        shown.end()
     summary = {
-        "calibration": calibration_json(calibration),
-        "study": None,
+        "calibration": calibration_json(fit.drift.calibration),
+        "study": study_summary(study),
         "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
     }
     write_whole(out / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
-    _report(out / "report.html", calibration, (before, after), checks)
     if json:
         write_json(summary)
     else:
-        shown = console()
-        for check in checks:
-            shown.print(
-                f"{'pass' if check.passed else 'FAIL'}  {check.name}: {check.value:.3g} (at most {check.limit:.3g})"
-            )
-        for key, name in (("rmse_pitch_deg", "rms"), ("max_abs_pitch_deg", "largest")):
-            shown.print(
-                f"      pitch error, {name}: {getattr(before.figures, key):.2f} deg with the data sheet's scale and the rest "
-                f"offset, {getattr(after.figures, key):.2f} deg calibrated",
-                markup=False,
-            )
-        shown.print(f"Wrote {out}: look at {out / 'report.html'}", markup=False)
+        _tell(out, trials, checks)
     return 0 if all(check.passed for check in checks) else 1
 
 
 def _check_fresh(out: Path) -> None:
-    """Refuse a folder that holds somebody's own files."""
+    """Refuse a folder that holds somebody's own files; take away the runs of an earlier demo."""
+    import shutil
+
     from undrift.cli.writing import checked_folder
 
     checked_folder(out)
-    if out.is_dir() and any(out.iterdir()) and not (out / "summary.json").is_file():
+    if out.is_dir() and any(out.iterdir()) and not _is_demo(out):
         raise InputError(
             f"{out}: wanted a new folder, or that of an earlier demo, got one with other files; name another"
         )
+    out.mkdir(exist_ok=True)
+    for name in RUNS:
+        if (out / name).is_dir():
+            shutil.rmtree(out / name)
 
 
-def _checks(made: "Demo", calibration: "Calibration", before: "Trial", after: "Trial") -> list[Check]:
-    """Return the figures of the demo.
-
-    Limits: of the 18 elements of a fitted matrix and its g-sensitivity, none departs from the truth by more than 4 standard
-    uncertainties (chance: 1 in 1,000); the calibrated trial errs at most by a quarter of the data sheet's.
-    """
-    from undrift.sim import largest_departure, true_calibration
-
-    truth = true_calibration(made.device, temp_c=calibration.reference_temp_c)
-    checks = [
-        Check(
-            f"{name}: largest departure from the truth (standard uncertainties)", largest_departure(fitted, true), 4.0
-        )
-        for name, fitted, true in (
-            ("accelerometers", calibration.accel, truth.accel),
-            ("gyroscopes", calibration.gyro, truth.gyro),
-        )
-        if fitted is not None and true is not None
-    ]
-    for name, key in (("largest", "max_abs_pitch_deg"), ("rms", "rmse_pitch_deg")):
-        value, limit = getattr(after.figures, key), 0.25 * getattr(before.figures, key)
-        checks.append(Check(f"sit-to-stand pitch against the optics, {name} error (deg)", value, limit))
-    return checks
+def _is_demo(out: Path) -> bool:
+    """Return whether a demo wrote here, or began to."""
+    try:
+        told = text_json.loads((out / "summary.json").read_text())
+        return isinstance(told, dict) and "checks" in told
+    except (OSError, ValueError):
+        return {path.name for path in out.iterdir()} <= {*RUNS} and (out / "bench" / "journal.jsonl").is_file()
 
 
-def _report(path: Path, calibration: "Calibration", trials: tuple["Trial", ...], checks: list[Check]) -> None:
-    from undrift.report.calibration import calibration_sections
-    from undrift.report.page import Section, write_page
-    from undrift.report.validation import trial_section, trials_section
+def _fitted(out: Path) -> "BenchFit":
+    from undrift.calibration.store import write_calibration
+    from undrift.io.session import read_session
+    from undrift.study.bench_demo import fit_bench
 
-    rows = tuple((c.name, f"{c.value:.3g}", f"{c.limit:.3g}", "yes" if c.passed else "NO") for c in checks)
-    held = Section(title="Checks", columns=("figure", "value", "at most", "kept"), rows=rows)
-    write_page(
-        path,
-        title="undrift demo: a simulated device, from raw counts to degrees",
-        lead="Six faces and a rate table calibrate the device; a sit-to-stand is corrected and held against the optics.",
-        verdict=calibration.verdict,
-        sections=(held, *calibration_sections(calibration), trials_section(trials), *map(trial_section, trials)),
+    fit = fit_bench(read_session(out / "bench"), read_session(out / "thermal"))
+    write_calibration(fit.drift.calibration, out / "calibration.json")
+    return fit
+
+
+def _worn(device: "DeviceModel", out: Path) -> "WornTrial":
+    """Simulate the trial; what is judged is read from the disk."""
+    from undrift.io.recording import read_record, write_record
+    from undrift.io.reference import read_reference, write_reference
+    from undrift.study.bench_demo import WornTrial, worn_trial
+
+    made = worn_trial(device, seed=SEED)
+    write_record(made.record, out / "trial.parquet")
+    write_reference(made.reference, out / "reference.parquet")
+    return WornTrial(record=read_record(out / "trial.parquet"), reference=read_reference(out / "reference.parquet"))
+
+
+def _correct(out: Path) -> None:
+    from undrift.calibration.store import read_calibration
+    from undrift.correct import correct_checked
+    from undrift.io.recording import read_record, write_record
+
+    calibration = read_calibration(out / "calibration.json")
+    write_record(correct_checked(read_record(out / "trial.parquet"), calibration).record, out / "corrected.parquet")
+
+
+def _study(quick: bool) -> "Study":
+    """Return the note's study, reduced: a sit-to-stand brings Figure 3 with it, which the quick demo leaves out."""
+    from dataclasses import replace
+
+    from undrift.study.note import note_study
+
+    whole = note_study(subjects=4 if quick else 8, seed=SEED, quick=True)
+    return replace(whole, tasks=whole.tasks[1:2]) if quick else whole
+
+
+def _studied(quick: bool, out: Path, shown: "_Shown") -> "StudyOutcome":
+    from undrift.study.executor import InProcess, choose_executor
+    from undrift.study.outcome import judge_study
+
+    def advance(done: int, total: int) -> None:
+        left_s = (1.0 - 0.5 * done / total) * STUDY_HOST_S[quick] + 0.5 * REST_HOST_S[quick]
+        shown(f"study: {done} of {total} units of work", left_s)
+
+    return judge_study(
+        _study(quick), InProcess() if quick else choose_executor(None, None), out / "study", advance=advance
     )
+
+
+def _tell(out: Path, trials: tuple["Trial", ...], checks: tuple["Check", ...]) -> None:
+    from undrift.cli.output import console
+
+    shown = console()
+    for check in checks:
+        shown.print(
+            f"{'pass' if check.passed else 'FAIL'}  {check.name}: {check.value:.2g} (at most {check.limit:.2g})"
+        )
+    for trial in trials:
+        shown.print(
+            f"      pitch of the worn sit-to-stand, {trial.recording}: {trial.figures.max_abs_pitch_deg:.2f} deg at most, "
+            f"{trial.figures.rmse_pitch_deg:.2f} deg rms",
+            markup=False,
+        )
+    shown.print(f"Wrote {out}: look at {out / 'report.html'}", markup=False)
+
+
+class _Shown:
+    """Says on stderr what is being done and how long it will take: one line written over on a terminal, else now and then one."""
+
+    def __init__(self) -> None:
+        self._live = sys.stderr.isatty()
+        self._next_s = 0.0
+
+    def __call__(self, what: str, left_s: float) -> None:
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + (0.1 if self._live else SHOWN_EVERY_S)
+        line = f"{left_s:3.0f} s left  {what}"
+        sys.stderr.write(f"\r\x1b[K{line[:150]}" if self._live else f"{line}\n")
+        sys.stderr.flush()
+
+    def end(self) -> None:
+        """Clear the line."""
+        if self._live:
+            sys.stderr.write("\r\x1b[K")
