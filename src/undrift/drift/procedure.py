@@ -22,6 +22,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration, DriftTables, Verdict
 from undrift.calibration.observed import in_one_unit
 from undrift.drift.fit.accel import AccelDriftFit, fit_accel_drift, with_accel
+from undrift.drift.fit.agree import check_sessions, check_turns, offsets_verdict
 from undrift.drift.fit.asymmetry import Asymmetry, scale_asymmetry
 from undrift.drift.fit.choose import Alternative, Choice, choose_tables
 from undrift.drift.fit.static import StaticFit, StaticSettings, fit_static
@@ -167,6 +168,8 @@ def fit_drift(
     NotObservable
         A temperature that is constant or spans too little; no rests; counts without a calibration; a table that was asked for
         and that the sessions do not tell.
+    Implausible
+        Turns about other axes than the calibration's or the other way round; sessions further apart than one device's.
     """
     say = told or _silent
     _check(sessions, calibration, settings)
@@ -185,13 +188,15 @@ def fit_drift(
     seen = [rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, lag_s, smooth_s)]
     nodes = table_nodes(np.concatenate(seen), settings)
     static = fit_static(rests, nodes=nodes, calibration=device, settings=settings.static)
+    check_sessions(static, device)
+    agrees = check_turns(steps, device, static).also(offsets_verdict(static, device))
     say("judging scale and dynamic tables on soaks left out", 0.5)
     choice, not_chosen = _chosen(steps, device, static, rests, settings)
     say("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
     told_of_tables = choice_verdict(choice, not_chosen), static_verdict(static, accel, len(np.unique(rests.pose)))
     told_of_rest = accel_verdict(accel), lag_verdict(lag, lag_s)
-    verdict = reduce(Verdict.also, (temperature_verdict(together), *told_of_tables, *told_of_rest))
+    verdict = reduce(Verdict.also, (agrees, temperature_verdict(together), *told_of_tables, *told_of_rest))
     return DriftFit(
         calibration=replace(
             device,
