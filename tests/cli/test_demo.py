@@ -1,61 +1,119 @@
-"""undrift demo: what it writes, says and holds itself to."""
+"""undrift demo: emulate, run, calibrate, drift, correct and study over sockets, in a process of its own."""
 
 import json
+import subprocess
+import sys
+import threading
+
+import pytest
 
 from cli_bench import contents
 from undrift.calibration.store import read_calibration
+from undrift.io.protocol import read_protocol
 from undrift.io.session import read_session
+from undrift.study.bench_checks import Check
+from undrift.study.bench_run import bench_device, bench_plan, record_on_bench
+
+CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
+FILES = {"trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html", "summary.json"}
 
 
-def test_demo_says_its_summary_as_one_object_and_writes_the_same(demo_answer):
-    folder, answer = demo_answer
-    assert (answer.code, answer.err) == (0, "")
-    told = answer.json()
-    assert told == json.loads((folder / "summary.json").read_text())
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """Folder and answer of `undrift demo --quick --json`."""
+    out = tmp_path_factory.mktemp("demo") / "d"
+    return out, subprocess.run(
+        [sys.executable, "-c", CODE.format(str(out))], check=False, capture_output=True, text=True, timeout=180
+    )
+
+
+def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_error_away(quick, capsys):
+    out, answer = quick
+    assert answer.returncode == 0, answer.stdout[-2000:] + answer.stderr[-2000:]
+    told = json.loads(answer.stdout)
+    assert told == json.loads((out / "summary.json").read_text())
     assert set(told) == {"calibration", "study", "checks"}
-    assert told["calibration"]["kind"] == "undrift.calibration"
-    assert told["study"] is None
+    assert told["study"]["tasks"][0]["task"] == "step"
     assert all(set(check) == {"name", "value", "limit", "pass"} for check in told["checks"])
-    assert len(told["checks"]) == 4
-    assert all(check["pass"] is True and check["value"] <= check["limit"] for check in told["checks"])
+    with capsys.disabled():
+        for check in told["checks"]:
+            print(f"\n{check['name']}: {check['value']:.2g} (at most {check['limit']:.2g})", end="")
+        print()
+    assert all(check["pass"] and check["value"] <= check["limit"] for check in told["checks"])
+    named = " ".join(check["name"] for check in told["checks"])
+    for word in ("accelerometers: matrix", "gyroscopes: matrix", "gyroscopes: offset over temperature", "pitch"):
+        assert word in named
 
 
-def test_what_demo_writes_reads_back_and_leaves_no_scraps(bench):
-    assert read_calibration(bench / "calibration.json").verdict.status == "good"
-    assert read_session(bench / "session").turns
-    assert {path.name for path in bench.iterdir()} == {
-        "session", "trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html", "summary.json",
-    }  # fmt: skip
-    page = (bench / "report.html").read_text()
-    assert page.count("<svg") == 2
-    assert "Verdict: good" in page
+def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
+    lines = quick[1].stderr.splitlines()
+    assert all(" s left  " in line for line in lines)
+    assert any("thermal" in line for line in lines)
+    left_s = [float(line.split(" s left")[0]) for line in lines]
+    assert left_s[0] == max(left_s)
 
 
-def test_demo_again_in_its_own_folder_gives_the_same_numbers(undrift, tmp_path):
-    first = undrift.good("demo", "--quick", "--out", tmp_path / "d")
-    trial = (tmp_path / "d" / "trial.parquet").read_bytes()
-    second = undrift.good("demo", "--quick", "--out", tmp_path / "d")
-    assert first.out == second.out
-    assert trial == (tmp_path / "d" / "trial.parquet").read_bytes()
-    lines = first.out.splitlines()
-    assert sum(line.startswith("pass ") for line in lines) == 4
-    assert "calibrated" in lines[4]
-    assert lines[-1].endswith("report.html")
+def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
+    out = quick[0]
+    assert {path.name for path in out.iterdir()} == FILES | {"bench", "thermal", "study"}
+    calibration = read_calibration(out / "calibration.json")
+    assert calibration.drift is not None
+    assert calibration.drift.static is not None
+    assert calibration.drift.scale is not None or calibration.drift.dynamic is not None
+    bench, thermal = read_session(out / "bench"), read_session(out / "thermal")
+    assert (len(bench.stills), len(bench.turns)) == (12, 12)
+    assert {still.temp_c for still in thermal.stills} == set(
+        read_protocol(out / "thermal" / "protocol.toml").temperatures_c
+    )
+    page = (out / "report.html").read_text()
+    assert page.count("<svg") >= 7
+    for title in ("Held against the hidden truth", "The virtual bench", "Rates that the encoder showed", "Table 1"):
+        assert f"<h2>{title}" in page
+    assert ">nan<" not in page
 
 
-def test_demo_keeps_off_a_folder_with_other_files(undrift, tmp_path):
+def test_demo_keeps_off_a_folder_with_other_files_and_takes_an_earlier_one(quick, undrift, tmp_path):
+    from undrift.cli.demo import _is_demo
+
     (tmp_path / "walk.csv").write_text("mine")
     before = contents(tmp_path)
     assert "wanted a new folder, or that of an earlier demo" in undrift.refused("demo", "--out", tmp_path)
     assert "got a file of that name" in undrift.refused("demo", "--out", tmp_path / "walk.csv")
     assert "make it first" in undrift.refused("demo", "--out", tmp_path / "a" / "b")
     assert contents(tmp_path) == before
+    assert _is_demo(quick[0])
+    begun = tmp_path / "begun" / "bench"
+    begun.mkdir(parents=True)
+    assert not _is_demo(begun.parent)
+    (begun / "journal.jsonl").write_text("")
+    assert _is_demo(begun.parent)
+
+
+def test_a_bench_that_is_interrupted_leaves_no_thread_and_no_socket(tmp_path):
+    before = set(threading.enumerate())
+
+    def interrupt(what: str, left_s: float) -> None:
+        if "dwelling" in what:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, told=interrupt)
+    assert set(threading.enumerate()) <= before
+    assert read_session(tmp_path / "bench").stills  # what was done is on the disk
 
 
 def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     from undrift.cli import demo
 
-    monkeypatch.setattr(demo, "_checks", lambda *_: [demo.Check("never", 2.0, 1.0)])
+    worst = (Check(name="never", value=2.0, limit=1.0),)
+    monkeypatch.setattr("undrift.study.bench_run.record_on_bench", lambda *_, **__: None)
+    monkeypatch.setattr("undrift.study.bench_demo.judge_levels", lambda *_: ())
+    monkeypatch.setattr("undrift.study.bench_checks.bench_checks", lambda *_: worst)
+    monkeypatch.setattr("undrift.report.demo.write_demo_report", lambda *_: None)
+    monkeypatch.setattr("undrift.calibration.store.calibration_json", lambda _: {})
+    monkeypatch.setattr("undrift.cli.study.study_summary", lambda _: {})
+    for name in ("_fitted", "_worn", "_correct", "_studied"):
+        monkeypatch.setattr(demo, name, lambda *_: type("Any", (), {"drift": type("Any", (), {"calibration": None})})())
     answer = undrift("demo", "--quick", "--out", tmp_path / "d")
     assert answer.code == 1
     assert answer.out.startswith("FAIL  never: 2 (at most 1)")

@@ -1,5 +1,6 @@
 """The page of the demo: what was held against the truth, the worn trial, what the virtual bench did, its fits, the study."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,7 +61,7 @@ def write_demo_report(
             bench_section(run),
             rates_section(run),
             *calibration_sections(fit.constant),
-            *drift_sections(fit.drift),
+            *(replace(section, title=f"Over temperature: {section.title}") for section in drift_sections(fit.drift)),
             _study_lead(study),
             *study_sections(study),
         ),
@@ -112,7 +113,8 @@ def worn_section(trials: tuple["Trial", ...]) -> Section:
         title="A sit-to-stand with the device warmed by its wearer",
         text=(
             f"The tables take {largest[0] - largest[-1]:.2f} deg off the largest error of the pitch against simulated optics (the "
-            "note, Figure 3: more than 3.2). Integration begins half a second before the motion.",
+            "note, Figure 3: more than 3.2) while the person moves. Integration begins half a second before and goes on in the "
+            "stance after.",
             *(f"{note[0].upper()}{note[1:]}." for note in notes),
         ),
         pictures=(svg_of(draw_levels(trials)),),

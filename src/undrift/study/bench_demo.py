@@ -25,8 +25,8 @@ from undrift.sim.optics import OpticsSettings, see
 from undrift.study.figure3 import worn_record
 from undrift.validation.trial import Trial, validate_trial
 
-Level = Literal["constant calibration", "static table", "static and dynamic tables"]
-LEVELS: tuple[Level, ...] = ("constant calibration", "static table", "static and dynamic tables")
+Level = Literal["constant calibration", "static table", "all tables"]
+LEVELS: tuple[Level, ...] = ("constant calibration", "static table", "all tables")
 EXCURSION_K = 12.5  # between the note's 10 and 15
 OPTICS = OpticsSettings(gaps=0)
 
