@@ -32,7 +32,7 @@ def told(name: str, figure: Figure3) -> None:
 @pytest.fixture(scope="module")
 def typical() -> Figure3:
     """The typical unit 12.5 K warmer, tables from soaks up and down."""
-    return figure3()
+    return figure3(back=True)
 
 
 def test_the_tables_take_more_than_the_notes_three_degrees_off_the_typical_unit(typical: Figure3) -> None:
@@ -54,7 +54,7 @@ def test_simulated_and_actual_agree_within_the_hysteresis_that_the_tables_cannot
 
 
 def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_difference() -> None:
-    figure = figure3(back=False)
+    figure = figure3()
     told("up alone", figure)
     # What wears a device only warms it: tables of the way up hold the same branch of the loop as the trial.
     assert figure.simulated_actual_max_deg[1:].max() < NOTE_DIFFERENCE_DEG

@@ -139,7 +139,7 @@ def figure3(
     seed: int = 0,
     excursion_k: float = 12.5,
     hidden: tuple[Hidden, ...] = HIDDEN,
-    back: bool = True,
+    back: bool = False,
 ) -> Figure3:
     """Make the note's Figure 3.
 
@@ -154,7 +154,8 @@ def figure3(
     hidden : tuple of str
         Effects of the actual device that the simulated one lacks.
     back : bool
-        Tables from soaks on the way up and down; False from those on the way up alone, as a worn board warms.
+        Tables from soaks on the way up and down; False from those on the way up alone, as ``rig run`` visits them and as a
+        worn board warms: tables and trial then lie on one branch of the hysteresis.
 
     Returns
     -------
