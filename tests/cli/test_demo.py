@@ -86,6 +86,7 @@ def test_demo_keeps_off_a_folder_with_other_files_and_takes_an_earlier_one(quick
     begun.mkdir(parents=True)
     assert not _is_demo(begun.parent)
     (begun / "journal.jsonl").write_text("")
+    (begun.parent / "calibration.json").write_text("{}")
     assert _is_demo(begun.parent)
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SEED = 2007
 RUNS = ("bench", "thermal", "study")  # folders of an earlier demo
+FILES = ("calibration.json", "trial.parquet", "reference.parquet", "corrected.parquet", "report.html")
 STUDY_HOST_S = {False: 18.0, True: 3.0}  # forecasts, host s
 REST_HOST_S = {False: 6.0, True: 3.0}
 SHOWN_EVERY_S = 2.0  # where stderr is not a terminal
@@ -106,7 +107,7 @@ def _is_demo(out: Path) -> bool:
         told = text_json.loads((out / "summary.json").read_text())
         return isinstance(told, dict) and "checks" in told
     except (OSError, ValueError):
-        return {path.name for path in out.iterdir()} <= {*RUNS} and (out / "bench" / "journal.jsonl").is_file()
+        return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "journal.jsonl").is_file()
 
 
 def _fitted(out: Path) -> "BenchFit":

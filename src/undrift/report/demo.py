@@ -87,7 +87,7 @@ def check_section(checks: tuple["Check", ...]) -> Section:
     return Section(
         title="Held against the hidden truth",
         text=(
-            f"The device is drawn at random; nothing that fits or corrects knows it, and only these lines look it up. {text}",
+            f"The device is drawn by a seed; nothing that fits or corrects knows it, and only these lines look it up. {text}",
         ),
         columns=("figure", "value", "at most", "kept"),
         rows=tuple((c.name, f"{c.value:.2g}", f"{c.limit:.2g}", "yes" if c.passed else "NO") for c in checks),
@@ -107,11 +107,14 @@ def worn_section(trials: tuple["Trial", ...]) -> Section:
     Section
         With a picture.
     """
+    from undrift.study.bench_demo import EXCURSION_K
+
     largest = [trial.figures.max_abs_pitch_deg for trial in trials]
     notes = tuple(dict.fromkeys(note for trial in trials for note in trial.notes))
     return Section(
         title="A sit-to-stand with the device warmed by its wearer",
         text=(
+            f"The trial is simulated with the same device, after half an hour on a person, {EXCURSION_K:g} K above the bench. "
             f"The tables take {largest[0] - largest[-1]:.2f} deg off the largest error of the pitch against simulated optics (the "
             "note, Figure 3: more than 3.2) while the person moves. Integration begins half a second before and goes on in the "
             "stance after.",
