@@ -143,6 +143,31 @@ def test_a_gap_in_temperature_is_a_gap_in_the_result_and_not_outside(static):
     assert not done.outside.any()
 
 
+@pytest.mark.parametrize("policy", ["raise", "hold", "nan"])
+def test_a_gap_in_temperature_is_counted_and_told_whatever_the_policy(policy):
+    r = record()
+    temp = r.temp_c.copy()
+    temp[50:90] = np.nan
+    r = replace(r, temp_c=temp)
+    done = correct_checked(r, device(drift=tables()), policy=policy)
+    np.testing.assert_array_equal(done.missing, np.isnan(done.record.gyro).any(axis=1))
+    assert np.count_nonzero(done.missing) == 40
+    assert done.seconds_without_temperature == pytest.approx(0.4, abs=1e-8)
+    assert "0.4 s have no temperature: the drift table cannot be looked up there" in done.warnings[0]
+    assert "a gap (NaN) whatever the policy" in done.warnings[0]
+    assert not correct_checked(r, device(drift=None), policy=policy).missing.any()  # nothing asks for a temperature
+
+
+def test_time_outside_is_that_of_the_clock_and_not_a_count_of_median_steps():
+    step = np.tile([0.017, 0.017, 0.068], N // 3 + 1)[:N]
+    r = replace(record(low=80.0, high=90.0), time=np.cumsum(step))
+    done = correct_checked(r, device(drift=tables()), policy="hold")
+    assert done.outside.all()
+    assert done.seconds_outside == pytest.approx(step.sum(), abs=1e-8)
+    with pytest.raises(DriftRangeError, match=f"{step.sum():.1f} s of them outside"):
+        correct(r, device(drift=tables()))
+
+
 def test_a_temperature_outside_the_tables_is_an_error_with_the_numbers():
     with pytest.raises(DriftRangeError) as caught:
         correct(record(low=60.0, high=90.0), device(drift=tables()))

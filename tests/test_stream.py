@@ -1,6 +1,7 @@
 """Corrector: a stream gives the bits of the batch, warns as it does, and refuses what comes again."""
 
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -77,6 +78,25 @@ def test_a_stream_says_at_its_end_what_the_batch_says_and_each_once(drift):
     batch = correct_checked(r, c, policy="hold").warnings
     assert batch
     assert corrector.warnings == batch
+
+
+@pytest.mark.parametrize("length", [2, 29, 101])
+def test_seconds_of_a_stream_are_the_bits_of_the_batch_on_an_uneven_clock(length):
+    rng = np.random.default_rng(8)
+    r = record(low=0.0, high=90.0)
+    temp = np.where(rng.random(N) < 0.1, np.nan, r.temp_c)
+    r = replace(r, time=np.cumsum(rng.uniform(0.001, 0.3, N)), temp_c=temp)
+    c = device(drift=tables())
+    batch, corrector = correct_checked(r, c, policy="hold"), Corrector(c, "hold")
+    for start in range(0, N - 1, length):
+        stop = start + length if N - start - length >= 2 else N
+        corrector.push_checked(r.part(start, stop))
+        if stop == N:
+            break
+    assert corrector.state.reach == batch.reach
+    assert batch.reach.seconds_outside > 1.0
+    assert corrector.state.samples_without_temperature == np.isnan(temp).sum() == batch.missing.sum() > 10
+    assert corrector.warnings == batch.warnings
 
 
 def test_a_stream_refuses_a_corrected_record():

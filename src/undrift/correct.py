@@ -11,7 +11,8 @@ For a reading u (3,) at temperature T, in this order::
 
 A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, the thermometer's lag
 taken off where the calibration knows it (drift/lookup/conditions.py). Tables are held at their ends; a temperature beyond
-them is an error, is held, or becomes a gap, as ``policy`` says; nodes that no data were near are part of the table and give a
+them is an error, is held, or becomes a gap, as ``policy`` says; where none was recorded the result is a gap under every policy,
+and a warning says for how long; nodes that no data were near are part of the table and give a
 warning, whatever it says.
 
 ``_evaluate_triad`` is where these lines are. Around it: drift/lookup/plan.py turns the calibration into what the kernels
@@ -35,11 +36,13 @@ from undrift.drift.lookup.coverage import (
     Reach,
     Span,
     find_extrapolated,
+    find_missing,
     find_outside,
     notes_on,
     temperature_reach,
     warnings_on,
 )
+from undrift.drift.lookup.duration import seconds_of
 from undrift.drift.lookup.pieces import in_pieces
 from undrift.drift.lookup.plan import Plans, TriadPlan, plan_record
 from undrift.record import Record
@@ -105,6 +108,8 @@ class Corrected:
         True where the temperature lay outside a tuning table.
     extrapolated : array, shape (N,)
         True where it lay inside, at nodes that no data were near.
+    missing : array, shape (N,)
+        True where a tuning table found no temperature: what it corrects is NaN there, whatever the policy.
     warnings : tuple of str
         What went beyond the calibration: temperature, span of the constant offsets, rate.
     notes : tuple of str
@@ -119,6 +124,7 @@ class Corrected:
     record: Record
     outside: BoolArray
     extrapolated: BoolArray
+    missing: BoolArray
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     reach: Reach = UNMOVED
@@ -127,18 +133,17 @@ class Corrected:
     @property
     def seconds_outside(self) -> float:
         """Time spent outside the tuning tables, s."""
-        return _seconds(self.outside, self.record)
+        return self.reach.seconds_outside
 
     @property
     def seconds_extrapolated(self) -> float:
         """Time spent inside the tuning tables at nodes that no data were near, s."""
-        return _seconds(self.extrapolated, self.record)
+        return self.reach.seconds_extrapolated
 
-
-def _seconds(mask: BoolArray, record: Record) -> float:
-    """How long the marked samples last; the sample rate is a median over the record, which is found only where it is needed."""
-    count = np.count_nonzero(mask)
-    return count / record.sample_rate_hz if count else 0.0
+    @property
+    def seconds_without_temperature(self) -> float:
+        """Time without the temperature that the tuning tables want, s."""
+        return self.reach.seconds_without_temperature
 
 
 def correct(
@@ -158,7 +163,8 @@ def correct(
     calibration : Calibration
         The device's model.
     policy : str
-        What becomes of samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan".
+        What becomes of samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan". Samples
+        without a temperature are gaps under each: no value is made up for them.
     out : tuple of two arrays, shape (N, 3), optional
         Where to write rate and specific force; saves fresh arrays, and the record then lives on these.
     power_on_s : float, optional
@@ -283,7 +289,8 @@ def correct_planned(
         As for ``correct``.
     """
     at = conditions_of(record, calibration, plans, carry)
-    outside = find_outside(record, at.temp_c, plans, allowed=policy != "raise")
+    before, missing = carry.last_time, find_missing(record, at.temp_c, plans)
+    outside = find_outside(record, at.temp_c, plans, allowed=policy != "raise", before=before)
     outputs = out_buffers(len(record), plans, out)
     spans = in_pieces(lambda start, stop: _evaluate(record, plans, at, outputs, start, stop), len(record), threads)
     extrapolated, stated = find_extrapolated(record, at.temp_c, plans, outputs, threads)
@@ -291,18 +298,19 @@ def correct_planned(
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    tables = any(plan is not None and plan.tables is not None for plan in plans)
     reach = replace(
         temperature_reach(at.temp_c, calibration, plans),
-        seconds_outside=_seconds(outside, record) if tables else 0.0,
+        seconds_outside=seconds_of(outside, record.time, before),
         turn_rate=(min(low for low, _ in spans), max(high for _, high in spans)),
-        seconds_extrapolated=_seconds(extrapolated, record) if tables else 0.0,
+        seconds_extrapolated=seconds_of(extrapolated, record.time, before),
         stated=stated,
+        seconds_without_temperature=seconds_of(missing, record.time, before),
     )
     return Corrected(
         record=adopt(record, plans, outputs),
         outside=outside,
         extrapolated=extrapolated,
+        missing=missing,
         warnings=warnings_on(reach, calibration, reference_span_c),
         notes=notes_on(record, calibration, power_on_known=carry.power_on_time is not None),
         reach=reach,

@@ -34,6 +34,8 @@ class CorrectorState:
         Of those, outside the tuning tables.
     samples_extrapolated : int
         Of those, inside them at nodes that no data were near.
+    samples_without_temperature : int
+        Of those, without the temperature that the tables want.
     last_time : float
         Time of the last sample, s; minus infinity before the first.
     reach : Reach
@@ -45,6 +47,7 @@ class CorrectorState:
     samples: int = 0
     samples_outside: int = 0
     samples_extrapolated: int = 0
+    samples_without_temperature: int = 0
     last_time: float = -np.inf
     reach: Reach = UNMOVED
     carry: Carry = UNKNOWN
@@ -150,6 +153,7 @@ class Corrector:
             samples=self.state.samples + len(chunk),
             samples_outside=self.state.samples_outside + int(done.outside.sum()),
             samples_extrapolated=self.state.samples_extrapolated + int(done.extrapolated.sum()),
+            samples_without_temperature=self.state.samples_without_temperature + int(done.missing.sum()),
             last_time=float(chunk.time[-1]),
             reach=self.state.reach.joined(done.reach),
             carry=done.carry,

@@ -109,6 +109,27 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
     assert rows[0]["warnings"] == rows[1]["warnings"], "streamed and at once"
 
 
+def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(undrift, tuned, tmp_path):
+    temp = np.full(len(tuned), 27.0)
+    temp[100:300] = np.nan
+    write_record(replace(tuned, temp_c=temp), tmp_path / "gaps.parquet")
+    words = [
+        "correct",
+        tmp_path / "gaps.parquet",
+        "--calibration",
+        tmp_path / "tuned.json",
+        "-o",
+        tmp_path / "o.parquet",
+    ]
+    for policy in ("raise", "hold", "nan"):
+        row = undrift.good(*words, "--policy", policy, "--json").json()["recordings"][0]
+        assert row["samples_without_temperature"] == 200
+        assert row["seconds_without_temperature"] == pytest.approx(200 / tuned.sample_rate_hz, abs=1e-6)
+        assert "s have no temperature: the drift table cannot be looked up there" in row["warnings"][0]
+        assert "  warning: " + row["warnings"][0] in undrift.good(*words, "--policy", policy).out
+        assert np.isnan(read_record(tmp_path / "o.parquet").gyro).any(axis=1).sum() == 200
+
+
 def test_the_time_since_power_on_is_given_in_seconds_and_a_wrong_one_leaves_nothing(undrift, tuned, tmp_path):
     words = [tmp_path / "ramp.parquet", "--calibration", tmp_path / "tuned.json", "--policy", "hold"]
     told = undrift.good("correct", *words, "-o", tmp_path / "a.parquet", "--power-on-s", "30", "--json").json()

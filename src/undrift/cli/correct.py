@@ -45,7 +45,8 @@ def correct(
     output : Path
         File (.parquet, .csv, .csv.gz) for one recording; folder for several, made where it is missing.
     policy : str
-        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan).
+        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
+        temperature was recorded the result is a gap under each, and a warning says for how long.
     power_on_s : float
         Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
     opening : Opening
@@ -90,6 +91,8 @@ def correct(
                 "seconds_outside": state.reach.seconds_outside,
                 "samples_extrapolated": state.samples_extrapolated,
                 "seconds_extrapolated": state.reach.seconds_extrapolated,
+                "samples_without_temperature": state.samples_without_temperature,
+                "seconds_without_temperature": state.reach.seconds_without_temperature,
                 "warnings": said.warnings,
                 "notes": said.notes,
             }

@@ -29,10 +29,13 @@ class Carry:
         When the device was switched on, on the recording's clock, s; None where that is not known.
     lag : LagState or None
         Where taking off the thermometer's lag has come to; None before the first sample, or without lag.
+    last_time : float or None
+        Time of the last sample, s; None before the first.
     """
 
     power_on_time: float | None = None
     lag: LagState | None = None
+    last_time: float | None = None
 
 
 UNKNOWN = Carry()  # before the first sample, when power-on is not known
@@ -119,4 +122,5 @@ def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry:
         since = record.time - carry.power_on_time
         if since[0] >= plans[0].warm_up[0].nodes[-1]:
             since = NOTHING
-    return Conditions(temp_c=temp_c, power_on_s=since, carry=Carry(power_on_time=carry.power_on_time, lag=lag))
+    coming = Carry(power_on_time=carry.power_on_time, lag=lag, last_time=float(record.time[-1]))
+    return Conditions(temp_c=temp_c, power_on_s=since, carry=coming)

@@ -1,5 +1,6 @@
-"""Where a calibration does not cover a record: temperatures beyond its tables or where they are extrapolated, rates beyond them,
-constant offsets stretched. Temperatures are those of the sensors (conditions.py), not those of a thermometer that trails them."""
+"""Where a calibration does not cover a record: temperatures missing, beyond its tables or where they are extrapolated, rates
+beyond them, constant offsets stretched. Temperatures are those of the sensors (conditions.py), not those of a thermometer that
+trails them."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -9,6 +10,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.model import Calibration, TriadModel
 from undrift.drift.lookup.buffers import Buffers, flat
+from undrift.drift.lookup.duration import seconds_of
 from undrift.drift.lookup.extrapolated import NONE_MET, Doubt, Stated, mark_extrapolated
 from undrift.drift.lookup.pieces import in_pieces
 from undrift.drift.lookup.plan import Plans
@@ -38,6 +40,8 @@ class Reach:
         Time spent inside the tables at nodes that no data were near, s.
     stated : Stated
         Largest standard uncertainties that the tables state at those nodes.
+    seconds_without_temperature : float
+        Time without the temperature that the tables want, s: the result is a gap there, whatever the policy.
     """
 
     seconds_outside: float = 0.0
@@ -46,6 +50,7 @@ class Reach:
     turn_rate: Span = NOWHERE
     seconds_extrapolated: float = 0.0
     stated: Stated = NONE_MET
+    seconds_without_temperature: float = 0.0
 
     def joined(self, later: "Reach") -> "Reach":
         """Return the reach of both.
@@ -67,13 +72,39 @@ class Reach:
             turn_rate=(min(self.turn_rate[0], later.turn_rate[0]), max(self.turn_rate[1], later.turn_rate[1])),
             seconds_extrapolated=self.seconds_extrapolated + later.seconds_extrapolated,
             stated=self.stated.joined(later.stated),
+            seconds_without_temperature=self.seconds_without_temperature + later.seconds_without_temperature,
         )
 
 
 UNMOVED = Reach()  # before the first sample
 
 
-def find_outside(record: Record, temp_c: FloatArray, plans: Plans, *, allowed: bool) -> BoolArray:
+def find_missing(record: Record, temp_c: FloatArray, plans: Plans) -> BoolArray:
+    """Find the samples without the temperature that a tuning table wants.
+
+    Parameters
+    ----------
+    record : Record
+        Raw readings.
+    temp_c : array, shape (N,), or (0,)
+        What the tables are looked up with, degC; NaN where there is none.
+    plans : tuple of two TriadPlan or None
+        Gyroscopes and accelerometers.
+
+    Returns
+    -------
+    array, shape (N,)
+        True there; the triads that have tables cannot be corrected there.
+    """
+    tables = any(plan is not None and plan.tables is not None for plan in plans)
+    if not tables or not np.isnan(temp_c.min()):  # a least value is NaN where any is
+        return np.zeros(len(record), dtype=bool)
+    return np.isnan(temp_c)
+
+
+def find_outside(
+    record: Record, temp_c: FloatArray, plans: Plans, *, allowed: bool, before: float | None = None
+) -> BoolArray:
     """Find the samples whose temperature lies beyond a tuning table.
 
     Parameters
@@ -86,6 +117,8 @@ def find_outside(record: Record, temp_c: FloatArray, plans: Plans, *, allowed: b
         Gyroscopes and accelerometers.
     allowed : bool
         Whether such samples may be.
+    before : float or None
+        Time of the sample before the first, s; None where there is none.
 
     Returns
     -------
@@ -108,7 +141,7 @@ def find_outside(record: Record, temp_c: FloatArray, plans: Plans, *, allowed: b
     if mask.any() and not allowed:
         raise DriftRangeError(
             f"drift table: wanted temperatures from {low:g} to {high:g} degC, got {least:.1f} to {greatest:.1f} degC, "
-            f"{np.count_nonzero(mask) / record.sample_rate_hz:.1f} s of them outside; extend the table, or choose the policy hold "
+            f"{seconds_of(mask, record.time, before):.1f} s of them outside; extend the table, or choose the policy hold "
             "or nan",
             low=low,
             high=high,
@@ -219,6 +252,11 @@ def warnings_on(reach: Reach, calibration: Calibration, reference_span_c: float)
     """
     said: list[str] = []
     drift = calibration.drift
+    if reach.seconds_without_temperature > 0.0:
+        said.append(
+            f"{reach.seconds_without_temperature:.1f} s have no temperature: the drift table cannot be looked up there, and what "
+            "it corrects is a gap (NaN) whatever the policy; fill the temperature in"
+        )
     if reach.seconds_outside > 0.0:
         lag_s = drift.lag_s if drift else 0.0
         said.append(
