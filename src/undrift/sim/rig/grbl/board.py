@@ -99,11 +99,14 @@ class Board:
     def advance(self) -> None:
         """Come up to now: moves that are over leave the queue."""
         now = self.clock.now()
+        self._drop_done(now)
+        if self.state in ("Jog", "Run") and not self._queue and now >= self._ends:
+            self.state = "Idle"
+
+    def _drop_done(self, now: float) -> None:
         while self._queue and self._joints and now >= self._joints[0]:
             self._queue.popleft()
             self._joints.popleft()
-        if self.state in ("Jog", "Run") and not self._queue and now >= self._ends:
-            self.state = "Idle"
 
     @property
     def full(self) -> bool:
@@ -189,6 +192,7 @@ class Board:
     def _plan(self) -> None:
         # from where the pulses are now, or from where they will rest after a stop
         now = self.clock.now()
+        self._drop_done(now)
         begin = now if self._joints else max(now, self._ends)
         angle, rate = self.stepper.pulses.at(begin)
         moves, at = [], angle

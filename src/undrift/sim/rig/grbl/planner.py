@@ -1,21 +1,23 @@
 """Planner: moves that follow each other on one axis without a rest between, where they go the same way.
 
 The speed at a joint is the slower feed of the two moves, or zero where the way turns; no move may be entered faster than it can be
-left, v_in^2 <= v_out^2 + 2 a d.
+left, v_in^2 <= v_out^2 + 2 a d. An axis that is too fast for what is left, or goes the other way, comes to rest first and returns.
 """
 
 import math
 
 Leg = tuple[float, float]
+DONE = 1e-6  # deg: a move with less to go is over; far less than a step
+ROUNDING = 1e-6  # of a speed
 
 
 def plan(moves: list[tuple[float, float]], rate: float, acceleration: float) -> tuple[list[Leg], list[float]]:
-    """Return the legs of constant acceleration that a chain of moves is made of.
+    """Return the legs of constant acceleration that a chain of moves is made of: they end at rest, where the last move ends.
 
     Parameters
     ----------
     moves : list of (float, float)
-        Distance, deg, signed, and feed, deg/s, of each.
+        Distance, deg, signed, and feed, deg/s, of each; one at least.
     rate : float
         Of the axis at the beginning, deg/s, signed.
     acceleration : float
@@ -28,21 +30,35 @@ def plan(moves: list[tuple[float, float]], rate: float, acceleration: float) -> 
     ends : list of float
         When each move ends, s from the beginning.
     """
-    count = len(moves)
-    speeds = [abs(rate)] + [_joint(moves[i], moves[i + 1]) for i in range(count - 1)] + [0.0]
-    for i in range(count - 1, 0, -1):
-        speeds[i] = min(speeds[i], _reach(speeds[i + 1], moves[i][0], acceleration))
-    for i in range(count):
-        speeds[i + 1] = min(speeds[i + 1], _reach(speeds[i], moves[i][0], acceleration))
+    todo = list(moves)
+    while len(todo) > 1 and abs(todo[0][0]) < DONE:
+        todo[:2] = [(todo[0][0] + todo[1][0], todo[1][1])]
+    ends = [0.0] * (len(moves) - len(todo))
+    speeds = _speeds(todo, abs(rate), acceleration)
+    allowed = _reach(speeds[1], todo[0][0], acceleration) * (1.0 + ROUNDING)
     legs: list[Leg] = []
-    ends: list[float] = []
-    time = 0.0
-    for (distance, feed), enter, leave in zip(moves, speeds[:-1], speeds[1:], strict=True):
+    if rate != 0.0 and (rate * todo[0][0] <= 0.0 or abs(rate) > allowed):
+        legs.append((abs(rate) / acceleration, -math.copysign(acceleration, rate)))
+        todo[0] = (todo[0][0] - 0.5 * rate * abs(rate) / acceleration, todo[0][1])
+        speeds = _speeds(todo, 0.0, acceleration)
+    time = sum(duration for duration, _ in legs)
+    for (distance, feed), enter, leave in zip(todo, speeds[:-1], speeds[1:], strict=True):
         for duration, change in _legs(abs(distance), feed, enter, leave, acceleration):
             legs.append((duration, math.copysign(1.0, distance) * change))
             time += duration
         ends.append(time)
     return legs, ends
+
+
+def _speeds(moves: list[tuple[float, float]], enter: float, acceleration: float) -> list[float]:
+    """Return the speeds at the joints: none that cannot be braked from, none that cannot be reached."""
+    count = len(moves)
+    speeds = [enter] + [_joint(moves[i], moves[i + 1]) for i in range(count - 1)] + [0.0]
+    for i in range(count - 1, 0, -1):
+        speeds[i] = min(speeds[i], _reach(speeds[i + 1], moves[i][0], acceleration))
+    for i in range(count):
+        speeds[i + 1] = min(speeds[i + 1], _reach(speeds[i], moves[i][0], acceleration))
+    return speeds
 
 
 def _joint(before: tuple[float, float], after: tuple[float, float]) -> float:
@@ -54,9 +70,15 @@ def _reach(speed: float, distance: float, acceleration: float) -> float:
 
 
 def _legs(distance: float, feed: float, enter: float, leave: float, a: float) -> list[Leg]:
-    peak = min(feed, math.sqrt(max(a * distance + 0.5 * (enter * enter + leave * leave), 0.0)))
-    peak = max(peak, enter, leave)
-    up, down = (peak - enter) / a, (peak - leave) / a
-    cruised = distance - 0.5 * (enter + peak) * up - 0.5 * (peak + leave) * down
-    level = max(cruised / peak, 0.0) if peak > 0.0 else 0.0
-    return [(duration, change) for duration, change in ((up, a), (level, 0.0), (down, -a)) if duration > 0.0]
+    if distance == 0.0:
+        return []
+    if enter >= _reach(leave, distance, a):  # by rounding: brake that little harder
+        duration = 2.0 * distance / (enter + leave)
+        return [(duration, (leave - enter) / duration)]
+    peak = min(feed, math.sqrt(a * distance + 0.5 * (enter * enter + leave * leave)))
+    peak = max(peak, leave)
+    change = abs(peak - enter) / a
+    down = (peak - leave) / a
+    level = (distance - 0.5 * (enter + peak) * change - 0.5 * (peak + leave) * down) / peak
+    legs = ((change, math.copysign(a, peak - enter)), (max(level, 0.0), 0.0), (down, -a))
+    return [leg for leg in legs if leg[0] > 0.0]
