@@ -284,18 +284,44 @@ def test_what_is_not_carried_is_listed():
         assert text not in said
 
 
-def test_a_triad_without_a_model_passes_as_it_came(tmp_path):
-    exported = export_c(device(accel=None))
-    assert "g-sensitivity wants accel_raw in m/s2" in " ".join(exported.notes)
-    assert exported.accel_bound is None
-    for arithmetic in ("float", "fixed"):
+@pytest.mark.parametrize("arithmetic", ["float", "double", "fixed"])
+def test_a_triad_without_a_model_is_nominal_in_the_unit_that_is_named_as_it_is_in_python(arithmetic, tmp_path):
+    for name, unit in (("accel", "g"), ("accel", None), ("gyro", "dps")):
+        made = device(**{name: None})
+        exported = export_c(made, CSettings(**({} if unit is None else {f"{name}_unit": unit})))
         run = build(exported, tmp_path, arithmetic)
-        _, a, _ = run(run.inputs([[1.0, 2.0, 3.0]], [[4.0, 5.5, -6.0]], [25.0]))
-        assert a.tolist() == [[4.0, 5.5, -6.0]]
+        r = record(300, **{f"{name}_unit": {"g": "g", "dps": "deg/s", None: "m/s2"}[unit]})
+        r = replace(r, **{name: getattr(r, name) * 0.01, "temp_c": np.full(300, 25.0)})  # up to some tens of g or deg/s
+        inputs = run.inputs(r.gyro, r.accel, r.temp_c)
+        gyro, accel, _ = run.real(inputs)
+        python = correct_checked(replace(r, gyro=gyro, accel=accel), made, policy="hold").record
+        w, a, status = run(inputs)
+        assert not status.any()
+        share = {"float": 1e-6, "double": 1e-13, "fixed": 0.0}[
+            arithmetic
+        ]  # of the largest; fixed point has its own bound
+        for c, wanted, bound in ((w, python.gyro, exported.gyro_bound), (a, python.accel, exported.accel_bound)):
+            limit = (
+                2.0 * bound if arithmetic == "fixed" else share * (np.abs(wanted).max() + 30.0)
+            )  # offsets of 30 cancel
+            assert (np.abs(c - wanted) <= limit).all(), (name, unit)
+
+
+def test_the_header_says_the_unit_of_a_triad_without_a_model_and_defines_its_bits():
+    exported = export_c(device(accel=None), CSettings(accel_unit="g"))
+    assert "accelerometers have no model: nominal values are passed on; accel_raw is taken as g" in exported.notes
+    assert "accel_raw: g, temperatures without a table" in exported.header
+    assert "#define UNDRIFT_ACCEL_RAW_BITS 16" in exported.header
+    assert "accel_raw is taken as m/s2" in export_c(device(accel=None)).header
     exported = export_c(device(gyro=None))
-    run = build(exported, tmp_path, "double")
-    assert run(run.inputs([[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]], [25.0]))[0].tolist() == [[1.0, 2.0, 3.0]]
-    assert "gyroscopes have no model" in exported.header
+    assert "#define UNDRIFT_GYRO_RAW_BITS 16" in exported.header
+    assert "gyroscopes have no model: nominal values are passed on; gyro_raw is taken as rad/s" in exported.notes
+    with pytest.raises(
+        InputError, match="wanted no unit of the accel, whose model is for count, got g; leave accel_unit out"
+    ):
+        export_c(device(), CSettings(accel_unit="g"))
+    with pytest.raises(InputError, match="wanted a physical unit of the accel, which has no model, got count"):
+        export_c(device(accel=None), CSettings(accel_unit="count"))
 
 
 def test_unsigned_codes_get_the_room_that_they_need(tmp_path):

@@ -44,6 +44,10 @@ class Choices:
         c, fixed point: bits behind the point of a gyroscope reading; chosen from the offsets where not given.
     accel_raw_bits : int or None
         c, fixed point: the same of an accelerometer reading.
+    gyro_unit : str or None
+        c: unit of the gyroscope readings where the calibration has no model of them; rad/s where not given.
+    accel_unit : str or None
+        c: the same of the accelerometer readings; m/s2 where not given.
     sensor : int
         px4, ardupilot: which inertial sensor of the autopilot, from 0.
     gyro_dps_per_unit : float or None
@@ -59,6 +63,8 @@ class Choices:
     prefix: str = "undrift"
     gyro_raw_bits: int | None = None
     accel_raw_bits: int | None = None
+    gyro_unit: str | None = None
+    accel_unit: str | None = None
     sensor: int = 0
     gyro_dps_per_unit: float | None = None
     accel_g_per_unit: float | None = None
@@ -200,6 +206,8 @@ def _export_c(model: "Calibration", choices: Choices, name: str) -> tuple[tuple[
             header_name=name,
             gyro_raw_bits=choices.gyro_raw_bits,
             accel_raw_bits=choices.accel_raw_bits,
+            gyro_unit=choices.gyro_unit,
+            accel_unit=choices.accel_unit,
             date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         ),
     )
@@ -213,7 +221,7 @@ def _c_figures(made: "ExportedC") -> dict[str, object]:
             {"arithmetic": c.arithmetic, "table_bytes": c.table_bytes, "flash_bytes": c.flash_bytes, "cycles": c.cycles}
             for c in made.costs
         ],
-        "fixed_point_bound": {name: None if bound is None else bound.max() for name, bound in bounds},
+        "fixed_point_bound": {name: bound.max() for name, bound in bounds},
     }
 
 
@@ -228,12 +236,8 @@ def _show(told: "dict[str, object]", model: "Calibration") -> None:
             shown.add_row(b["arithmetic"], *(str(b[key]) for key in ("table_bytes", "flash_bytes", "cycles")))
         out.print(shown, markup=False)
         gyro, accel = bound["gyro_rad_s"], bound["accel_m_s2"]
-        if gyro is not None:
-            out.print(f"fixed point, gyroscopes: within {gyro / RADIAN_PER_DEGREE:.2g} deg/s of exact arithmetic")
-        if accel is not None:
-            out.print(
-                f"fixed point, accelerometers: within {accel / STANDARD_GRAVITY * 1e3:.2g} mg of exact arithmetic"
-            )
+        out.print(f"fixed point, gyroscopes: within {gyro / RADIAN_PER_DEGREE:.2g} deg/s of exact arithmetic")
+        out.print(f"fixed point, accelerometers: within {accel / STANDARD_GRAVITY * 1e3:.2g} mg of exact arithmetic")
     for head, key in (("not carried", "not_carried"), ("note", "notes")):
         texts = told[key]
         for text in texts if isinstance(texts, tuple) else ():

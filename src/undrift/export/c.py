@@ -14,7 +14,7 @@ from undrift.calibration.model import Calibration
 from undrift.errors import InputError
 from undrift.export.c_text import Printer, comment_text, wrapped
 from undrift.export.cost import ASSUMPTION, Arithmetic, Cost, cost_of
-from undrift.export.firmware import Table, Triad, triads_of
+from undrift.export.firmware import Table, Triad, nominal_triad, triads_of
 from undrift.export.fixed import FULL_FORCE, FULL_RATE, FixedTable, FixedTriad, fixed_triad
 from undrift.export.losses import Part, losses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -38,6 +38,8 @@ class CSettings:
         File name that the source includes.
     gyro_raw_bits, accel_raw_bits : int or None
         Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets tell of large codes.
+    gyro_unit, accel_unit : str or None
+        Physical unit of the readings of a triad that has no model; None for rad/s and m/s2.
     date : str
         When it was exported; written into the comment.
     """
@@ -47,6 +49,8 @@ class CSettings:
     header_name: str = "undrift.h"
     gyro_raw_bits: int | None = None
     accel_raw_bits: int | None = None
+    gyro_unit: str | None = None
+    accel_unit: str | None = None
     date: str = ""
 
 
@@ -64,8 +68,8 @@ class ExportedC:
         What the firmware must know or do.
     costs : tuple of Cost
         Of the float, double and fixed builds.
-    gyro_bound, accel_bound : array, shape (3,), or None
-        Fixed point: worst error against exact arithmetic, rad/s and m/s2; None without a model.
+    gyro_bound, accel_bound : array, shape (3,)
+        Fixed point: worst error against exact arithmetic, rad/s and m/s2.
     """
 
     header: str
@@ -73,8 +77,8 @@ class ExportedC:
     not_carried: tuple[str, ...]
     notes: tuple[str, ...]
     costs: tuple[Cost, ...]
-    gyro_bound: FloatArray | None
-    accel_bound: FloatArray | None
+    gyro_bound: FloatArray
+    accel_bound: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,7 +126,7 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     Raises
     ------
     InputError
-        No model, NaN in it, a prefix that is no identifier, or numbers that the arithmetic does not hold.
+        No model, NaN in it, a unit for a triad that has a model, a prefix that is no identifier, or numbers that the arithmetic does not hold.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", settings.prefix):
         raise InputError(
@@ -131,49 +135,55 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     for bits in (settings.gyro_raw_bits, settings.accel_raw_bits):
         if bits is not None and not 0 <= bits <= 30:
             raise InputError(f"export c: wanted 0 to 30 bits behind the point of a reading, got {bits}; choose fewer")
-    gyro, accel = triads_of(calibration)
-    of_accel = None if accel is None else fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
-    of_gyro = None if gyro is None else _fixed_gyro(gyro, of_accel, settings)
-    views = [
-        _View(name=t.name, real=t, fixed=x)
-        for t, x in ((accel, of_accel), (gyro, of_gyro))
-        if t is not None and x is not None
-    ]
+    gyro, accel, notes = _triads(calibration, settings)
+    of_accel = fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
+    of_gyro = _fixed_gyro(gyro, of_accel, settings)
+    views = [_View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro))]
     source, sizes = _source(views, calibration, settings)
     triads = tuple(view.real for view in views)
     costs = tuple(cost_of(triads, arithmetic, size) for arithmetic, size in sizes)
     not_carried = losses(calibration, CARRIED)
-    notes = _notes(gyro, accel)
     return ExportedC(
         header=_header(views, calibration, settings, costs, not_carried + notes),
         source=source,
         not_carried=not_carried,
         notes=notes,
         costs=costs,
-        gyro_bound=None if of_gyro is None else of_gyro.bound,
-        accel_bound=None if of_accel is None else of_accel.bound,
+        gyro_bound=of_gyro.bound,
+        accel_bound=of_accel.bound,
     )
 
 
-def _fixed_gyro(gyro: Triad, accel: FixedTriad | None, settings: CSettings) -> FixedTriad:
+def _fixed_gyro(gyro: Triad, accel: FixedTriad, settings: CSettings) -> FixedTriad:
     return fixed_triad(
         gyro,
         raw_bits=settings.gyro_raw_bits,
         full=FULL_RATE,
-        accel_bound=None if accel is None else accel.bound,
+        accel_bound=accel.bound,
         accel_full=FULL_FORCE,
     )
 
 
-def _notes(gyro: Triad | None, accel: Triad | None) -> tuple[str, ...]:
+def _triads(calibration: Calibration, settings: CSettings) -> tuple[Triad, Triad, tuple[str, ...]]:
+    """Both triads, nominal where there is no model, and what there is to say of these."""
+    gyro, accel = triads_of(calibration)
+    for name, triad, unit in (("gyro", gyro, settings.gyro_unit), ("accel", accel, settings.accel_unit)):
+        if triad is not None and unit is not None:
+            raise InputError(
+                f"export c: wanted no unit of the {name}, whose model is for {triad.unit_in}, got {unit}; leave {name}_unit out",
+                wanted=triad.unit_in,
+                got=unit,
+            )
     notes = []
     if gyro is None:
-        notes.append("gyroscopes have no model: their readings pass as they come")
+        gyro = nominal_triad("gyro", "rate", settings.gyro_unit or "rad/s")
+        notes.append(f"gyroscopes have no model: nominal values are passed on; gyro_raw is taken as {gyro.unit_in}")
     if accel is None:
-        notes.append("accelerometers have no model: their readings pass as they come")
-        if gyro is not None and gyro.g_sensitivity is not None:
-            notes.append("the g-sensitivity wants accel_raw in m/s2, since the accelerometers have no model")
-    return tuple(notes)
+        accel = nominal_triad("accel", "accel", settings.accel_unit or "m/s2")
+        notes.append(
+            f"accelerometers have no model: nominal values are passed on; accel_raw is taken as {accel.unit_in}"
+        )
+    return gyro, accel, tuple(notes)
 
 
 def _environment() -> Any:

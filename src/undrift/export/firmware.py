@@ -13,7 +13,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration, TriadModel
 from undrift.drift.lookup.cells import even_nodes
 from undrift.errors import InputError
-from undrift.units import Quantity, si_factor
+from undrift.units import Quantity, canonical_unit, is_physical, si_factor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -174,6 +174,46 @@ def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> T
     )
     _check_finite(made)
     return made
+
+
+def nominal_triad(name: str, quantity: Quantity, unit: str) -> Triad:
+    """Return the triad of a device without a model: readings in a physical unit, made SI and left alone otherwise.
+
+    Parameters
+    ----------
+    name : str
+        gyro or accel.
+    quantity : str
+        rate or accel.
+    unit : str
+        Of the readings, any known spelling.
+
+    Returns
+    -------
+    Triad
+        The factor to SI on the diagonal, no offset, no table.
+
+    Raises
+    ------
+    InputError
+        Counts or volts, or a unit that is not known.
+    """
+    if not is_physical(canonical_unit(unit, quantity)):
+        raise InputError(
+            f"export: wanted a physical unit of the {name}, which has no model, got {unit}; calibrate it, or name the unit that "
+            "the firmware hands over"
+        )
+    return Triad(
+        name=name,
+        unit_in=canonical_unit(unit, quantity),
+        matrix=np.eye(3) * si_factor(unit, quantity),
+        offset=np.zeros(3),
+        half_step=None,
+        g_sensitivity=None,
+        offset_table=None,
+        matrix_table=None,
+        error_table=None,
+    )
 
 
 def rounding_of(calibration: Calibration, *, is_gyro: bool) -> tuple[FloatArray | None, FloatArray]:
