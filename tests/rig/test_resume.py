@@ -163,3 +163,54 @@ def test_a_line_of_the_journal_that_is_lost_is_a_dwell_done_again(tmp_path):
     assert result.added == 1
     assert hands.mounted == ["+z"]
     assert len(read_session(path).records) == 7
+
+
+def test_two_programs_never_write_into_one_folder(tmp_path):
+    path = tmp_path / "run"
+    with emulated() as emulator, RunFolder(path, SHORT) as first:
+        for resume in (False, True):
+            with pytest.raises(
+                InputError, match="wanted a folder that no other program writes to, got one where a run"
+            ):
+                RunFolder(path, SHORT, resume=resume)
+        process = started(
+            ["rig", "run", "none"],
+            f"from pathlib import Path; from undrift.rig.journal import Journal; Journal(Path({str(path / JOURNAL)!r})); ",
+        )
+        assert "no other program writes to" in process.communicate(timeout=20.0)[1]
+    assert first.pieces == ()
+    with emulated() as emulator:
+        result, _ = run(emulator, path)
+        assert result.added == 7
+
+
+def test_readings_of_a_step_are_never_written_over(tmp_path):
+    with emulated() as emulator:
+        (tmp_path / "run" / "pieces").mkdir(parents=True)
+        strange = tmp_path / "run" / "pieces" / "0005.parquet"
+
+        def drop_in(progress):
+            if progress.number == 5:
+                strange.write_bytes(b"of another program")
+
+        with pytest.raises(
+            InputError, match=r"0005\.parquet: wanted no readings of this step yet, got some, which are kept"
+        ):
+            run(emulator, tmp_path / "run", report=drop_in)
+        assert at_rest(emulator)
+    assert strange.read_bytes() == b"of another program"
+
+
+def test_readings_without_their_journal_are_refused_and_an_empty_journal_is_an_empty_folder(tmp_path):
+    path = tmp_path / "run"
+    with RunFolder(path, SHORT):
+        pass
+    with emulated() as emulator:
+        run(emulator, path)
+    (path / JOURNAL).write_bytes(b"")
+    for resume in (False, True):
+        with pytest.raises(
+            InputError, match=r"wanted journal.jsonl with the readings in pieces, got it empty or missing"
+        ):
+            RunFolder(path, SHORT, resume=resume)
+    assert len(os.listdir(path / "pieces")) == 7

@@ -9,12 +9,8 @@
 A piece is written and synchronised first, then its line in the journal, then session.toml. What has no line was never done.
 """
 
-import errno
 import hashlib
 import json
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -24,6 +20,7 @@ from undrift.io.parquet import write_parquet
 from undrift.io.protocol import write_protocol
 from undrift.protocol import Protocol
 from undrift.record import Record
+from undrift.rig.disk import claim, room, synchronise, synchronise_names
 from undrift.rig.journal import Journal
 from undrift.rig.programme import Purpose
 from undrift.rig.signals import uninterrupted
@@ -85,6 +82,10 @@ class Piece:
         Chamber set-point, degC.
     chamber_c : float or None
         What the chamber read, degC.
+    device_c : float or None
+        Mean of the device's own thermometer, degC; None where it has none.
+    missing : int
+        Readings that never came; gaps in the piece.
     sha256 : str
         Of the file.
     """
@@ -102,6 +103,8 @@ class Piece:
     turn_rate_uncertainty: float = 0.0
     temp_c: float | None = None
     chamber_c: float | None = None
+    device_c: float | None = None
+    missing: int = 0
     sha256: str = ""
 
     @property
@@ -125,21 +128,19 @@ class RunFolder:
     Raises
     ------
     InputError
-        A run is here and ``resume`` is not said; another protocol; a disk that is full or cannot be written.
+        Another program writes here; a run is here and ``resume`` is not said; another protocol; readings without their journal;
+        a disk that is full or cannot be written.
     FileFormatError
         A damaged journal, or one of another version.
     """
 
     def __init__(self, path: Path, protocol: Protocol, *, resume: bool = False) -> None:
         self.path = path
-        if (path / JOURNAL).exists() and not resume:
-            raise InputError(
-                f"{path}: wanted an empty folder, got one with a run in it; go on with it by --resume, or choose another"
-            )
-        with _room(path):
+        with room(path):
             (path / PIECES).mkdir(parents=True, exist_ok=True)
             self._journal = Journal(path / JOURNAL)
         try:
+            self._check_empty(resume)
             self.head, self.pieces = read_entries(path / JOURNAL, self._journal.entries)
             self.digest = protocol_digest(protocol)
             if self.head is not None and self.head.protocol != self.digest:
@@ -149,6 +150,9 @@ class RunFolder:
             if self.head is None:
                 write_protocol(protocol, path / PROTOCOL)
             self.put_aside()
+            with room(path):
+                for place in (path / PIECES, path, path.parent):
+                    synchronise_names(place)
         except BaseException:
             self._journal.close()
             raise
@@ -178,7 +182,7 @@ class RunFolder:
             Another rig, device or gravity than before; a full disk.
         """
         if self.head is None:
-            with _room(self.path):
+            with room(self.path):
                 self._journal.append({"entry": "head", "format": FORMAT, **asdict(head)})
             self.head = head
         for name, value in asdict(self.head).items():
@@ -208,11 +212,12 @@ class RunFolder:
         Raises
         ------
         InputError
-            The disk is full or cannot be written; all dwells before are kept.
+            The disk is full or cannot be written, or readings of that step lie there; all dwells before are kept.
         """
         path = self.path / piece.name
         with uninterrupted():  # Ctrl-C waits: readings, line and session belong together
-            with _room(self.path):
+            with room(self.path):
+                claim(path)
                 write_parquet(record, path)
                 synchronise(path)
                 kept = replace(piece, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
@@ -225,6 +230,20 @@ class RunFolder:
         """Write session.toml from the journal, whole or not at all."""
         if self.head is not None:
             write_whole(self.path / SESSION, session_text(self.head, self.pieces))
+            with room(self.path):
+                synchronise_names(self.path)
+
+    def _check_empty(self, resume: bool) -> None:
+        """Refuse a run that is not resumed, and readings without their journal; a start that never came to a run left nothing."""
+        if self._journal.entries and not resume:
+            raise InputError(
+                f"{self.path}: wanted an empty folder, got one with a run in it; go on with it by --resume, or choose another"
+            )
+        if not self._journal.entries and any((self.path / PIECES).glob("*.parquet")):
+            raise InputError(
+                f"{self.path}: wanted {JOURNAL} with the readings in {PIECES}, got it empty or missing; restore it, or begin in "
+                "another folder"
+            )
 
     def put_aside(self) -> tuple[Path, ...]:
         """Move what a crash left half written, or without a line in the journal, out of the way.
@@ -319,6 +338,8 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
 def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
     """Return session.toml: each piece a recording, each rest a still, each rate a turn at the rate that was achieved.
 
+    The temperature of a piece is the mean that the device's thermometer read; the set-point only where it has none.
+
     Parameters
     ----------
     head : Head
@@ -337,49 +358,14 @@ def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
         lines += ["", "[[recording]]", f'file = "{piece.name}"']
     for number, piece in enumerate(pieces):
         span = [f"recording = {number}", f"start_s = {piece.start_s!r}", f"stop_s = {piece.stop_s!r}"]
-        span += [] if piece.temp_c is None else [f"temp_c = {piece.temp_c!r}"]
+        temp_c = piece.temp_c if piece.device_c is None else piece.device_c
+        span += [] if piece.temp_c is None else [f"temp_c = {temp_c!r}"]
         if piece.purpose == "rate":
             dps = piece.turn_rate / RADIAN_PER_DEGREE
             lines += ["", "[[turn]]", *span, f'axis = "{piece.axis}"', f"turn_rate_dps = {dps!r}"]
         else:
             lines += ["", "[[still]]", *span, f'face = "{piece.up}"']
     return "\n".join(lines) + "\n"
-
-
-def synchronise(path: Path) -> None:
-    """Bring a file and its name to the disk.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    OSError
-        It cannot be.
-    """
-    places = (path, path.parent) if os.name == "posix" else (path,)  # a folder cannot be opened elsewhere
-    for place in places:
-        handle = os.open(place, os.O_RDWR if place is path else os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-@contextmanager
-def _room(path: Path) -> Iterator[None]:
-    """Say what a full or broken disk means for the run."""
-    try:
-        yield
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        what = "make room on the disk" if full else "mend the disk"
-        raise InputError(
-            f"{path}: wanted to write a dwell, got '{error.strerror or error}'; all dwells before it are kept: "
-            f"{what} and go on with --resume"
-        ) from error
 
 
 def _free(path: Path) -> Path:

@@ -3,17 +3,19 @@
     {"length": 123, "crc32": "89abcdef", "entry": {...}}
 
 Length and checksum are of the entry's text as it stands in the line, so that a line torn by a power cut is known from a whole one.
-Only the last line can be torn; one in the middle means that the file was damaged or edited, and is refused.
+Only the last line can be torn; one in the middle means that the file was damaged or edited, and is refused. One program at a time
+has it: the file is locked, and the lock goes with the program however it ends.
 """
 
 import json
 import os
+import sys
 import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from undrift.errors import FileFormatError
+from undrift.errors import FileFormatError, InputError
 
 Entry = dict[str, Any]  # what JSON knows; the values of folder.py are made of it
 
@@ -30,17 +32,28 @@ class Journal:
     ------
     FileFormatError
         A damaged line that is not the last.
+    InputError
+        Another program has it open.
     OSError
         The file cannot be opened or written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.entries, whole = read_journal(path)
-        self._file: BinaryIO = path.open("ab")
-        self._file.truncate(whole)
-        self._file.seek(whole)
-        self._sync()
+        self._lock = locked(path)  # apart from the file that is written, which may have to be opened afresh
+        try:
+            self.entries, whole = read_journal(path)
+            self._file: BinaryIO = path.open("ab")
+        except BaseException:
+            self._lock.close()
+            raise
+        try:
+            self._file.truncate(whole)
+            self._file.seek(whole)
+            self._sync()
+        except BaseException:
+            self.close()
+            raise
 
     def append(self, entry: Entry) -> None:
         """Write an entry; it is on the disk when this returns, or not in the journal at all.
@@ -66,7 +79,10 @@ class Journal:
 
     def close(self) -> None:
         """Let go of the file; harmless when called again."""
-        self._file.close()
+        try:
+            self._file.close()
+        finally:
+            self._lock.close()
 
     def _sync(self) -> None:
         self._file.flush()
@@ -76,6 +92,44 @@ class Journal:
         """Cut off half a line; where even that fails, the checksum tells."""
         self._file = reopened(self._file, self.path)
         os.truncate(self.path, length)
+
+
+def locked(path: Path) -> BinaryIO:
+    """Open a file that no other program has locked, and lock it; closing it, or the end of the program, lets go.
+
+    Parameters
+    ----------
+    path : Path
+        File; made where it is missing.
+
+    Returns
+    -------
+    file
+        Keep it open.
+
+    Raises
+    ------
+    InputError
+        Another program has locked it.
+    """
+    file = path.open("ab")
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(1 << 40)  # a byte far behind the end, so that the lines can still be read
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise InputError(
+            f"{path.parent}: wanted a folder that no other program writes to, got one where a run is going on; "
+            "wait for it or end it, or choose another folder"
+        ) from error
+    return file
 
 
 def reopened(file: BinaryIO, path: Path) -> BinaryIO:
