@@ -14,8 +14,10 @@ if TYPE_CHECKING:
 
     from undrift.rig.address import RigSettings
     from undrift.rig.folder import RunFolder
+    from undrift.rig.guard import Guard
     from undrift.rig.programme import Programme
     from undrift.rig.run import Bench, Progress, RunResult
+    from undrift.rig.watch import Watch
     from undrift.sim.device.model import DeviceModel
 
 rig = App(
@@ -94,6 +96,8 @@ def run(
     from undrift.rig.rig import Limits
     from undrift.rig.safety import check_programme
     from undrift.rig.signals import stopping_on_signals
+    from undrift.rig.stops import StopWatch
+    from undrift.rig.watch import Watch
 
     asked = read_protocol(protocol)
     limits = Limits(
@@ -103,13 +107,18 @@ def run(
     )
     settings = RigSettings(limits=limits, ask=_asked)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
+    by_hand = rig.startswith("manual:")
+    if not resume:
+        check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(output, asked, resume=resume))
-        check_programme(programme, limits, folder.done)
+        check_programme(programme, limits, folder.done, by_hand=by_hand)
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
+        watch = Watch(StopWatch(rig), _guard(stack, rig, chamber), programme)
         bench, called = _bench(stack, (rig, device, chamber, hands), settings, programme)
-        result = _performed(programme, bench, folder, serial or called, gravity_m_s2)
+        watch.arm()
+        result = _performed(programme, bench, folder, watch, serial or called, gravity_m_s2)
     _result(result, output, json)
     return 0
 
@@ -218,7 +227,9 @@ def stop(*, rig: str, json: bool = False) -> int:
     """
     from undrift.cli.output import console, write_json
     from undrift.rig.guard import stop_rig
+    from undrift.rig.stops import mark_stop
 
+    mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
     stop_rig(rig)
     if json:
         write_json({"rig": rig, "stopped": True, "motor_on": False})
@@ -268,6 +279,16 @@ def status(*, rig: str, json: bool = False) -> int:
     return 0
 
 
+def _guard(stack: "ExitStack", rig: str, chamber: str | None) -> "Guard | None":
+    """Have table and chamber guarded; before they are opened, so that they are closed before the guard goes."""
+    from undrift.rig.guard import Guard
+
+    by_hand = rig.startswith("manual:")
+    if by_hand and chamber is None:
+        return None
+    return stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
+
+
 def _bench(
     stack: "ExitStack",
     addresses: tuple[str, str, str | None, str | None],
@@ -281,7 +302,6 @@ def _bench(
     from undrift.rig.address import open_rig, parse_address
     from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
     from undrift.rig.clock import Clock
-    from undrift.rig.guard import Guard
     from undrift.rig.hands import AskedHands
     from undrift.rig.programme import Soak
     from undrift.rig.run import Bench
@@ -302,8 +322,6 @@ def _bench(
         oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed))
         stack.callback(oven.close)
     mounting = AskedHands(_asked) if hands is None else BenchHands(hands)
-    if not rig.startswith("manual:"):
-        stack.enter_context(Guard(rig))
     table = open_rig(rig, settings)
     stack.callback(table.close)
     made = Bench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
@@ -351,13 +369,18 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
 
 
 def _performed(
-    programme: "Programme", bench: "Bench", folder: "RunFolder", serial: str, gravity_m_s2: float
+    programme: "Programme", bench: "Bench", folder: "RunFolder", watch: "Watch", serial: str, gravity_m_s2: float
 ) -> "RunResult":
     from undrift.rig.run import run_programme
 
     shown = _Shown()
+
+    def report(progress: "Progress") -> None:
+        watch(progress)
+        shown(progress)
+
     try:
-        return run_programme(programme, bench, folder, report=shown, serial=serial, gravity_m_s2=gravity_m_s2)
+        return run_programme(programme, bench, folder, report=report, serial=serial, gravity_m_s2=gravity_m_s2)
     finally:
         shown.end()
 
@@ -387,6 +410,7 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
     from undrift.cli.output import console, write_json
 
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
+    missing = sum(piece.missing for piece in result.pieces)
     if json:
         write_json(
             {
@@ -395,13 +419,15 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
                 "dwells": len(result.pieces),
                 "added": result.added,
                 "duration_s": result.duration_s,
+                "missing_readings": missing,
                 "turns": [
                     {
                         "axis": piece.axis,
                         "nominal_dps": piece.nominal_turn_rate / RADIAN_PER_DEGREE,
                         "achieved_dps": piece.turn_rate / RADIAN_PER_DEGREE,
                         "standard_uncertainty_dps": piece.turn_rate_uncertainty / RADIAN_PER_DEGREE,
-                        "temp_c": piece.temp_c,
+                        "temp_c": piece.temp_c if piece.device_c is None else piece.device_c,
+                        "missing_readings": piece.missing,
                     }
                     for piece in turns
                 ],
@@ -411,7 +437,7 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
     console().print(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
-        f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml",
+        f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing",
         markup=False,
     )
 

@@ -1,20 +1,27 @@
-"""Guard: a second process that stops the table when the first one is gone.
+"""Guard: a second process that stops the table, and switches the chamber off, when the first one is gone or silent.
 
-A card that was told to jog goes on jogging when the program that told it so is killed (kill -9, out of memory). The guard waits
-for the end of a pipe from that program. "done" before it means that all ended well; without it the guard opens the rig itself and
-closes it again: stop, motor off. That needs a rig that takes a second connection, or a port that is free again: TCP and serial.
+A card that was told to jog goes on jogging when the program that told it so is killed (kill -9, out of memory) or halted
+(kill -STOP, a computer that swaps). The guard listens at a pipe from that program: a beat every second, "done" when all ended
+well. The end of the pipe without "done", or 5 s of silence, has it open the rig itself and close it again: stop, motor off. That
+needs a rig that takes a second connection, or a port that is free again: TCP and serial.
 """
 
 import contextlib
+import queue
 import subprocess
 import sys
+import threading
+import time
 from types import TracebackType
 from typing import TextIO
 
-from undrift.errors import RigError
+from undrift.errors import RigError, RigFault
 from undrift.rig.address import RigSettings, open_rig
+from undrift.rig.chamber import open_chamber
 
-DONE = "done"
+DONE, READY = "done", "ready"
+BEAT_S = 1.0
+SILENCE_S = 5.0  # after which the program counts as gone
 LONGEST_S = 20.0  # that a guard is waited for
 
 
@@ -24,17 +31,33 @@ class Guard:
     Parameters
     ----------
     address : str
-        Of the rig.
+        Of the rig; "" where only a chamber is guarded.
+    chamber : str
+        Address of the chamber, "" without one.
+
+    Raises
+    ------
+    RigFault
+        The second process did not start.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, chamber: str = "") -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "undrift.rig.guard", address],
+            [sys.executable, "-m", "undrift.rig.guard", address, chamber],
             stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,  # Ctrl-C in the terminal does not reach it
         )
+        self._armed = False
+        self._due: float | None = None
+        self._ended = threading.Event()
+        self._beating = threading.Thread(target=self._beat, name="guard", daemon=True)
+        try:
+            self._wait_until_ready()
+        except BaseException:
+            self.release(well=True)
+            raise
 
     def __enter__(self) -> "Guard":
         return self
@@ -42,7 +65,41 @@ class Guard:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.release(well=not isinstance(error, RigError))
+        self.release(well=not (self._armed and isinstance(error, RigError)))
+
+    @property
+    def process_id(self) -> int:
+        """Of the second process."""
+        return self._process.pid
+
+    def arm(self) -> None:
+        """Say that the rig is open from now on: an error of it has the guard make sure that it is stopped."""
+        self._armed = True
+
+    def expect(self, within_s: float | None) -> None:
+        """Promise the next call of this; a program that hangs breaks the promise, and its beats end.
+
+        Parameters
+        ----------
+        within_s : float or None
+            s of the host; None promises nothing, as while a person is asked.
+        """
+        self._due = None if within_s is None else time.monotonic() + within_s
+
+    def check(self) -> None:
+        """Refuse to go on without a guard.
+
+        Raises
+        ------
+        RigFault
+            The second process has ended: it was killed, or took this program for gone and stopped the table.
+        """
+        code = self._process.poll()
+        if code is not None:
+            raise RigFault(
+                f"guard: wanted it to stand by while the table is driven, got it ended (code {code}): it was killed, or this "
+                "program was halted for too long; go on with --resume"
+            )
 
     def release(self, *, well: bool) -> None:
         """Send the guard home.
@@ -52,43 +109,83 @@ class Guard:
         well : bool
             False has it make sure that the table is stopped.
         """
+        self._ended.set()
+        if self._beating.is_alive():
+            self._beating.join(LONGEST_S)
         if self._process.stdin is not None and not self._process.stdin.closed:
+            if well:
+                self._say(DONE)
             with contextlib.suppress(OSError):  # it is gone already
-                if well:
-                    self._process.stdin.write(DONE + "\n")
                 self._process.stdin.close()
         try:
             self._process.wait(LONGEST_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _wait_until_ready(self) -> None:
+        said: queue.SimpleQueue[str] = queue.SimpleQueue()
+        output = self._process.stdout
+        if output is not None:
+            threading.Thread(
+                target=lambda: said.put(output.readline().strip()), name="guard-ready", daemon=True
+            ).start()
+        try:
+            answer = said.get(timeout=LONGEST_S)
+        except queue.Empty:
+            self._process.kill()
+            answer = ""
+        if answer != READY:
+            raise RigFault(f"guard: wanted it ready within {LONGEST_S:g} s, got '{answer}'; nothing moved, start again")
+        self._beating.start()
+
+    def _beat(self) -> None:
+        while not self._ended.wait(BEAT_S):
+            due = self._due
+            if due is None or time.monotonic() < due:
+                self._say("")
+
+    def _say(self, word: str) -> None:
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError, ValueError):  # it is gone already, or sent home
+                self._process.stdin.write(word + "\n")
+                self._process.stdin.flush()
 
 
-def watch(address: str, lines: TextIO, complaints: TextIO) -> int:
-    """Wait for the end of a pipe, then stop the table unless all ended well.
+def watch(address: str, chamber: str, lines: TextIO, complaints: TextIO, *, silence_s: float = SILENCE_S) -> int:
+    """Listen at a pipe until it ends or falls silent, then stop the table and the chamber unless all ended well.
 
     Parameters
     ----------
     address : str
-        Of the rig.
+        Of the rig, "" without one.
+    chamber : str
+        Of the chamber, "" without one.
     lines : file
         From the program that drives the rig.
     complaints : file
-        Where to say that the rig did not confirm.
+        Where to say that rig or chamber did not confirm.
+    silence_s : float
+        Longest time between two lines, s.
 
     Returns
     -------
     int
-        0, or 3 where it is not confirmed that the table stopped.
+        0, or 3 where it is not confirmed that the table stopped and the chamber is off.
     """
-    if any(line.strip() == DONE for line in lines):
+    if _ended_well(lines, silence_s):
         return 0
-    try:
-        stop_rig(address)
-    except RigError as error:
-        complaints.write(f"undrift: guard: {error}\n")
-        return 3
-    return 0
+    code = 0
+    for stop, place in ((stop_rig, address), (stop_chamber, chamber)):
+        try:
+            if place:
+                stop(place)
+        except RigError as error:
+            complaints.write(f"undrift: guard: {error}\n")
+            code = 3
+    return code
 
 
 def stop_rig(address: str) -> None:
@@ -107,5 +204,43 @@ def stop_rig(address: str) -> None:
     open_rig(address, RigSettings()).close()
 
 
+def stop_chamber(address: str) -> None:
+    """Switch heater and compressor off, from a connection of its own.
+
+    Parameters
+    ----------
+    address : str
+        Of the chamber.
+
+    Raises
+    ------
+    RigError
+        The chamber is not there, or did not confirm.
+    """
+    with open_chamber(address) as chamber:
+        chamber.switch_off()
+
+
+def _ended_well(lines: TextIO, silence_s: float) -> bool:
+    """Return whether "done" was said; False at the end of the pipe and after too long a silence."""
+    heard: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+
+    def listen() -> None:
+        for line in lines:
+            heard.put(line.strip())
+        heard.put(None)
+
+    threading.Thread(target=listen, daemon=True).start()
+    while True:
+        try:
+            word = heard.get(timeout=silence_s)
+        except queue.Empty:
+            return False
+        if word is None or word == DONE:
+            return word == DONE
+
+
 if __name__ == "__main__":
-    sys.exit(watch(sys.argv[1], sys.stdin, sys.stderr))
+    sys.stdout.write(READY + "\n")
+    sys.stdout.flush()
+    sys.exit(watch(sys.argv[1], sys.argv[2], sys.stdin, sys.stderr))
