@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from undrift.errors import InputError, LimitError
+from undrift.errors import InputError
 from undrift.protocol import Protocol
 from undrift.rig.programme import Dwell, Mount, Programme, ProgrammeSettings, Soak, programme_of
 from undrift.rig.rig import Limits
@@ -137,11 +137,21 @@ def test_a_programme_without_a_dwell_is_refused():
 def test_rates_accelerations_and_travel_beyond_the_rigs_are_refused_before_it_is_opened():
     programme = programme_of(SMALL)
     check_programme(programme, Limits())
-    with pytest.raises(LimitError, match=r"step 7 \(\+30 deg/s about x\): turn rate: wanted at most 0.4"):
+    with pytest.raises(
+        InputError, match=r"step 7 \(\+30 deg/s about x\): turn rate: wanted at most 22.9183 deg/s, got 30; mend"
+    ):
         check_programme(programme, Limits(turn_rate=0.4))
-    with pytest.raises(LimitError, match="acceleration: wanted above 0 and at most 10 rad/s2, got 40"):
+    with pytest.raises(InputError, match=r"acceleration: wanted at most 572.958 deg/s2, got 2291.83; mend the protocol"):
         check_programme(programme, Limits(acceleration=10.0))
-    with pytest.raises(LimitError, match=r"step [3-7] .*: travel: wanted to stay within 2 rad of the start"):
+    with pytest.raises(InputError, match=r"step [3-7] .*: travel: wanted at most 114.592 deg from the start, got"):
         check_programme(programme, Limits(travel=2.0))
     check_programme(programme, Limits(travel=4.0))  # back and forth: 30 deg/s for 6.3 s is 3.3 rad
     check_programme(programme, Limits(turn_rate=0.4), frozenset(range(7, 99)))
+
+
+def test_rates_for_a_persons_hands_are_refused_with_the_way_out():
+    with pytest.raises(
+        InputError, match=r"manual rig: wanted rests on faces only, got 12 dwells .*leave \[rates\] out of the protocol"
+    ):
+        check_programme(programme_of(SMALL), Limits(), by_hand=True)
+    check_programme(programme_of(Protocol(faces=("+x",))), Limits(), by_hand=True)
