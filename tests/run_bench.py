@@ -9,11 +9,13 @@ import numpy as np
 from undrift.protocol import Protocol
 from undrift.record import Record
 from undrift.rig.address import RigSettings, open_rig
+from undrift.rig.chamber import SoakSettings
 from undrift.rig.clock import Clock
 from undrift.rig.folder import RunFolder
+from undrift.rig.judge import RunSettings
 from undrift.rig.programme import programme_of
 from undrift.rig.rig import Limits
-from undrift.rig.run import Bench, RunSettings, run_programme
+from undrift.rig.run import Bench, run_programme
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -80,6 +82,10 @@ class Oven:
     def __init__(self):
         self.temp_c, self.asked = 25.0, 0
 
+    @property
+    def criterion(self):
+        return SoakSettings()
+
     def set(self, temp_c):
         self.temp_c, self.asked = temp_c, 0
         return temp_c
@@ -115,7 +121,7 @@ def run(
     resume=False,
     report=lambda progress: None,
     chamber=None,
-    giving_up=RunSettings(),
+    giving_up=RunSettings(device_lag_s=0.0),
     **settings,
 ):
     """Run a protocol on an emulator; return the result and the hands."""

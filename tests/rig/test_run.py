@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from run_bench import GAIN, SHORT, Hands, Oven, at_rest, emulated, gain_of, opened, run
-from undrift.errors import InputError, LimitError, RigFault, RigTimeout
+from run_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_of, opened, run
+from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.protocol import Protocol
 from undrift.rig.achieved import achieved_turn_rate
 from undrift.rig.hands import AskedHands
+from undrift.rig.judge import RunSettings, check_rate
 from undrift.rig.rig import Position
-from undrift.rig.run import RunSettings
 from undrift.rig.status import read_status
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -85,7 +85,7 @@ def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
     with emulated() as emulator:
         with pytest.raises(InputError, match="wanted a chamber for the programme's temperatures, got none"):
             run(emulator, tmp_path / "a", replace(SHORT, temperatures_c=(30.0,)))
-        with pytest.raises(LimitError, match="turn rate: wanted at most"):
+        with pytest.raises(InputError, match=r"turn rate: wanted at most 200 deg/s, got 210; mend the protocol"):
             run(emulator, tmp_path / "b", replace(SHORT, turn_rate_max=300.0 * DPS))
         assert at_rest(emulator)
         assert emulator.axis_angle() == 0.0
@@ -121,7 +121,7 @@ def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(t
         ):
             run(emulator, tmp_path / "a", giving_up=RunSettings(turn_rate_tolerance=-1.0))
         with pytest.raises(
-            RigTimeout, match=r"device: wanted readings of 0.5 s in step 1 .*look at the device and its link"
+            RigTimeout, match=r"device: wanted 9900% of .* readings in step 1 .*look at the device and its link"
         ):
             run(emulator, tmp_path / "b", giving_up=RunSettings(least_part=99.0))
         assert at_rest(emulator)
@@ -137,6 +137,125 @@ def test_an_exception_in_the_middle_of_a_dwell_ends_at_rest(tmp_path):
             run(emulator, tmp_path, report=report)
         assert at_rest(emulator)
     assert len(read_session(tmp_path).records) == 3
+
+
+HEATED = Protocol(faces=("+z",), face_s=3.0, temperatures_c=(40.0,))
+
+
+class Warm(Device):
+    """A device with a thermometer: 30 degC at first, 40 when it has followed the chamber with 60 s; in a dwell as told."""
+
+    def __init__(self, emulator, hands, in_dwell=lambda t: 0.0 * t):
+        super().__init__(emulator, hands)
+        self.born, self.in_dwell = emulator.now(), in_dwell
+
+    def stop(self):
+        record = super().stop()
+        follows = 40.0 - 10.0 * np.exp(-(record.time - self.born) / 60.0)
+        away = self.in_dwell(record.time - record.time[0]) if record.duration_s < 5.0 else 0.0
+        return replace(record, temp_c=follows + away)
+
+
+def heated(emulator, path, monkeypatch, device, chamber=None):
+    monkeypatch.setattr("run_bench.Device", device)
+    return run(emulator, path, HEATED, chamber=chamber or Oven())[0]
+
+
+def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mean_is_written(tmp_path, monkeypatch):
+    with emulated(200.0) as emulator:
+        devices = []
+        monkeypatch.setattr("run_bench.Device", lambda *a: devices.append(Warm(*a)) or devices[-1])
+        piece = run(emulator, tmp_path, HEATED, chamber=Oven())[0].pieces[0]
+        took_s = emulator.now() - devices[0].born
+    assert took_s > 60.0 * np.log(10.0 / 0.1), "10 K at 60 s falls below 0.1 K/min after 4.6 time constants"
+    assert piece.temp_c == 40.0
+    assert 39.8 < piece.device_c < 40.0
+    assert read_session(tmp_path).stills[0].temp_c == piece.device_c
+
+
+def test_a_device_without_a_thermometer_is_given_five_of_its_stated_time_constants(tmp_path):
+    with emulated(50.0) as emulator:
+        begun, said = emulator.now(), []
+        run(
+            emulator,
+            tmp_path,
+            HEATED,
+            chamber=Oven(),
+            giving_up=RunSettings(device_lag_s=20.0),
+            report=lambda progress: said.append((progress.phase, emulator.now() - begun)),
+        )
+    assert next(at for phase, at in said if phase == "settling") > 100.0
+    assert read_session(tmp_path).stills[0].temp_c == 40.0
+
+
+def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path):
+    oven = Oven()
+
+    def report(progress):
+        if progress.phase == "dwelling":
+            oven.temp_c = 25.0
+
+    with emulated() as emulator:
+        with pytest.raises(
+            RigFault, match=r"chamber: wanted 40 degC within 0.5 K throughout step 3 .*, got 25.00 degC"
+        ):
+            run(emulator, tmp_path, replace(SHORT, faces=(), temperatures_c=(40.0,)), chamber=oven, report=report)
+        assert at_rest(emulator)
+    assert len(read_session(tmp_path).stills) == 1
+
+
+@pytest.mark.parametrize("away", [lambda t: -0.5 * t, lambda t: np.where(t > 1.5, 3.0, 0.0)], ids=["slope", "jump"])
+def test_a_thermometer_that_drifts_or_jumps_in_a_dwell_ends_the_run(tmp_path, monkeypatch, away):
+    with emulated(200.0) as emulator:
+        with pytest.raises(RigFault, match=r"device: wanted its thermometer steady within 0.5 K throughout step 2"):
+            heated(emulator, tmp_path, monkeypatch, lambda *a: Warm(*a, away))
+        assert at_rest(emulator)
+
+
+def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path, monkeypatch):
+    def device(lost):
+        class Gappy(Device):
+            def stop(self):
+                record = super().stop()
+                keep = np.arange(len(record)) % 10 >= lost
+                return replace(record, gyro=np.where(keep[:, None], record.gyro, np.nan))
+
+        return Gappy
+
+    still = Protocol(faces=("+z",), face_s=2.0)
+    with emulated() as emulator:
+        monkeypatch.setattr("run_bench.Device", device(1))
+        piece = run(emulator, tmp_path / "few", still)[0].pieces[0]
+        assert 0.09 < piece.missing / piece.samples < 0.11
+        monkeypatch.setattr("run_bench.Device", device(3))
+        with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 1 .*the others missing"):
+            run(emulator, tmp_path / "many", still)
+
+
+@pytest.mark.parametrize("turn_rate", [0.5, 90.0])
+@pytest.mark.parametrize(("begin", "part"), [(0.75, 0.25), (0.4, 0.25), (0.5, 0.1)], ids=["end", "middle", "short"])
+def test_an_axis_that_stands_still_for_a_part_of_a_dwell_is_refused(turn_rate, begin, part):
+    rate, seconds = turn_rate * DPS, 6.0
+    times = np.linspace(0.3, seconds, 60)
+    stood = np.clip(times - begin * seconds, 0.0, part * seconds)
+
+    def judged(moving_s):
+        positions = [Position(angle=rate * m, time=t) for m, t in zip(moving_s.tolist(), times.tolist(), strict=True)]
+        check_rate(achieved_turn_rate(positions, [0.004] * 60), rate, RunSettings(), "step 1")
+
+    judged(times)
+    with pytest.raises(RigFault, match=r"rig: wanted (a steady turn|.* rad/s held) within .*in step 1, got"):
+        judged(times - stood)
+
+
+def test_a_stop_that_the_mean_rate_makes_up_for_is_off_the_straight_line():
+    times = np.linspace(0.0, 6.0, 61)
+    angles = times + 0.05 * np.sin(2.0 * np.pi * times / 3.0)
+    positions = [Position(angle=a, time=t) for a, t in zip(angles.tolist(), times.tolist(), strict=True)]
+    with pytest.raises(
+        RigFault, match=r"wanted a steady turn within 0.05 deg in step 1, got .* deg off a straight line"
+    ):
+        check_rate(achieved_turn_rate(positions, [0.001] * 61), 1.0, RunSettings(), "step 1")
 
 
 def test_a_status_is_read_beside_the_one_who_drives(tmp_path):

@@ -3,7 +3,9 @@
 A line through (t_i, phi_i) by weighted least squares: slope sum w (t - tm)(phi - phim) / S, S = sum w (t - tm)^2, w = 1 / d^2.
 When a position was taken is known no better than the time d between question and answer, so quick answers count more; a floor of
 half the median d keeps a few from counting alone. The standard uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared
-residuals, has the counts of the encoder and the delays of the link in it.
+residuals, has the counts of the encoder and the delays of the link in it. It grows with whatever is wrong, so it is no measure of
+whether the table turned steadily: that is the misfit, the largest distance from the line that the delays do not explain,
+max |residual_i| - |slope| (d_i + median d), and the rate between the first position and the last.
 """
 
 from collections.abc import Sequence
@@ -27,10 +29,22 @@ class Achieved:
         rad/s.
     uncertainty : float
         Standard, rad/s.
+    between_ends : float
+        Way from the first position to the last over its time, rad/s.
+    misfit : float
+        Farthest from steady that a position is, delays of the link left out, rad; 0 where they explain it all.
+    span_s : float
+        From the first position to the last, s.
+    delay_s : float
+        Largest of the median delay and of those at both ends, s.
     """
 
     turn_rate: float
     uncertainty: float
+    between_ends: float
+    misfit: float
+    span_s: float
+    delay_s: float
 
 
 def achieved_turn_rate(positions: Sequence[Position], delays_s: Sequence[float]) -> Achieved:
@@ -46,7 +60,7 @@ def achieved_turn_rate(positions: Sequence[Position], delays_s: Sequence[float])
     Returns
     -------
     Achieved
-        Slope and its uncertainty.
+        Slope, its uncertainty, and how straight the line was.
 
     Raises
     ------
@@ -66,4 +80,12 @@ def achieved_turn_rate(positions: Sequence[Position], delays_s: Sequence[float])
     slope = float(weight @ (t * phi)) / square
     residual = phi - slope * t
     spread = float(weight @ (residual * residual)) / ((len(time) - 2) * square)
-    return Achieved(turn_rate=slope, uncertainty=float(np.sqrt(spread)))
+    beyond = np.abs(residual) - abs(slope) * (delay + np.median(delay))
+    return Achieved(
+        turn_rate=slope,
+        uncertainty=float(np.sqrt(spread)),
+        between_ends=float((angle[-1] - angle[0]) / (time[-1] - time[0])),
+        misfit=max(0.0, float(beyond.max())),
+        span_s=float(time[-1] - time[0]),
+        delay_s=float(max(np.median(delay), delay[0], delay[-1])),
+    )

@@ -184,6 +184,11 @@ class ScpiChamber:
         """Close it."""
         self.close()
 
+    @property
+    def criterion(self) -> SoakSettings:
+        """When its temperature counts as steady."""
+        return self.settings.soak
+
     def set(self, temp_c: float) -> float:
         """Switch on and set a temperature to go to.
 

@@ -3,6 +3,7 @@
 from typing import Protocol
 
 from undrift.record import Record
+from undrift.rig.chamber import SoakSettings
 from undrift.session import Face
 
 
@@ -46,6 +47,10 @@ class Readings(Protocol):
 
 class Chamber(Protocol):
     """A thermal chamber."""
+
+    @property
+    def criterion(self) -> SoakSettings:
+        """When its temperature counts as steady, and how far from the set-point it may be."""
 
     def set(self, temp_c: float) -> float:
         """Set a temperature to go to.
