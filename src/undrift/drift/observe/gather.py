@@ -19,6 +19,7 @@ from undrift.units import RADIAN_PER_DEGREE
 Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: shape (N,), degC, lag taken off
 
 _SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
+_STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which wanders within a soak, K
 _EVEN = 4.0  # a log that never moves: the spread of nearly all blocks lies within this factor of the median
 
 
@@ -266,13 +267,13 @@ def _steps(session: Session, turns: list[Turn], temps: Sequence[FloatArray], set
 
 
 def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
-    """Return which soak each dwell belongs to: by set-point where one is stated, else by temperature."""
+    """Return which soak each dwell belongs to: by the temperature that is stated where one is, else by the thermometer."""
     numbers = np.zeros(len(turns), np.int64)
     first = 0
     for k in range(1, len(turns)):
         stated = turns[k].temp_c, turns[first].temp_c
         told = None not in stated
-        another = stated[0] != stated[1] if told else abs(temp_c[k] - temp_c[first]) > apart_c
+        another = abs(stated[0] - stated[1]) > _STATED_C if told else abs(temp_c[k] - temp_c[first]) > apart_c
         first = k if another else first
         numbers[k] = numbers[k - 1] + another
     return numbers
