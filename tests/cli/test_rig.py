@@ -13,6 +13,7 @@ from undrift.cli.app import run
 from undrift.sim.device.store import read_device
 from undrift.sim.device.truth import true_calibration
 
+NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
 PROTOCOL = """
 [protocol]
 name = "end to end"
@@ -90,10 +91,48 @@ def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code,
     assert err.count("\n") == 1
 
 
+def test_a_stop_while_the_device_is_mounted_ends_the_run_before_the_motor_is_on_again(emulated, tmp_path, capsys):
+    (tmp_path / "protocol.toml").write_text(PROTOCOL)
+    words = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", emulated["rig"], "--device", emulated["device"]]
+    code = f"from undrift.cli.app import main; main({[*words, '-o', str(tmp_path / 'run'), '--yes']!r})"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None
+        assert process.stderr is not None
+        shown = ""
+        while "press Enter" not in shown:
+            said = process.stderr.read(1)
+            assert said, shown
+            shown += said
+        assert run(["rig", "stop", "--rig", emulated["rig"]]) == 0
+        _, err = process.communicate("\n", timeout=20.0)
+        assert process.returncode == 3
+    assert "wanted to go on, got it stopped from elsewhere by rig stop; go on with --resume" in err
+    capsys.readouterr()
+    assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
+    assert not json.loads(capsys.readouterr().out)["motor_on"]
+
+
 def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", "manual:", "--device", "tcp://127.0.0.1:9"]
+    call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", NOBODY, "--device", "tcp://127.0.0.1:9"]
     for said in ("", "n\n"):
         monkeypatch.setattr(sys, "stdin", io.StringIO(said))
         assert run([*call, "-o", str(tmp_path / f"run{len(said)}")]) == 2
         assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err
+
+
+def test_a_start_that_was_refused_is_no_run(capsys, tmp_path, monkeypatch):
+    (tmp_path / "protocol.toml").write_text(PROTOCOL)
+    call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", NOBODY, "--device", "tcp://127.0.0.1:9"]
+    call += ["-o", str(tmp_path / "run")]
+    monkeypatch.setattr(sys, "stdin", io.StringIO("n\n"))
+    for more, message in (
+        ([], "wanted a yes to start"),
+        (["--yes", "--highest-turn-rate-dps", "10"], "turn rate"),
+        (["--yes"], "stream: wanted rate"),
+        (["--yes"], "stream: wanted rate"),
+    ):
+        assert run([*call, *more]) != 0
+        assert message in capsys.readouterr().err

@@ -72,8 +72,8 @@ def test_kill_9_at_random_moments_leaves_a_table_at_rest_and_loses_one_dwell_at_
     assert len(session.stills) == 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_and_sigterm_end_at_rest_with_what_was_done(tmp_path, number):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGTSTP])
+def test_ctrl_c_sigterm_and_ctrl_z_end_at_rest_with_what_was_done(tmp_path, number):
     write_protocol(LONGER, tmp_path / "protocol.toml")
     with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
@@ -86,6 +86,41 @@ def test_ctrl_c_and_sigterm_end_at_rest_with_what_was_done(tmp_path, number):
         assert "stopped; nothing was left half written" in err
         assert at_rest(bench.rig)
     assert len(read_session(tmp_path / "run").records) >= 3
+
+
+def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(tmp_path):
+    write_protocol(LONGER, tmp_path / "protocol.toml")
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+        process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
+        turning(bench.rig)
+        last = time.monotonic() + 20.0
+        while process.poll() is None and time.monotonic() < last:
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.01)
+        _, err = process.communicate(timeout=20.0)
+        assert process.returncode == 130, err
+        assert err.splitlines()[-1] == "undrift: stopped; nothing was left half written"
+        assert not bench.rig.motor_on
+
+
+def test_a_program_that_is_halted_has_its_table_stopped_and_does_not_go_on_afterwards(tmp_path):
+    write_protocol(replace(LONGER, dwell_s=200.0), tmp_path / "protocol.toml")
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+        process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
+        turning(bench.rig)
+        process.send_signal(signal.SIGSTOP)
+        assert at_rest(bench.rig, 15.0), "the guard did not stop the table"
+        process.send_signal(signal.SIGCONT)
+        _, err = process.communicate(timeout=30.0)
+        assert process.returncode == 3, err
+        assert at_rest(bench.rig, 0.0)
+
+
+def turning(rig):
+    last = time.monotonic() + 20.0
+    while abs(rig.axis_rate()) < 10.0 * DPS:
+        assert time.monotonic() < last, "it never turned"
+        time.sleep(0.005)
 
 
 def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):

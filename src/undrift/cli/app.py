@@ -6,6 +6,7 @@ arose. A command is imported only when it is called, so that ``undrift --help`` 
 """
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -15,6 +16,7 @@ from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 from undrift import __version__
 from undrift.errors import RigError, UndriftError
 
+INTERRUPTED = 130
 COMMANDS = {
     "info": "What a recording, session, calibration, reference or device holds.",
     "calibrate": "Fit what a session allows, and say what was not observable.",
@@ -58,7 +60,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     SystemExit
         Always, with the exit code.
     """
-    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+    try:
+        code = run(sys.argv[1:] if arguments is None else arguments)
+    except KeyboardInterrupt:  # a second one, while the first was told
+        code = INTERRUPTED
+    if code == INTERRUPTED:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would change the exit code
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -91,7 +99,7 @@ def run(arguments: Sequence[str]) -> int:
             f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions", code=2
         )
     except KeyboardInterrupt:
-        return complain("stopped; nothing was left half written", code=130)
+        return complain("stopped; nothing was left half written", code=INTERRUPTED)
     except Exception as error:
         if os.environ.get("UNDRIFT_TRACEBACK") == "1":
             raise
