@@ -13,9 +13,12 @@ if TYPE_CHECKING:
     from undrift.study.executor import Executor
     from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
+    from undrift.study.real_motion import BesideRow
+    from undrift.study.real_plan import RealData, RealOutcome
     from undrift.study.testing import Cohort, Tested
 
 QUICK_SUBJECTS = 8
+REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
 
 
 def study(
@@ -29,6 +32,8 @@ def study(
     seed: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    rivals: Annotated[bool, Parameter(negative="--no-rivals")] = True,
+    real: Path | None = None,
     json: Flag = False,
 ) -> int:
     """Try calibration protocols on simulated subjects; say which is enough, how surely, and in how many minutes on the rig.
@@ -51,6 +56,10 @@ def study(
         Processes on this machine; all its processors where not given.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
+    rivals : bool
+        Compare other ways to calibrate, as the note's Discussion does; about 10 s a task. --quick leaves it out.
+    real : Path or None
+        real.toml: real recordings to judge beside the study. See docs/study.md.
     json : bool
         One JSON object on stdout.
 
@@ -65,11 +74,12 @@ def study(
     from undrift.study.executor import choose_executor
 
     planned = _planned(plan, preset, quick, subjects, seed)
+    held = None if real is None else _read_real(real)
     executor = choose_executor(scheduler, workers)
     workers = executor.workers
     _check_folder(output, planned)
     _announce(planned, workers, json)
-    outcome = _with_progress(planned, executor, output)
+    outcome = _with_progress(planned, executor, output, rivals and not quick, held)
     summary = study_summary(outcome)
     write_whole(output / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
     write_study_report(outcome, output / "report.html")
@@ -133,7 +143,17 @@ def _announce(planned: "Study", workers: int, json: bool) -> None:
     )
 
 
-def _with_progress(planned: "Study", executor: "Executor", output: Path) -> "StudyOutcome":
+def _read_real(path: Path) -> "RealData":
+    from undrift.cli.output import waiting
+    from undrift.study.real_plan import read_real
+
+    with waiting("reading real recordings"):
+        return read_real(path)
+
+
+def _with_progress(
+    planned: "Study", executor: "Executor", output: Path, rivals: bool, real: "RealData | None"
+) -> "StudyOutcome":
     from undrift.cli.output import progress
     from undrift.study.outcome import judge_study
 
@@ -144,7 +164,10 @@ def _with_progress(planned: "Study", executor: "Executor", output: Path) -> "Stu
             what = planned.name if done < total else f"{planned.name}: other cohort, statistics"
             shown.update(bar, description=what, completed=done, total=total)
 
-        return judge_study(planned, executor, output, advance=advance)
+        def say(what: str) -> None:
+            shown.update(bar, description=f"{planned.name}: {what}")
+
+        return judge_study(planned, executor, output, advance=advance, rivals=rivals, real=real, say=say)
 
 
 def _duration(seconds: float) -> str:
@@ -168,8 +191,10 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
     Returns
     -------
     dict
-        Tasks, cohorts, Figure 3.
+        Tasks, cohorts, Figure 3, rates to dwell at, rival methods, real recordings.
     """
+    from dataclasses import asdict
+
     held, figure = outcome.study, outcome.figure3
     return {
         "name": held.name,
@@ -193,6 +218,38 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         if figure is not None
         else None,
         "figure3_missing": outcome.figure3_missing or None,
+        "designs": [asdict(row) for row in outcome.designs],
+        "rivals": [asdict(row) for row in outcome.rivals] or None,
+        "rivals_missing": outcome.rivals_missing or None,
+        "real": None if outcome.real is None else _real_summary(outcome.real),
+    }
+
+
+def _real_summary(real: "RealOutcome") -> dict[str, object]:
+    from dataclasses import asdict
+
+    def beside(rows: "tuple[BesideRow, ...]") -> list[dict[str, object]]:
+        return [asdict(row) | {"inside": row.inside} for row in rows]
+
+    return {
+        "trials": [
+            {
+                "level": level.level,
+                "median": {name: getattr(level, name) for name in REAL_FIGURES},
+                "trials": [{"recording": trial.recording} | asdict(trial.figures) for trial in level.trials],
+                "agreement": None if level.agreement is None else asdict(level.agreement),
+            }
+            for level in real.errors
+        ],
+        "captures": beside(real.motions),
+        "worn": None
+        if real.worn is None
+        else {
+            "rows": [asdict(row) for row in real.worn.rows],
+            "agreement": {level: asdict(pairwise) for level, pairwise in real.worn.agreement},
+        },
+        "stances": beside(real.sways),
+        "lacks": real.lacks,
     }
 
 

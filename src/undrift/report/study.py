@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from undrift.report.figures import svg_of
 from undrift.report.page import Section, write_page
+from undrift.report.study_extra import design_sections, real_sections, rival_sections
 from undrift.report.study_pictures import LEVEL_NAMES, NAMES, draw_effects, draw_figure3, draw_pareto, draw_surface
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
     Returns
     -------
     tuple of Section
-        Tables first, then a group for each task, then Figure 3.
+        Tables first, then a group for each task, Figure 3, rates to dwell at, rival methods, real recordings.
     """
     tasks = [section for task in outcome.tasks for section in _task_sections(outcome, task)]
     beside = _beside(outcome)
@@ -58,6 +59,9 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
         _cohorts(outcome),
         *tasks,
         _figure3(outcome.figure3, outcome.figure3_missing),
+        *design_sections(outcome.designs),
+        *rival_sections(outcome),
+        *real_sections(outcome.real),
     )
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.io.bodies import L5_OFFSET, device_on, find_body
+from undrift.io.bodies import L5_OFFSET, BodyName, device_on, find_body
+from undrift.io.markers import Up
 from undrift.io.reference import read_markers, read_reference
 from undrift.record import Reference
 from undrift.sim.motion.motion import Motion
@@ -84,7 +85,7 @@ def _read(own: OwnMotion) -> RecordedTask:
         raise InputError(
             f"{own.path}: wanted the file that the study began with, got another content; start a new study"
         )
-    reference = _poses(own)
+    reference = read_poses(Path(own.path), body=own.body, markers=own.markers, up=own.up)
     spline = fit_pose_spline(reference, SKIN if own.body else PoseSettings())
     if reference.position is None:
         raise InputError(
@@ -103,15 +104,36 @@ def _read(own: OwnMotion) -> RecordedTask:
     return RecordedTask(spline=spline, moving_s=(own.rest_s, length))
 
 
-def _poses(own: OwnMotion) -> Reference:
-    """Return the poses of the cluster or file, or of a device on a segment: at L5 on a pelvis, at the origin of another."""
-    path = Path(own.path)
-    if own.body is None:
-        return read_reference(path, labels=own.markers or None, up=own.up)
-    if own.markers or own.up is None:
-        raise InputError(f"{path}: wanted a body and up, got {'markers too' if own.markers else 'no up'}; name the two")
-    offset = L5_OFFSET if own.body == "pelvis" else (0.0, 0.0, 0.0)
-    return device_on(find_body(read_markers(path, up=own.up), own.body), offset_b=offset)
+def read_poses(path: Path, *, body: BodyName | None, markers: tuple[str, ...], up: Up | None) -> Reference:
+    """Read the poses of a cluster or file, or of a device on a segment: at L5 on a pelvis, at the origin of another.
+
+    Parameters
+    ----------
+    path : Path
+        Poses or markers.
+    body : str or None
+        pelvis, thorax or trunk, found by its markers.
+    markers : tuple of str
+        Or labels of one rigid cluster.
+    up : str or None
+        Laboratory axis that points up, for markers.
+
+    Returns
+    -------
+    Reference
+        Poses.
+
+    Raises
+    ------
+    InputError
+        A body with markers too, or without up; and all that the readers raise.
+    """
+    if body is None:
+        return read_reference(path, labels=markers or None, up=up)
+    if markers or up is None:
+        raise InputError(f"{path}: wanted a body and up, got {'markers too' if markers else 'no up'}; name the two")
+    offset = L5_OFFSET if body == "pelvis" else (0.0, 0.0, 0.0)
+    return device_on(find_body(read_markers(path, up=up), body), offset_b=offset)
 
 
 def sha256_of(path: Path) -> str:

@@ -1,12 +1,13 @@
 """Outcome of a study: for each task the optimum, what it is worth on other subjects, its statistics, and the note's row.
 
 surfaces -> optimum -> the other cohort -> power, optional stopping -> Table 1 beside the note's, Figure 3
+-> rates to dwell at, rival methods, real recordings
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import cast, get_args
 
 import numpy as np
 
@@ -14,14 +15,18 @@ from undrift.errors import InputError, UndriftError
 from undrift.sim.motion.library import TaskName
 from undrift.study.beside import Beside, compare_with_note
 from undrift.study.case import device_of, seeded
+from undrift.study.design_rows import DesignRow, design_rows
 from undrift.study.executor import Executor
 from undrift.study.figure3 import Figure3, figure3
-from undrift.study.note import TABLE_1
+from undrift.study.note import DEVICE, TABLE_1
 from undrift.study.optimise import PARAMETERS, Optimum, ParameterEffect, find_optimum
-from undrift.study.plan import Study
+from undrift.study.plan import Study, StudyTask
 from undrift.study.power import OptionalStopping, power_reached, stopping_of, subjects_needed
+from undrift.study.real_plan import RealData, RealOutcome, judge_real
+from undrift.study.rival_rows import TASKS, RivalRow, compare_rivals
 from undrift.study.run import TaskSurface, count_runs, run_study
 from undrift.study.testing import Cohort, Tested, cohort_of, other_study, run_testing
+from undrift.units import RADIAN_PER_DEGREE
 
 TESTING = "testing"
 FIRST_LOOK = 10  # subjects
@@ -99,6 +104,14 @@ class StudyOutcome:
         For a study with a sit-to-stand.
     figure3_missing : str
         Why there is none.
+    designs : tuple of DesignRow
+        D- and I-optimal rates beside the uniform grid, by task.
+    rivals : tuple of RivalRow
+        Other ways to calibrate; empty where they were not asked for.
+    rivals_missing : str
+        Why there are none.
+    real : RealOutcome or None
+        Real recordings, where some were given.
     """
 
     study: Study
@@ -107,10 +120,21 @@ class StudyOutcome:
     cohorts: tuple[Cohort, Cohort]
     figure3: Figure3 | None
     figure3_missing: str
+    designs: tuple[DesignRow, ...] = ()
+    rivals: tuple[RivalRow, ...] = ()
+    rivals_missing: str = "not asked for"
+    real: RealOutcome | None = None
 
 
 def judge_study(
-    study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None] | None = None
+    study: Study,
+    executor: Executor,
+    folder: Path,
+    *,
+    advance: Callable[[int, int], None] | None = None,
+    rivals: bool = False,
+    real: RealData | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> StudyOutcome:
     """Run a study, or what is left of it, and judge it.
 
@@ -124,6 +148,12 @@ def judge_study(
         Finished units are kept there, and surface.parquet in the end.
     advance : callable, optional
         Told how many units are done, of how many.
+    rivals : bool
+        Compare other ways to calibrate too; about 10 s a task.
+    real : RealData, optional
+        Real recordings to judge.
+    say : callable, optional
+        Told what is being worked on after the units.
 
     Returns
     -------
@@ -144,6 +174,12 @@ def judge_study(
     )
     tested = run_testing(study, surfaces, optima, folder / TESTING)
     figure, missing = _figure3(study)
+    say = say or _silent
+    say("rates to dwell at")
+    designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
+    rows, rivals_missing = _rivals(study, say) if rivals else ((), "not asked for")
+    if real is not None:
+        say("real recordings")
     return StudyOutcome(
         study=study,
         runs=count_runs(study),
@@ -151,7 +187,35 @@ def judge_study(
         cohorts=(cohort_of(study), cohort_of(other_study(study))),
         figure3=figure,
         figure3_missing=missing,
+        designs=designs,
+        rivals=rows,
+        rivals_missing=rivals_missing,
+        real=None if real is None else judge_real(real, study),
     )
+
+
+def _silent(what: str) -> None:
+    """Say nothing."""
+
+
+def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optimum) -> tuple[DesignRow, ...]:
+    step, low, high = (
+        round(float(getattr(surface, name)[optimum.best]), 9) * RADIAN_PER_DEGREE
+        for name in ("turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
+    )
+    found = replace(task.base, turn_rate_step=step, turn_rate_min=low, turn_rate_max=high)
+    return design_rows(study, task, found)
+
+
+def _rivals(study: Study, say: Callable[[str], None]) -> tuple[tuple[RivalRow, ...], str]:
+    """Compare the methods on units of the study's kind, or of the note's where every subject wears one device."""
+    known = get_args(TaskName)
+    tasks = tuple(cast("TaskName", task.name) for task in study.tasks if task.motion is None and task.name in known)
+    say(f"rival methods: about {10 * len(tasks or TASKS)} s")
+    try:
+        return compare_rivals(kind=DEVICE if study.worn else study.device, seed=study.seed, tasks=tasks or TASKS), ""
+    except UndriftError as error:  # this device cannot be calibrated so: the study's own figures stand
+        return (), str(error)
 
 
 def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[Tested, Tested]) -> TaskOutcome:
