@@ -126,7 +126,8 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     Raises
     ------
     InputError
-        No model, NaN in it, a unit for a triad that has a model, a prefix that is no identifier, or numbers that the arithmetic does not hold.
+        No model, NaN in it, a unit for a triad that has a model, a prefix that is no identifier, or numbers that the arithmetic
+        does not hold.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", settings.prefix):
         raise InputError(
