@@ -26,7 +26,7 @@ class Board:
     """A board of one rotary axis that is where its jogs end at once, and that answers badly when told to."""
 
     def __init__(self) -> None:
-        self.settings = {"100": "8.889", "110": "21600.000", "120": "1000.000"}
+        self.settings = {"100": "8.889", "110": "2160000.000", "120": "1000.000"}
         self.state = "Idle"
         self.place = 0.0
         self.jogs: list[tuple[float, float]] = []
@@ -170,8 +170,8 @@ def test_an_axis_of_several_has_its_own_settings_and_place():
     board = Board()
     board.settings["103"] = "20.000"
     with Bench(board) as bench:
-        board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000,3.000,44.000|FS:0,0>\r\n"]
-        assert bench.rig.position().angle / DEGREE == pytest.approx(44.0)
+        board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000,3.000,0.500|FS:0,0>\r\n"]
+        assert bench.rig.position().angle / DEGREE == pytest.approx(0.5)
         assert bench.rig.move_by(90.0 * DEGREE) / DEGREE == pytest.approx(90.0)
 
 
@@ -344,3 +344,25 @@ def test_a_silent_port_is_a_timeout_and_an_axis_must_be_one():
 def test_a_stepper_does_not_know_its_following_error(bench):
     assert math.isnan(bench.rig.following_error())
     assert bench.rig.measured_turn_rate(0.5) == 0.0
+
+
+def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):
+    bench.rig.position()
+    bench.board.spoilt["?"] = [b"<Idle|MPos:-20000000.000|FS:0,0>\r\n"]
+    with pytest.raises(LinkError, match=r"wanted a position within [\d.]+ deg of 0, got -2e\+07; .*" + SAFE):
+        bench.rig.position()
+    bench.rig.enable(True)
+    assert bench.rig.position().angle == 0.0
+
+
+@pytest.mark.parametrize("call", [lambda rig: rig.stop(), lambda rig: rig.position(), lambda rig: rig.enable(True)])
+def test_a_jog_that_was_not_answered_is_the_cause_that_is_told(bench, call):
+    bench.board.spoilt["$J="] = [b"ok\r\n"] * 3 + [None] * 99
+    bench.rig.turn(20.0 * DEGREE)
+    feeder = bench.rig._axis.feeder
+    wait_until(lambda: feeder.failure is not None)
+    with pytest.raises(RigTimeout, match=r"'\$J=G91G21A[\d.]+F1200.000'.*; " + SAFE):
+        call(bench.rig)
+    assert bench.board.state == "Sleep"
+    bench.rig.enable(True)
+    assert bench.rig.fault() is None

@@ -17,6 +17,7 @@ from undrift.rig.grbl.words import status_end
 from undrift.rig.link import Link
 
 OWN_STOPS = ("Sleep", "Jog", "Run", "Hold")
+SLACK_DEG = 1.0  # of a position: the driver's clock and the board's are not quite the same
 QUEUED_JOGS = 8  # of the 15 that a small board can hold
 
 
@@ -46,10 +47,12 @@ class GrblAxis:
         self.enabled = False
         self.feeder: Feeder | None = None
         self._axis = axis
+        self._last: tuple[float, float] | None = None  # deg, and when it was asked for, s
         self.greeting = self.wake_up()
         _, self.steps_per_deg = stored(self.grbl, STEPS, axis)
         _, fastest_deg_per_min = stored(self.grbl, RATE, axis)
         self.fastest_dps = fastest_deg_per_min / 60.0
+        self._reach_dps = 1.5 * self.fastest_dps
         _, self.acceleration_dps2 = stored(self.grbl, ACCELERATION, axis)
         self.place_deg = self.home_deg = self.read_place()
 
@@ -67,6 +70,7 @@ class GrblAxis:
             The firmware's greeting.
         """
         link = self.grbl.link
+        self._last = None
         try:
             said = link.resynchronise("?", status_end, terminator="")
         except RigTimeout:  # a board that a serial port's opening restarted
@@ -87,8 +91,9 @@ class GrblAxis:
         Raises
         ------
         LinkError
-            The status has none for this axis.
+            The status has none for this axis, or one that no axis can have reached since the last.
         """
+        asked = self.clock.now()
         machine = self.grbl.status().machine
         if machine is None:
             raise LinkError(f"{self.name}: wanted machine positions, got work positions; set $10 to 1")
@@ -97,8 +102,21 @@ class GrblAxis:
             raise LinkError(
                 f"{self.name}: wanted a position of axis {self._axis}, got {len(machine)}; name another axis"
             )
+        self._check_reach(machine[index], asked)
         self.place_deg = machine[index]
         return self.place_deg
+
+    def _check_reach(self, place_deg: float, asked: float) -> None:
+        if self._last is not None:
+            last_deg, then = self._last
+            reach_deg = self._reach_dps * (self.clock.now() - then) + SLACK_DEG
+            if abs(place_deg - last_deg) > reach_deg:
+                raise LinkError(
+                    f"{self.name}: wanted a position within {reach_deg:.1f} deg of {last_deg:g}, got {place_deg:g}; "
+                    "the controller was restarted, the answer is garbled, or an emulator runs faster than clock_speed says",
+                    place_deg=place_deg,
+                )
+        self._last = (place_deg, asked)
 
     def jog(self, segment: Segment) -> None:
         """Queue a jog.
@@ -137,6 +155,8 @@ class GrblAxis:
             What the chain failed with.
         """
         failure = self.end_feeding()
+        if isinstance(failure, LinkError | RigTimeout):
+            raise failure
         if self.grbl.status().state in ("Jog", "Run", "Hold"):
             self.grbl.link.send(JOG_CANCEL)
             self.grbl.wait_for(("Idle",), self.fastest_dps / self.acceleration_dps2)
@@ -183,13 +203,15 @@ class GrblAxis:
         Raises
         ------
         RigTimeout or LinkError
-            As it was raised within, with what became of the table.
+            As it was raised within - or by the chain of jogs, if that came first - with what became of the table.
         """
         try:
             yield
         except (LinkError, RigTimeout) as error:
+            first = self.grbl.broken or error
             outcome = "the table was stopped and its motor put to sleep" if self.make_safe() else UNCONFIRMED
-            raise type(error)(f"{error}; {outcome}", **error.numbers) from error
+            self.grbl.broken = None
+            raise type(first)(f"{first}; {outcome}", **first.numbers) from error
 
     def make_safe(self) -> bool:
         """End the chain, stop, put the motor to sleep.

@@ -6,6 +6,7 @@
 import re
 import threading
 import time
+from collections.abc import Callable
 
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.clock import Clock
@@ -35,6 +36,7 @@ class GrblController:
         self.link = link
         self.clock = clock
         self.alarm: str | None = None
+        self.broken: LinkError | RigTimeout | None = None  # how the link first failed since it was last in step
         self._one_at_a_time = threading.RLock()
 
     @property
@@ -62,8 +64,7 @@ class GrblController:
         LinkError
             It said something that GRBL does not say.
         """
-        with self._one_at_a_time:
-            *said, last = self._lines(self.link.exchange(line), line)
+        *said, last = self._ask(line)
         if last.startswith("error:"):
             code = int(last.removeprefix("error:"))
             raise RigFault(
@@ -86,9 +87,7 @@ class GrblController:
         Status
             State and position.
         """
-        with self._one_at_a_time:
-            said = self.link.exchange("?", deadline_s, until=grbl_words.status_end, terminator="")
-            *_, last = self._lines(said, "?")
+        *_, last = self._ask("?", deadline_s, until=grbl_words.status_end, terminator="")
         return grbl_words.parse_status(last, self.name)
 
     def reset(self, deadline_s: float) -> str:
@@ -106,7 +105,7 @@ class GrblController:
         """
         with self._one_at_a_time:
             said = self.link.resynchronise(RESET.decode("latin-1"), grbl_words.welcome_end, deadline_s, terminator="")
-        self.alarm = None
+        self.alarm = self.broken = None
         return said.strip().splitlines()[-1]
 
     def wait_for(self, states: tuple[str, ...], expected_s: float) -> Status:
@@ -194,6 +193,24 @@ class GrblController:
             self.wait_for(("Idle", "Sleep"), 10.0)
         except (RigTimeout, RigFault):
             return
+
+    def _ask(
+        self,
+        question: str,
+        deadline_s: float | None = None,
+        *,
+        until: Callable[[bytes], int] | None = None,
+        terminator: str | None = None,
+    ) -> list[str]:
+        """Ask, one thread at a time; the first failure is kept, since those of other threads only follow from it."""
+        with self._one_at_a_time:
+            try:
+                return self._lines(
+                    self.link.exchange(question, deadline_s, until=until, terminator=terminator), question
+                )
+            except (LinkError, RigTimeout) as error:
+                self.broken = self.broken or error
+                raise
 
     def _lines(self, said: str, question: str) -> list[str]:
         """Return the lines of an answer; what GRBL never says is garbage, an alarm is remembered."""
