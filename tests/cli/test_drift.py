@@ -302,3 +302,20 @@ def test_an_empty_file_named_as_gzip_is_one_line(undrift, tmp_path):
     with gzip.open(tmp_path / "log.csv.gz", "wt") as file:
         file.write("")
     assert "log.csv.gz" in undrift.refused("drift", tmp_path / "log.csv.gz", "-o", tmp_path / "c.json")
+
+
+def test_a_log_given_twice_is_refused_and_a_log_in_two_files_is_one_switch_on(undrift, tmp_path):
+    (tmp_path / "map.toml").write_text(MPU_MAP)
+    log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
+    (tmp_path / "again.csv.gz").write_bytes(log.read_bytes())
+    words = ["--map", tmp_path / "map.toml", "-o", tmp_path / "made.json"]
+    refused = undrift.refused("drift", log, tmp_path / "again.csv.gz", *words)
+    for said in ("session 1 (Tempdata01-02-14.csv.gz) and session 2 (again.csv.gz): the same file", "leave one out"):
+        assert said in refused, said
+    assert not (tmp_path / "made.json").exists()
+    head, *rows = gzip.decompress(log.read_bytes()).splitlines(keepends=True)
+    (tmp_path / "a.csv").write_bytes(b"".join([head, *rows[: len(rows) // 2]]))
+    (tmp_path / "b.csv").write_bytes(b"".join([head, *rows[len(rows) // 2 :]]))
+    answer = undrift.good("drift", tmp_path / "b.csv", tmp_path / "a.csv", *words)
+    assert "one session: how far the offset moves" in answer.out
+    assert "between sessions" not in answer.out

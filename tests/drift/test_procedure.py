@@ -257,3 +257,9 @@ def test_what_does_not_belong_together_is_refused(session):
         fit_drift([replace(session, serial="other")], CALIBRATION)
     with pytest.raises(InputError, match="wanted a lag of 0 s or more, got -1"):
         fit_drift([session], CALIBRATION, settings=DriftSettings(lag_s=-1.0))
+
+
+def test_a_session_given_twice_is_refused(session):
+    again = replace(session, records=tuple(replace(r, time=r.time + 3600.0) for r in session.records))
+    with pytest.raises(InputError, match=r"got the same data in session 1 .* and session 2 "):
+        fit_drift([session, again], CALIBRATION)

@@ -43,7 +43,8 @@ def drift(
     ----------
     sessions : Path
         One or more thermal sessions of the device: folders with session.toml, or recordings at rest while the temperature
-        changes. Several are combined; how far they differ counts as uncertainty.
+        changes. Several are combined; how far they differ counts as uncertainty. Recordings whose clock runs on within 60 s
+        are one session.
     calibration : Path or None
         calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
     output : Path or None
@@ -76,6 +77,7 @@ def drift(
     """
     from undrift.calibration.store import calibration_json, read_calibration, write_calibration
     from undrift.cli.output import progress, write_json
+    from undrift.drift.observe.once import check_once
     from undrift.drift.procedure import fit_drift
 
     if not sessions:
@@ -89,8 +91,9 @@ def drift(
         for k, path in enumerate(sessions):
             shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
             held.append(_read(path, opening, model))
+        check_once(held)
         fit = fit_drift(
-            held,
+            _by_power_on(sessions, held),
             model,
             settings=settings,
             told=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
@@ -177,6 +180,16 @@ def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session
         records=(record,),
         inputs=((path.name, sha256_of(path)),) if path.is_file() else (),
     )
+
+
+def _by_power_on(paths: tuple[Path, ...], held: "list[Session]") -> "list[Session]":
+    """Return the sessions as they are, and recordings by themselves together where their clock runs on."""
+    from undrift.drift.observe.once import one_power_on
+    from undrift.io.detect import detect
+
+    bare = [detect(path) != "session" for path in paths]
+    whole = [session for session, alone in zip(held, bare, strict=True) if not alone]
+    return whole + one_power_on([session for session, alone in zip(held, bare, strict=True) if alone])
 
 
 def _write_pictures(fit: "DriftFit", page: Path | None, figure: Path | None) -> None:

@@ -1,0 +1,140 @@
+"""Every reading counts once: data given twice are refused, and recordings cut from one switch-on are put together.
+
+The fit takes sessions as independent. A copy of one would halve the variance and feign a second switch-on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray
+from undrift.errors import InputError
+from undrift.record import Record
+from undrift.session import Session
+
+_RUN = 16  # equal rows one after another: noise does not make them
+_DISTINCT = 8  # of them: a stuck or coarse sensor repeats itself
+_GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
+
+
+def check_once(sessions: Sequence[Session]) -> None:
+    """Refuse data that were given twice.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        As read.
+
+    Raises
+    ------
+    InputError
+        A recording's file that is in two sessions, or recordings of two sessions with equal readings: all of them, or 16 rows
+        one after another at the same times.
+    """
+    first: dict[str, str] = {}
+    for number, session in enumerate(sessions):
+        names = _files(session)
+        for name, digest in names:
+            here = _called(number, name)
+            if digest in first:
+                raise _twice(first[digest], here, "the same file")
+        first.update({digest: _called(number, name) for name, digest in names})
+    for b in range(1, len(sessions)):
+        for a in range(b):
+            _check_pair(sessions, a, b)
+
+
+def one_power_on(sessions: Sequence[Session]) -> list[Session]:
+    """Put recordings together whose clock runs on from one to the next: the device was not switched off between them.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Of one recording each, without stated pieces.
+
+    Returns
+    -------
+    list of Session
+        One for each switch-on, where its first recording stood: a recording that begins within 60 s after another of the same
+        device has ended, by the clock of both, goes on with it.
+    """
+    chains: list[list[int]] = []
+    for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
+        before = [chain for chain in chains if _goes_on(sessions[chain[-1]], sessions[k])]
+        if before:
+            max(before, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
+        else:
+            chains.append([k])
+    return [_joined([sessions[k] for k in chain]) for chain in sorted(chains, key=min)]
+
+
+def _goes_on(earlier: Session, later: Session) -> bool:
+    pause = later.records[0].time[0] - earlier.records[-1].time[-1]
+    return bool(0.0 < pause <= _GAP_S and earlier.serial == later.serial)
+
+
+def _joined(parts: list[Session]) -> Session:
+    if len(parts) == 1:
+        return parts[0]
+    return replace(
+        parts[0],
+        records=tuple(record for part in parts for record in part.records),
+        inputs=tuple(named for part in parts for named in part.inputs),
+    )
+
+
+def _check_pair(sessions: Sequence[Session], a: int, b: int) -> None:
+    for i, one in enumerate(sessions[a].records):
+        for j, other in enumerate(sessions[b].records):
+            if told := _same_readings(one, other):
+                raise _twice(_called(a, _name(sessions[a], i)), _called(b, _name(sessions[b], j)), told)
+
+
+def _same_readings(one: Record, other: Record) -> str:
+    """Return what is equal in two records; nothing where they differ."""
+    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
+        return ""
+    ours, theirs = _rows(one), _rows(other)
+    if len(ours) == len(theirs) >= _RUN and np.array_equal(ours, theirs, equal_nan=True) and _varies(ours):
+        return f"all {len(ours)} readings are equal"
+    if one.time[0] > other.time[-1] or other.time[0] > one.time[-1]:
+        return ""
+    _, at, there = np.intersect1d(one.time, other.time, assume_unique=True, return_indices=True)
+    equal: BoolArray = (ours[at] == theirs[there]).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], equal, [False])).astype(np.int8)))
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if stop - start >= _RUN and _varies(ours[at[start:stop]]):
+            return f"{stop - start} readings one after another are equal, from {one.time[at[start]]:g} s on"
+    return ""
+
+
+def _varies(rows: FloatArray) -> bool:
+    """Tell whether 16 rows one after another hold 8 different ones, somewhere; looked at from 8 rows to 8 rows."""
+    starts = range(0, len(rows) - _RUN + 1, _DISTINCT)
+    return any(len(np.unique(rows[k : k + _RUN], axis=0)) >= _DISTINCT for k in starts)
+
+
+def _rows(record: Record) -> FloatArray:
+    return np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
+
+
+def _files(session: Session) -> list[tuple[str, str]]:
+    """Return name and sha256 of the recordings; what describes a session may well be equal in two."""
+    return [(name, digest) for name, digest in session.inputs if not name.endswith(".toml")]
+
+
+def _name(session: Session, recording: int) -> str:
+    files = _files(session)
+    return files[recording][0] if len(files) == len(session.records) else f"recording {recording}"
+
+
+def _called(session: int, name: str) -> str:
+    return f"session {session + 1} ({name})"
+
+
+def _twice(one: str, other: str, told: str) -> InputError:
+    return InputError(
+        f"drift: wanted every reading once, got the same data in {one} and {other}: {told}; leave one out, as twice the same "
+        "would only make the uncertainty too small"
+    )
