@@ -259,6 +259,24 @@ def test_what_does_not_belong_together_is_refused(session):
         fit_drift([session], CALIBRATION, settings=DriftSettings(lag_s=-1.0))
 
 
+def test_a_range_asked_for_cuts_the_tables_and_changes_neither_their_values_nor_the_choice(session, fit):
+    asked = fit_drift([session], CALIBRATION, settings=DriftSettings(range_c=(41.0, 53.5)))
+    np.testing.assert_array_equal(asked.choice.alternatives.left_out_rms_dps, fit.choice.alternatives.left_out_rms_dps)
+    assert asked.choice.alternatives.chosen == fit.choice.alternatives.chosen
+    for cut, whole, value in (
+        (asked.calibration.drift.static, fit.calibration.drift.static, "gyro_offset"),
+        (asked.choice.scale.drift, fit.choice.scale.drift, "gyro_matrix"),
+        (asked.choice.both.drift, fit.choice.both.drift, "error"),
+    ):
+        assert (cut.temp_c[0], cut.temp_c[-1]) == (41.0, 53.5)
+        found, held = getattr(cut, value).reshape(len(cut.temp_c), -1), getattr(whole, value)
+        wanted = [np.interp(cut.temp_c, whole.temp_c, column) for column in held.reshape(len(whole.temp_c), -1).T]
+        # nodes are summed from another end, and linear between: rounding alone
+        np.testing.assert_allclose(found, np.array(wanted).T, rtol=1e-9, atol=1e-12)
+    assert not any("no data near" in reason for reason in asked.static.verdict.reasons)
+    np.testing.assert_array_equal(asked.gyro_summary.temp_c, asked.calibration.drift.static.temp_c)
+
+
 def test_a_session_given_twice_is_refused(session):
     again = replace(session, records=tuple(replace(r, time=r.time + 3600.0) for r in session.records))
     with pytest.raises(InputError, match=r"got the same data in session 1 .* and session 2 "):

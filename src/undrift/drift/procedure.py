@@ -25,10 +25,10 @@ from undrift.drift.fit.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.fit.agree import check_sessions, check_turns, offsets_verdict
 from undrift.drift.fit.asymmetry import Asymmetry, scale_asymmetry
 from undrift.drift.fit.choose import Alternative, Choice, choose_tables
+from undrift.drift.fit.crop import cropped_choice, cropped_static, widened
 from undrift.drift.fit.static import StaticFit, StaticSettings, fit_static
 from undrift.drift.observe.gather import ObserveSettings, observe_rests, observe_steps
 from undrift.drift.observe.observations import RateSteps, RestBlocks
-from undrift.drift.observe.once import check_once
 from undrift.drift.observe.ready import (
     accel_unit_of,
     check_at_rest,
@@ -165,8 +165,7 @@ def fit_drift(
     Raises
     ------
     InputError
-        No session, another device than the calibration's, data given twice, temperature missing or on another scale, units that
-        do not agree.
+        No session, another device than the calibration's, temperature missing or on another scale, units that do not agree.
     NotObservable
         A temperature that is constant or spans too little; no rests; counts without a calibration; a table that was asked for
         and that the sessions do not tell.
@@ -177,23 +176,23 @@ def fit_drift(
     _check(sessions, calibration, settings)
     sessions, device, settings = _made_ready(sessions, calibration, settings)
     say("smoothing the temperature", 0.0)
-    wide = replace(settings.temperature, least_span_c=0.0)
-    trusted = [[trusted_temperature(s, k, settings=wide) for k in range(len(s.records))] for s in sessions]
-    together = tuple(temperature for of_session in trusted for temperature in of_session)
-    check_span(together, settings=settings.temperature)
+    trusted, together = _trusted(sessions, settings.temperature)
     say("gathering rests and turns", 0.15)
     lag, lag_s, rests, course = _without_lag(sessions, trusted, settings)
     check_at_rest(rests, device)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
     say("fitting offsets over temperature", 0.4)
     smooth_s = _smooth_s(lag_s, sessions, together)
-    seen = [rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, lag_s, smooth_s)]
-    nodes = table_nodes(np.concatenate(seen), settings)
-    static = fit_static(rests, nodes=nodes, calibration=device, settings=settings.static)
-    check_sessions(static, device)
-    agrees = check_turns(steps, device, static).also(offsets_verdict(static, device))
+    seen = np.concatenate([rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, lag_s, smooth_s)])
+    nodes = table_nodes(seen, settings)
+    wider = widened(nodes, _whole_range(seen, settings.step_c))  # the judgement hangs on no range asked for
+    wide = fit_static(rests, nodes=wider, calibration=device, settings=settings.static)
+    check_sessions(wide, device)
+    agrees = check_turns(steps, device, wide).also(offsets_verdict(wide, device))
     say("judging scale and dynamic tables on soaks left out", 0.5)
-    choice, not_chosen = _chosen(steps, device, static, rests, settings)
+    choice, not_chosen = _chosen(steps, device, wide, rests, settings)
+    static = cropped_static(wide, nodes)
+    choice = None if choice is None else cropped_choice(choice, nodes)
     say("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
     told_of_tables = choice_verdict(choice, not_chosen), static_verdict(static, accel, len(np.unique(rests.pose)))
@@ -215,7 +214,7 @@ def fit_drift(
         static=static,
         choice=choice,
         accel=accel,
-        asymmetry=scale_asymmetry(steps, device, static=static.table) if len(steps) and device.gyro else None,
+        asymmetry=scale_asymmetry(steps, device, static=wide.table) if len(steps) and device.gyro else None,
         lag=lag,
         rests=rests,
         steps=steps,
@@ -248,8 +247,7 @@ def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
         A range that is not one, or a step that does not divide it.
     """
     step = settings.step_c
-    least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
-    low, high = settings.range_c or _default_range(least, greatest, step)
+    low, high = settings.range_c or _whole_range(seen_c, step)
     count = (high - low) / step if step > 0.0 else 0.0
     if count < 1.0 or abs(count - round(count)) > 1e-6:
         raise InputError(
@@ -259,7 +257,9 @@ def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
     return np.linspace(low, high, round(count) + 1)
 
 
-def _default_range(least: float, greatest: float, step: float) -> tuple[float, float]:
+def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
+    """Return the range where none was asked for: all that was seen is in it."""
+    least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
     outward = (float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step))
     if greatest - least < _WIDE * (RANGE_C[1] - RANGE_C[0]):
         return outward
@@ -277,7 +277,6 @@ def _check(sessions: Sequence[Session], calibration: Calibration | None, setting
         raise InputError(f"drift: wanted sessions and calibration of one device, got {', '.join(named)}; sort them")
     if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
-    check_once(sessions)
 
 
 def _made_ready(
@@ -289,6 +288,16 @@ def _made_ready(
     device = replace(device, verdict=verdict_before(device))
     ready = [in_units_of(session, device) for session in sessions]
     return ready, device, replace(settings, static=replace(settings.static, accel_unit=accel_unit_of(ready, device)))
+
+
+def _trusted(
+    sessions: Sequence[Session], settings: TemperatureSettings
+) -> tuple[list[list[Temperature]], tuple[Temperature, ...]]:
+    wide = replace(settings, least_span_c=0.0)
+    trusted = [[trusted_temperature(s, k, settings=wide) for k in range(len(s.records))] for s in sessions]
+    together = tuple(temperature for of_session in trusted for temperature in of_session)
+    check_span(together, settings=settings)
+    return trusted, together
 
 
 def _silent(what: str, share: float) -> None:
@@ -333,8 +342,7 @@ def _chosen(
         told = "gyroscope scale over temperature is not observable from rests; turn the device at known rates at two temperatures"
     else:
         try:
-            nodes = static.table.temp_c
-            choice = choose_tables(steps, device, static=static.table, temp_c=nodes, rests=rests)
+            choice = choose_tables(steps, device, static=static.table, temp_c=static.table.temp_c, rests=rests)
             return (choice if settings.tables == "auto" else _asked_for(choice, settings.tables)), ""
         except NotObservable as error:
             told = str(error)

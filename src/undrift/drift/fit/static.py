@@ -149,7 +149,7 @@ def fit_static(
     rates = gyro_offsets(blocks, calibration, settings.latitude_deg)
     if rates is not None:
         gyro = _triad(rates, nodes, settings)
-        reasons += [*rates.reasons, *gyro.curve.reasons, *_told("gyroscope", gyro, nodes)]
+        reasons += [*rates.reasons, *gyro.curve.reasons, *_told("gyroscope", gyro)]
     forces = accel_offsets(blocks, calibration, settings.accel_unit)
     if isinstance(forces, str):
         reasons.append(forces)
@@ -208,6 +208,30 @@ def near_data(nodes: FloatArray, temp_c: FloatArray, *, edge_c: float, gap_c: fl
     outside = (nodes < temp_c.min()) | (nodes > temp_c.max())
     near: BoolArray = np.where(outside, nearest <= edge_c, nearest <= gap_c)
     return near
+
+
+def far_from_data(name: str, found: TriadDrift) -> list[str]:
+    """Return what is to be said of nodes that no data were near.
+
+    Parameters
+    ----------
+    name : str
+        gyroscope or accelerometer.
+    found : TriadDrift
+        With its marks.
+
+    Returns
+    -------
+    list of str
+        One sentence, or none.
+    """
+    count = int(found.extrapolated.sum())
+    if not count:
+        return []
+    return [
+        f"{name}: {count} of {len(found.extrapolated)} nodes have no data near them (seen: {found.span_c[0]:.1f} to "
+        f"{found.span_c[1]:.1f} degC) and are marked extrapolated"
+    ]
 
 
 def _triad(
@@ -275,17 +299,11 @@ def _accel(
         return None, [f"accelerometer offset over temperature: {error}"]
     if told:
         return replace(found, offset=None), [f"accelerometer: {told}"]
-    return found, _told("accelerometer", found, nodes)
+    return found, _told("accelerometer", found)
 
 
-def _told(name: str, found: TriadDrift, nodes: FloatArray) -> list[str]:
-    said: list[str] = []
-    count = int(found.extrapolated.sum())
-    if count:
-        said.append(
-            f"{name}: {count} of {len(nodes)} nodes have no data near them (seen: {found.span_c[0]:.1f} to "
-            f"{found.span_c[1]:.1f} degC) and are marked extrapolated"
-        )
+def _told(name: str, found: TriadDrift) -> list[str]:
+    said = far_from_data(name, found)
     loop = found.curve.loop
     if loop is not None:
         size = ", ".join(f"{h:.3g} +- {u:.2g}" for h, u in zip(loop.half, loop.uncertainty, strict=True))
