@@ -271,9 +271,9 @@ def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
     numbers = np.zeros(len(turns), np.int64)
     first = 0
     for k in range(1, len(turns)):
-        stated = turns[k].temp_c, turns[first].temp_c
-        told = None not in stated
-        another = abs(stated[0] - stated[1]) > _STATED_C if told else abs(temp_c[k] - temp_c[first]) > apart_c
+        here, there = turns[k].temp_c, turns[first].temp_c
+        apart = abs(temp_c[k] - temp_c[first]) - apart_c
+        another = bool((apart if here is None or there is None else abs(here - there) - _STATED_C) > 0.0)
         first = k if another else first
         numbers[k] = numbers[k - 1] + another
     return numbers
