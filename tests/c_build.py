@@ -1,7 +1,7 @@
 """The exported C source compiled and run: float, double and fixed point, on the inputs that Python gets too."""
 
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,22 @@ int main(void)
         const int32_t status = undrift_correct(in, in + 3, in[6], out, out + 3);
         fwrite(out, sizeof out, 1, stdout);
         fwrite(&status, sizeof status, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+LAG_MAIN = """
+#include <stdio.h>
+#include "undrift.h"
+int main(void)
+{
+    undrift_t in[8], out[7]; /* readings, temperature, step */
+    undrift_lag_t lag = {0};
+    while (fread(in, sizeof in, 1, stdin) == 1) {
+        out[6] = undrift_temperature(&lag, in[6], in[7]);
+        (void)undrift_correct(in, in + 3, out[6], out, out + 3);
+        fwrite(out, sizeof out, 1, stdout);
     }
     return 0;
 }
@@ -85,3 +101,23 @@ def build(exported: ExportedC, folder: Path, arithmetic: str, *options: str) -> 
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
     return Build(program, arithmetic, bits_of(exported))
+
+
+def run_with_lag(exported: ExportedC, folder: Path, arithmetic: str, r):
+    """Rate, specific force and temperature of the program, and the inputs as it was given them, times included."""
+    write(exported, folder)
+    (folder / "main.c").write_text(LAG_MAIN)
+    sources = [folder / "undrift.c", folder / "main.c"]
+    words = ["gcc", *STRICT, "-O2", f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", folder / "lead"]
+    subprocess.run(words, check=True)
+    parts = np.column_stack((r.gyro, r.accel, r.temp_c, np.diff(r.time, prepend=r.time[0])))
+    scale = 2.0 ** np.array([*np.repeat(bits_of(exported), 3), 16, 20]) if arithmetic == "fixed" else np.ones(8)
+    inputs = (np.round(parts * scale) if arithmetic == "fixed" else parts).astype(TYPES[arithmetic])
+    done = subprocess.run([folder / "lead"], input=inputs.tobytes(), capture_output=True, check=True)
+    assert done.stderr == b""
+    out = np.frombuffer(done.stdout, TYPES[arithmetic]).astype(float).reshape(-1, 7)
+    given = inputs.astype(float) / scale
+    same = replace(
+        r, gyro=given[:, :3], accel=given[:, 3:6], temp_c=given[:, 6], time=r.time[0] + np.cumsum(given[:, 7])
+    )
+    return out / (65536.0 if arithmetic == "fixed" else 1.0), same

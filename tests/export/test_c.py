@@ -277,7 +277,9 @@ def test_what_is_not_carried_is_listed():
     drift = replace(tables(), static=static, lag_s=30.0, lag_smooth_s=5.0)
     exported = export_c(device(drift=drift, adc=ROUNDINGS[1]))
     said = " | ".join(exported.not_carried)
-    for text in ("hysteresis", "power-on", "lag of 30 s", "uncertainties"):
+    assert "lag" not in said
+    assert "the thermometer's lag of 30 s is taken off by undrift_temperature" in " ".join(exported.notes)
+    for text in ("hysteresis", "power-on", "uncertainties"):
         assert text in said
         assert text in exported.header
     for text in ("code step", "g-sensitivity", "dynamic table", "gains"):

@@ -2,7 +2,8 @@
 
 The source evaluates the model of ``correct.py`` in its order: rounding, static table, matrix or scale table, g-sensitivity,
 dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table up in a time
-that does not depend on the data. One source makes three builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
+that does not depend on the data. A thermometer's lag is taken off by a function of its own, whose state the caller owns
+(export/lead.py). One source makes three builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
 """
 
 import re
@@ -12,15 +13,16 @@ from typing import Any
 from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration
 from undrift.errors import InputError
-from undrift.export.c_text import Printer, comment_text, wrapped
+from undrift.export.c_text import Printer, comment_text, literal, wrapped
 from undrift.export.cost import ASSUMPTION, Arithmetic, Cost, cost_of
 from undrift.export.firmware import Table, Triad, nominal_triad, triads_of
 from undrift.export.fixed import FULL_FORCE, FULL_RATE, FixedTable, FixedTriad, fixed_triad
+from undrift.export.lead import Lead, lead_of
 from undrift.export.losses import Part, losses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 CARRIED: frozenset[Part] = frozenset(
-    ("rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
+    ("lag", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
 )  # fmt: skip
 
 
@@ -140,12 +142,18 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     of_accel = fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
     of_gyro = _fixed_gyro(gyro, of_accel, settings)
     views = [_View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro))]
-    source, sizes = _source(views, calibration, settings)
+    lead = lead_of(calibration)
+    if lead is not None:
+        notes += (
+            f"the thermometer's lag of {lead.lag_s:.3g} s is taken off by {settings.prefix}_temperature: pass every reading "
+            f"through it before {settings.prefix}_correct",
+        )
+    source, sizes = _source(views, calibration, settings, lead)
     triads = tuple(view.real for view in views)
     costs = tuple(cost_of(triads, arithmetic, size) for arithmetic, size in sizes)
     not_carried = losses(calibration, CARRIED)
     return ExportedC(
-        header=_header(views, calibration, settings, costs, not_carried + notes),
+        header=_header(views, calibration, settings, costs, not_carried + notes, lead),
         source=source,
         not_carried=not_carried,
         notes=notes,
@@ -205,7 +213,7 @@ def _axes(table: Table | FixedTable) -> list[tuple[str, Any]]:
 
 
 def _source(
-    views: list[_View], calibration: Calibration, settings: CSettings
+    views: list[_View], calibration: Calibration, settings: CSettings, lead: Lead | None
 ) -> tuple[str, tuple[tuple[Arithmetic, int], ...]]:
     printer = Printer(settings.prefix)
     tables = [table for view in views for table in view.real.tables]
@@ -218,7 +226,7 @@ def _source(
         any_line=any(table.turn_rate is None for table in tables),
         any_plane=any(table.turn_rate is not None for table in tables),
         ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
-        fixed_cell=printer.fixed_cell, real_cell=printer.real_cell,
+        lead=lead, literal=literal, fixed_cell=printer.fixed_cell, real_cell=printer.real_cell,
     )  # fmt: skip
     sizes: tuple[tuple[Arithmetic, int], ...] = (
         ("float", printer.sizes["float"]),
@@ -233,7 +241,12 @@ def _title(calibration: Calibration) -> str:
 
 
 def _header(
-    views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], said: tuple[str, ...]
+    views: list[_View],
+    calibration: Calibration,
+    settings: CSettings,
+    costs: tuple[Cost, ...],
+    said: tuple[str, ...],
+    lead: Lead | None,
 ) -> str:
     p = calibration.provenance
     return str(
@@ -241,6 +254,7 @@ def _header(
             title=_title(calibration),
             comment=[comment_text(line) for line in _comment(views, calibration, settings, costs, said)],
             default=settings.default, p=settings.prefix, P=settings.prefix.upper(), triads=views, created=p.created,
+            lead=lead, lag_s=f"{lead.lag_s:g}" if lead else "", smooth_s=f"{lead.smooth_s:g}" if lead else "",
         )
     )  # fmt: skip
 
@@ -279,7 +293,7 @@ def _comment(
         else:
             lines.append(f"  accel_out {worst:.3g} m/s2 ({worst / STANDARD_GRAVITY * 1e3:.3g} mg)")
     if said:
-        lines += ["", "Not in here:", *(f"  - {text}" for text in said)]
+        lines += ["", "Not in here, or to be minded:", *(f"  - {text}" for text in said)]
     return [part for line in lines for part in wrapped(line)]
 
 

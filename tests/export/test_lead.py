@@ -1,0 +1,122 @@
+"""The exported lead against without_lag, alone and before the exported correction against correct."""
+
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from c_build import LAG_MAIN, STRICT, run_with_lag, write
+from data import show
+from tuned import device, record, tables
+from undrift.correct import correct_checked
+from undrift.drift.temperature.lag import without_lag
+from undrift.errors import InputError
+from undrift.export.c import export_c
+
+LAG_S, SMOOTH_S = 84.0, 6.0
+
+
+def lagging(**changes):
+    return device(drift=replace(tables(), lag_s=LAG_S, lag_smooth_s=SMOOTH_S, **changes))
+
+
+def ramp(rate_hz, seconds, *, uneven=False, seed=4):
+    """A board that warms by 2 degC/min and cools again, seen by a thermometer that trails by the lag, with noise of 0.02 K."""
+    n, rng = int(rate_hz * seconds), np.random.default_rng(seed)
+    step = rng.uniform(0.1, 1.9, n) / rate_hz if uneven else np.full(n, 1.0 / rate_hz)
+    time = np.cumsum(step)
+    true = 25.0 + np.interp(time, [0, 0.1 * seconds, 0.5 * seconds, seconds], [0, 0, seconds / 75.0, 0])
+    seen, held = np.empty(n), true[0]
+    for k in range(n):
+        held += (true[k] - held) * -np.expm1(-step[k] / LAG_S)
+        seen[k] = held
+    r = record(n, time=time, temp_c=seen + rng.normal(size=n) * 0.02)
+    return r, true
+
+
+@pytest.mark.parametrize(
+    ("arithmetic", "limit"),
+    [
+        ("double", 1e-11),
+        ("float", 1e-5),
+        ("fixed", 3e-5),
+    ],  # K; steps of the last bit are 2e-6 K at 25 degC, 1.5e-5 in Q16.16
+)
+@pytest.mark.parametrize(("rate_hz", "uneven"), [(100.0, False), (100.0, True), (1.0, True), (0.05, True)])
+def test_the_lead_is_that_of_without_lag_on_a_ramp(arithmetic, limit, rate_hz, uneven, tmp_path):
+    r, true = ramp(rate_hz, 600.0 if rate_hz >= 1.0 else 6000.0, uneven=uneven)
+    out, same = run_with_lag(export_c(lagging()), tmp_path, arithmetic, r)
+    python, _ = without_lag(same.temp_c, same.time, lag_s=LAG_S, smooth_s=SMOOTH_S)
+    worst = float(np.abs(out[:, 6] - python).max())
+    show(
+        f"lead, {arithmetic}, {rate_hz:g} Hz, {'uneven' if uneven else 'even'}: worst difference, K",
+        f"{worst:.3g}",
+        limit,
+    )
+    assert worst <= limit
+    if rate_hz == 100.0:
+        off = np.abs(out[-len(r) // 4 :, 6] - true[-len(r) // 4 :]).mean()
+        assert off < 0.5 * np.abs(same.temp_c - true)[-len(r) // 4 :].mean()  # and it takes the lag off
+
+
+@pytest.mark.parametrize("arithmetic", ["double", "float", "fixed"])
+def test_the_whole_chain_corrects_as_correct_does_with_a_lag(arithmetic, tmp_path):
+    calibration = lagging()
+    exported = export_c(calibration)
+    r, _ = ramp(50.0, 600.0, uneven=True)
+    out, same = run_with_lag(exported, tmp_path, arithmetic, r)
+    done = correct_checked(same, calibration, policy="hold").record
+    led, _ = without_lag(same.temp_c, same.time, lag_s=LAG_S, smooth_s=SMOOTH_S)
+    other = correct_checked(
+        replace(same, temp_c=same.temp_c), replace(calibration, drift=tables()), policy="hold"
+    ).record
+    drift = calibration.drift
+    per_kelvin = np.abs(np.diff(drift.static.gyro_offset, axis=0)).max() / np.diff(drift.static.temp_c).min()
+    slope = (
+        per_kelvin * np.abs(calibration.gyro.matrix).sum(axis=1).max() + np.abs(drift.dynamic.error).max() * 2.0 / 0.5
+    )
+    exact = {"double": 1e-11, "float": 1e-5, "fixed": float(exported.gyro_bound.max())}[arithmetic]
+    limit = exact + slope * float(np.abs(out[:, 6] - led).max())  # rad/s: what the lead's own error makes of the tables
+    worst = float(np.abs(out[:, :3] - done.gyro).max())
+    show(f"chain with lag, {arithmetic}: worst difference, rad/s", f"{worst:.3g}", f"{limit:.3g}")
+    assert worst <= limit
+    assert np.abs(other.gyro - done.gyro).max() > 0.1  # without the lead it would be far off
+    assert worst < 0.01 * np.abs(other.gyro - done.gyro).max()
+
+
+def test_a_gap_comes_back_as_one_and_the_next_reading_bridges_it(tmp_path):
+    r, _ = ramp(10.0, 60.0)
+    temp = r.temp_c.copy()
+    temp[:3] = np.nan
+    temp[100:250] = np.nan
+    out, same = run_with_lag(export_c(lagging()), tmp_path, "double", replace(r, temp_c=temp))
+    python, _ = without_lag(same.temp_c, same.time, lag_s=LAG_S, smooth_s=SMOOTH_S)
+    np.testing.assert_array_equal(np.isnan(out[:, 6]), np.isnan(temp))
+    held = np.isfinite(temp)
+    np.testing.assert_allclose(out[held, 6], python[held], atol=1e-11, rtol=0.0)
+
+
+@pytest.mark.parametrize("arithmetic", ["float", "fixed"])
+def test_wild_readings_and_steps_do_nothing_undefined(arithmetic, tmp_path):
+    rng = np.random.default_rng(3)
+    write(export_c(lagging()), tmp_path)
+    (tmp_path / "main.c").write_text(LAG_MAIN)
+    words = ["gcc", *STRICT, "-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    words += [f"-DUNDRIFT_{arithmetic.upper()}", tmp_path / "undrift.c", tmp_path / "main.c", "-o", tmp_path / "wild"]
+    subprocess.run(words, check=True)
+    if arithmetic == "fixed":
+        wild = np.array([-(2**31), -1, 0, 1, 655, 2**20, 2**31 - 1], dtype="i4")
+    else:
+        wild = np.array([0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-30, 25.0], dtype="f4")
+    done = subprocess.run(
+        [tmp_path / "wild"], input=rng.choice(wild, (4000, 8)).tobytes(), capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_without_a_lag_there_is_no_lead_and_a_smoothing_that_does_not_fit_is_refused():
+    assert "undrift_temperature" not in export_c(device(drift=tables())).header
+    assert "undrift_temperature(undrift_lag_t *lag" in export_c(lagging()).header
+    with pytest.raises(InputError, match=r"wanted a lag smoothed over 0.001 to 100000 s, .* got 84 s over 1e-05 s"):
+        export_c(device(drift=replace(tables(), lag_s=84.0, lag_smooth_s=1e-5)))
