@@ -186,6 +186,8 @@ def test_a_device_without_a_thermometer_is_given_five_of_its_stated_time_constan
         )
     assert next(at for phase, at in said if phase == "settling") > 100.0
     assert read_session(tmp_path).stills[0].temp_c == 40.0
+    with pytest.raises(InputError, match=r"run: wanted a device lag of 0 s or more, got -1.0"):
+        RunSettings(device_lag_s=-1.0)
 
 
 def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from undrift.rig.address import RigSettings
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard
+    from undrift.rig.judge import RunSettings
     from undrift.rig.programme import Programme
     from undrift.rig.run import Bench, Progress, RunResult
     from undrift.rig.watch import Watch
@@ -45,6 +46,7 @@ def run(
     highest_turn_rate_dps: float = 360.0,
     highest_acceleration_dps2: float = 5000.0,
     travel_deg: float | None = None,
+    device_lag_s: float = 120.0,
     resume: bool = False,
     yes: bool = False,
     json: bool = False,
@@ -75,6 +77,8 @@ def run(
         Likewise, deg/s2.
     travel_deg : float or None
         How far the table may turn either way, deg; without end where not given.
+    device_lag_s : float
+        Time constant with which a device without thermometer follows the chamber's air, s; a soak waits five of them.
     resume : bool
         Go on in a folder in which a run was interrupted.
     yes : bool
@@ -92,6 +96,7 @@ def run(
     from undrift.io.protocol import read_protocol
     from undrift.rig.address import RigSettings, parse_address
     from undrift.rig.folder import RunFolder
+    from undrift.rig.judge import RunSettings
     from undrift.rig.programme import ProgrammeSettings, programme_of
     from undrift.rig.rig import Limits
     from undrift.rig.safety import check_programme
@@ -106,6 +111,7 @@ def run(
         travel=None if travel_deg is None else travel_deg * RADIAN_PER_DEGREE,
     )
     settings = RigSettings(limits=limits, ask=_asked)
+    giving_up = RunSettings(device_lag_s=device_lag_s)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
     by_hand = rig.startswith("manual:")
     if not resume:
@@ -118,7 +124,7 @@ def run(
         watch = Watch(StopWatch(rig), _guard(stack, rig, chamber), programme)
         bench, called = _bench(stack, (rig, device, chamber, hands), settings, programme)
         watch.arm()
-        result = _performed(programme, bench, folder, watch, serial or called, gravity_m_s2)
+        result = _performed(programme, bench, folder, watch, (serial or called, gravity_m_s2), giving_up)
     _result(result, output, json)
     return 0
 
@@ -369,18 +375,26 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
 
 
 def _performed(
-    programme: "Programme", bench: "Bench", folder: "RunFolder", watch: "Watch", serial: str, gravity_m_s2: float
+    programme: "Programme",
+    bench: "Bench",
+    folder: "RunFolder",
+    watch: "Watch",
+    what: tuple[str, float],
+    giving_up: "RunSettings",
 ) -> "RunResult":
     from undrift.rig.run import run_programme
 
     shown = _Shown()
+    serial, gravity_m_s2 = what
 
     def report(progress: "Progress") -> None:
         watch(progress)
         shown(progress)
 
     try:
-        return run_programme(programme, bench, folder, report=report, serial=serial, gravity_m_s2=gravity_m_s2)
+        return run_programme(
+            programme, bench, folder, report=report, serial=serial, gravity_m_s2=gravity_m_s2, settings=giving_up
+        )
     finally:
         shown.end()
 

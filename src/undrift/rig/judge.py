@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from undrift.errors import RigFault, RigTimeout
+from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.record import Record
 from undrift.rig.achieved import Achieved
 from undrift.units import RADIAN_PER_DEGREE
@@ -46,6 +46,12 @@ class RunSettings:
     least_part: float = 0.8
     soak_timeout_s: float = 6.0 * 3600.0
     device_lag_s: float = 120.0
+
+    def __post_init__(self) -> None:
+        if not self.device_lag_s >= 0.0:
+            raise InputError(
+                f"run: wanted a device lag of 0 s or more, got {self.device_lag_s}; state how late it follows the air"
+            )
 
 
 def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:
