@@ -10,6 +10,7 @@ from undrift.correct import correct, correct_checked
 from undrift.drift.fit.curve import CurveSettings
 from undrift.drift.fit.static import StaticSettings
 from undrift.drift.procedure import DriftSettings, fit_drift
+from undrift.drift.verdict import static_verdict
 from undrift.errors import InputError, NotObservable
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
@@ -55,7 +56,10 @@ def fit(session):
 
 
 def test_soaks_up_and_down_are_good_and_every_table_covers_what_the_offsets_cover(fit):
-    assert fit.verdict.status == "good", fit.verdict.reasons
+    assert fit.choice.verdict.status == "good", fit.choice.verdict.reasons
+    assert static_verdict(replace(fit.static, accel=None), None, 1).status == "good"
+    assert fit.verdict.status == "marginal"  # the accelerometers alone: of one pose, over 57 degC
+    assert fit.static.accel.mostly_unknown_scale
     drift = fit.calibration.drift
     ends = [(table.temp_c[0], table.temp_c[-1]) for table in (drift.static, drift.scale, drift.dynamic) if table]
     assert len(ends) >= 2

@@ -2,7 +2,8 @@
 
 A table is marginal where its stated uncertainty cannot hold what is to come: one way of temperature only (half the loop is
 missing), many nodes without data, a temperature that looks wrong or is a set-point, no turns (scale over temperature), a scale
-that cannot be gravity. What one session more would add is said and costs nothing.
+that cannot be gravity, accelerometers of one pose whose unknown change of scale is most of the uncertainty. What one session
+more would add is said and costs nothing.
 """
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from undrift.calibration.model import Calibration, Status, Verdict
 from undrift.drift.fit.accel import AccelDriftFit
 from undrift.drift.fit.choose import Choice
-from undrift.drift.fit.static import StaticFit
+from undrift.drift.fit.static import UNKNOWN_SCALE_PER_K, StaticFit
 from undrift.drift.temperature.lag_fit import LagFit
 from undrift.drift.temperature.trusted import Temperature
 
@@ -87,6 +88,10 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None, poses: int) -
             )
     if accel is None:
         reasons += _of_one_pose(static, poses)
+        unknown = (
+            static.table.accel_offset is not None and static.accel is not None and static.accel.mostly_unknown_scale
+        )
+        status = _worse(status) if unknown else status
     return Verdict(status=status, reasons=tuple(reasons))
 
 
@@ -185,8 +190,8 @@ def _of_one_pose(static: StaticFit, poses: int) -> list[str]:
     span = static.accel.span_c[1] - static.accel.span_c[0] if static.accel else 0.0
     which = "the only pose" if poses == 1 else f"one of {poses} poses, that over {span:.1f} degC"
     return [
-        f"accelerometer offset over temperature is of {which}: a change of scale along gravity cannot be told from it; rest on all "
-        "six faces at three temperatures"
+        f"accelerometer offset over temperature is of {which}: a change of scale along gravity cannot be told from it, and "
+        f"{100.0 * UNKNOWN_SCALE_PER_K:g} % per degC of gravity counts as uncertainty; rest on all six faces at three temperatures"
     ]
 
 

@@ -12,6 +12,7 @@ from undrift.drift.fit.hysteresis import both_ways, cooling
 from undrift.drift.fit.static import StaticSettings, fit_static, near_data
 from undrift.drift.fit.warm_up import warm_up_table, warm_up_time
 from undrift.drift.observe.observations import RestBlocks
+from undrift.drift.verdict import static_verdict
 from undrift.earth import EARTH_RATE
 from undrift.errors import InputError, NotObservable
 
@@ -77,6 +78,16 @@ def test_accelerometer_offsets_hang_on_the_calibration_at_its_reference_temperat
     wanted = model.offset + 1e-3 * np.outer(NODES - 30.0, [1.0, 0.0, -1.0])
     np.testing.assert_allclose(fit.table.accel_offset, wanted, atol=2e-5)
     assert any("a change of scale along gravity cannot be told" in reason for reason in fit.verdict.reasons)
+    scale = 2e-4 * np.abs(NODES - 30.0)[:, None] * [0.0, 0.0, 1.0]  # of 1 g along z, by one pose
+    np.testing.assert_allclose(fit.accel.unknown_scale, scale, atol=1e-7)
+    assert (fit.table.accel_uncertainty >= scale).all()
+    assert (fit.table.accel_uncertainty[:, :2] < 1e-4).all()
+    assert fit.accel.mostly_unknown_scale
+    assert static_verdict(replace(fit, gyro=None), None, 1).status == "marginal"
+    loose = replace(fit, gyro=None, accel=replace(fit.accel, uncertainty=fit.accel.uncertainty + 0.1))
+    assert static_verdict(loose, None, 1).status == "good"
+    said = static_verdict(fit, None, 1).reasons
+    assert sum("0.02 % per degC of gravity counts as uncertainty" in reason for reason in said) == 1
     unknown = fit_static(made, nodes=NODES, calibration=replace(calibration, reference_temp_c=np.nan))
     assert unknown.table.accel_offset is None
     np.testing.assert_allclose(unknown.accel.slope, [1e-3, 0.0, -1e-3], atol=1e-5)
@@ -164,3 +175,53 @@ def test_blocks_that_tell_nothing_are_refused():
         fit_static(blocks(temp, line(temp, np.random.default_rng(0))), nodes=NODES)
     with pytest.raises(NotObservable, match="static drift: wanted readings at two temperatures or more, got none"):
         fit_static(blocks(temp, np.full((20, 3), np.nan)), nodes=NODES)
+
+
+def test_two_plateaus_on_two_days_tell_no_scatter_between_switch_ons_and_no_sweep():
+    rng = np.random.default_rng(5)
+    cold, hot = 13.0 + 0.3 * rng.normal(size=40), 48.0 + 0.3 * rng.normal(size=40)
+    fit = fit_static(joined(blocks(cold, line(cold, rng)), blocks(hot, line(hot, rng), session=1)), nodes=NODES)
+    turn_on = fit.gyro.curve.turn_on
+    assert np.isnan(turn_on.variance).all()
+    assert np.isnan(turn_on.shift).all()
+    assert np.isfinite(fit.table.gyro_uncertainty).all()
+    told = " ".join(fit.verdict.reasons)
+    for said in ("no two sessions share a temperature", "no sweep was seen"):
+        assert told.count(said) == 1, said
+    assert "one way only" not in told
+
+
+def test_a_session_that_shares_no_temperature_leaves_the_shifts_of_the_others_as_they_are():
+    rng = np.random.default_rng(6)
+    low, high = np.linspace(20.0, 35.0, 80), np.linspace(45.0, 60.0, 80)
+    parts = [blocks(low, line(low, rng) + k * 0.04, session=k) for k in range(2)]
+    fit = fit_static(joined(*parts, blocks(high, line(high, rng), session=2)), nodes=NODES)
+    shift = fit.gyro.curve.turn_on.shift
+    np.testing.assert_allclose(shift[1] - shift[0], 0.04, atol=0.002)
+    np.testing.assert_allclose(shift[0] + shift[1], 0.0, atol=1e-12)
+    assert np.isnan(shift[2]).all()
+    np.testing.assert_allclose(np.sqrt(fit.gyro.curve.turn_on.variance), 0.04 / 2.0**0.5, rtol=0.1)
+
+
+def test_two_sessions_that_agree_state_a_bound_instead_of_no_scatter():
+    rng = np.random.default_rng(7)
+    temp = np.linspace(20.0, 60.0, 120)
+    same = line(temp, rng)
+    swap = np.where(np.arange(120)[:, None] % 2 == 0, 1e-3, -1e-3)  # the means agree better than the noise lets them
+    fit = fit_static(joined(blocks(temp, same + swap), blocks(temp, same - swap, session=1)), nodes=NODES)
+    turn_on = fit.gyro.curve.turn_on
+    assert turn_on.bounded.all()
+    known = 1e-3 / 240.0**0.5  # of half the difference of two means of 120 blocks, white noise alone
+    assert (np.sqrt(turn_on.variance) > known).all()
+    assert (np.sqrt(turn_on.variance_to_come) > 6.0 * known).all()  # Student's 12.7 over 1.96
+    assert (fit.table.gyro_uncertainty >= np.sqrt(turn_on.variance_to_come)).all()
+    assert any("2 sessions no shift is seen on x, y, z" in reason for reason in fit.verdict.reasons)
+
+
+def test_warming_and_cooling_over_different_temperatures_are_not_called_one_way():
+    rng = np.random.default_rng(8)
+    up, down = np.linspace(20.0, 38.0, 60), np.linspace(60.0, 40.0, 60)
+    fit = fit_static(joined(blocks(up, line(up, rng)), blocks(down, line(down, rng), session=1)), nodes=NODES)
+    assert any("warming and cooling share no 3 degC" in reason for reason in fit.verdict.reasons)
+    one = fit_static(blocks(up, line(up, rng)), nodes=NODES)
+    assert any("went one way only" in reason for reason in one.verdict.reasons)

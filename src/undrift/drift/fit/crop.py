@@ -116,6 +116,7 @@ def _triad(found: TriadDrift | None, keep: slice) -> TriadDrift | None:
         offset=_some(found.offset, keep),
         uncertainty=found.uncertainty[keep],
         extrapolated=found.extrapolated[keep],
+        unknown_scale=_some(found.unknown_scale, keep),
     )
 
 

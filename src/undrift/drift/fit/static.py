@@ -6,7 +6,9 @@
     accelerometers   y = u in one pose; offset(T) = offset(T_ref) + y(T) - y(T_ref)
     both             y = f(T) + h c + A exp(-t / tau) + d_s + e             ``curve.py``
 
-T_ref and offset(T_ref) are those of the calibration. The uncertainty of a node holds the noise, what wanders in a run, the curve
+T_ref and offset(T_ref) are those of the calibration. One pose cannot tell a change of scale along gravity from one of offset:
+0.02 %/K * |T - T_ref| of what gravity reads counts as uncertainty, a capacitive accelerometer's usual sensitivity shift
+(+-1 % in 50 K). The uncertainty of a node holds the noise, what wanders in a run, the curve
 between and beyond the temperatures seen, half the loop of hysteresis where one was found, and the scatter between sessions
 where there are several. It is of the offset at a reading of this thermometer, whose trim and self-heating belong to the table.
 """
@@ -24,6 +26,7 @@ from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import NotObservable
 
 _SLOPE_POINTS = 60
+UNKNOWN_SCALE_PER_K = 2e-4  # of an accelerometer that was seen in one pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +79,8 @@ class TriadDrift:
         What wanders in a run, standard deviation, raw unit.
     curve : OffsetCurve
         The fit and its effects.
+    unknown_scale : array, shape (n, 3), or None
+        The part of ``uncertainty`` that stands for a change of scale, raw unit; None where gravity is not in the readings.
     """
 
     offset: FloatArray | None
@@ -87,6 +92,18 @@ class TriadDrift:
     leave_out_rms: FloatArray
     scatter: FloatArray
     curve: OffsetCurve
+    unknown_scale: FloatArray | None = None
+
+    @property
+    def mostly_unknown_scale(self) -> bool:
+        """Whether a change of scale that nobody saw is most of the variance, at half the nodes near data or more."""
+        if self.unknown_scale is None:
+            return False
+        near = ~self.extrapolated if not self.extrapolated.all() else self.extrapolated
+        share = (self.unknown_scale[near] ** 2).sum(axis=1) / np.maximum(
+            (self.uncertainty[near] ** 2).sum(axis=1), 1e-300
+        )
+        return bool(np.median(share) > 0.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -299,7 +316,16 @@ def _accel(
         return None, [f"accelerometer offset over temperature: {error}"]
     if told:
         return replace(found, offset=None), [f"accelerometer: {told}"]
+    if known is not None:
+        found = _with_unknown_scale(found, nodes, known)
     return found, _told("accelerometer", found)
+
+
+def _with_unknown_scale(found: TriadDrift, nodes: FloatArray, known: tuple[float, TriadModel]) -> TriadDrift:
+    reference, model = known
+    gravity = found.curve.spline.at(np.array([reference])).value[0] - model.offset
+    unknown = UNKNOWN_SCALE_PER_K * np.abs(nodes - reference)[:, None] * np.abs(gravity)
+    return replace(found, uncertainty=np.hypot(found.uncertainty, unknown), unknown_scale=unknown)
 
 
 def _told(name: str, found: TriadDrift) -> list[str]:
