@@ -7,6 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from cli_bench import contents
+from data import data_path
+from undrift.study.rival_rows import compare_rivals
 
 TEXT = """
 [study]
@@ -33,7 +35,7 @@ def plan(tmp_path_factory):
 
 def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path):
     out = tmp_path / "out"
-    answer = undrift.good("study", plan, "-o", out, "--workers", "1")
+    answer = undrift.good("study", plan, "-o", out, "--workers", "1", "--no-rivals")
     assert "small: 18 runs (sit_to_stand; 3 subjects), about" in answer.out.splitlines()[0]
     assert "the note agrees: " in answer.out
     assert {path.name for path in out.iterdir()} >= {"surface.parquet", "summary.json", "report.html"}
@@ -56,8 +58,13 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     }
     assert told["figure3"]["decrease_deg"] > 3.2  # the note's figure, on the typical device
     before = (out / "surface.parquet").read_bytes()
-    again = undrift.good("study", plan, "-o", out, "--workers", "2", "--json").json()
+    again = undrift.good("study", plan, "-o", out, "--workers", "2", "--json", "--no-rivals").json()
     assert again["tasks"] == told["tasks"]
+    assert again["designs"] == told["designs"]
+    assert [(row["degree"], row["criterion"]) for row in told["designs"]] == [
+        (degree, name) for degree in (1, 3) for name in ("uniform", "D", "I")
+    ]
+    assert (told["rivals"], told["rivals_missing"], told["real"]) == (None, "not asked for", None)
     assert (out / "surface.parquet").read_bytes() == before
 
 
@@ -69,6 +76,82 @@ def test_another_seed_and_number_of_subjects(undrift, plan, tmp_path):
     assert (told["seed"], told["subjects"], told["runs"]) == (3, 4, 16)
     assert told["figure3"] is None
     assert told["figure3_missing"] == "the study has no sit-to-stand of the library"
+
+
+def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):
+    asked = []
+
+    def few(**words):
+        asked.append(words)
+        return compare_rivals(**words | {"units": 1, "methods": ("data_sheet", "rate_table", "mocap")})
+
+    monkeypatch.setattr("undrift.study.outcome.compare_rivals", few)
+    told = undrift.good("study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
+    assert asked == [{"kind": "enc03j_3031", "seed": 0, "tasks": ("sit_to_stand",)}]
+    assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]
+    assert told["rivals"][1]["error_rms_deg"]["median"] < told["rivals"][2]["error_rms_deg"]["median"]
+    assert told["rivals_missing"] is None
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Discussion as an experiment: other ways to calibrate" in page
+    assert "optics see orientation, not specific force" in page
+    undrift.good("study", plan, "-o", tmp_path / "quick", "--workers", "1", "--quick")
+    assert len(asked) == 1
+
+
+def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
+    names = "32_disturbed_attached_magnet_1cm.hdf5", "35_disturbed_attached_magnet_4cm.hdf5"
+    trials = [f'[[trial]]\nrecording = "{data_path("broad", name)}"\ndevice = "D"\n' for name in names]
+    sit, stance = data_path("mocap_sit_to_stand", "STS1.trc.gz"), data_path("posturography", "PDS13OF1grf.txt.gz")
+    real = tmp_path / "real.toml"
+    real.write_text(
+        "".join(trials)
+        + f'[[capture]]\nfile = "{sit}"\ntask = "sit_to_stand"\nbody = "pelvis"\nup = "y"\n'
+        + f'[[stance]]\nfile = "{stance}"\nmass_kg = 65.35\ncondition = "open on foam"\n'
+    )
+    words = ["study", plan, "-o", tmp_path / "out", "--workers", "1", "--quick", "--json", "--real", real]
+    told = undrift.good(*words).json()["real"]
+    none, rest, calibrated = told["trials"]
+    assert [level["level"] for level in told["trials"]] == ["none", "rest", "calibrated"]
+    assert calibrated["median"]["rmse_total_deg"] < 0.67 * rest["median"]["rmse_total_deg"]  # as tests/authority holds
+    assert rest["median"]["rmse_total_deg"] < none["median"]["rmse_total_deg"]
+    assert {row["measure"] for row in told["captures"]} >= {"lean", "duration"}
+    assert [row["level"] for row in told["worn"]["rows"]] == ["none", "static", "full"]
+    assert any("eyes closed on foam" in row["said"] for row in told["stances"])
+    assert "agreement over trials: 3 trials or more are needed, 2 were given" in told["lacks"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Real recordings: devices worn beside optics" in page
+    assert "Real recordings: what is not there" in page
+
+
+def test_real_recordings_that_cannot_be_read_stop_the_study_before_it_runs(undrift, plan, tmp_path):
+    real = tmp_path / "real.toml"
+
+    def refused(text):
+        real.write_text(text)
+        line = undrift.refused("study", plan, "-o", tmp_path / "out", "--real", real)
+        assert not (tmp_path / "out").exists()
+        return line
+
+    assert "check the path" in undrift.refused("study", plan, "-o", tmp_path / "out", "--real", tmp_path / "none.toml")
+    assert "wanted a [[trial]], a [[capture]] or a [[stance]], got none" in refused("# none\n")
+    assert "one of 'B'; a fit that judges a trial must come from others" in refused(
+        '[[trial]]\nrecording = "a.hdf5"\ndevice = "B"\n'
+    )
+    assert "a.hdf5" in refused('[[trial]]\nrecording = "a.hdf5"\ndevice = "B"\n' * 2)
+    assert "STS.trc" in refused('[[capture]]\nfile = "STS.trc"\ntask = "squat"\nbody = "pelvis"\nup = "y"\n')
+    assert "wanted a body and up, got no up" in refused(
+        '[[capture]]\nfile = "STS.trc"\ntask = "squat"\nbody = "pelvis"\n'
+    )
+    assert "foot.txt" in refused('[[stance]]\nfile = "foot.txt"\nmass_kg = 60.0\ncondition = "open on firm"\n')
+    (tmp_path / "bare.csv").write_text("time,gyro_x\n0.0,0.0\n")
+    assert "got none and no BROAD file, which holds its own" in refused(
+        '[[trial]]\nrecording = "bare.csv"\ndevice = "B"\n' * 2
+    )
+    poses = "".join(f"{0.01 * k:.2f},1,0,0,0\n" for k in range(200))
+    (tmp_path / "poses.csv").write_text("time_s,q_w,q_x,q_y,q_z\n" + poses)
+    assert "wanted poses with positions, got none; risings are found by the height" in refused(
+        '[[capture]]\nfile = "poses.csv"\ntask = "squat"\n'
+    )
 
 
 def test_what_study_refuses(undrift, plan, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from undrift.report.study import write_study_report
 from undrift.study.beside import compare_with_note
 from undrift.study.case import device_of
+from undrift.study.design_rows import design_rows, task_rates
 from undrift.study.executor import InProcess
 from undrift.study.note import TABLE_1, note_study
 from undrift.study.optimise import find_optimum
@@ -115,12 +116,45 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
         "printed 111.4 Hz; lies between 11.1 and 11.5",
         "p of Mauchly",
         "Figure 3: sit-to-stand, simulated and actual device",
+        "Rates to dwell at: D- and I-optimal sets against the uniform grid",
+        "sit to stand, cubic: the I-optimal set reaches the error of the note&#39;s grid in",
+        "34 rates from -90 to 90, equal shares",
+        "25 % at -90, 25 % at -40.3",
+        "Not made: not asked for.",
     ):
         assert wanted in text, wanted
     assert text.count("<svg") == 3 * len(outcome.tasks) + 1
     assert ">nan<" not in text
     write_study_report(replace(outcome, figure3=None, figure3_missing="no sit-to-stand"), tmp_path / "b.html")
     assert "Not made: no sit-to-stand." in (tmp_path / "b.html").read_text()
+
+
+def test_optimal_rates_beat_the_grid_by_their_own_measure_for_the_cohorts_motions(outcome: StudyOutcome) -> None:
+    assert {row.task for row in outcome.designs} == {"sit_to_stand", "step"}
+    for task in ("sit_to_stand", "step"):
+        for degree in (1, 3):
+            even, d, i = (row for row in outcome.designs if (row.task, row.degree) == (task, degree))
+            assert d.d_efficiency_uniform < 1.0
+            assert i.i_efficiency_uniform < 1.0
+            assert even.error_dps is not None
+            assert i.error_dps is not None
+            # information goes with the square of the error: two ways to the same figure
+            assert (i.error_dps / even.error_dps) ** 2 == pytest.approx(i.i_efficiency_uniform, rel=0.01)
+            assert sum(i.share) == pytest.approx(1.0)
+    line = next(row for row in outcome.designs if (row.degree, row.criterion) == (1, "D"))
+    assert line.turn_rate_dps == pytest.approx((-90.0, 90.0))
+
+
+def test_rates_of_a_task_are_those_of_its_motions_and_a_short_grid_holds_a_line_alone() -> None:
+    study = note_study(quick=True, subjects=3)
+    sit, _, stand = study.tasks
+    fast, slow = task_rates(study, sit), task_rates(study, stand)
+    assert 30.0 < np.degrees(np.abs(fast).max()) <= 90.0  # the note's bound for a Tinetti level of 2
+    assert np.abs(slow).max() < 0.2 * np.abs(fast).max()
+    free = replace(sit, name="free")
+    short = replace(sit.base, turn_rate_step=0.5, turn_rate_min=0.5, turn_rate_max=1.0)
+    rows = design_rows(study, free, short)
+    assert [(row.degree, row.grid) for row in rows] == [(1, "the optimum's")] * 3
 
 
 def test_the_ends_of_a_study_are_a_first_look() -> None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from undrift.study.rival_rows import RivalRow, Spread
 
 MANY = 8  # rates; more are told by their ends
+TOLD_S = 10.0  # of motion, for which a rate error is told as an angle
 
 
 def design_sections(rows: "tuple[DesignRow, ...]") -> tuple[Section, ...]:
@@ -49,10 +50,11 @@ def design_sections(rows: "tuple[DesignRow, ...]") -> tuple[Section, ...]:
                 "task",
                 "curve",
                 "set",
-                "rates of an axis (deg/s): share",
+                "time at rates of an axis (deg/s)",
                 "grid's D-efficiency",
                 "grid's I-efficiency",
                 "dwells",
+                "each (s)",
                 "rate error (deg/s)",
             ),
             rows=tuple(_design_row(row) for row in rows),
@@ -65,17 +67,18 @@ def _meaning(best: "DesignRow", rows: "tuple[DesignRow, ...]") -> str:
     own = [row for row in rows if (row.task, row.degree) == (best.task, best.degree)]
     even = next(row for row in own if row.criterion == "uniform")
     text = (
-        f"{_words(best.task)}, {curve}: the I-optimal set reaches {best.grid} grid's error in "
+        f"{_words(best.task)}, {curve}: the I-optimal set reaches the error of {best.grid} grid in "
         f"{100.0 * best.i_efficiency_uniform:.0f} % of its dwelling time"
     )
     if best.error_dps is not None and even.error_dps is not None:
-        text += f" (or {best.error_dps:.2g} in place of {even.error_dps:.2g} deg/s in the same)"
+        text += f" (or {best.error_dps:.2g} in place of {even.error_dps:.2g} deg/s in the same: "
+        text += f"{TOLD_S * abs(even.error_dps - best.error_dps):.1g} deg in {TOLD_S:g} s of motion, were it all of one sign)"
     beyond = "" if best.beyond == 0.0 else f" {100.0 * best.beyond:.2g} % of the task's rates are above the grid's."
     return f"{text}.{beyond}"
 
 
 def _design_row(row: "DesignRow") -> tuple[str, ...]:
-    pairs = [f"{rate:.3g}: {share:.2f}" for rate, share in zip(row.turn_rate_dps, row.share, strict=True)]
+    pairs = [f"{100.0 * share:.0f} % at {rate:.3g}" for rate, share in zip(row.turn_rate_dps, row.share, strict=True)]
     rates = ", ".join(pairs)
     if len(pairs) > MANY:
         rates = f"{len(pairs)} rates from {row.turn_rate_dps[0]:.3g} to {row.turn_rate_dps[-1]:.3g}, equal shares"
@@ -87,7 +90,8 @@ def _design_row(row: "DesignRow") -> tuple[str, ...]:
         rates,
         "" if even else f"{row.d_efficiency_uniform:.2f}",
         "" if even else f"{row.i_efficiency_uniform:.2f}",
-        f"{row.dwells}" + ("" if row.dwell_s is None else f" of {row.dwell_s:g} s"),
+        f"{row.dwells}",
+        "not told" if row.dwell_s is None else f"{row.dwell_s:g}",
         "not told" if row.error_dps is None else f"{row.error_dps:.2g}",
     )
 

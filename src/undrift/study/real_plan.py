@@ -33,6 +33,7 @@ from undrift.study.real import DeviceTrials, RealErrors, real_errors
 from undrift.study.real_motion import BesideRow, Capture, Captured, motion_rows
 from undrift.study.real_sway import Condition, Stance, read_stance, sway_rows
 from undrift.study.real_worn import Worn, worn_in
+from undrift.validation.trials import LEAST_FOR_AGREEMENT
 
 Given = TypeVar("Given")
 
@@ -267,6 +268,10 @@ def judge_real(data: RealData, study: Study) -> RealOutcome:
     no_errors: tuple[RealErrors, ...] = ()
     no_rows: tuple[BesideRow, ...] = ()
     errors = tried("trials beside optics", lambda: real_errors(data.devices), data.devices, no_errors)
+    if errors and errors[0].agreement is None:
+        lacks.append(
+            f"agreement over trials: {LEAST_FOR_AGREEMENT} trials or more are needed, {len(errors[0].trials)} were given"
+        )
     motions = tried(
         "captured motions",
         lambda: motion_rows(data.captures, subjects=count, seed=seed, group=study.group),
@@ -279,5 +284,9 @@ def judge_real(data: RealData, study: Study) -> RealOutcome:
         data.captures,
         None,
     )
+    if worn is not None and not worn.agreement:
+        lacks.append(
+            f"agreement over captures: {LEAST_FOR_AGREEMENT} or more are needed, {len(data.captures)} were given"
+        )
     sways = tried("stances", lambda: sway_rows(data.stances, subjects=count, seed=seed), data.stances, no_rows)
     return RealOutcome(errors=errors, motions=motions, sways=sways, worn=worn, lacks=tuple(lacks))

@@ -1,0 +1,84 @@
+"""Sections on real recordings and rivals: agreement told, what is not there named, no figure that is not one."""
+
+import numpy as np
+
+from undrift.report.study_extra import design_sections, real_sections, rival_sections
+from undrift.study.note import note_study
+from undrift.study.outcome import StudyOutcome
+from undrift.study.real import RealErrors, agreement_of
+from undrift.study.real_motion import BesideRow
+from undrift.study.real_plan import RealData, RealOutcome, judge_real
+from undrift.study.real_worn import Worn
+from undrift.study.rival_rows import RivalRow, Spread
+from undrift.study.testing import cohort_of, other_study
+
+NONE = Spread(median=np.nan, least=np.nan, greatest=np.nan)
+
+
+def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
+    pairwise = agreement_of("largest lean, deg", np.array([30.0, 40.0, 50.0, 60.0]), np.array([30.5, 40.0, 50.5, 60.0]))
+    assert pairwise is not None
+    level = RealErrors(
+        level="rest",
+        trials=(),
+        rmse_total_deg=1.25,
+        rmse_inclination_deg=0.5,
+        max_abs_pitch_deg=np.nan,
+        end_total_deg=np.nan,
+        agreement=pairwise,
+    )
+    row = BesideRow(
+        trial="a", task="squat", measure="lean", unit="deg", real=np.nan, low=1.0, median=2.0, high=3.0, said="no squat"
+    )
+    real = RealOutcome(
+        errors=(level,),
+        motions=(row,),
+        sways=(),
+        worn=Worn(rows=(), agreement=(("full", pairwise),)),
+        lacks=("x: none",),
+    )
+    trials, captured, worn, lacks = real_sections(real)
+    # by hand: differences -0.5, 0, -0.5, 0: bias -0.25, standard deviation 0.2887, limits -0.82 and 0.32
+    told = "largest lean, deg: bias -0.25, limits of agreement -0.82 to 0.32 (4 trials); ICC(2,1) 0.9"
+    assert any(told in text for text in trials.text)
+    assert any(text.startswith("full: ") and told in text for text in worn.text)
+    assert trials.rows == (("median", "rest", "1.25", "0.50", "not told", "not told"),)
+    assert captured.rows[0][3:] == ("not told", "2.00", "1.00 to 3.00", "")
+    assert "a: no squat." in captured.text
+    assert lacks.text == ("x: none.",)
+
+
+def test_nothing_given_is_told_as_not_there() -> None:
+    found = judge_real(RealData(devices=(), captures=(), stances=()), note_study(quick=True, subjects=3))
+    assert found.worn is None
+    assert "stances: none was given" in found.lacks
+    assert real_sections(None) == ()
+    assert design_sections(()) == ()
+
+
+def test_a_method_whose_units_were_all_refused_has_no_figure() -> None:
+    row = RivalRow(
+        method="data_sheet",
+        task="sit_to_stand",
+        minutes=0.0,
+        observable=(),
+        error_rms_deg=NONE,
+        error_max_deg=NONE,
+        change_max_deg=NONE,
+        units=5,
+        refused=5,
+        said=("nothing was recorded",),
+    )
+    study = note_study(quick=True, subjects=3)
+    outcome = StudyOutcome(
+        study=study,
+        runs=0,
+        tasks=(),
+        cohorts=(cohort_of(study), cohort_of(other_study(study))),
+        figure3=None,
+        figure3_missing="",
+        rivals=(row,),
+    )
+    table, words = rival_sections(outcome)
+    assert table.rows == (("sit to stand", "data sheet", "nothing", "0.0", "no unit", "no unit", "no unit", "5 of 5"),)
+    assert words.rows == (("data sheet", "nothing was recorded"),)
