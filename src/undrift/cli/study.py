@@ -32,7 +32,7 @@ def study(
     seed: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
-    rivals: Annotated[bool, Parameter(negative="--no-rivals")] = True,
+    no_rivals: Flag = False,
     real: Path | None = None,
     json: Flag = False,
 ) -> int:
@@ -56,8 +56,8 @@ def study(
         Processes on this machine; all its processors where not given.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
-    rivals : bool
-        Compare other ways to calibrate, as the note's Discussion does; about 10 s a task. --quick leaves it out.
+    no_rivals : bool
+        Leave out the other ways to calibrate, which the note's Discussion names: about 10 s a task. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge beside the study. See docs/study.md.
     json : bool
@@ -79,7 +79,7 @@ def study(
     workers = executor.workers
     _check_folder(output, planned)
     _announce(planned, workers, json)
-    outcome = _with_progress(planned, executor, output, rivals and not quick, held)
+    outcome = _with_progress(planned, executor, output, not (no_rivals or quick), held)
     summary = study_summary(outcome)
     write_whole(output / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
     write_study_report(outcome, output / "report.html")
