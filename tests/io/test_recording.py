@@ -1,6 +1,7 @@
 """One door: each file takes the reader its content calls for, whatever its name."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,19 @@ def test_a_map_overrides_what_the_file_looks_like(tmp_path):
     columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, layout=layout)
     built = read_built(tmp_path / "log.txt", columns)
     assert (len(built.record), built.dropped_rows) == (2, 1)
+
+
+def test_gaps_that_are_asked_for_overrule_the_map(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y,z\n" + "".join(f"{0.1 * k},{'' if k == 3 else k},2,3\n" for k in range(9)))
+    strict = ColumnMap(time="t", time_unit="s", gyro=("x", "y", "z"), gyro_unit="dps")
+    lenient = replace(strict, gaps="keep")
+    kept, refused = ReadSettings(gaps="keep"), ReadSettings(gaps="raise")
+    for read in (read_record, lambda *a, **k: next(iter_record(*a, **k))):
+        assert np.isnan(read(tmp_path / "a.csv", strict, settings=kept).gyro).sum() == 1
+        assert np.isnan(read(tmp_path / "a.csv", lenient, settings=ReadSettings()).gyro).sum() == 1
+        for columns, settings in ((strict, None), (lenient, refused)):
+            with pytest.raises(InputError, match="got 1 empty or NaN cells, first in data row 4"):
+                read(tmp_path / "a.csv", columns, settings=settings)
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ class Opening:
     sensor : str or None
         Which sensor, in a file of several (APDM).
     gaps : str or None
-        "keep" takes NaN as a gap; it is refused otherwise.
+        "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
     """
 
     column_map: Annotated[Path | None, Parameter(name="--map")] = None

@@ -1,7 +1,7 @@
 """One door to every recording: the content of the file says which reader it takes."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
@@ -42,7 +42,8 @@ class ReadSettings:
     sensor : str or None
         Which sensor, in a file of several (APDM).
     gaps : str or None
-        "raise" or "keep" for undrift's own names; None refuses gaps except in Parquet that undrift wrote.
+        "raise" or "keep", whatever a map says; None: as the map says, and without one gaps are refused except in Parquet that
+        undrift wrote.
     """
 
     sample_rate_hz: float | None = None
@@ -100,6 +101,7 @@ def read_built(path: str | Path, columns: ColumnMap | None = None, *, settings: 
         As :func:`read_record`.
     """
     settings, path = settings or ReadSettings(), Path(path)
+    columns = _overruled(columns, settings)
     kind = detect(path)
     if kind in NOT_RECORDS and not (kind == "text" and columns is not None):
         raise FileFormatError(f"{path}: wanted a recording, got {NOT_RECORDS[kind]}")
@@ -141,6 +143,7 @@ def iter_record(
         As :func:`read_record`.
     """
     settings = settings or ReadSettings()
+    columns = _overruled(columns, settings)
     if detect(path) == "parquet":
         yield from iter_parquet(path, columns, rows=rows, gaps=settings.gaps)
         return
@@ -176,6 +179,11 @@ def write_record(record: Record, path: str | Path) -> None:
         write_csv(record, path)
     else:
         raise InputError(f"{path}: wanted a name ending in .parquet, .csv or .csv.gz, got another; name the format so")
+
+
+def _overruled(columns: ColumnMap | None, settings: ReadSettings) -> ColumnMap | None:
+    """The map with the gaps that were asked for beside it."""
+    return columns if columns is None or settings.gaps is None else replace(columns, gaps=settings.gaps)
 
 
 def _read_wearable(path: Path, kind: Format, settings: ReadSettings) -> Record:
