@@ -1,12 +1,14 @@
 """The command line called in process, and what a folder holds: shared by the tests of commands."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from undrift.calibration.model import DriftTables, StaticDrift
+from undrift.calibration.store import read_calibration, write_calibration
 from undrift.cli.app import run
 from undrift.io.recording import read_record, write_record
 from undrift.record import Record
@@ -95,3 +97,12 @@ def at_rest(folder: Path, path: Path, *, seconds: float = 120.0, seed: int = 1) 
     )
     write_record(record, folder / path)
     return record
+
+
+def beyond_the_table(bench, folder):
+    """A calibration whose table ends below the temperatures of a trial, and that trial."""
+    c, raw = read_calibration(bench / "calibration.json"), read_record(bench / "trial.parquet")
+    static = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=np.tile(c.gyro.offset, (2, 1)))
+    write_calibration(replace(c, drift=DriftTables(static=static)), folder / "c.json")
+    write_record(replace(raw, temp_c=np.full(len(raw), 31.0)), folder / "warm.parquet")
+    return [folder / "warm.parquet", "--calibration", folder / "c.json"]

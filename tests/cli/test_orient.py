@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cli_bench import contents
+from cli_bench import beyond_the_table, contents
 from data import data_path, show
 from undrift.io.angles import COLUMNS
 from undrift.io.reference import read_reference
@@ -50,6 +50,15 @@ def test_heading_offset_and_body_axes_are_taken(undrift, bench, tmp_path):
     assert abs(np.median(heading[:100]) - 90.0) < 0.5
     side = undrift.good("orient", path, "-o", tmp_path / "c.csv", "--forward", "-x", "--up", "+z", "--json").json()
     np.testing.assert_allclose(side["pitch_deg"], [-plain["pitch_deg"][1], -plain["pitch_deg"][0]], atol=1e-6)
+
+
+def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(undrift, bench, tmp_path):
+    words = ["orient", *beyond_the_table(bench, tmp_path), "-o", tmp_path / "o.csv"]
+    assert "choose the policy hold or nan" in undrift.refused(*words)
+    told = undrift.good(*words, "--policy", "hold", "--json").json()
+    assert "s lie outside the drift table: 31.0 to 31.0 degC" in told["notes"][0]
+    plain = undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "p.csv", "--json").json()
+    np.testing.assert_allclose(told["pitch_deg"], plain["pitch_deg"], atol=1e-6)  # the table holds the constant offset
 
 
 def test_a_real_wearable_is_oriented(undrift, tmp_path):

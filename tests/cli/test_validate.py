@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from cli_bench import contents
+from cli_bench import beyond_the_table, contents
 from data import data_path, show
 from trc_text import trc
 from undrift.calibration.store import read_calibration
@@ -99,6 +99,14 @@ def test_raw_and_corrected_are_judged_alike(undrift, bench):
     assert raw["agreement"] is None
     turned = undrift.good("validate", bench / "corrected.parquet", *words, "--forward", "-x").json()
     assert turned["mean"]["rmse_pitch_deg"] == pytest.approx(done["mean"]["rmse_pitch_deg"], abs=0.02)
+
+
+def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(undrift, bench, tmp_path):
+    words = ["validate", *beyond_the_table(bench, tmp_path), "--reference", bench / "reference.parquet"]
+    assert "choose the policy hold or nan" in undrift.refused(*words)
+    told = undrift.good(*words, "--policy", "hold", "--json").json()
+    assert any("s lie outside the drift table: 31.0 to 31.0 degC" in note for note in told["trials"][0]["notes"])
+    assert told["mean"]["max_abs_pitch_deg"] < 0.75
 
 
 @pytest.fixture(scope="module")

@@ -26,6 +26,7 @@ def orient(
     forward: Side = "+x",
     up: Side = "+z",
     power_on_s: float | None = None,
+    policy: Literal["raise", "hold", "nan"] = "raise",
     opening: Opening = Opening(),
     json: Flag = False,
 ) -> int:
@@ -49,6 +50,9 @@ def orient(
         Device axis that points up on the upright segment.
     power_on_s : float or None
         Time since power-on at the first sample, s; without it no warm-up is taken off.
+    policy : str
+        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
+        temperature was recorded the result is a gap under each, and a warning says for how long.
     opening : Opening
         How to read a foreign recording.
     json : bool
@@ -72,7 +76,7 @@ def orient(
         from undrift.correct import correct_checked
 
         held = read_calibration(calibration)
-        done = correct_checked(readings, held, power_on_s=power_on_s)
+        done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
         readings, model, notes = done.record, held.accel, (*done.warnings, *done.notes)
     else:
         check_physical(readings, record)

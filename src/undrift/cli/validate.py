@@ -38,6 +38,7 @@ def validate(
     forward: Side = "+x",
     up: Side = "+z",
     power_on_s: float | None = None,
+    policy: Literal["raise", "hold", "nan"] = "raise",
     markers: str | None = None,
     reference_up: Literal["y", "z"] | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
@@ -68,6 +69,9 @@ def validate(
         Body axis that points up on the upright segment.
     power_on_s : float or None
         Time since power-on at the first sample of each recording, s; without it no warm-up is taken off.
+    policy : str
+        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
+        temperature was recorded the result is a gap under each, and a warning says for how long.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
     reference_up : str or None
@@ -98,7 +102,7 @@ def validate(
         checked_folder(output)
     labels = tuple(markers.split(",")) if markers else None
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
-    settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up, power_on_s=power_on_s)
+    settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up, power_on_s=power_on_s, policy=policy)
     with waiting("reading, aligning and integrating"):
         pairs = read_pairs(records, reference, labels, reference_up, opening, command="validate")
         if calibration is None and calibrate_from is None:

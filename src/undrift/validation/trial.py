@@ -14,7 +14,7 @@ import numpy as np
 from undrift.arrays import FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.model import AdcModel, Calibration, TriadModel
-from undrift.correct import correct_checked
+from undrift.correct import Policy, correct_checked
 from undrift.errors import AlignmentError, InputError
 from undrift.orientation.angles import inclination_of, sagittal_pitch
 from undrift.record import Record, Reference
@@ -61,6 +61,8 @@ class TrialSettings:
         Axes of the body that span its sagittal plane.
     power_on_s : float or None
         Time since power-on at the first sample, s; None where it is not known: then no warm-up is taken off.
+    policy : str
+        Temperatures outside a tuning table: "raise", "hold" its end, or "nan", as ``correct`` has it.
     lag : LagSettings
         Of the lag search.
     """
@@ -75,6 +77,7 @@ class TrialSettings:
     forward: Face = "+x"
     up: Face = "+z"
     power_on_s: float | None = None
+    policy: Policy = "raise"
     lag: LagSettings = LAG_SETTINGS
 
 
@@ -265,7 +268,7 @@ def _corrected(
         return done.record, (f"gyro codes rounded {adc.gyro_rounding.replace('_', ' ')}: the mean loss was given back",)
     if settings.adc == "none":
         calibration = replace(calibration, adc=None)
-    done = correct_checked(record, calibration, power_on_s=settings.power_on_s)
+    done = correct_checked(record, calibration, policy=settings.policy, power_on_s=settings.power_on_s)
     return done.record.in_si(), (*done.warnings, *done.notes)
 
 
