@@ -33,6 +33,13 @@ MPU_MAP = f"""columns = {{ time = "Time", gyro = ["Gx", "Gy", "Gz"], accel = ["A
 units = {{ time = "ms", gyro = "dps", accel = "g", temp = "degC" }}
 scale = {{ gyro = {{ gain = {1 / 16.4} }}, accel = {{ gain = {1 / 16384} }}, temp = {{ gain = {1 / 340}, offset = 36.53 }} }}
 """
+BMI_MAP = """columns = { temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }
+units = { temp = "degC", accel = "g", gyro = "dps" }
+header = false
+skip_rows = 1
+sample_rate_hz = 50.0
+drop_bad_rows = true
+"""
 HEAD = '[session]\nkind = "thermal"\nserial = "{serial}"\ngravity_m_s2 = 9.80665\n'
 
 
@@ -98,6 +105,13 @@ def test_two_plateaus_with_torn_lines_name_the_fourfold_error(undrift, tmp_path)
     assert "accelerometer offset over temperature: " not in answer.out
     assert "have no data near them" in answer.out
     assert "verdict: marginal" in answer.out
+    (tmp_path / "map.toml").write_text(BMI_MAP)
+    bare = undrift.good("drift", *sorted(tmp_path.glob("*.gz")), "--map", tmp_path / "map.toml")
+    assert bare.out.count("not seen") == 3  # between sessions, on each axis
+    assert "no two sessions share a temperature" in bare.out
+    for told in (answer.out, bare.out):
+        assert "no sweep was seen" in told
+        assert "one way only" not in told
 
 
 def test_eleven_recordings_of_a_bicycle_are_one_session(undrift, tmp_path):

@@ -46,6 +46,7 @@ def test_rows_are_in_the_units_that_people_read():
     assert all(len(row) == len(heads) for row in rows)
     assert rows[0] == ("x", "+0.100 +- 0.012", "0.01", "0.02", "+0.0500 +- 0.0040", "0.1")
     assert rows[1][3] == "too few"
+    assert offset_rows(summary(turn_on=np.full(3, np.nan)))[2][5] == "not seen"
     short = summary(half_loop=None, half_loop_uncertainty=None, turn_on=None)
     assert len(offset_heads(short)) == len(offset_rows(short)[0]) == 4
     assert shown_unit("m/s2")[0] == "mg"

@@ -59,7 +59,8 @@ def offset_rows(summary: "TriadSummary") -> tuple[tuple[str, ...], ...]:
         if summary.half_loop is not None and summary.half_loop_uncertainty is not None:
             row.append(plus_minus(summary.half_loop[k] * factor, summary.half_loop_uncertainty[k] * factor))
         if summary.turn_on is not None:
-            row.append(f"{summary.turn_on[k] * factor:.2g}")
+            between = summary.turn_on[k] * factor
+            row.append(f"{between:.2g}" if np.isfinite(between) else "not seen")
         rows.append(tuple(row))
     return tuple(rows)
 

@@ -17,6 +17,7 @@ from undrift.drift.fit.offsets import Offsets
 from undrift.drift.fit.spline import NodeValues, SmoothSpline, Wander, fit_smooth, not_a_knot
 from undrift.drift.fit.warm_up import warm_up_table, warm_up_time
 from undrift.drift.fit.weigh import SmoothSettings
+from undrift.drift.observe.observations import RestBlocks
 from undrift.errors import NotObservable
 
 _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fitted
@@ -133,10 +134,7 @@ def fit_curve(offsets: Offsets, settings: CurveSettings = CurveSettings()) -> Of
     state = cooling(blocks, settings.sweeps)
     seen = settings.hysteresis and both_ways(blocks, state, settings.sweeps)
     if settings.hysteresis and not seen:
-        reasons.append(
-            "hysteresis is not observable: the temperature went one way only; the table is of that way, and half the loop is not "
-            "in its uncertainty: record a sweep back"
-        )
+        reasons.append(_no_loop(blocks, state, settings.sweeps))
     tau = None
     if settings.warm_up:
         try:
@@ -150,8 +148,7 @@ def fit_curve(offsets: Offsets, settings: CurveSettings = CurveSettings()) -> Of
     kept = loop is not None and loop.significant
     cells, spline, turn_on = full if kept else _fit(offsets, state, tau, with_loop=False, settings=settings)
     warm_up = None if tau is None else warm_up_table(tau, spline.coefficient[-1])
-    if turn_on is None:
-        reasons.append("one session: how far the offset moves between switch-ons is not known; record on another day")
+    reasons += _of_sessions(turn_on)
     return OffsetCurve(
         spline=spline,
         cells=cells,
@@ -161,6 +158,51 @@ def fit_curve(offsets: Offsets, settings: CurveSettings = CurveSettings()) -> Of
         turn_on=turn_on,
         reasons=tuple(reasons),
     )
+
+
+def _no_loop(blocks: RestBlocks, state: FloatArray, settings: HysteresisSettings) -> str:
+    """Return why there is no loop: no sweep, sweeps of one way, or of both ways over different temperatures."""
+    of_session = [np.flatnonzero(blocks.session == number) for number in np.unique(blocks.session)]
+    swept = [rows for rows in of_session if _is_sweep(blocks.temp_c[rows], settings.overlap_c)]
+    if not swept:
+        return (
+            "hysteresis is not observable: no sweep was seen, each session rested at one or two temperatures; half the loop is not "
+            "in the uncertainty: record a sweep up and back"
+        )
+    ways = state[np.concatenate(swept)]
+    if (ways < -0.5).any() and (ways > 0.5).any():
+        return (
+            f"hysteresis is not observable: warming and cooling share no {settings.overlap_c:g} degC; half the loop is not in the "
+            "uncertainty: record a sweep up and back over the same temperatures"
+        )
+    return (
+        "hysteresis is not observable: the temperature went one way only; the table is of that way, and half the loop is not "
+        "in its uncertainty: record a sweep back"
+    )
+
+
+def _is_sweep(temp_c: FloatArray, wide_c: float) -> bool:
+    """Tell whether a session went through temperatures: a stretch without gaps, or three plateaus."""
+    rising = np.sort(temp_c)
+    plateaus = np.split(rising, np.flatnonzero(np.diff(rising) > wide_c) + 1)
+    return len(plateaus) > 2 or max(float(np.ptp(plateau)) for plateau in plateaus) >= wide_c
+
+
+def _of_sessions(turn_on: TurnOn | None) -> list[str]:
+    if turn_on is None:
+        return ["one session: how far the offset moves between switch-ons is not known; record on another day"]
+    if not turn_on.observable:
+        return [
+            "how far the offset moves between switch-ons is not observable: no two sessions share a temperature, where a shift "
+            "could be told from drift, and it is not in the uncertainty: record them over shared temperatures"
+        ]
+    if not turn_on.bounded.any():
+        return []
+    axes = ", ".join(axis for axis, held in zip("xyz", turn_on.bounded.tolist(), strict=True) if held)
+    return [
+        f"between the {turn_on.sessions} sessions no shift is seen on {axes}: what is stated there is a bound, as well as their "
+        "shifts are known; record more sessions"
+    ]
 
 
 def _fit(
