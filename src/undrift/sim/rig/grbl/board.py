@@ -99,14 +99,9 @@ class Board:
     def advance(self) -> None:
         """Come up to now: moves that are over leave the queue."""
         now = self.clock.now()
-        self._drop_done(now)
+        _drop_done(self._queue, self._joints, now)
         if self.state in ("Jog", "Run") and not self._queue and now >= self._ends:
             self.state = "Idle"
-
-    def _drop_done(self, now: float) -> None:
-        while self._queue and self._joints and now >= self._joints[0]:
-            self._queue.popleft()
-            self._joints.popleft()
 
     @property
     def full(self) -> bool:
@@ -192,7 +187,7 @@ class Board:
     def _plan(self) -> None:
         # from where the pulses are now, or from where they will rest after a stop
         now = self.clock.now()
-        self._drop_done(now)
+        _drop_done(self._queue, self._joints, now)
         begin = now if self._joints else max(now, self._ends)
         angle, rate = self.stepper.pulses.at(begin)
         moves, at = [], angle
@@ -340,3 +335,10 @@ def _defaults(s: GrblSettings) -> dict[int, float]:
         values[120 + place] = s.acceleration_deg_s2
         values[130 + place] = 360.0
     return dict(sorted(values.items()))
+
+
+def _drop_done(queue: "deque[tuple[float, float]]", joints: "deque[float]", now: float) -> None:
+    """Let moves that are over leave the queue."""
+    while queue and joints and now >= joints[0]:
+        queue.popleft()
+        joints.popleft()
