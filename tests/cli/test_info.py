@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from cli_bench import contents
+from cli_bench import beyond_the_table, contents
 from data import DATA, data_path
 
 KEYS = {
@@ -102,6 +102,21 @@ def test_what_undrift_writes_is_told(undrift, bench, name, kind, word):
         assert told["stills"]
         assert told["units"]["accel"] == "count"
         assert told["temp_c"][0] < told["temp_c"][1]
+
+
+def test_a_calibration_is_told_triad_by_triad_and_table_by_table(undrift, bench, tmp_path):
+    path, *_ = beyond_the_table(bench, tmp_path)
+    path = path.with_name("c.json")
+    told = undrift.good("info", path, "--json").json()
+    assert told["temp_c"] == [20.0, 30.0]
+    assert told["effects"]["tables"] == ["offset of the gyro 20 to 30 degC (2 nodes, 0 extrapolated)"]
+    assert "count to " in told["effects"]["gyro"][0]
+    assert told["effects"]["verdict"][0] in ("good", "marginal", "bad")
+    text = undrift.good("info", path).out
+    assert "  temperature: 20.00 to 30.00 degC" in text
+    assert "  tables: offset of the gyro 20 to 30 degC (2 nodes, 0 extrapolated)" in text
+    assert "  reference temperature: " in text
+    assert undrift.good("info", bench / "calibration.json", "--json").json()["temp_c"] is None
 
 
 def test_a_folder_is_listed_file_by_file_with_damage_named(undrift, bench, tmp_path):

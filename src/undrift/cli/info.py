@@ -40,6 +40,10 @@ def info(
     found = describe(file, opening.columns(), settings=opening.settings(), up=up)
     stills, reason = _stills(file, found, opening)
     effects = _effects(file) if found.kind == "device" else {}
+    if found.kind == "calibration":
+        from undrift.cli.contents import contents_of
+
+        found, effects = contents_of(file, found)
     if json:
         write_json(
             {
