@@ -63,7 +63,7 @@ def test_a_thermal_session_is_a_folder(tmp_path: Path, capsys: pytest.CaptureFix
     assert (said["samples"], said["stills"], said["turns"]) == (len(session.records[0]), 1, 0)
     assert said["temp_c"][1] - said["temp_c"][0] > 15.0
     assert read_device(device).serial == session.serial
-    assert run([*words, "--power-on-s", "60"]) == 0
+    assert run(words) == 0
     assert "21600 samples at 10 Hz over 2160 s" in capsys.readouterr().out
 
 
@@ -78,6 +78,10 @@ def test_a_thermal_session_is_a_folder(tmp_path: Path, capsys: pytest.CaptureFix
             "wanted one of thermal_soak, thermal_ramp, thermal_warm_up, thermal_mu",
         ),
         (["thermal_ramp", "--device", "bmi160", "--temp-c", "30"], "thermal_ramp: wanted none of --temp-c"),
+        (
+            ["thermal_warm_up", "--device", "bmi160", "--power-on-s", "3600"],
+            "thermal_warm_up: wanted no --power-on-s, got 3600; this session begins at power-on, leave it out",
+        ),
         (["free", "--device", "bmi160", "--sample-rate-hz", "0"], "sample rate: wanted more than 0 Hz, got 0"),
     ],
 )

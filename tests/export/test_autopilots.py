@@ -195,6 +195,11 @@ def test_what_is_refused():
     ):
         export_px4(scaled)
     assert export_px4(scaled, AutopilotSettings(temp_c=30.0)).notes[0] == "tables over temperature are read at 30 degC"
+    scale = replace(scaled.drift.scale, accel_matrix=None, accel_uncertainty=None, accel_extrapolated=None)
+    gyro_alone = replace(scaled, drift=replace(scaled.drift, scale=scale))
+    cold, hot = (export_px4(gyro_alone, AutopilotSettings(temp_c=t)) for t in (30.0, 60.0))
+    assert cold.text == hot.text  # gains of gyroscopes have no place there: nothing is frozen, nothing is said of it
+    assert "tables over temperature" not in " ".join((*cold.notes, *hot.notes))
     with pytest.raises(FileFormatError, match="wanted a name and a number, got 'a b c' in line 2"):
         import_px4("A,1\na b c\n")
     with pytest.raises(FileFormatError, match="wanted a name and a number, got 'A,nan' in line 1"):

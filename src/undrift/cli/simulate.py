@@ -152,6 +152,10 @@ def _thermal(
 
     checked_folder(output)
     sample_rate_hz, power_on_s, gravity_m_s2 = given
+    if kind == "warm_up" and power_on_s is not None:
+        raise InputError(
+            f"{THERMAL}{kind}: wanted no --power-on-s, got {power_on_s:g}; this session begins at power-on, leave it out"
+        )
     settings = ThermalSettings()
     bench = replace(settings.bench, gravity_m_s2=gravity_m_s2)
     bench = bench if sample_rate_hz is None else replace(bench, sample_rate_hz=sample_rate_hz)

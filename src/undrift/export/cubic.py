@@ -206,7 +206,10 @@ def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> Au
         nominal = _nominal(pair.accel, "accel", settings.accel_nominal)
         accel = _cubic(calibration, pair, pair.accel, "accel", nominal)
         gain = np.diag(pair.accel.matrix) / nominal
-    notes = [] if drift.scale is None else list(pair.notes)
+    frozen = accel is not None and drift.scale is not None and drift.scale.accel_matrix is not None
+    notes = (
+        list(pair.notes) if frozen else []
+    )  # of all that is read at one temperature a target carries these gains alone
     if gyro is not None and has_gyro:
         worst = gyro.misfit / RADIAN_PER_DEGREE
         notes.append(f"the cubics depart from the gyroscopes' table by up to {_three(worst)} deg/s, x / y / z")
