@@ -29,6 +29,7 @@ from undrift.drift.fit.crop import cropped_choice, cropped_static, widened
 from undrift.drift.fit.static import StaticFit, StaticSettings, fit_static
 from undrift.drift.observe.gather import ObserveSettings, observe_rests, observe_steps
 from undrift.drift.observe.observations import RateSteps, RestBlocks
+from undrift.drift.observe.once import check_once
 from undrift.drift.observe.ready import (
     accel_unit_of,
     check_at_rest,
@@ -165,7 +166,8 @@ def fit_drift(
     Raises
     ------
     InputError
-        No session, another device than the calibration's, temperature missing or on another scale, units that do not agree.
+        No session, another device than the calibration's, data given twice, temperature missing or on another scale, units that
+        do not agree.
     NotObservable
         A temperature that is constant or spans too little; no rests; counts without a calibration; a table that was asked for
         and that the sessions do not tell.
@@ -277,6 +279,7 @@ def _check(sessions: Sequence[Session], calibration: Calibration | None, setting
         raise InputError(f"drift: wanted sessions and calibration of one device, got {', '.join(named)}; sort them")
     if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
+    check_once(sessions)
 
 
 def _made_ready(
