@@ -122,7 +122,7 @@ DRAWN = {
 }
 WORDS = {
     "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "cooling branch", "95 %"),
-    "offsets without blocks": (">offset<", "uncertainty of the table"),
+    "offsets without blocks": (">offset<", "uncertainty of the table", "a pose has no single offset to draw"),
     "change alone": ("x (count)", "the same less the fit"),
     "scale": ("scale factor against", "y (%)", "soaks, 95 %"),
     "dynamic": ("measured rate (deg/s)", "20 degC", "error taken off"),

@@ -55,7 +55,8 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     Returns
     -------
     Figure
-        A row an axis: the offset, and what the table leaves of the blocks, with the branches of a loop.
+        A row an axis: the offset, and what the table leaves of the blocks, with the branches of a loop. Offsets that poses told
+        have no blocks, and the picture says why.
     """
     figure, panels = new_figure(3, height=2.0, columns=2)
     unit, factor = shown_unit(summary.unit)
@@ -77,6 +78,8 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     )
     seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
     panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
+    if not len(summary.block_temp_c):
+        panels[2].set_title("of all poses together: a pose has no single offset to draw", loc="left", fontsize=8.5)
     _legend_below(figure, panels[1])
     return figure
 
