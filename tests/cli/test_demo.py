@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 
+import numpy as np
 import pytest
 
 from cli_bench import contents
@@ -62,9 +63,11 @@ def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
     assert calibration.drift.scale is not None or calibration.drift.dynamic is not None
     bench, thermal = read_session(out / "bench"), read_session(out / "thermal")
     assert (len(bench.stills), len(bench.turns)) == (12, 12)
-    assert {still.temp_c for still in thermal.stills} == set(
-        read_protocol(out / "thermal" / "protocol.toml").temperatures_c
-    )
+    set_points = np.array(read_protocol(out / "thermal" / "protocol.toml").temperatures_c)
+    measured = np.array([still.temp_c for still in thermal.stills], float)
+    apart = np.abs(measured[:, None] - set_points)  # by the device's own thermometer, trimmed to 2 K
+    assert apart.min(axis=1).max() < 2.0
+    assert len(np.unique(apart.argmin(axis=1))) == len(set_points)
     page = (out / "report.html").read_text()
     assert page.count("<svg") >= 7
     for title in ("Held against the hidden truth", "The virtual bench", "Rates that the encoder showed", "Table 1"):
