@@ -285,3 +285,18 @@ def test_a_session_given_twice_is_refused(session):
     again = replace(session, records=tuple(replace(r, time=r.time + 3600.0) for r in session.records))
     with pytest.raises(InputError, match=r"got the same data in session 1 .* and session 2 "):
         fit_drift([session, again], CALIBRATION)
+
+
+def test_a_log_that_went_one_way_says_what_lag_and_power_on_would_make(fit):
+    told = fit_drift([warmed(80)], CALIBRATION)
+    said = [reason for reason in told.verdict.reasons if "not in the stated +-" in reason]
+    ramp = np.quantile(np.abs(told.rests.ramp_c_per_min), 0.95)
+    shift = np.degrees(np.abs(told.gyro_summary.slope)) * ramp / 60.0 * 10.0
+    assert len(said) == 1
+    assert (
+        f"each 10 s by which the thermometer trails makes {shift[0]:.2g}, {shift[1]:.2g}, {shift[2]:.2g} deg/s"
+        in said[0]
+    )
+    assert "the loop is unknown" in said[0]
+    assert sum("after power-on may be in the table" in reason for reason in told.verdict.reasons) == 1
+    assert not any("not in the stated" in reason or "may be in the table" in reason for reason in fit.verdict.reasons)

@@ -47,6 +47,7 @@ from undrift.drift.verdict import (
     accel_verdict,
     choice_verdict,
     lag_verdict,
+    one_way_verdict,
     static_verdict,
     temperature_verdict,
     verdict_before,
@@ -189,16 +190,16 @@ def fit_drift(
     nodes = table_nodes(seen, settings)
     wider = widened(nodes, _whole_range(seen, settings.step_c))  # the judgement hangs on no range asked for
     wide = fit_static(rests, nodes=wider, calibration=device, settings=settings.static)
-    check_sessions(wide, device)
-    agrees = check_turns(steps, device, wide).also(offsets_verdict(wide, device))
+    agrees = _agrees(steps, device, wide)
     say("judging scale and dynamic tables on soaks left out", 0.5)
     choice, not_chosen = _chosen(steps, device, wide, rests, settings)
-    static = cropped_static(wide, nodes)
-    choice = None if choice is None else cropped_choice(choice, nodes)
+    static, choice = cropped_static(wide, nodes), choice and cropped_choice(choice, nodes)
     say("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
     told_of_tables = choice_verdict(choice, not_chosen), static_verdict(static, accel, len(np.unique(rests.pose)))
-    told_of_rest = accel_verdict(accel), lag_verdict(lag, lag_s)
+    gyro = summarise_gyro(static, rests, device, settings.static)
+    told_of_way = one_way_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
+    told_of_rest = told_of_way, accel_verdict(accel), lag_verdict(lag, lag_s)
     verdict = reduce(Verdict.also, (agrees, temperature_verdict(together), *told_of_tables, *told_of_rest))
     return DriftFit(
         calibration=replace(
@@ -221,7 +222,7 @@ def fit_drift(
         rests=rests,
         steps=steps,
         temperatures=together,
-        gyro_summary=summarise_gyro(static, rests, device, settings.static),
+        gyro_summary=gyro,
         accel_summary=summarise_accel(static, accel, rests, device, settings.static),
         scale_summary=None if choice is None or choice.scale is None else summarise_scale(choice.scale, device),
         verdict=verdict if calibration is not None else device.verdict.also(verdict),
@@ -301,6 +302,11 @@ def _trusted(
     together = tuple(temperature for of_session in trusted for temperature in of_session)
     check_span(together, settings=settings)
     return trusted, together
+
+
+def _agrees(steps: RateSteps, device: Calibration, static: StaticFit) -> Verdict:
+    check_sessions(static, device)
+    return check_turns(steps, device, static).also(offsets_verdict(static, device))
 
 
 def _silent(what: str, share: float) -> None:

@@ -12,10 +12,15 @@ from undrift.calibration.model import Calibration, Status, Verdict
 from undrift.drift.fit.accel import AccelDriftFit
 from undrift.drift.fit.choose import Choice
 from undrift.drift.fit.static import UNKNOWN_SCALE_PER_K, StaticFit
+from undrift.drift.observe.observations import RestBlocks
+from undrift.drift.summary import TriadSummary
 from undrift.drift.temperature.lag_fit import LagFit
 from undrift.drift.temperature.trusted import Temperature
+from undrift.units import RADIAN_PER_DEGREE
 
 _MOST_EXTRAPOLATED = 0.25  # of the nodes
+_SUPPOSED_LAG_S = 10.0
+_SHORTLY_S = 600.0  # after a recording began, with which power-on may have come
 _LAG_WORTH_A_WORD_S = 1.0
 _DOUBTFUL = ("implausible", "set-point")  # what makes a temperature a poor one
 _BEFORE = "drift_reasons_before"
@@ -93,6 +98,52 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None, poses: int) -
         )
         status = _worse(status) if unknown else status
     return Verdict(status=status, reasons=tuple(reasons))
+
+
+def one_way_verdict(gyro: TriadSummary | None, rests: RestBlocks, *, warm_up_fitted: bool) -> Verdict:
+    """Return what a temperature that went one way hides, as large as this log lets it be told.
+
+    A thermometer that trails by tau shifts the table by ``slope * dT/dt * tau``; the size for 10 s is stated, at the ramp that
+    one block in twenty exceeds.
+
+    Parameters
+    ----------
+    gyro : TriadSummary or None
+        Offsets over temperature.
+    rests : RestBlocks
+        What they rest on.
+    warm_up_fitted : bool
+        Whether what dies away after power-on has a table of its own.
+
+    Returns
+    -------
+    Verdict
+        Marginal with its figures; good and silent where both ways were seen.
+    """
+    if gyro is None or gyro.half_loop is not None:
+        return Verdict()
+    ramp = float(np.quantile(np.abs(rests.ramp_c_per_min), 0.95))
+    rad = gyro.unit == "rad/s"
+    shift = np.abs(gyro.slope) * (ramp / 60.0) * _SUPPOSED_LAG_S / (RADIAN_PER_DEGREE if rad else 1.0)
+    sizes, unit = ", ".join(f"{size:.2g}" for size in shift), "deg/s" if rad else gyro.unit
+    reasons = [
+        f"not in the stated +-: each {_SUPPOSED_LAG_S:g} s by which the thermometer trails makes {sizes} {unit} on x, y, z at this "
+        f"log's {ramp:.2g} degC/min, and the loop is unknown; record a sweep back"
+    ]
+    if not warm_up_fitted and (float(rests.power_on_s.min()) < _SHORTLY_S or _relaxes(rests)):
+        reasons.append(
+            "what dies away after power-on may be in the table, as the log may begin there: hold one temperature for half an hour "
+            "after power-on, or warm up from two temperatures, and give --warm-up"
+        )
+    return Verdict(status="marginal", reasons=tuple(reasons))
+
+
+def _relaxes(rests: RestBlocks) -> bool:
+    """Tell whether the temperature moves fastest at the start."""
+    order = np.lexsort((rests.time, rests.session))
+    ramp = np.abs(rests.ramp_c_per_min[order])
+    part = max(len(ramp) // 4, 1)
+    return bool(ramp[:part].mean() > 2.0 * ramp[-part:].mean())
 
 
 def temperature_verdict(temperatures: tuple[Temperature, ...]) -> Verdict:
