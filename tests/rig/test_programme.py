@@ -141,7 +141,9 @@ def test_rates_accelerations_and_travel_beyond_the_rigs_are_refused_before_it_is
         InputError, match=r"step 7 \(\+30 deg/s about x\): turn rate: wanted at most 22.9183 deg/s, got 30; mend"
     ):
         check_programme(programme, Limits(turn_rate=0.4))
-    with pytest.raises(InputError, match=r"acceleration: wanted at most 572.958 deg/s2, got 2291.83; mend the protocol"):
+    with pytest.raises(
+        InputError, match=r"acceleration: wanted at most 572.958 deg/s2, got 2291.83; mend the protocol"
+    ):
         check_programme(programme, Limits(acceleration=10.0))
     with pytest.raises(InputError, match=r"step [3-7] .*: travel: wanted at most 114.592 deg from the start, got"):
         check_programme(programme, Limits(travel=2.0))
