@@ -185,3 +185,20 @@ def test_executors_are_chosen_by_what_is_asked_for() -> None:
         choose_executor("tcp://127.0.0.1:1", 2)
     with pytest.raises(InputError, match="one worker or more, got 0"):
         choose_executor(workers=0)
+
+
+def test_the_stated_error_of_the_optimum_holds_for_other_seeds(tmp_path: Path) -> None:
+    found = []
+    for seed in range(4):  # other people, units, noise
+        (one,) = run_study(replace(SMALL, subjects=12, seed=seed), InProcess(), tmp_path / str(seed))
+        found.append(find_optimum(one))
+        low, high = found[-1].honest_interval_deg
+        show(f"seed {seed}: error of the optimum, deg", found[-1].honest_error_deg, f"{low:.3f} to {high:.3f}")
+    inside = [
+        a.honest_interval_deg[0] <= b.honest_error_deg <= a.honest_interval_deg[1]
+        for a in found
+        for b in found
+        if a is not b
+    ]
+    show("errors of other seeds inside a seed's interval", sum(inside), "8 of 12 or more")
+    assert sum(inside) >= 8  # two estimates of one 95 % interval each: 83 % expected, 10 of 12
