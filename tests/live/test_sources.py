@@ -6,6 +6,7 @@ import os
 import socket
 import threading
 import time
+import tty
 
 import numpy as np
 import pytest
@@ -257,3 +258,62 @@ def test_chunks_hold_what_they_say():
         chunk = source.read(2.0)
         assert len(chunk) == len(chunk.values) == len(chunk.host_time) == 5
         assert np.isfinite(chunk.values).all()
+
+
+@pytest.mark.parametrize("way", ["udp", "serial"])
+def test_ten_channels_at_2_khz_from_a_sender_that_does_not_wait_lose_nothing(way):
+    seconds, rate, burst = 2.0, 2000, 20  # as a device would: 20 readings every 10 ms, whether they are taken or not
+    channels = ",".join(["count", *(f"{kind}_{axis}" for kind in ("gyro", "accel", "mag") for axis in "xyz")])
+    options = f"?channels={channels}&rate={rate}"
+    device, sender = paced_sender(way)
+    total = int(seconds * rate)
+    with opened(device + options) as source:
+        send, close = sender()
+        late = []
+
+        def play():
+            begin = time.monotonic()
+            for first in range(0, total, burst):
+                time.sleep(max(begin + first / rate - time.monotonic(), 0.0))
+                late.append(time.monotonic() - begin - first / rate)
+                for k in range(first, first + burst):
+                    send(b"%d," % k + b",".join(b"%d.%03d" % (k % 90, n) for n in range(9)) + b"\n")
+
+        thread = threading.Thread(target=play)
+        thread.start()
+        try:
+            found = []
+            last = time.monotonic() + 5.0 * seconds
+            while found[-1:] != [total - 1] and time.monotonic() < last:
+                with contextlib.suppress(RigTimeout):
+                    found += source.read(0.5).counter.astype(int).tolist()
+        finally:
+            thread.join(10.0)
+            close()
+        assert found == list(range(found[0], total))
+        assert found[0] <= 1  # the first may have been under way when the port was opened
+        assert source.errors <= 1
+        assert len(late) == total // burst
+
+
+def paced_sender(way):
+    """Return a device's address and what makes its sender: a call per line that never waits for the reader, and an end."""
+    if way == "udp":
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+
+        def sender():
+            out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            return lambda line: out.sendto(line, ("127.0.0.1", port)), out.close
+
+        return f"udp://127.0.0.1:{port}", sender
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    os.set_blocking(ours, False)  # what the port cannot take is an error here, not a pause
+
+    def end():
+        os.close(ours)
+        os.close(theirs)
+
+    return f"serial://{os.ttyname(theirs)}", lambda: (lambda line: os.write(ours, line), end)

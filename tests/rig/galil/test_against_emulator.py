@@ -99,8 +99,11 @@ def test_a_serial_port_works_like_a_socket():
 
 
 REFUSALS = {
-    "XX": 1, "AMX": 2, "KP 5000": 6, "BGX": 20, "JG 1,2": None, "MG _QQX": None,
+    "XX": 1, "QD": 1, "WT 5": 2, "AMX": 2, "KP ABCD": 9, "KP 5$": 83, "KPZ=5": 4, "TPQ": 4, "JG 1,2": 4,
+    "KP 5000": 6, "HX": 8, "JG 99999999": 6,
+    "BGX": 20, "KP": 50, "ST?": 51, "MG _QQX": 4,
 }  # fmt: skip
+WHILE_JOGGING = {"DP 0": 7, "MO": 7, "PR 100": 7, "BGX": 21}
 
 
 @pytest.mark.parametrize("command", REFUSALS)
@@ -109,9 +112,33 @@ def test_what_the_card_refuses_is_a_fault_in_words(emulator, command):
     try:
         with pytest.raises(RigFault, match=r"got error \d+: ") as refused:
             rig.card.do(command)
-        assert REFUSALS[command] in (None, refused.value.code)
+        assert refused.value.code == REFUSALS[command]
         assert rig.fault() is None
+        assert emulator.axis_rate() == 0.0
     finally:
+        rig.close()
+
+
+def test_what_the_card_refuses_in_motion_is_a_fault_in_words(emulator):
+    rig = opened(emulator)
+    try:
+        rig.enable(True)
+        rig.turn(10.0 * DEGREE)
+        for command, code in WHILE_JOGGING.items():
+            with pytest.raises(RigFault, match=rf"got error {code}: "):
+                rig.card.do(command)
+        rig.stop()
+        rig.card.do("PR 40000")
+        rig.card.do("BGX")
+        with pytest.raises(RigFault, match="got error 13: "):
+            rig.card.do("JG 100")
+        rig.stop()
+        emulator.inject("limit_switch")
+        rig.card.do("PR 4000")
+        with pytest.raises(RigFault, match="got error 22: "):
+            rig.card.do("BGX")
+    finally:
+        emulator.clear()
         rig.close()
 
 
