@@ -20,6 +20,7 @@ class Scripted:
         self._greeting = greeting
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._clients: list[socket.socket] = []
+        self._came = threading.Event()
         self._threads = [threading.Thread(target=self._accept)]
         self._threads[0].start()
 
@@ -35,10 +36,10 @@ class Scripted:
         self.close()
 
     def say(self, data: bytes) -> None:
-        self._clients[-1].sendall(data)
+        self._client().sendall(data)
 
     def hang_up(self) -> None:
-        self._clients[-1].shutdown(socket.SHUT_RDWR)
+        self._client().shutdown(socket.SHUT_RDWR)
 
     def refuse_from_now_on(self) -> None:
         self._listener.shutdown(socket.SHUT_RDWR)
@@ -57,6 +58,11 @@ class Scripted:
         for client in self._clients:
             client.close()
 
+    def _client(self) -> socket.socket:
+        """Return the latest client; one that connected a moment ago may not have been accepted yet."""
+        assert self._came.wait(timeout=10.0), "nobody connected"
+        return self._clients[-1]
+
     def _accept(self) -> None:
         while True:
             try:
@@ -64,6 +70,7 @@ class Scripted:
             except OSError:
                 return
             self._clients.append(client)
+            self._came.set()
             thread = threading.Thread(target=self._serve, args=(client,))
             self._threads.append(thread)
             thread.start()

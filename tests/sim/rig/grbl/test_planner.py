@@ -29,6 +29,7 @@ def driven(legs, rate):
 @example(moves=[(0.1, 60.0)], rate=60.0, acceleration=2300.0)
 @example(moves=[(1e-9, 60.0), (7.5, 60.0)], rate=60.00000001, acceleration=2300.0)
 @example(moves=[(0.0, 60.0)], rate=0.0, acceleration=2300.0)
+@example(moves=[(1.0, 2.0), (2.220446049250313e-16, 2.0), (1.0, 1.5)], rate=0.0, acceleration=10.0)
 def test_any_chain_from_any_speed_goes_as_far_as_wanted_and_ends_at_rest(moves, rate, acceleration):
     legs, ends = plan(moves, rate, acceleration)
     distance, left, fastest, hardest = driven(legs, rate)

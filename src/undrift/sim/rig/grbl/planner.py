@@ -30,10 +30,8 @@ def plan(moves: list[tuple[float, float]], rate: float, acceleration: float) -> 
     ends : list of float
         When each move ends, s from the beginning.
     """
-    todo = list(moves)
-    while len(todo) > 1 and abs(todo[0][0]) < DONE:
-        todo[:2] = [(todo[0][0] + todo[1][0], todo[1][1])]
-    ends = [0.0] * (len(moves) - len(todo))
+    todo, part_of = _merged(moves)
+    ends: list[float] = [0.0]
     speeds = _speeds(todo, abs(rate), acceleration)
     allowed = _reach(speeds[1], todo[0][0], acceleration) * (1.0 + ROUNDING)
     legs: list[Leg] = []
@@ -47,7 +45,24 @@ def plan(moves: list[tuple[float, float]], rate: float, acceleration: float) -> 
             legs.append((duration, math.copysign(1.0, distance) * change))
             time += duration
         ends.append(time)
-    return legs, ends
+    return legs, [ends[part] for part in part_of]
+
+
+def _merged(moves: list[tuple[float, float]]) -> tuple[list[tuple[float, float]], list[int]]:
+    """Return the chain with moves shorter than a step joined to the next, or the last one, and how many moves of it end with each."""
+    todo: list[tuple[float, float]] = []
+    part_of: list[int] = []
+    carried = 0.0
+    for distance, feed in moves:
+        carried += distance
+        if abs(carried) >= DONE:
+            todo.append((carried, feed))
+            carried = 0.0
+        part_of.append(len(todo))
+    if todo:
+        todo[-1] = (todo[-1][0] + carried, todo[-1][1])
+        return todo, part_of
+    return [(carried, moves[-1][1])], part_of[:-1] + [1]
 
 
 def _speeds(moves: list[tuple[float, float]], enter: float, acceleration: float) -> list[float]:
