@@ -4,15 +4,17 @@ import contextlib
 import math
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from undrift.errors import LinkError, RigError, RigFault, RigTimeout
+from undrift.errors import LinkError, RigError, RigTimeout
 from undrift.rig.address import RigSettings, open_rig
 from undrift.rig.galil.tuning import Gains, read_gains, set_gains
 from undrift.rig.rig import Limits
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
+from waiting import eventually
 
 DEGREE = math.pi / 180.0
 SPEED = 10.0
@@ -26,7 +28,7 @@ def emulator():
 
 def opened(emulator, kind: str = "galil", url: str = "", **settings):
     url = url or f"tcp://{emulator.host}:{emulator.port}"
-    return open_rig(f"{kind}:{url}", RigSettings(**{"clock_speed": SPEED, "reply_timeout_s": 0.5, **settings}))
+    return open_rig(f"{kind}:{url}", RigSettings(**{"clock_speed": SPEED, "reply_timeout_s": 10.0, **settings}))
 
 
 def positions(rig) -> None:
@@ -35,11 +37,38 @@ def positions(rig) -> None:
 
 
 def settled(emulator) -> None:
-    """Wait until the true axis is at rest."""
-    last = time.monotonic() + 5.0
-    while abs(emulator.axis_rate()) > 1e-3:
-        assert time.monotonic() < last, "the axis never came to rest"
-        time.sleep(0.01)
+    eventually(lambda: abs(emulator.axis_rate()) < 1e-3, "it rests")
+
+
+def turning(emulator, dps) -> None:
+    """Wait until the true axis has turned at about that rate for 0.3 s."""
+
+    def is_so():
+        now = emulator.now()
+        return now > 0.3 and emulator.axis_state(now, mean_s=0.3)[1] / DEGREE == pytest.approx(dps, rel=0.02, abs=0.05)
+
+    eventually(is_so, f"it turns at {dps} deg/s")
+
+
+def impatient(rig) -> None:
+    """Let the answers of a rig that is connected be due soon."""
+    rig.card.port._link.settings = replace(rig.card.port._link.settings, reply_timeout_s=0.3)
+
+
+def measured(rig, duration_s: float) -> tuple[float, float]:
+    """Return the measured rate, and how far the link's delays leave it open, as a part of it."""
+    delays, ask = [], rig.position
+
+    def position():
+        asked = time.monotonic()
+        said = ask()
+        delays.append((time.monotonic() - asked) * SPEED)
+        return said
+
+    rig.position = position
+    rate = rig.measured_turn_rate(duration_s)
+    del rig.position
+    return rate, 0.5 * sum(delays) / duration_s
 
 
 def test_every_command_of_a_session_is_understood(emulator):
@@ -72,15 +101,15 @@ def test_the_achieved_rate_is_the_one_the_axis_turns_at(emulator, nominal_dps, a
     try:
         rig.enable(True)
         assert rig.turn(nominal_dps * DEGREE) / DEGREE == pytest.approx(achieved_dps, rel=1e-9)
-        time.sleep(0.1)
+        turning(emulator, achieved_dps)
         start = emulator.now()
-        measured_dps = rig.measured_turn_rate(5.0) / DEGREE
+        rate, open_part = measured(rig, 5.0)
         stop = emulator.now()
         true_dps = (
             np.diff(emulator.axis_states(np.array([start + 0.5, stop - 0.5]))[0])[0] / (stop - start - 1.0) / DEGREE
         )
         assert true_dps == pytest.approx(achieved_dps, abs=0.02)  # a limit cycle of a count over 4 s
-        assert measured_dps == pytest.approx(achieved_dps, rel=5e-3, abs=0.01)  # the host's clock over a socket
+        assert rate / DEGREE == pytest.approx(achieved_dps, rel=1e-3 + open_part, abs=0.01)  # a count in each position
     finally:
         rig.close()
     settled(emulator)
@@ -98,69 +127,12 @@ def test_a_serial_port_works_like_a_socket():
         assert not emulator.motor_on
 
 
-REFUSALS = {
-    "XX": 1, "QD": 1, "WT 5": 2, "AMX": 2, "KP ABCD": 9, "KP 5$": 83, "KPZ=5": 4, "TPQ": 4, "JG 1,2": 4,
-    "KP 5000": 6, "HX": 8, "JG 99999999": 6,
-    "BGX": 20, "KP": 50, "ST?": 51, "MG _QQX": 4,
-}  # fmt: skip
-WHILE_JOGGING = {"DP 0": 7, "MO": 7, "PR 100": 7, "BGX": 21}
-
-
-@pytest.mark.parametrize("command", REFUSALS)
-def test_what_the_card_refuses_is_a_fault_in_words(emulator, command):
-    rig = opened(emulator)
-    try:
-        with pytest.raises(RigFault, match=r"got error \d+: ") as refused:
-            rig.card.do(command)
-        assert refused.value.code == REFUSALS[command]
-        assert rig.fault() is None
-        assert emulator.axis_rate() == 0.0
-    finally:
-        rig.close()
-
-
-def test_what_the_card_refuses_in_motion_is_a_fault_in_words(emulator):
-    rig = opened(emulator)
-    try:
-        rig.enable(True)
-        rig.turn(10.0 * DEGREE)
-        for command, code in WHILE_JOGGING.items():
-            with pytest.raises(RigFault, match=rf"got error {code}: "):
-                rig.card.do(command)
-        rig.stop()
-        rig.card.do("PR 40000")
-        rig.card.do("BGX")
-        with pytest.raises(RigFault, match="got error 13: "):
-            rig.card.do("JG 100")
-        rig.stop()
-        emulator.inject("limit_switch")
-        rig.card.do("PR 4000")
-        with pytest.raises(RigFault, match="got error 22: "):
-            rig.card.do("BGX")
-    finally:
-        emulator.clear()
-        rig.close()
-
-
-def test_beginning_while_running_and_jogging_in_a_move_are_refused(emulator):
-    rig = opened(emulator)
-    try:
-        rig.enable(True)
-        rig.turn(10.0 * DEGREE)
-        with pytest.raises(RigFault, match="error 21: a move is running already"):
-            rig.card.do("BGX")
-        with pytest.raises(RigFault, match="got an axis that moves; stop it first"):
-            rig.move_by(1.0)
-    finally:
-        rig.close()
-
-
 def test_the_card_itself_keeps_the_travel(emulator):
     rig = opened(emulator, limits=Limits(travel=30.0 * DEGREE))
     try:
         rig.enable(True)
         rig.turn(90.0 * DEGREE)
-        time.sleep(0.3)
+        eventually(lambda: emulator.axis_angle() > 20.0 * DEGREE, "came near its limit")
         settled(emulator)
         assert emulator.axis_angle() / DEGREE < 33.0
         assert "forward limit" in rig.fault()
@@ -170,15 +142,16 @@ def test_the_card_itself_keeps_the_travel(emulator):
 
 @pytest.mark.parametrize("fault", ["drop_bytes", "stall", "garbage", "half_reply", "late_reply", "disconnect"])
 def test_a_failing_link_ends_with_the_table_at_rest_or_a_cry_for_help(emulator, fault):
-    rig = opened(emulator, reply_timeout_s=0.3)
+    rig = opened(emulator)
     try:
         rig.enable(True)
         rig.turn(20.0 * DEGREE)
+        impatient(rig)
         emulator.inject(fault)
         start = time.monotonic()
         with pytest.raises((LinkError, RigTimeout)) as raised:
             positions(rig)
-        assert time.monotonic() - start < 10.0
+        assert time.monotonic() - start < 60.0  # four answers that do not come, and a busy machine
         told = str(raised.value)
         assert told.endswith("the table was stopped and its motor switched off") or "NOT CONFIRMED" in told
         settled(emulator)
@@ -195,13 +168,9 @@ def test_a_failing_rig_is_reported_in_words(emulator, fault):
     try:
         rig.enable(True)
         rig.turn(90.0 * DEGREE)
-        time.sleep(0.1)
+        turning(emulator, 90.0)
         emulator.inject(fault)
-        time.sleep(0.3)
-        try:
-            assert rig.fault()
-        except LinkError:
-            assert fault == "encoder_loss"
+        eventually(rig.fault, "the rig says what is wrong")
     finally:
         emulator.clear()
         rig.close()
@@ -234,10 +203,15 @@ def test_text_that_nobody_asked_for_does_not_disturb(emulator):
     rig = opened(emulator)
     try:
         emulator.inject("message")
-        time.sleep(0.1)
         rig.enable(True)
-        assert rig.position().angle == 0.0
-        assert rig.card.port.unsolicited() != ""
+        said = []
+
+        def heard():
+            assert rig.position().angle == 0.0
+            said.append(rig.card.port.unsolicited())
+            return "".join(said) == "EMULATED MESSAGE\r\n"
+
+        eventually(heard, "the message")
     finally:
         rig.close()
 
@@ -264,8 +238,9 @@ def test_a_stepper_board_turns_at_the_rate_it_was_told():
             rig.enable(True)
             rig.set_acceleration(2.0)
             achieved = rig.turn(-45.0 * DEGREE)
-            time.sleep(0.3)
-            assert rig.measured_turn_rate(5.0) == pytest.approx(achieved, rel=0.02)
+            turning(emulator, achieved / DEGREE)
+            rate, open_part = measured(rig, 5.0)
+            assert rate == pytest.approx(achieved, rel=0.01 + open_part)  # two positions, each told to a step
             rig.stop()
             assert rig.fault() is None
         finally:
