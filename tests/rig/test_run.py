@@ -9,10 +9,8 @@ from run_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.protocol import Protocol
-from undrift.rig.achieved import achieved_turn_rate
 from undrift.rig.hands import AskedHands
-from undrift.rig.judge import RunSettings, check_rate
-from undrift.rig.rig import Position
+from undrift.rig.judge import RunSettings
 from undrift.rig.status import read_status
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -234,32 +232,6 @@ def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path, monkeypatch):
             run(emulator, tmp_path / "many", still)
 
 
-@pytest.mark.parametrize("turn_rate", [0.5, 90.0])
-@pytest.mark.parametrize(("begin", "part"), [(0.75, 0.25), (0.4, 0.25), (0.5, 0.1)], ids=["end", "middle", "short"])
-def test_an_axis_that_stands_still_for_a_part_of_a_dwell_is_refused(turn_rate, begin, part):
-    rate, seconds = turn_rate * DPS, 6.0
-    times = np.linspace(0.3, seconds, 60)
-    stood = np.clip(times - begin * seconds, 0.0, part * seconds)
-
-    def judged(moving_s):
-        positions = [Position(angle=rate * m, time=t) for m, t in zip(moving_s.tolist(), times.tolist(), strict=True)]
-        check_rate(achieved_turn_rate(positions, [0.004] * 60), rate, RunSettings(), "step 1")
-
-    judged(times)
-    with pytest.raises(RigFault, match=r"rig: wanted (a steady turn|.* rad/s held) within .*in step 1, got"):
-        judged(times - stood)
-
-
-def test_a_stop_that_the_mean_rate_makes_up_for_is_off_the_straight_line():
-    times = np.linspace(0.0, 6.0, 61)
-    angles = times + 0.05 * np.sin(2.0 * np.pi * times / 3.0)
-    positions = [Position(angle=a, time=t) for a, t in zip(angles.tolist(), times.tolist(), strict=True)]
-    with pytest.raises(
-        RigFault, match=r"wanted a steady turn within 0.05 deg in step 1, got .* deg off a straight line"
-    ):
-        check_rate(achieved_turn_rate(positions, [0.001] * 61), 1.0, RunSettings(), "step 1")
-
-
 def test_a_status_is_read_beside_the_one_who_drives(tmp_path):
     with emulated() as emulator:
         rig = opened(emulator)
@@ -275,18 +247,6 @@ def test_a_status_is_read_beside_the_one_who_drives(tmp_path):
         assert at_rest(emulator)
     with pytest.raises(InputError, match="status: wanted a Galil card on TCP or serial, got 'manual:'"):
         read_status("manual:")
-
-
-def test_quick_answers_count_more_in_the_achieved_rate():
-    times = np.arange(20) * 0.1
-    late = np.where(np.arange(20) == 18, 0.05, 0.0)
-    positions = [Position(angle=2.0 * (t - d), time=float(t)) for t, d in zip(times, late, strict=True)]
-    even = achieved_turn_rate(positions, [0.001] * 20)
-    weighted = achieved_turn_rate(positions, (0.001 + 2.0 * late).tolist())
-    assert abs(weighted.turn_rate - 2.0) < 1e-3 * abs(even.turn_rate - 2.0) + 1e-5
-    assert weighted.uncertainty < even.uncertainty
-    with pytest.raises(InputError, match="wanted three positions or more, got 2"):
-        achieved_turn_rate(positions[:2], [0.001] * 2)
 
 
 def test_hands_that_are_there_mount():

@@ -1,11 +1,11 @@
 """The rate that was achieved, from positions of the encoder over a dwell.
 
 A line through (t_i, phi_i) by weighted least squares: slope sum w (t - tm)(phi - phim) / S, S = sum w (t - tm)^2, w = 1 / d^2.
-When a position was taken is known no better than the time d between question and answer, so quick answers count more; a floor of
-half the median d keeps a few from counting alone. The standard uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared
-residuals, has the counts of the encoder and the delays of the link in it. It grows with whatever is wrong, so it is no measure of
-whether the table turned steadily: that is the misfit, the largest distance from the line that the delays do not explain,
-max |residual_i| - |slope| (d_i + median d), and the rate between the first position and the last.
+When a position was taken is known no better than d, between question and answer of the link or a tick of the controller's own
+clock, so quick answers count more; a floor of half the median d keeps a few from counting alone. The standard uncertainty sqrt(r /
+((n - 2) S)), r the sum of w times squared residuals, has the counts of the encoder and the delays of the link in it. It grows with
+whatever is wrong, so it is no measure of whether the table turned steadily: that is the misfit, the largest distance from the line
+that the delays do not explain, max |residual_i| - |slope| (d_i + median d), and the rate between the first position and the last.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ class Achieved:
     span_s : float
         From the first position to the last, s.
     delay_s : float
-        Largest of the median delay and of those at both ends, s.
+        Largest of the median time in which a position may have been taken and of those at both ends, s.
     """
 
     turn_rate: float
@@ -47,15 +47,13 @@ class Achieved:
     delay_s: float
 
 
-def achieved_turn_rate(positions: Sequence[Position], delays_s: Sequence[float]) -> Achieved:
+def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     """Return the mean rate over a dwell.
 
     Parameters
     ----------
     positions : sequence of Position
         Three or more, in order of time.
-    delays_s : sequence of float
-        Time between question and answer of each, s.
 
     Returns
     -------
@@ -69,7 +67,7 @@ def achieved_turn_rate(positions: Sequence[Position], delays_s: Sequence[float])
     """
     if len(positions) < 3:
         raise InputError(f"achieved rate: wanted three positions or more, got {len(positions)}; dwell longer")
-    delay = np.asarray(delays_s, float)
+    delay = 2.0 * np.array([p.within_s for p in positions])
     floor = FLOOR * float(np.median(delay))
     weight = np.ones_like(delay) if floor <= 0.0 else 1.0 / (delay * delay + floor * floor)
     weight /= weight.sum()

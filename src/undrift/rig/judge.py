@@ -1,10 +1,12 @@
 """Whether a dwell may be kept: the table turned steadily, the device spoke, air and board kept their temperature.
 
-With rate w, dwell T, delay d of the link and a = angle_tolerance, a dwell is refused unless
+With rate w, dwell T, time d in which a position may have been taken (the link's delay, or a tick) and a = angle_tolerance, a dwell
+is refused unless
 
     |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
     |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
     misfit                <= a                                    no stop, no jump: achieved.py
+    2 d / T               <= link_tolerance, where w is not 0     else the link hides what the table does: read once more
     finite readings       >= least_part * rate * T                gaps are no readings
     air, at every look    within the tolerance of the set-point
     board, in eighths     medians within the tolerance of each other, a step of the thermometer more
@@ -33,6 +35,8 @@ class RunSettings:
         Achieved against set rate, 1.
     angle_tolerance : float
         A few counts: on top of it, over a dwell, and farthest from a steady turn, rad.
+    link_tolerance : float
+        Part of a rate that the link's delays may hide, 1.
     least_part : float
         Part of a dwell's readings that must come, 1.
     soak_timeout_s : float
@@ -43,6 +47,7 @@ class RunSettings:
 
     turn_rate_tolerance: float = 0.03
     angle_tolerance: float = 0.05 * RADIAN_PER_DEGREE
+    link_tolerance: float = 0.1
     least_part: float = 0.8
     soak_timeout_s: float = 6.0 * 3600.0
     device_lag_s: float = 120.0
@@ -52,6 +57,24 @@ class RunSettings:
             raise InputError(
                 f"run: wanted a device lag of 0 s or more, got {self.device_lag_s}; state how late it follows the air"
             )
+
+
+def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
+    """Tell whether the positions came too late to say how fast the table turned.
+
+    Parameters
+    ----------
+    achieved : Achieved
+        By the encoder.
+    settings : RunSettings
+        Tolerances.
+
+    Returns
+    -------
+    bool
+        2 d / T beyond the tolerance.
+    """
+    return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
 
 
 def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:

@@ -106,11 +106,14 @@ class Position:
     angle : float
         rad.
     time : float
-        The host's monotonic clock, s.
+        The host's monotonic clock, s; only differences count where a controller's own clock is in it.
+    within_s : float
+        It may be off by that much either way, s: half the time between question and answer, or half a tick of the controller.
     """
 
     angle: float
     time: float
+    within_s: float = 0.0
 
 
 class Rig(Protocol):

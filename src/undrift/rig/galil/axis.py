@@ -1,8 +1,6 @@
-"""One axis of a Galil card in counts: where it is, whether it moves, bringing it to rest - and to safety when the link fails.
+"""One axis of a Galil card: whether it moves, bringing it to rest - and to safety when the link fails.
 
-Waiting for rest polls `MG _BG`, which is 1 while the profile runs. A position is TP in counts at the time half-way between question
-and answer; one that no axis can have reached since the last is taken for garbage. Safety is ST,
-AB when that does not help, then MO.
+Waiting for rest polls `MG _BG`, which is 1 while the profile runs. Safety is ST, AB when that does not help, then MO.
 """
 
 import logging
@@ -13,6 +11,7 @@ from contextlib import contextmanager
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.clock import Clock
 from undrift.rig.galil.card import GalilCard
+from undrift.rig.galil.place import GalilPlace
 
 UNCONFIRMED = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
 RECONNECTIONS = 4
@@ -40,13 +39,12 @@ class GalilAxis:
     def __init__(self, card: GalilCard, clock: Clock, fastest: float, slack: float) -> None:
         self.card = card
         self.deceleration = AXIS_DECELERATION
-        self.last: tuple[int, float] | None = None
+        self.place = GalilPlace(card, clock, fastest, slack)
         self.refused: str | None = None
         self.enabled = False
         self.jogging = False
         self._clock = clock
         self._fastest = fastest
-        self._slack = slack
 
     def command(self, letters: str) -> None:
         """Give a command to this axis.
@@ -87,52 +85,6 @@ class GalilAxis:
             SC.
         """
         return self.card.integer(f"SC{self.card.axis}", 0, 255)
-
-    def read_position(self) -> tuple[int, float]:
-        """Return where it is and when that was.
-
-        Returns
-        -------
-        counts : int
-            TP.
-        time : float
-            The clock half-way between question and answer, s.
-
-        Raises
-        ------
-        LinkError
-            It jumped as no axis can.
-        """
-        before = self._clock.now()
-        counts = self.card.position(f"TP{self.card.axis}")
-        now = 0.5 * (before + self._clock.now())
-        if self.last is not None:
-            reach = 1.5 * self._fastest * (now - self.last[1]) + self._slack
-            if abs(counts - self.last[0]) > reach:
-                raise LinkError(
-                    f"{self.card.port.name}: wanted a position within {reach:.0f} counts of {self.last[0]}, got {counts}; "
-                    "the card was restarted, the answer is garbled, or an emulator runs faster than clock_speed says",
-                    counts=counts,
-                )
-        self.last = (counts, now)
-        return self.last
-
-    def settled(self) -> int:
-        """Return the position once it changes by a count at most; the servo settles after the profile.
-
-        Returns
-        -------
-        int
-            Counts.
-        """
-        before, _ = self.read_position()
-        for _ in range(50):
-            self._clock.wait(0.02)
-            now, _ = self.read_position()
-            if abs(now - before) <= 1:
-                break
-            before = now
-        return now
 
     def wait_for_rest(self, expected_s: float) -> None:
         """Poll until the profile is complete: at most twice as long as it should take, and 2 s.

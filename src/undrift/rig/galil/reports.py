@@ -87,10 +87,10 @@ class GalilReports:
             return said
 
     def position(self) -> Position:
-        """Return where the axis stands (TP), from where it stood when the rig was opened, rad."""
+        """Return where the axis stands (TP) and when by the card's own TIME, from where it stood when the rig was opened, rad."""
         with self._guarded():
-            counts, now = self._axis.read_position()
-        return Position(angle=self._angle(counts), time=now)
+            place = self._axis.place.read()
+        return Position(angle=self._angle(place.counts), time=place.time, within_s=place.within_s)
 
     def measured_turn_rate(self, duration_s: float) -> float:
         """Return the mean rate over a while, from two positions.

@@ -1,9 +1,9 @@
 """Galil cards (DMC-14xx, 2x00, 40x0, 41x3, 30010): one servo axis behind an ASCII language.
 
 Rates are counts/s of an encoder with 4 counts a line. Every number is rounded as the card rounds it before it is sent, and read
-back before it is used, so that a lost byte never becomes a wrong rate. The rate that was achieved is the difference of two
-positions (TP) over the time between them; the card's own TV is an average over 0.25 s and is not used. Whenever an answer is late
-or makes no sense the driver stops the axis (ST, then AB), switches the motor off (MO), and says whether the card confirmed it.
+back before it is used, so that a lost byte never becomes a wrong rate. The rate that was achieved is the difference of positions
+(TP) over the time between them by the card's own clock; its TV is an average over 0.25 s and is not used. Whenever an answer is
+late or makes no sense the driver stops the axis (ST, then AB), switches the motor off (MO), and says whether the card confirmed it.
 """
 
 from undrift.errors import LinkError, RigError, RigFault
@@ -152,23 +152,25 @@ class GalilRig(GalilReports):
             It did not come to rest in time.
         """
         counts = MOVE.round(self._scale.counts(angle))
-        self.limits.check_travel(self._angle(self._axis.last[0] if self._axis.last else self._home) + angle)
+        self.limits.check_travel(
+            self._angle(self._home if self._axis.place.last is None else self._axis.place.last) + angle
+        )
         with self._guarded():
             if self._axis.is_moving():
                 raise RigFault(f"{self.card.port.name}: wanted to move, got an axis that moves; stop it first")
-            before, _ = self._axis.read_position()
+            before = self._axis.place.read().counts
             self.card.set("PR", counts)
             self._axis.jogging = False
             self._axis.command("BG")
             self._axis.wait_for_rest(abs(counts) / self._move_speed + 2.0 * self._move_speed / self._axis.deceleration)
             self._check_arrived()
-            return self._scale.angle(self._axis.settled() - before)
+            return self._scale.angle(self._axis.place.settled() - before)
 
     def stop(self) -> None:
         """Slow down (ST) and wait until the axis is at rest; the motor stays on."""
         with self._guarded():
             self._axis.stop()
-            self._axis.settled()
+            self._axis.place.settled()
 
     def close(self) -> None:
         """Stop, switch the motor off, let go of the link; harmless when called again.
@@ -201,7 +203,8 @@ class GalilRig(GalilReports):
             card.set("SP", self._move_speed, tolerance=2)
             self._axis.deceleration = card.number(f"MG _DC{card.axis}")
             self._axis.enabled = self._axis.is_on()
-            home, _ = self._axis.read_position()
+            self._axis.place.find_clock()
+            home = self._axis.place.read().counts
             forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # as good as none
             if self.limits.travel is not None:
                 reach = int(self._scale.counts(self.limits.travel))

@@ -81,8 +81,12 @@ class GrblReports:
         with self._guarded():
             before = clock.now()
             place_deg = self._axis.read_place()
-            now = 0.5 * (before + clock.now())
-        return Position(angle=(place_deg - self._axis.home_deg) * RADIAN_PER_DEGREE, time=now)
+            after = clock.now()
+        return Position(
+            angle=(place_deg - self._axis.home_deg) * RADIAN_PER_DEGREE,
+            time=0.5 * (before + after),
+            within_s=0.5 * (after - before),
+        )
 
     def measured_turn_rate(self, duration_s: float) -> float:
         """Return the mean rate over a while, from two positions.

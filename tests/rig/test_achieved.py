@@ -1,0 +1,59 @@
+"""Achieved rates: what positions tell of a dwell, and which dwells are refused."""
+
+import numpy as np
+import pytest
+
+from undrift.errors import InputError, RigFault
+from undrift.rig.achieved import achieved_turn_rate
+from undrift.rig.judge import RunSettings, check_rate, link_hides
+from undrift.rig.rig import Position
+from undrift.units import RADIAN_PER_DEGREE as DPS
+
+
+def positions(angles, times, within_s):
+    late = np.broadcast_to(within_s, np.shape(times))
+    return [
+        Position(angle=float(a), time=float(t), within_s=float(d)) for a, t, d in zip(angles, times, late, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("turn_rate", [0.5, 90.0])
+@pytest.mark.parametrize(("begin", "part"), [(0.75, 0.25), (0.4, 0.25), (0.5, 0.1)], ids=["end", "middle", "short"])
+def test_an_axis_that_stands_still_for_a_part_of_a_dwell_is_refused(turn_rate, begin, part):
+    rate, seconds = turn_rate * DPS, 6.0
+    times = np.linspace(0.3, seconds, 60)
+    stood = np.clip(times - begin * seconds, 0.0, part * seconds)
+
+    def judged(moving_s):
+        check_rate(achieved_turn_rate(positions(rate * moving_s, times, 0.002)), rate, RunSettings(), "step 1")
+
+    judged(times)
+    with pytest.raises(RigFault, match=r"rig: wanted (a steady turn|.* rad/s held) within .*in step 1, got"):
+        judged(times - stood)
+
+
+def test_a_stop_that_the_mean_rate_makes_up_for_is_off_the_straight_line():
+    times = np.linspace(0.0, 6.0, 61)
+    angles = times + 0.05 * np.sin(2.0 * np.pi * times / 3.0)
+    with pytest.raises(
+        RigFault, match=r"wanted a steady turn within 0.05 deg in step 1, got .* deg off a straight line"
+    ):
+        check_rate(achieved_turn_rate(positions(angles, times, 0.0005)), 1.0, RunSettings(), "step 1")
+
+
+def test_quick_answers_count_more_in_the_achieved_rate():
+    times = np.arange(20) * 0.1
+    late = np.where(np.arange(20) == 18, 0.05, 0.0)
+    even = achieved_turn_rate(positions(2.0 * (times - late), times, 0.0005))
+    weighted = achieved_turn_rate(positions(2.0 * (times - late), times, 0.0005 + late))
+    assert abs(weighted.turn_rate - 2.0) < 1e-3 * abs(even.turn_rate - 2.0) + 1e-5
+    assert weighted.uncertainty < even.uncertainty
+    with pytest.raises(InputError, match="wanted three positions or more, got 2"):
+        achieved_turn_rate(positions([0.0, 1.0], [0.0, 1.0], 0.0))
+
+
+@pytest.mark.parametrize(("within_s", "hidden"), [(0.024, False), (0.026, True)])
+def test_a_link_whose_delays_could_hide_a_tenth_of_the_rate_is_not_believed(within_s, hidden):
+    times = np.linspace(0.0, 1.0, 21)
+    achieved = achieved_turn_rate(positions(times, times, within_s))
+    assert link_hides(achieved, RunSettings()) is hidden
