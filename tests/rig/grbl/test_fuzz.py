@@ -74,7 +74,7 @@ def test_bad_answers_at_any_step_end_within_the_deadline_and_nothing_jogs(seed):
                             call(rig)
                         except (LinkError, RigTimeout, RigFault):
                             failures += 1
-                        assert time.monotonic() - start < 12.0
+                        assert time.monotonic() - start < 60.0  # a busy machine is late, a hang never ends
                 finally:
                     with contextlib.suppress(RigError):
                         rig.close()
