@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from undrift.live.address import source_at
+from undrift.live.clock import ClockSettings
 from undrift.live.dwells import DwellReadings
-from undrift.live.recorder import Recorder
+from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.protocol import Protocol
 from undrift.rig.address import open_rig
 from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
@@ -46,6 +47,9 @@ THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
 AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
 SOAK_S = 25.0  # forecast of a soak: overshoot, then the window
+CRYSTAL = ClockSettings(
+    memory_s=1e5, rate_tolerance=1e-4
+)  # a board that samples by a crystal: a busy host does not bend it
 STEP_HOST_S = 0.04  # sockets and disk take as long for each step, host s
 
 Told = Callable[[str, float], None]  # what is being done, and the seconds of the host that are left of it
@@ -212,7 +216,7 @@ def _record(
     protocol, programme = what
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path, protocol))
-        recorder = Recorder(source_at(bench.device_address))
+        recorder = Recorder(source_at(bench.device_address), settings=RecorderSettings(clock=CRYSTAL))
         recorder.start()
         readings = DwellReadings(recorder)
         stack.callback(readings.close)
