@@ -1,8 +1,10 @@
 """undrift study: from a study.toml to surface, summary and page; gone on with, refused, on a scheduler."""
 
 import json
+from shutil import rmtree
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -76,6 +78,37 @@ def test_another_seed_and_number_of_subjects(undrift, plan, tmp_path):
     assert (told["seed"], told["subjects"], told["runs"]) == (3, 4, 16)
     assert told["figure3"] is None
     assert told["figure3_missing"] == "the study has no sit-to-stand of the library"
+
+
+def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, tmp_path):
+    step = tmp_path / "step.toml"
+    step.write_text(plan.read_text().replace("sit_to_stand", "step"))
+    words = ["study", step, "-o", tmp_path / "a", "--subjects", "5", "--workers", "1", "--no-rivals", "--json"]
+    (whole,) = undrift.good(*words).json()["tasks"]
+    cutoff, *_, greatest = whole["effects"]
+    assert (cutoff["missing"], cutoff["mixed_model"], whole["failed_runs"], whole["left_out"]) == (0, None, 0, [])
+    assert cutoff["anova"]["dof"] == [1.0, 4.0]
+    assert greatest["anova"].keys() >= {
+        "p_greenhouse_geisser",
+        "p_huynh_feldt",
+        "generalized_eta_squared",
+        "sphericity",
+    }
+    assert greatest["anova"]["sphericity"].keys() >= {"mauchly_w", "p_value", "greenhouse_geisser", "huynh_feldt"}
+    piece = tmp_path / "a" / "runs" / "step-0002-5.parquet"
+    table = pq.read_table(piece)  # as the unit leaves it when a protocol cannot calibrate its device
+    for name in ("error_rms_deg", "error_max_deg"):
+        place = table.schema.get_field_index(name)
+        table = table.set_column(place, name, pa.array(np.full(table.num_rows, np.nan)))
+    pq.write_table(table, piece)
+    rmtree(tmp_path / "a" / "testing")  # of the optimum that the whole study had
+    (task,) = undrift.good(*words).json()["tasks"]
+    cutoff, *_, greatest = task["effects"]
+    assert (task["failed_runs"], cutoff["missing"], cutoff["anova"]) == (3, 1, None)
+    assert cutoff["mixed_model"]["values"] == 9
+    assert cutoff["f"] == cutoff["mixed_model"]["f"]
+    assert greatest["anova"]["subjects"] == 5
+    assert "cut-off (Hz) is judged by a mixed model" in (tmp_path / "a" / "report.html").read_text()
 
 
 def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from undrift.errors import InputError
 from undrift.study.anova import compare_conditions
 from undrift.study.mixed import compare_unbalanced
 from undrift.study.posthoc import adjust_holm, compare_pairs
-from undrift.study.power import power_of_anova, power_reached, stopping_of, subjects_needed
+from undrift.study.power import power_of_anova, stopping_of, subjects_needed
 from undrift.study.sphericity import contrasts
 
 # A. Field, Discovering statistics: eight people, seconds until they retch at four foods.
@@ -131,16 +131,34 @@ def test_adding_subjects_until_it_is_significant_raises_the_false_alarms() -> No
     assert [m for m, _ in found.p_by_subjects] == list(range(10, 31))
 
 
-def test_power_reached_is_a_function_of_the_outcome() -> None:
-    assert 0.7 < power_reached(compare_conditions(DRUGS)) <= 1.0
-
-
 def test_a_mixed_model_on_balanced_data_gives_the_same_means_and_f() -> None:
     rng = np.random.default_rng(7)
     y = rng.normal(size=(20, 3)) + np.array([0.0, 0.3, 1.0]) + rng.normal(0.0, 2.0, (20, 1))
     found = compare_unbalanced(y.ravel(), np.repeat([f"s{i}" for i in range(20)], 3).tolist(), list("abc") * 20)
     np.testing.assert_allclose(found.means, y.mean(axis=0), rtol=1e-6)
-    assert found.f == pytest.approx(compare_conditions(y).f, rel=1e-3)  # the fit of the variances stops at 1e-4 or so
+    balanced = compare_conditions(y)
+    assert found.f == pytest.approx(balanced.f, rel=1e-6)  # the ratio of the variances is found to 1e-9
+    assert found.partial_eta_squared == pytest.approx(balanced.partial_eta_squared, rel=1e-6)
+    assert found.residual_sd == pytest.approx(balanced.mean_square_error**0.5, rel=1e-6)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-3, 1.0, 1e6])
+def test_a_mixed_model_does_not_mind_how_much_subjects_differ(spread: float) -> None:
+    rng = np.random.default_rng(9)
+    keep = np.ones(300, dtype=bool)
+    keep[[3, 17, 50]] = False
+    subject, condition = np.repeat(np.arange(30), 10)[keep], np.tile(np.arange(10), 30)[keep]
+    noise, own = rng.normal(size=300)[keep], rng.normal(size=30)[subject]
+    found = compare_unbalanced(noise + spread * own, [str(s) for s in subject], [str(c) for c in condition])
+    assert found.residual_sd == pytest.approx(1.0, abs=0.15)  # 1 / sqrt(2 x 261) = 0.044
+    assert found.subject_sd == pytest.approx(spread, rel=0.45, abs=0.3)  # 30 subjects: 0.13, and at 0 what noise allows
+
+
+def test_a_mixed_model_without_variance_is_refused() -> None:
+    with pytest.raises(InputError, match="subjects that differ in how they respond"):
+        compare_unbalanced([0.0, 1.0, 2.0, 3.0, 7.0], list("aabbc"), list("xyxyx"))
+    with pytest.raises(InputError, match="met more than once each"):
+        compare_unbalanced([0.0, 1.0, 2.0], list("abc"), list("xyx"))
 
 
 def test_a_mixed_model_takes_missing_conditions() -> None:

@@ -10,8 +10,9 @@ from undrift.cli.opening import Flag
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
+    from undrift.study.effects import ParameterEffect
     from undrift.study.executor import Executor
-    from undrift.study.outcome import StudyOutcome, TaskOutcome
+    from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real_motion import BesideRow
     from undrift.study.real_plan import RealData, RealOutcome
@@ -254,7 +255,7 @@ def _real_summary(real: "RealOutcome") -> dict[str, object]:
 
 
 def _protocol(task: "TaskOutcome", place: int) -> dict[str, object]:
-    from undrift.study.optimise import PARAMETERS
+    from undrift.study.effects import PARAMETERS
 
     return {name: round(float(getattr(task.surface, name)[place]), 9) for name in PARAMETERS}
 
@@ -290,21 +291,8 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             }
             for place in found.pareto
         ],
-        "effects": [
-            {
-                "parameter": effect.name,
-                "values": effect.values,
-                "means_deg": effect.means_deg,
-                "f": None if effect.anova is None else effect.anova.f,
-                "p_value": None if effect.anova is None else effect.anova.p_value,
-                "p_holm": effect.p_holm,
-                "partial_eta_squared": None if effect.anova is None else effect.anova.partial_eta_squared,
-                "greenhouse_geisser": None if effect.anova is None else effect.anova.sphericity.greenhouse_geisser,
-                "power": powers[effect.name].power if effect.name in powers else None,
-                "subjects_needed": powers[effect.name].subjects if effect.name in powers else None,
-            }
-            for effect in found.effects
-        ],
+        "left_out": surface.left_out,
+        "effects": [_effect_summary(effect, powers.get(effect.name)) for effect in found.effects],
         "optional_stopping": None
         if task.stopping is None
         else {
@@ -314,6 +302,34 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             "false_alarm": task.stopping.false_alarm,
         },
         "note": None if task.beside is None else _note_summary(task),
+    }
+
+
+def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, object]:
+    from dataclasses import asdict
+
+    test = effect.test
+    return {
+        "parameter": effect.name,
+        "values": effect.values,
+        "means_deg": effect.means_deg,
+        "span_deg": effect.span_deg,
+        "missing": effect.missing,
+        "dropped": effect.dropped,
+        "untested": effect.untested or None,
+        "f": None if test is None else test.f,
+        "p_value": None if test is None else test.p_value,
+        "p_holm": effect.p_holm,
+        "partial_eta_squared": None if test is None else test.partial_eta_squared,
+        "greenhouse_geisser": None if effect.anova is None else effect.epsilon,
+        "power": None if power is None else power.power,
+        "subjects_needed": None if power is None else power.subjects,
+        "anova": None if effect.anova is None else asdict(effect.anova),
+        "mixed_model": None if effect.mixed is None else asdict(effect.mixed),
+        "pairs": [
+            asdict(pair) | {"first": effect.values[pair.first], "second": effect.values[pair.second]}
+            for pair in effect.pairs
+        ],
     }
 
 

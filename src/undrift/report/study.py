@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING
 
 from undrift.report.figures import svg_of
 from undrift.report.page import Section, write_page
+from undrift.report.study_answer import answer_sections
 from undrift.report.study_extra import design_sections, real_sections, rival_sections
-from undrift.report.study_pictures import LEVEL_NAMES, NAMES, draw_effects, draw_figure3, draw_pareto, draw_surface
+from undrift.report.study_pictures import LEVEL_NAMES, NAMES, draw_figure3, draw_pareto, draw_surface
+from undrift.report.study_statistics import effect_sections, full_section
 
 if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
@@ -48,16 +50,18 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
     Returns
     -------
     tuple of Section
-        Tables first, then a group for each task, Figure 3, rates to dwell at, rival methods, real recordings.
+        The answer, tables, a group for each task, the tests in full, Figure 3, rates to dwell at, rival methods, real recordings.
     """
     tasks = [section for task in outcome.tasks for section in _task_sections(outcome, task)]
-    beside = _beside(outcome)
+    beside, full = _beside(outcome), full_section(outcome)
     return (
+        *answer_sections(outcome),
         _table_1(outcome),
         *((beside,) if beside.rows else ()),
         _testing(outcome),
         _cohorts(outcome),
         *tasks,
+        *((full,) if full.rows else ()),
         _figure3(outcome.figure3, outcome.figure3_missing),
         *design_sections(outcome.designs),
         *rival_sections(outcome),
@@ -88,7 +92,7 @@ def _table_1(outcome: "StudyOutcome") -> Section:
             "note does not say what its p tests.",
             *(f"* {erratum}" for erratum in sorted(errata)),
         ),
-        columns=("task", *FOUR, "rms (deg)", "max (deg)", "rig (min)", "p"),
+        columns=("task", *FOUR, "error, rms (deg)", "largest (deg)", "session (min)", "p"),
         rows=tuple(rows),
     )
 
@@ -126,7 +130,7 @@ def _testing(outcome: "StudyOutcome") -> Section:
         text=(
             "Other subjects, other units of the device, other temperatures and noise: means and their 95 % intervals.",
         ),
-        columns=("protocol", "subjects", "rms (deg)", "interval", "max (deg)", "interval", "not calibrated"),
+        columns=("protocol", "subjects", "error, rms (deg)", "interval", "largest (deg)", "interval", "not calibrated"),
         rows=tuple(rows),
     )
 
@@ -169,85 +173,21 @@ def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Sectio
     return (
         Section(
             title=f"{name}: error surface",
-            text=("Each cell is the best of the protocols that share it. Star: optimum; ring: the note's protocol.",),
+            text=(
+                "Mean error over the subjects. Each cell is the best of the protocols that share it; white: not tried, or a "
+                "device could not be calibrated. Star: optimum; ring: the note's protocol. The colours span a factor of two at "
+                "least, so that small differences look small.",
+            ),
             pictures=(svg_of(draw_surface(outcome, task)),),
         ),
-        Section(
-            title=f"{name}: what each parameter does",
-            text=(
-                "One parameter at a time, the others at the optimum; bars are 95 % intervals within subjects, p after Holm.",
-                *_stopping(outcome, task),
-            ),
-            columns=(
-                "parameter",
-                "values",
-                "F",
-                "degrees of freedom",
-                "p",
-                "correction",
-                "p after Holm",
-                "epsilon GG",
-                "epsilon HF",
-                "p of Mauchly",
-                "partial eta²",
-                "power",
-                "subjects for 0.8",
-            ),
-            rows=_anova_rows(task),
-            pictures=(svg_of(draw_effects(task)),),
-        ),
+        *effect_sections(outcome, task),
         Section(
             title=f"{name}: error against minutes on the rig",
-            text=("Protocols that no other beats in both error and time:",),
-            columns=(*FOUR, "rms (deg)", "max (deg)", "rig (min)"),
+            text=("One point a protocol; in the table those that no other beats in both error and time.",),
+            columns=(*FOUR, "error, rms (deg)", "largest (deg)", "session (min)"),
             rows=tuple(_protocol(task, int(place)) for place in task.optimum.pareto),
             pictures=(svg_of(draw_pareto(outcome, task)),),
         ),
-    )
-
-
-def _anova_rows(task: "TaskOutcome") -> tuple[tuple[str, ...], ...]:
-    powers = {power.name: power for power in task.powers}
-    rows = []
-    for effect in task.optimum.effects:
-        values, found = ", ".join(f"{value:.3g}" for value in effect.values), effect.anova
-        if found is None:
-            rows.append(
-                (NAMES[effect.name], values, *("",) * 3, "one value was possible, or no difference", *("",) * 7)
-            )
-            continue
-        power = powers[effect.name]
-        rows.append(
-            (
-                NAMES[effect.name],
-                values,
-                f"{found.f:.2f}",
-                f"{found.dof[0]:.0f}, {found.dof[1]:.0f}",
-                f"{found.p_value:.2g}",
-                found.correction,
-                f"{effect.p_holm:.2g}",
-                f"{found.sphericity.greenhouse_geisser:.2f}",
-                f"{found.sphericity.huynh_feldt:.2f}",
-                f"{found.sphericity.p_value:.2g}" if found.conditions > 2 else "",
-                f"{found.partial_eta_squared:.2f}",
-                f"{power.power:.2f}",
-                "no number" if power.subjects is None else str(power.subjects),
-            )
-        )
-    return tuple(rows)
-
-
-def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[str, ...]:
-    held = task.stopping
-    if held is None:
-        return ()
-    first, last = held.p_by_subjects[0][0], held.p_by_subjects[-1][0]
-    return (
-        f"Optional stopping: adding subjects until p falls below {outcome.study.level:g}, as the note's thirty subjects that "
-        f"obtained the target significance invite, finds a difference where there is none in {100.0 * held.false_alarm:.0f} % of "
-        f"studies (looks from {first} to {last} subjects), not in {100.0 * outcome.study.level:g} %. Here p of "
-        f"{NAMES[task.stopping_of]} crossed the level {held.crossings} times on the way; only the last p, with the number of "
-        "subjects fixed beforehand, counts.",
     )
 
 

@@ -19,6 +19,7 @@ NAMES = {
     "turn_rate_min_dps": "omega_m (deg/s)",
     "turn_rate_max_dps": "omega_M (deg/s)",
 }
+LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
 LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
 LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
 
@@ -43,6 +44,9 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     steps = np.unique(surface.turn_rate_step_dps)
     figure, axes = new_figure(2, columns=len(steps), height=2.0, share_x=False)
     low, high = float(np.nanmin(mean)), float(np.nanmax(mean))
+    if high < LEAST_CONTRAST * low:
+        middle, reach = np.sqrt(low * high), np.sqrt(LEAST_CONTRAST)
+        low, high = middle / reach, middle * reach
     mesh: Any = None
     marks = [(task.optimum.best, "*", DEVICE, 90)]
     if task.beside is not None and task.beside.place is not None:
@@ -54,7 +58,8 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
             shown = _least(
                 surface.turn_rate_max_dps, getattr(surface, name), mean, surface.turn_rate_step_dps == step, (xs, ys)
             )
-            mesh = panel.pcolormesh(np.arange(len(xs)), np.arange(len(ys)), shown, cmap="YlOrBr", vmin=low, vmax=high)
+            edges = np.arange(len(xs) + 1) - 0.5, np.arange(len(ys) + 1) - 0.5  # one row of cells has a height too
+            mesh = panel.pcolormesh(*edges, shown, cmap="YlOrBr", vmin=low, vmax=high)
             panel.grid(False)
             panel.set_xticks(np.arange(len(xs)), [f"{x:.3g}" for x in xs])
             panel.set_yticks(np.arange(len(ys)), [f"{y:.3g}" for y in ys])
@@ -106,7 +111,7 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
             effect.values, effect.means_deg, yerr=reach if reach > 0.0 else None, color=DEVICE, marker="o", ms=3.5
         )
         panel.set_xlabel(NAMES[effect.name])
-        p = f"p = {effect.p_holm:.2g}" if effect.anova is not None else "not tested"
+        p = f"p = {effect.p_holm:.2g}" if effect.test is not None else "not tested"
         panel.set_title(p, fontsize=9)
         ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
         panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[::3])
@@ -144,12 +149,15 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     axes.plot(
         surface.rig_minutes[found.pareto], mean[found.pareto], color=ERROR, label="nothing is both shorter and better"
     )
-    for place, mark, label in ((found.best, "*", "optimum"), (found.cheapest, "D", "cheapest as good")):
+    marks = [(found.best, "*", "optimum"), (found.cheapest, "D", "shortest that is as good")]
+    if found.best == found.cheapest:
+        marks = [(found.best, "*", "optimum, and shortest that is as good")]
+    for place, mark, label in marks:
         axes.scatter(
             surface.rig_minutes[place],
             mean[place],
             marker=mark,
-            s=70,
+            s=130 if mark == "*" else 50,
             facecolor=ERROR,
             edgecolor=OPTICS,
             zorder=4,
@@ -168,7 +176,7 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
             label="the note",
         )
     axes.set_ylim(0.0, 1.1 * float(np.nanmax(mean)))
-    axes.set_xlabel("minutes on the rig")
+    axes.set_xlabel("session (min)")
     axes.set_ylabel(f"mean {outcome.study.objective} error (deg)")
     figure.legend(loc="outside right upper", frameon=False)
     return figure

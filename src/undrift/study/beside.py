@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.study.effects import PARAMETERS
 from undrift.study.note import NoteRow
-from undrift.study.optimise import PARAMETERS, Optimum
+from undrift.study.optimise import Optimum
 from undrift.study.run import TaskSurface
 
 UNITS = {

@@ -12,38 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.errors import InputError, NotObservable
-from undrift.study.anova import Anova, compare_conditions
+from undrift.errors import NotObservable
+from undrift.study.effects import ParameterEffect, effects_at
 from undrift.study.posthoc import adjust_holm
 from undrift.study.run import TaskSurface
 
-PARAMETERS = ("cutoff_hz", "turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
 FLAT_SHARE = 0.25  # a minimum that a quarter of the protocols share is called flat
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ParameterEffect:
-    """Whether one parameter of the protocol matters, the others at the optimum.
-
-    Parameters
-    ----------
-    name : str
-        Of the parameter.
-    values : array, shape (k,)
-        Its values, Hz or deg/s.
-    means_deg : array, shape (k,)
-        Mean error at each, deg.
-    anova : Anova or None
-        None where only one value was possible.
-    p_holm : float
-        p after Holm over the parameters; NaN without an analysis.
-    """
-
-    name: str
-    values: FloatArray
-    means_deg: FloatArray
-    anova: Anova | None
-    p_holm: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,9 +92,8 @@ def find_optimum(
         No protocol calibrated every subject's device, or none is short enough.
     """
     error = surface.error(objective)
-    usable: BoolArray = np.asarray(np.isfinite(error).all(axis=0))
-    if rig_minutes_max is not None:
-        usable = usable & (surface.rig_minutes <= rig_minutes_max)
+    allowed = surface.rig_minutes <= (np.inf if rig_minutes_max is None else rig_minutes_max)
+    usable: BoolArray = np.isfinite(error).all(axis=0) & allowed
     if not usable.any():
         raise NotObservable(
             f"study: wanted a protocol of {surface.task} that calibrates every device in the time allowed, got none; "
@@ -131,9 +104,9 @@ def find_optimum(
     equivalent = _equivalent(error, usable, best, level)
     among = np.flatnonzero(equivalent)
     cheapest = int(among[np.lexsort((mean[among], surface.rig_minutes[among]))[0]])
-    effects = _effects(surface, error, usable, best)
+    effects = effects_at(surface, best, error=error, allowed=allowed, level=level)
     honest, interval = _honest(error, usable)
-    tested = [effect.p_holm for effect in effects if effect.anova is not None]
+    tested = [effect.p_holm for effect in effects if effect.test is not None]
     return Optimum(
         task=surface.task,
         best=best,
@@ -189,30 +162,6 @@ def _equivalent(error: FloatArray, usable: BoolArray, best: int, level: float) -
     found[places] = adjust_holm(p) >= level
     found[best] = True
     return found
-
-
-def _effects(surface: TaskSurface, error: FloatArray, usable: BoolArray, best: int) -> tuple[ParameterEffect, ...]:
-    columns = [np.asarray(getattr(surface, name)) for name in PARAMETERS]
-    found: list[tuple[str, FloatArray, FloatArray, Anova | None]] = []
-    for k, name in enumerate(PARAMETERS):
-        others = np.all([np.isclose(c, c[best]) for j, c in enumerate(columns) if j != k], axis=0)
-        places = np.flatnonzero(others & usable)
-        places = places[np.argsort(columns[k][places])]
-        anova: Anova | None = None
-        if len(places) > 1:
-            try:
-                anova = compare_conditions(error[:, places])
-            except InputError:  # the parameter changes nothing at all: no variance to test against
-                anova = None
-        found.append((name, columns[k][places], error[:, places].mean(axis=0), anova))
-    p = np.array([np.nan if anova is None else anova.p_value for *_, anova in found])
-    held = np.flatnonzero(~np.isnan(p))
-    holm = np.full(len(p), np.nan)
-    holm[held] = adjust_holm(p[held])
-    return tuple(
-        ParameterEffect(name=name, values=values, means_deg=means, anova=anova, p_holm=float(holm[k]))
-        for k, (name, values, means, anova) in enumerate(found)
-    )
 
 
 def _honest(error: FloatArray, usable: BoolArray) -> tuple[float, tuple[float, float]]:

@@ -16,15 +16,16 @@ from undrift.sim.motion.library import TaskName
 from undrift.study.beside import Beside, compare_with_note
 from undrift.study.case import device_of, seeded
 from undrift.study.design_rows import DesignRow, design_rows
+from undrift.study.effects import PARAMETERS, ParameterEffect
 from undrift.study.executor import Executor
 from undrift.study.figure3 import Figure3, figure3
 from undrift.study.note import DEVICE, TABLE_1
-from undrift.study.optimise import PARAMETERS, Optimum, ParameterEffect, find_optimum
+from undrift.study.optimise import Optimum, find_optimum
 from undrift.study.plan import Study, StudyTask
-from undrift.study.power import OptionalStopping, power_reached, stopping_of, subjects_needed
+from undrift.study.power import OptionalStopping, power_of_anova, stopping_of, subjects_needed
 from undrift.study.real_plan import RealData, RealOutcome, judge_real
 from undrift.study.rival_rows import TASKS, RivalRow, compare_rivals
-from undrift.study.run import TaskSurface, count_runs, run_study
+from undrift.study.run import TaskSurface, count_runs, run_study, without_lost
 from undrift.study.testing import Cohort, Tested, cohort_of, other_study, run_testing
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -69,7 +70,7 @@ class TaskOutcome:
     powers : tuple of EffectPower
         One for each parameter that could be tested.
     stopping : OptionalStopping or None
-        Of the parameter with the least p; None with fewer than ten subjects.
+        Of the parameter with the least p; None with ten subjects or fewer.
     stopping_of : str
         That parameter.
     beside : Beside or None
@@ -167,7 +168,7 @@ def judge_study(
     NotObservable
         A task without a protocol that calibrates every device in the time allowed.
     """
-    surfaces = run_study(study, executor, folder, advance=advance)
+    surfaces = tuple(map(without_lost, run_study(study, executor, folder, advance=advance)))
     optima = tuple(
         find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
         for surface in surfaces
@@ -226,7 +227,7 @@ def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[T
         optimum=optimum,
         tested=tested,
         effect_reach_deg=tuple(map(_reach, optimum.effects)),
-        powers=tuple(_power(study, effect) for effect in optimum.effects if effect.anova is not None),
+        powers=tuple(_power(study, effect) for effect in optimum.effects if effect.test is not None),
         stopping=stopping,
         stopping_of=least,
         beside=None
@@ -238,32 +239,29 @@ def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[T
 def _reach(effect: ParameterEffect) -> float:
     from scipy.stats import t as t_distribution
 
-    found = effect.anova
+    found = effect.test
     if found is None:
         return 0.0
-    return float(t_distribution.ppf(0.975, found.dof[1]) * np.sqrt(found.mean_square_error / found.subjects))
+    return float(t_distribution.ppf(0.975, found.dof[1]) * np.sqrt(effect.error_variance / found.subjects))
 
 
 def _power(study: Study, effect: ParameterEffect) -> EffectPower:
-    found = effect.anova
+    found = effect.test
     if found is None:
         return EffectPower(name=effect.name, power=float("nan"), subjects=None)
+    means, variance, epsilon = found.means, effect.error_variance, effect.epsilon
     try:
-        count: int | None = subjects_needed(
-            found.means,
-            found.mean_square_error,
-            epsilon=found.sphericity.greenhouse_geisser,
-            level=study.level,
-        )
+        count: int | None = subjects_needed(means, variance, epsilon=epsilon, level=study.level)
     except InputError:  # the means hardly differ: no number of subjects is worth it
         count = None
-    return EffectPower(name=effect.name, power=power_reached(found, level=study.level), subjects=count)
+    reached = power_of_anova(means, variance, found.subjects, epsilon=epsilon, level=study.level)
+    return EffectPower(name=effect.name, power=reached, subjects=count)
 
 
 def _stopping(study: Study, surface: TaskSurface, optimum: Optimum) -> tuple[str, OptionalStopping | None]:
     """Look again at the parameter with the least p as if after each subject."""
-    tested = [effect for effect in optimum.effects if effect.anova is not None]
-    if not tested or study.subjects <= FIRST_LOOK:
+    tested = [effect for effect in optimum.effects if effect.test is not None]
+    if not tested:
         return "", None
     least = min(tested, key=lambda effect: effect.p_holm)
     others = [name for name in PARAMETERS if name != least.name]
@@ -271,6 +269,9 @@ def _stopping(study: Study, surface: TaskSurface, optimum: Optimum) -> tuple[str
     same = np.all([np.isclose(columns[name], columns[name][optimum.best]) for name in others], axis=0)
     held = same & np.isin(columns[least.name], least.values)
     table = surface.error(study.objective)[:, held]
+    table = table[np.isfinite(table).all(axis=1)]  # looks are at subjects with every run
+    if len(table) <= FIRST_LOOK:
+        return "", None
     rng = seeded(study, "stopping", surface.task)
     return least.name, stopping_of(table, first=FIRST_LOOK, level=study.level, simulations=400, rng=rng)
 

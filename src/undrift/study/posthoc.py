@@ -1,4 +1,4 @@
-"""Which conditions differ: paired t tests of all pairs, p after Holm.
+"""Which conditions differ: paired t tests of all pairs, p after Holm; contrasts of the mixed model where values are missing.
 
 Holm's p of the r-th smallest of m: max over those up to it of (m - r + 1) p, at most 1; it holds the chance of any false
 finding at the level, whatever the dependence between the tests.
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
+from undrift.study.mixed import MixedModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +22,7 @@ class Pair:
     Parameters
     ----------
     first, second : int
-        Columns.
+        Columns, or places of a mixed model's conditions.
     difference : float
         Mean of first minus second, unit of the data.
     interval : tuple of float
@@ -31,7 +32,7 @@ class Pair:
     p_value, p_holm : float
         Two-sided, as it stands and after Holm.
     cohen_dz : float
-        Difference over the standard deviation of the differences.
+        Difference over the standard deviation of the differences; in a mixed model that is sqrt(2) s_e.
     """
 
     first: int
@@ -62,20 +63,51 @@ def compare_pairs(y: ArrayLike) -> tuple[Pair, ...]:
     InputError
         Fewer than three subjects.
     """
-    from scipy.stats import t as t_distribution
-
     table = frozen(y, (None, None), "pairs")
     n, k = table.shape
     if n < 3 or k < 2:
         raise InputError(f"pairs: wanted three subjects or more in two conditions or more, got {n} in {k}; add some")
     pairs = list(combinations(range(k), 2))
     apart = np.array([table[:, i] - table[:, j] for i, j in pairs])
-    mean, sd = apart.mean(axis=1), apart.std(axis=1, ddof=1)
+    sd = apart.std(axis=1, ddof=1)
+    return _judged(pairs, apart.mean(axis=1), sd / np.sqrt(n), sd, n - 1)
+
+
+def compare_pairs_of(model: MixedModel) -> tuple[Pair, ...]:
+    """Compare every pair of conditions of a mixed model, by its contrasts.
+
+    The uncertainty of a difference is that of the model, one residual for all pairs; t has n - 1 degrees of freedom, as the paired
+    test would.
+
+    Parameters
+    ----------
+    model : MixedModel
+        Outcome.
+
+    Returns
+    -------
+    tuple of Pair
+        k (k - 1) / 2 of them, by the conditions' places.
+    """
+    pairs = list(combinations(range(len(model.conditions)), 2))
+    first, second = np.array(pairs).T
+    v = model.covariance
+    uncertainty = np.sqrt(v[first, first] + v[second, second] - 2.0 * v[first, second])
+    sd = np.full(len(pairs), np.sqrt(2.0) * model.residual_sd)
+    return _judged(pairs, model.means[first] - model.means[second], uncertainty, sd, model.subjects - 1)
+
+
+def _judged(
+    pairs: list[tuple[int, int]], mean: FloatArray, uncertainty: FloatArray, sd: FloatArray, dof: int
+) -> tuple[Pair, ...]:
+    from scipy.stats import t as t_distribution
+
+    without = np.where(mean == 0.0, 0.0, np.sign(mean) * np.inf)  # no spread at all
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(sd > 0.0, mean / (sd / np.sqrt(n)), np.where(mean == 0.0, 0.0, np.sign(mean) * np.inf))
-        dz = np.where(sd > 0.0, mean / sd, np.where(mean == 0.0, 0.0, np.sign(mean) * np.inf))
-    p = 2.0 * t_distribution.sf(np.abs(t), n - 1)
-    reach = float(t_distribution.ppf(0.975, n - 1)) * sd / np.sqrt(n)
+        t = np.where(sd > 0.0, mean / uncertainty, without)
+        dz = np.where(sd > 0.0, mean / sd, without)
+    p = 2.0 * t_distribution.sf(np.abs(t), dof)
+    reach = float(t_distribution.ppf(0.975, dof)) * uncertainty
     holm = adjust_holm(p)
     return tuple(
         Pair(

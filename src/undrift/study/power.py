@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
-from undrift.study.anova import Anova, compare_conditions
+from undrift.study.anova import compare_conditions
 
 MOST_SUBJECTS = 100_000
 
@@ -41,7 +41,7 @@ def power_of_anova(
     Returns
     -------
     float
-        0 to 1.
+        0 to 1. Of a study's own means it says nothing that its p does not say; use it to plan the next one.
 
     Raises
     ------
@@ -163,25 +163,6 @@ def stopping_of(
         false_alarm=float(np.mean([any(_finds(study[:m], level) for m in looks) for study in null])),
         looks=len(looks),
     )
-
-
-def power_reached(found: Anova, *, level: float = 0.05) -> float:
-    """Return the power of a study of the same size if its own means were the truth.
-
-    Parameters
-    ----------
-    found : Anova
-        Outcome.
-    level : float
-        Of the test.
-
-    Returns
-    -------
-    float
-        0 to 1. Says nothing that the p value does not say; use it to plan the next study.
-    """
-    epsilon = found.sphericity.greenhouse_geisser
-    return power_of_anova(found.means, found.mean_square_error, found.subjects, epsilon=epsilon, level=level)
 
 
 def _finds(table: FloatArray, level: float) -> bool:

@@ -1,7 +1,7 @@
 """Run a study: its units on an executor, each kept as it is finished, and the whole error surface in the end."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,8 @@ class TaskSurface:
         Length of a session, min.
     error_rms_deg, error_max_deg : array, shape (S, P)
         Pitch error over the motion, deg; NaN where the protocol could not calibrate the device.
+    left_out : tuple of int
+        Subjects that are not among the S, since no protocol could calibrate their device.
     """
 
     task: str
@@ -38,6 +40,7 @@ class TaskSurface:
     rig_minutes: FloatArray
     error_rms_deg: FloatArray
     error_max_deg: FloatArray
+    left_out: tuple[int, ...] = ()
 
     def error(self, objective: str) -> FloatArray:
         """Return the errors that are to be small.
@@ -142,6 +145,30 @@ def read_surfaces(path: Path, study: Study) -> tuple[TaskSurface, ...]:
     return tuple(found)
 
 
+def without_lost(surface: TaskSurface) -> TaskSurface:
+    """Leave out the subjects whose device no protocol could calibrate: they say nothing of which protocol is better.
+
+    Parameters
+    ----------
+    surface : TaskSurface
+        Of all subjects.
+
+    Returns
+    -------
+    TaskSurface
+        Of those with a run at least; the others are named. As it is where fewer than three would be left.
+    """
+    there = np.isfinite(surface.error_rms_deg).any(axis=1)
+    if there.all() or there.sum() < 3:
+        return surface
+    return replace(
+        surface,
+        error_rms_deg=surface.error_rms_deg[there],
+        error_max_deg=surface.error_max_deg[there],
+        left_out=tuple(int(subject) for subject in np.flatnonzero(~there)),
+    )
+
+
 def count_runs(study: Study) -> int:
     """Return how many sessions a study simulates and fits.
 
@@ -183,4 +210,4 @@ def estimate_s(study: Study) -> float:
     return total
 
 
-__all__ = ["TaskSurface", "Unit", "count_runs", "estimate_s", "read_surfaces", "run_study"]
+__all__ = ["TaskSurface", "Unit", "count_runs", "estimate_s", "read_surfaces", "run_study", "without_lost"]

@@ -1,0 +1,230 @@
+"""What each parameter does: analysis of variance, Holm's pairs, the mixed model where runs are missing; as statsmodels has it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from undrift.protocol import Protocol
+from undrift.report.study import write_study_report
+from undrift.study.effects import ParameterEffect
+from undrift.study.executor import InProcess
+from undrift.study.outcome import TaskOutcome, judge_study
+from undrift.study.plan import Space, Study, StudyTask
+from undrift.study.run import TaskSurface, read_surfaces, run_study, without_lost
+from undrift.study.store import RunStore
+from undrift.study.unit import UnitRuns, units_of
+
+DPS = np.pi / 180.0
+TASK = StudyTask(
+    name="step",
+    space=Space(
+        cutoff_hz=(5.0, 11.4, 20.0),
+        turn_rate_step=(10.0 * DPS,),
+        turn_rate_min=(10.0 * DPS,),
+        turn_rate_max=(30.0 * DPS, 40.0 * DPS, 50.0 * DPS),
+    ),
+    base=Protocol(grid="paper", dwell_s=1.0, bracket_s=3.0, temperatures_c=(18.0, 36.0, 54.0, 75.0)),
+)
+STUDY = Study(name="planted", device="enc03j_3031", tasks=(TASK,), subjects=12)
+OPTIMUM = 40.0  # deg/s, of omega_M; the cut-off makes no difference
+
+
+def plant(folder: Path, missing: tuple[tuple[int, float], ...] = (), lost: int | None = None) -> None:
+    """Fill a study's folder with runs of known errors; the missing ones as a unit leaves them whose device was not calibrated."""
+    store, rng = RunStore(folder, STUDY), np.random.default_rng(11)
+    own = rng.normal(0.5, 0.1, STUDY.subjects)
+    for unit in units_of(STUDY):
+        greatest = np.array([30.0, 40.0, 50.0])
+        error = own[unit.subject] + 0.004 * np.abs(greatest - OPTIMUM) + rng.normal(0.0, 0.02, 3)
+        if (unit.subject, unit.cutoff_hz) in missing or unit.subject == lost:
+            error = np.full(3, np.nan)
+        store.write(
+            unit,
+            UnitRuns(
+                cutoff_hz=np.full(3, unit.cutoff_hz),
+                turn_rate_step_dps=np.full(3, 10.0),
+                turn_rate_min_dps=np.full(3, 10.0),
+                turn_rate_max_dps=greatest,
+                error_rms_deg=error,
+                error_max_deg=2.0 * error,
+                rig_minutes=greatest,
+            ),
+        )
+
+
+def judged(folder: Path) -> TaskOutcome:
+    (task,) = judge_study(STUDY, InProcess(), folder).tasks
+    return task
+
+
+def effect_of(task: TaskOutcome, name: str) -> ParameterEffect:
+    return next(effect for effect in task.optimum.effects if effect.name == name)
+
+
+def long_table(folder: Path, task: TaskOutcome, name: str) -> pd.DataFrame:
+    """The runs that an effect is judged by, from the file that a user has."""
+    runs = pd.read_parquet(folder / "surface.parquet")
+    for other in ("cutoff_hz", "turn_rate_max_dps"):
+        if other != name:
+            runs = runs[np.isclose(runs[other], getattr(task.surface, other)[task.optimum.best])]
+    return runs.dropna()
+
+
+def test_a_whole_study_is_judged_by_analysis_of_variance_and_holms_pairs_as_statsmodels_does(tmp_path: Path) -> None:
+    from scipy.stats import ttest_rel
+    from statsmodels.stats.anova import AnovaRM
+    from statsmodels.stats.multitest import multipletests
+
+    plant(tmp_path)
+    task = judged(tmp_path)
+    effect = effect_of(task, "turn_rate_max_dps")
+    runs = long_table(tmp_path, task, "turn_rate_max_dps")
+    theirs = AnovaRM(runs, "error_rms_deg", "subject", within=["turn_rate_max_dps"]).fit().anova_table
+    assert effect.anova is not None
+    assert effect.anova.f == pytest.approx(float(theirs["F Value"].iloc[0]), rel=1e-9)
+    assert effect.values[effect.best] == OPTIMUM
+    means = runs.groupby("turn_rate_max_dps")["error_rms_deg"].mean()
+    assert effect.span_deg == pytest.approx(float(means.max() - means.min()), rel=1e-9)
+    table = runs.pivot_table(index="subject", columns="turn_rate_max_dps", values="error_rms_deg").to_numpy()
+    p = [float(ttest_rel(table[:, pair.first], table[:, pair.second]).pvalue) for pair in effect.pairs]
+    assert [(pair.first, pair.second) for pair in effect.pairs] == [(0, 1), (0, 2), (1, 2)]
+    np.testing.assert_allclose([pair.p_holm for pair in effect.pairs], multipletests(p, method="holm")[1], rtol=1e-9)
+    assert effect_of(task, "cutoff_hz").pairs == ()  # it does not matter, so its values are not compared
+    assert effect_of(task, "turn_rate_step_dps").untested == "one value only"
+
+
+def test_a_missing_unit_is_judged_by_a_mixed_model_as_statsmodels_fits_it(tmp_path: Path) -> None:
+    import statsmodels.formula.api as smf
+    from scipy.stats import f as f_distribution
+
+    plant(tmp_path, missing=((3, 11.4), (7, 20.0)))
+    task = judged(tmp_path)
+    effect = effect_of(task, "cutoff_hz")
+    assert effect.anova is None
+    assert effect.mixed is not None
+    assert effect.missing == 2
+    assert task.optimum.failed == 6
+    assert effect.values.tolist() == [5.0, 11.4, 20.0]
+    assert task.surface.cutoff_hz[task.optimum.best] == 5.0  # what failed for one is no candidate
+    runs = long_table(tmp_path, task, "cutoff_hz")
+    runs["mdeg"] = 1e3 * runs["error_rms_deg"]  # a variance below 0.01 it takes for one at the boundary
+    assert len(runs) == 34 == effect.mixed.values
+    theirs = smf.mixedlm("mdeg ~ 0 + C(cutoff_hz)", runs, groups="subject").fit(reml=True)
+    np.testing.assert_allclose(1e3 * effect.means_deg, theirs.fe_params.to_numpy(), atol=1e-3)
+    # theirs come from a Hessian by differences: 1e-2 of an uncertainty
+    np.testing.assert_allclose(1e3 * effect.mixed.uncertainties, theirs.bse_fe.to_numpy(), rtol=1e-2)
+    assert 1e3 * effect.mixed.residual_sd == pytest.approx(float(theirs.scale) ** 0.5, rel=1e-3)
+    assert 1e3 * effect.mixed.subject_sd == pytest.approx(float(theirs.cov_re.iloc[0, 0]) ** 0.5, rel=1e-2)
+    f = float(theirs.f_test(np.array([[1.0, -1.0, 0.0, 0.0], [1.0, 0.0, -1.0, 0.0]])).fvalue)
+    assert effect.mixed.f == pytest.approx(f, rel=2e-2)
+    assert effect.mixed.p_value == pytest.approx(float(f_distribution.sf(effect.mixed.f, 2, 11)), rel=1e-9)
+    assert effect_of(task, "turn_rate_max_dps").anova is not None  # at 5 Hz nothing is missing
+    assert all(0.0 <= power.power <= 1.0 for power in task.powers if power.name == "cutoff_hz")
+
+
+def test_pairs_of_a_mixed_model_that_matters_are_its_contrasts(tmp_path: Path) -> None:
+    import statsmodels.formula.api as smf
+
+    plant(tmp_path)
+    surface = without_lost(read_surfaces(RunStore(tmp_path, STUDY).join(units_of(STUDY)), STUDY)[0])
+    error = surface.error_rms_deg.copy()
+    error[[2, 5], [0, 2]] = np.nan  # omega_M of 30 and of 50 deg/s at 5 Hz
+    from undrift.study.effects import effects_at
+
+    effect = effects_at(surface, 1, error=error, allowed=np.ones(9, dtype=bool))[3]
+    assert effect.mixed is not None
+    there = np.isfinite(error[:, :3])
+    runs = pd.DataFrame(
+        {
+            "y": 1e3 * error[:, :3][there],
+            "s": np.nonzero(there)[0],
+            "w": np.array([30, 40, 50])[np.nonzero(there)[1]],
+        }
+    )
+    theirs = smf.mixedlm("y ~ C(w, Treatment(40))", runs, groups="s").fit(reml=True)
+    by_values = {(pair.first, pair.second): pair for pair in effect.pairs}
+    slow, fast = by_values[0, 1], by_values[1, 2]
+    assert 1e3 * slow.difference == pytest.approx(float(theirs.fe_params.iloc[1]), abs=1e-3)
+    assert -1e3 * fast.difference == pytest.approx(float(theirs.fe_params.iloc[2]), abs=1e-3)
+    assert slow.t == pytest.approx(float(theirs.tvalues.iloc[1]), rel=1e-2)
+    assert slow.p_holm < 0.05
+    assert slow.cohen_dz == pytest.approx(slow.difference / (2.0**0.5 * effect.mixed.residual_sd))
+
+
+def test_a_subject_whose_device_nothing_calibrates_is_left_out_and_named(tmp_path: Path) -> None:
+    plant(tmp_path, lost=4)
+    outcome = judge_study(STUDY, InProcess(), tmp_path)
+    (task,) = outcome.tasks
+    assert task.surface.left_out == (4,)
+    assert task.surface.error_rms_deg.shape == (11, 9)
+    effect = effect_of(task, "turn_rate_max_dps")
+    assert effect.anova is not None  # eleven subjects, none with a gap
+    assert effect.anova.subjects == 11
+    write_study_report(outcome, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "Left out, since no protocol could calibrate the device: subject 4 of surface.parquet." in page
+
+
+def test_too_few_subjects_are_not_made_fewer(tmp_path: Path) -> None:
+    three = replace(STUDY, subjects=3)
+    plant(tmp_path / "all")
+    surface = read_surfaces(RunStore(tmp_path / "all", STUDY).join(units_of(STUDY)), STUDY)[0]
+    lost = surface.error_rms_deg[: three.subjects].copy()
+    lost[0] = np.nan
+    small = replace(surface, error_rms_deg=lost, error_max_deg=lost)
+    assert without_lost(small) is small
+
+
+def test_a_level_that_calibrates_fewer_than_half_is_left_out_of_its_effect(tmp_path: Path) -> None:
+    plant(tmp_path, missing=tuple((subject, 20.0) for subject in range(7)))
+    effect = effect_of(judged(tmp_path), "cutoff_hz")
+    assert effect.values.tolist() == [5.0, 11.4]
+    assert effect.dropped.tolist() == [20.0]
+    assert effect.anova is not None
+
+
+def test_the_page_says_what_decides_which_values_differ_and_why_a_mixed_model_was_used(tmp_path: Path) -> None:
+    plant(tmp_path, missing=((3, 11.4),))
+    outcome = judge_study(STUDY, InProcess(), tmp_path)
+    write_study_report(outcome, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert page.index("Answer: the protocol to use") < page.index("Table 1: optimised parameters")
+    for wanted in (
+        "10 to 40 by 10",
+        "What decides the error: omega_M (deg/s) (0.0",
+        "Missing: 3 of 108 runs",
+        "Since runs are missing, cut-off (Hz) is judged by a mixed model",
+        "mixed model, 1 missing",
+        "step: which values differ from the optimum&#39;s",
+        "The tests in full",
+        "generalised eta²",
+        "none: one value only",
+    ):
+        assert wanted in page, wanted
+    assert ">nan<" not in page
+
+
+def test_a_surface_is_as_it_was_where_nothing_is_lost() -> None:
+    values = np.ones((3, 2))
+    held = TaskSurface(
+        task="step",
+        cutoff_hz=np.ones(2),
+        turn_rate_step_dps=np.ones(2),
+        turn_rate_min_dps=np.ones(2),
+        turn_rate_max_dps=np.ones(2),
+        rig_minutes=np.ones(2),
+        error_rms_deg=values,
+        error_max_deg=values,
+    )
+    assert without_lost(held) is held
+
+
+def test_a_study_with_a_run_removed_is_the_study_run_to_its_end(tmp_path: Path) -> None:
+    small = replace(STUDY, subjects=3, tasks=(replace(TASK, space=replace(TASK.space, cutoff_hz=(5.0,))),))
+    (whole,) = run_study(small, InProcess(), tmp_path)
+    (tmp_path / "runs" / f"{units_of(small)[1].key}.parquet").unlink()
+    (again,) = run_study(small, InProcess(), tmp_path)
+    assert (again.error_rms_deg == whole.error_rms_deg).all()
