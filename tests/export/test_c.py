@@ -279,7 +279,8 @@ def test_what_is_not_carried_is_listed():
     said = " | ".join(exported.not_carried)
     assert "lag" not in said
     assert "the thermometer's lag of 30 s is taken off by undrift_temperature" in " ".join(exported.notes)
-    for text in ("hysteresis", "power-on", "uncertainties"):
+    assert "power-on" not in said
+    for text in ("hysteresis", "uncertainties"):
         assert text in said
         assert text in exported.header
     for text in ("code step", "g-sensitivity", "dynamic table", "gains"):

@@ -218,7 +218,13 @@ def _c_figures(made: "ExportedC") -> dict[str, object]:
     bounds = (("gyro_rad_s", made.gyro_bound), ("accel_m_s2", made.accel_bound))
     return {
         "builds": [
-            {"arithmetic": c.arithmetic, "table_bytes": c.table_bytes, "flash_bytes": c.flash_bytes, "cycles": c.cycles}
+            {
+                "arithmetic": c.arithmetic,
+                "table_bytes": c.table_bytes,
+                "flash_bytes": c.flash_bytes,
+                "cycles": c.cycles,
+                "lead_cycles": c.lead_cycles,
+            }
             for c in made.costs
         ],
         "fixed_point_bound": {name: bound.max() for name, bound in bounds},
@@ -231,9 +237,13 @@ def _show(told: "dict[str, object]", model: "Calibration") -> None:
     out = console()
     builds, bound = told.get("builds"), told.get("fixed_point_bound")
     if isinstance(builds, list) and isinstance(bound, dict):
-        shown = table("builds", "arithmetic", "tables (bytes)", "flash (bytes, estimated)", "cycles (estimated)")
+        heads = ["arithmetic", "tables (bytes)", "flash (bytes, estimated)", "cycles (estimated)"]
+        keys = ["table_bytes", "flash_bytes", "cycles"]
+        if any(b["lead_cycles"] for b in builds):
+            heads, keys = [*heads, "and of the lag (estimated)"], [*keys, "lead_cycles"]
+        shown = table("builds", *heads)
         for b in builds:
-            shown.add_row(b["arithmetic"], *(str(b[key]) for key in ("table_bytes", "flash_bytes", "cycles")))
+            shown.add_row(b["arithmetic"], *(str(b[key]) for key in keys))
         out.print(shown, markup=False)
         gyro, accel = bound["gyro_rad_s"], bound["accel_m_s2"]
         out.print(f"fixed point, gyroscopes: within {gyro / RADIAN_PER_DEGREE:.2g} deg/s of exact arithmetic")

@@ -1,6 +1,6 @@
 """What firmware and other programs read: one target a file, each with a list of what it cannot carry.
 
-    c           a C99 header and source: the whole model but for warm-up and thermometer lag; float, double or fixed point
+    c           a C99 header and source: the whole model but for hysteresis; float, double or fixed point
     px4         thermal cubics and static terms as parameters of PX4
     ardupilot   the same for ArduPilot
     fusion      misalignment, sensitivity, offset for Fusion of x-io

@@ -1,9 +1,10 @@
 """A C99 header and source that correct readings on a microcontroller, in float, double or fixed point.
 
-The source evaluates the model of ``correct.py`` in its order: rounding, static table, matrix or scale table, g-sensitivity,
-dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table up in a time
-that does not depend on the data. A thermometer's lag is taken off by a function of its own, whose state the caller owns
-(export/lead.py). One source makes three builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
+The source evaluates the model of ``correct.py`` in its order: rounding, static table and warm-up, matrix or scale table,
+g-sensitivity, dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table
+up in a time that does not depend on the data. A thermometer's lag is taken off by a function of its own, whose state the caller
+owns (export/lead.py); the warm-up by a second entry, to which the caller gives the time since power-on. One source makes three
+builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
 """
 
 import re
@@ -22,7 +23,7 @@ from undrift.export.losses import Part, losses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 CARRIED: frozenset[Part] = frozenset(
-    ("lag", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
+    ("lag", "warm-up", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
 )  # fmt: skip
 
 
@@ -107,7 +108,7 @@ class _View:
         return 0 if self.real.error_table is None else self.real.error_table.values.shape[1]
 
 
-_TABLES = ("offset_table", "matrix_table", "error_table")
+_TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
 
 
 def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> ExportedC:
@@ -148,9 +149,15 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
             f"the thermometer's lag of {lead.lag_s:.3g} s is taken off by {settings.prefix}_temperature: pass every reading "
             f"through it before {settings.prefix}_correct",
         )
+    if gyro.warm_up_table is not None:
+        over = gyro.warm_up_table.temp.stop
+        notes += (
+            f"the extra offset after power-on, over after {over:g} s, is taken off by {settings.prefix}_correct_since, which wants "
+            f"the time since power-on; {settings.prefix}_correct leaves it in",
+        )
     source, sizes = _source(views, calibration, settings, lead)
     triads = tuple(view.real for view in views)
-    costs = tuple(cost_of(triads, arithmetic, size) for arithmetic, size in sizes)
+    costs = tuple(cost_of(triads, arithmetic, size, lead=lead is not None) for arithmetic, size in sizes)
     not_carried = losses(calibration, CARRIED)
     return ExportedC(
         header=_header(views, calibration, settings, costs, not_carried + notes, lead),
@@ -208,15 +215,18 @@ def _environment() -> Any:
     )
 
 
-def _axes(table: Table | FixedTable) -> list[tuple[str, Any]]:
-    return [("temp", table.temp), *([("rate", table.turn_rate)] if table.turn_rate is not None else [])]
+def _axes(table: Table | FixedTable, what: str = "") -> list[tuple[str, Any]]:
+    return [
+        ("since" if what == "warm_up_table" else "temp", table.temp),
+        *([("rate", table.turn_rate)] if table.turn_rate is not None else []),
+    ]
 
 
 def _source(
     views: list[_View], calibration: Calibration, settings: CSettings, lead: Lead | None
 ) -> tuple[str, tuple[tuple[Arithmetic, int], ...]]:
     printer = Printer(settings.prefix)
-    tables = [table for view in views for table in view.real.tables]
+    tables = [table for view in views for table in view.real.every_table]
     axes = [axis for table in tables for _, axis in _axes(table)]
     text = _environment().get_template("undrift.c.j2").render(
         title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
@@ -249,12 +259,14 @@ def _header(
     lead: Lead | None,
 ) -> str:
     p = calibration.provenance
+    warm = [view.real.warm_up_table for view in views if view.real.warm_up_table is not None]
     return str(
         _environment().get_template("undrift.h.j2").render(
             title=_title(calibration),
             comment=[comment_text(line) for line in _comment(views, calibration, settings, costs, said)],
             default=settings.default, p=settings.prefix, P=settings.prefix.upper(), triads=views, created=p.created,
             lead=lead, lag_s=f"{lead.lag_s:g}" if lead else "", smooth_s=f"{lead.smooth_s:g}" if lead else "",
+            warm_up=bool(warm), warm_s=f"{warm[0].temp.stop:g}" if warm else "",
         )
     )  # fmt: skip
 
@@ -262,6 +274,7 @@ def _header(
 def _comment(
     views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], said: tuple[str, ...]
 ) -> list[str]:
+    warming = " and warm-up" if any(view.real.warm_up_table is not None for view in views) else ""
     lines = [
         f"Calibrated: {calibration.provenance.created or 'not stated'}. Exported: {settings.date or 'not stated'}.",
         f"Verdict of the calibration: {calibration.verdict.status}.",
@@ -270,7 +283,8 @@ def _comment(
     ]
     lines += [f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}" for view in views]
     lines += [
-        "Order of the steps: 1 half a code step back, 2 offset(T), 3 matrix M(T), 4 g-sensitivity, 5 dynamic drift e(w, T).",
+        f"Order of the steps: 1 half a code step back, 2 offset(T){warming}, 3 matrix M(T), 4 g-sensitivity, "
+        "5 dynamic drift e(w, T).",
         "Tables are linear between their nodes and held at their ends; the return value says when.",
         "Input and output may be the same arrays. No allocation, no library, no state; a lookup takes the same time everywhere.",
         "",
@@ -279,7 +293,9 @@ def _comment(
         f"  {ASSUMPTION}",
     ]
     lines += [
-        f"  {c.arithmetic:6} {c.table_bytes} + {c.code_bytes} = {c.flash_bytes} bytes, {c.cycles} cycles" for c in costs
+        f"  {c.arithmetic:6} {c.table_bytes} + {c.code_bytes} = {c.flash_bytes} bytes, {c.cycles} cycles"
+        + (f", and {c.lead_cycles} of {settings.prefix}_temperature" if c.lead_cycles else "")
+        for c in costs
     ]
     lines += [
         "",

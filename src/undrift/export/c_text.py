@@ -92,11 +92,11 @@ class Printer:
         x : str
             C expression that is looked up.
         place : str
-            temp or rate.
+            temp, rate or since.
         fraction : str
             C variable that takes the position.
         what : str
-            TEMPERATURE or RATE: which mark to set.
+            TEMPERATURE or RATE: which mark to set; empty for none.
         cell : str
             C variable that takes the cell.
 
@@ -107,7 +107,7 @@ class Printer:
         """
         start, stop, name = int(axis.nodes[0]), int(axis.nodes[-1]), f"{self.prefix}_{triad}_{table}_{place}"
         pad = "\n" + " " * (4 if cell == "cell" else 8)
-        held = f"status |= {x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0;{pad}"
+        held = f"status |= {x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0;{pad}" if what else ""
         if axis.axis.even:
             inner = f"{x}, {start}, {stop}, {int(axis.inverse[0])}u, {axis.shift}, {axis.axis.cells}, &{fraction}"
             return f"{held}{cell} = {self.prefix}_cell({inner});"
@@ -128,11 +128,11 @@ class Printer:
         x : str
             C expression that is looked up.
         place : str
-            temp or rate.
+            temp, rate or since.
         fraction : str
             C variable that takes the position.
         what : str
-            TEMPERATURE or RATE: which mark to set.
+            TEMPERATURE or RATE: which mark to set; empty for none.
         cell : str
             C variable that takes the cell.
 
@@ -144,7 +144,9 @@ class Printer:
         c, name = f"{self.upper}_C", f"{self.prefix}_{triad}_{table}_{place}"
         start, stop = literal(axis.start), literal(axis.stop)
         pad = "\n" + " " * (4 if cell == "cell" else 8)
-        held = f"status |= {x} >= {c}({start}) && {x} <= {c}({stop}) ? 0 : {self.upper}_{what}_HELD;{pad}"
+        held = (
+            f"status |= {x} >= {c}({start}) && {x} <= {c}({stop}) ? 0 : {self.upper}_{what}_HELD;{pad}" if what else ""
+        )
         if axis.even:
             inner = f"{x}, {c}({start}), {c}({literal(float(axis.inverse[0]))}), {axis.cells}, &{fraction}"
             return f"{held}{cell} = {self.prefix}_cell({inner});"

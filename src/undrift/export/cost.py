@@ -34,8 +34,10 @@ class Steps:
         Three products of a matrix with a vector, summed.
     less : int
         Half a step and offset of one axis.
-    code_base, code_triad, code_table : int
-        Bytes of code: once, for each triad, for each table.
+    lead : int
+        One call of the function that takes the thermometer's lag off, with a step of time of at most half the smoothing.
+    code_base, code_triad, code_table, code_warm_up, code_lead : int
+        Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for the lead.
     """
 
     call: int
@@ -45,29 +47,26 @@ class Steps:
     both: int
     row: int
     less: int
+    lead: int
     code_base: int
     code_triad: int
     code_table: int
+    code_warm_up: int
+    code_lead: int
 
 
 FLOAT = Steps(
-    call=40, place=24, stride=9, between=12, both=36, row=17, less=8, code_base=300, code_triad=140, code_table=120
-)
+    call=40, place=24, stride=9, between=12, both=36, row=17, less=8, lead=320,
+    code_base=300, code_triad=140, code_table=120, code_warm_up=200, code_lead=260,
+)  # fmt: skip
 DOUBLE = Steps(
-    call=55,
-    place=290,
-    stride=40,
-    between=190,
-    both=560,
-    row=330,
-    less=90,
-    code_base=520,
-    code_triad=260,
-    code_table=260,
-)
+    call=55, place=290, stride=40, between=190, both=560, row=330, less=90, lead=4900,
+    code_base=520, code_triad=260, code_table=260, code_warm_up=400, code_lead=520,
+)  # fmt: skip
 FIXED = Steps(
-    call=40, place=20, stride=8, between=24, both=52, row=44, less=16, code_base=430, code_triad=170, code_table=150
-)
+    call=40, place=20, stride=8, between=24, both=52, row=44, less=16, lead=1700,
+    code_base=430, code_triad=170, code_table=150, code_warm_up=250, code_lead=460,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,13 +82,16 @@ class Cost:
     code_bytes : int
         Instructions, estimated.
     cycles : int
-        One call, estimated.
+        One call of the correction, with the warm-up where there is one, estimated.
+    lead_cycles : int
+        One call that takes the thermometer's lag off, estimated; 0 where there is none.
     """
 
     arithmetic: Arithmetic
     table_bytes: int
     code_bytes: int
     cycles: int
+    lead_cycles: int = 0
 
     @property
     def flash_bytes(self) -> int:
@@ -97,7 +99,7 @@ class Cost:
         return self.table_bytes + self.code_bytes
 
 
-def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int) -> Cost:
+def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int, *, lead: bool = False) -> Cost:
     """Return what a build costs.
 
     Parameters
@@ -108,6 +110,8 @@ def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int)
         float, double or fixed.
     table_bytes : int
         Bytes of its constants.
+    lead : bool
+        Whether it takes a thermometer's lag off.
 
     Returns
     -------
@@ -127,7 +131,16 @@ def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int)
                 cycles += table.values.shape[-1] * steps.between
             else:
                 cycles += 3 * (_place(table.turn_rate, steps) + steps.both)
-    return Cost(arithmetic=arithmetic, table_bytes=table_bytes, code_bytes=code, cycles=cycles)
+        if triad.warm_up_table is not None:
+            code += steps.code_warm_up
+            cycles += _place(triad.warm_up_table.temp, steps) + 3 * (steps.between + steps.less)
+    return Cost(
+        arithmetic=arithmetic,
+        table_bytes=table_bytes,
+        code_bytes=code + steps.code_lead * lead,
+        cycles=cycles,
+        lead_cycles=steps.lead * lead,
+    )
 
 
 def _place(axis: Axis, steps: Steps) -> int:

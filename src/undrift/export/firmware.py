@@ -97,6 +97,8 @@ class Triad:
         rad/s per m/s2.
     offset_table, matrix_table, error_table : Table or None
         In the same units.
+    warm_up_table : Table or None
+        Extra offset over the time since power-on, s, in the place of the temperature; zero at its last node and after it.
     """
 
     name: str
@@ -108,12 +110,24 @@ class Triad:
     offset_table: Table | None
     matrix_table: Table | None
     error_table: Table | None
+    warm_up_table: Table | None = None
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """The tables that there are."""
+        """The tables over temperature that there are."""
         every = (self.offset_table, self.matrix_table, self.error_table)
         return tuple(table for table in every if table is not None)
+
+    @property
+    def every_table(self) -> tuple[Table, ...]:
+        """These, and the one over the time since power-on."""
+        return self.tables if self.warm_up_table is None else (*self.tables, self.warm_up_table)
+
+    @property
+    def largest_offset(self) -> float:
+        """What may come off a reading at most, raw unit."""
+        most = float(np.abs(self.offsets).max())
+        return most if self.warm_up_table is None else most + float(np.abs(self.warm_up_table.values).max())
 
     @property
     def matrices(self) -> FloatArray:
@@ -158,6 +172,7 @@ def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> T
     static, scale, dynamic = (drift.static, drift.scale, drift.dynamic) if drift else (None, None, None)
     offsets = None if static is None else static.gyro_offset if is_gyro else static.accel_offset
     matrices = None if scale is None else scale.gyro_matrix if is_gyro else scale.accel_matrix
+    warm_up = None if static is None or not is_gyro else static.warm_up
     half_step, shift = rounding_of(calibration, is_gyro=is_gyro)
     made = Triad(
         name=name,
@@ -171,6 +186,7 @@ def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> T
         error_table=_plane(dynamic.temp_c, dynamic.turn_rate, dynamic.error)
         if is_gyro and dynamic is not None
         else None,
+        warm_up_table=None if warm_up is None else _line(warm_up.power_on_s, warm_up.gyro_offset),
     )
     _check_finite(made)
     return made
@@ -269,7 +285,7 @@ def _plane(temp_c: FloatArray, turn_rate: FloatArray, values: FloatArray) -> Tab
 
 
 def _check_finite(triad: Triad) -> None:
-    parts = [triad.matrix, *(table.values for table in triad.tables)]
+    parts = [triad.matrix, *(table.values for table in triad.every_table)]
     parts += [triad.offset] if triad.offset_table is None else []
     parts += [part for part in (triad.half_step, triad.g_sensitivity) if part is not None]
     missing = sum(int(np.isnan(part).sum()) for part in parts)

@@ -103,7 +103,7 @@ class FixedTriad:
         As in ``Triad``.
     g_bits : int
         Bits behind the point of the g-sensitivity.
-    offset_table, matrix_table, error_table : FixedTable or None
+    offset_table, matrix_table, error_table, warm_up_table : FixedTable or None
         As in ``Triad``.
     bound : array, shape (3,)
         Worst error of a result, SI.
@@ -119,6 +119,7 @@ class FixedTriad:
     offset_table: FixedTable | None
     matrix_table: FixedTable | None
     error_table: FixedTable | None
+    warm_up_table: FixedTable | None
     bound: FloatArray
 
     @property
@@ -163,7 +164,7 @@ def fixed_triad(
             f"fixed point, {triad.name}: wanted gains that 32 bits hold, got {largest:.3g} SI per {triad.unit_in}; use float"
         )
     half = 0.0 if triad.half_step is None else float(np.abs(triad.half_step).max())
-    largest = max(half, float(np.abs(triad.offsets).max()))
+    largest = max(half, triad.largest_offset)
     if largest * 2.0**raw >= 2.0**30:
         raise InputError(
             f"fixed point, {triad.name}: wanted offsets that leave room in 32 bits with {raw} bits behind the point, got "
@@ -174,7 +175,8 @@ def fixed_triad(
     offset_table = None if triad.offset_table is None else fixed_table(triad.offset_table, raw)
     matrix_table = None if triad.matrix_table is None else fixed_table(triad.matrix_table, bits)
     error_table = None if triad.error_table is None else fixed_table(triad.error_table, OUT_BITS)
-    tables = offset_table, matrix_table, error_table
+    warm_up = None if triad.warm_up_table is None else fixed_table(triad.warm_up_table, raw)
+    tables = offset_table, matrix_table, error_table, warm_up
     return FixedTriad(
         raw_bits=raw,
         matrix=_rounded(triad.matrix.ravel(), bits),
@@ -186,6 +188,7 @@ def fixed_triad(
         offset_table=offset_table,
         matrix_table=matrix_table,
         error_table=error_table,
+        warm_up_table=warm_up,
         bound=_bound(triad, tables, (raw, bits, g_bits), full, (accel_bound, accel_full)),
     )
 
@@ -257,7 +260,7 @@ def _fixed_axis(axis: Axis) -> FixedAxis:
 
 def _raw_bits(triad: Triad) -> int:
     """Bits behind the point: 16, or what leaves codes of twice the largest offset room."""
-    largest, bits = 2.0 * float(np.abs(triad.offsets).max()), 16
+    largest, bits = 2.0 * triad.largest_offset, 16
     while bits > 0 and largest * 2.0**bits >= 2.0**31:
         bits -= 1
     return bits
@@ -274,13 +277,13 @@ def _rounded(x: FloatArray, bits: int) -> IntArray:
 
 def _bound(
     triad: Triad,
-    tables: tuple[FixedTable | None, FixedTable | None, FixedTable | None],
+    tables: tuple[FixedTable | None, FixedTable | None, FixedTable | None, FixedTable | None],
     bits: tuple[int, int, int],
     full: float,
     accel: tuple[FloatArray | None, float],
 ) -> FloatArray:
     """Sum of the worst cases, step by step."""
-    of_offset, of_matrix, of_error = tables
+    of_offset, of_matrix, of_error, of_warm_up = tables
     raw, matrix, g = (2.0**-b for b in bits)
     out, gain = 2.0**-OUT_BITS, np.abs(triad.matrices).max(axis=0)
     g_sensitivity = np.zeros((3, 3)) if triad.g_sensitivity is None else np.abs(triad.g_sensitivity)
@@ -288,6 +291,7 @@ def _bound(
     measured = full + e + g_sensitivity.sum(axis=1) * accel[1]  # before steps 4 and 5
     reading = np.abs(np.linalg.inv(triad.matrices)).max(axis=0) @ measured
     u = (HALF * raw if of_offset is None else of_offset.error) + (0.0 if triad.half_step is None else HALF * raw)
+    u = u if of_warm_up is None else u + of_warm_up.error
     m = np.full((3, 3), HALF * matrix) if of_matrix is None else of_matrix.error.reshape(3, 3)
     worst = gain @ np.broadcast_to(u, 3) + m @ (reading + u) + HALF * out
     if triad.g_sensitivity is not None:

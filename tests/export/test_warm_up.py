@@ -1,0 +1,182 @@
+"""The exported warm-up against correct.py told the time since power-on, and the stated bytes of a source with all parts."""
+
+import re
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from c_build import STRICT, TYPES, bits_of, write
+from data import show
+from tuned import ROUNDINGS, device, record, tables
+from undrift.calibration.model import StaticDrift, WarmUp
+from undrift.correct import correct_checked
+from undrift.errors import InputError
+from undrift.export.c import export_c
+from undrift.export.losses import losses
+
+EXTRA = [[400.0, -300.0, 200.0], [150.0, -90.0, 70.0], [30.0, -20.0, 10.0], [4.0, -9.0, 3.0], [0.0, 0.0, 0.0]]
+NODES = {"even": [0.0, 60.0, 120.0, 180.0, 600.0], "searched": [0.0, 7.3, 61.11, 200.7, 901.3]}
+MAIN = """
+#include <stdio.h>
+#include "undrift.h"
+int main(void)
+{
+    undrift_t in[8], out[12]; /* readings, temperature, time since power-on */
+    while (fread(in, sizeof in, 1, stdin) == 1) {
+        int32_t status = undrift_correct_since(in, in + 3, in[6], in[7], out, out + 3);
+        status |= undrift_correct(in, in + 3, in[6], out + 6, out + 9) << 8;
+        fwrite(out, sizeof out, 1, stdout);
+        fwrite(&status, sizeof status, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def warming(nodes="searched", **changes):
+    """A device with every table, an extra offset after power-on, and a thermometer lag where one is given."""
+    adc, drift = changes.pop("adc", ROUNDINGS[1]), tables()
+    static = replace(drift.static, warm_up=WarmUp(power_on_s=NODES[nodes], gyro_offset=EXTRA))
+    return device(drift=replace(drift, static=static, **changes), adc=adc)
+
+
+def run(exported, folder, arithmetic, inputs, *options):
+    write(exported, folder)
+    (folder / "main.c").write_text(MAIN)
+    words = ["gcc", *STRICT, *(options or ("-O1",)), f"-DUNDRIFT_{arithmetic.upper()}"]
+    words += [folder / "undrift.c", folder / "main.c", "-o", folder / "since"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    done = subprocess.run([folder / "since"], input=inputs.tobytes(), capture_output=True, check=True)
+    assert done.stderr == b""
+    rows = np.frombuffer(done.stdout, np.dtype([("out", TYPES[arithmetic], 12), ("status", "i4")]))
+    assert len(rows) == len(inputs)
+    return rows["out"].astype(float) / (65536.0 if arithmetic == "fixed" else 1.0), rows["status"]
+
+
+def given(exported, arithmetic, r, since):
+    """The inputs that the arithmetic holds, and the same as a record whose clock began at power-on."""
+    parts = np.column_stack((r.gyro, r.accel, r.temp_c, since))
+    scale = 2.0 ** np.array([*np.repeat(bits_of(exported), 3), 16, 16]) if arithmetic == "fixed" else np.ones(8)
+    inputs = (np.round(parts * scale) if arithmetic == "fixed" else parts).astype(TYPES[arithmetic])
+    real = inputs.astype(float) / scale
+    return inputs, replace(r, gyro=real[:, :3], accel=real[:, 3:6], temp_c=real[:, 6], time=real[:, 7])
+
+
+@pytest.mark.parametrize("arithmetic", ["double", "float", "fixed"])
+@pytest.mark.parametrize("nodes", NODES)
+def test_the_warm_up_comes_off_as_correct_takes_it_off(nodes, arithmetic, tmp_path):
+    calibration = warming(nodes)
+    exported = export_c(calibration)
+    since = np.linspace(0.0, 1300.0, 4000)  # from power-on until long after it is over
+    inputs, same = given(exported, arithmetic, record(4000, low=10.0, high=82.0), since)
+    out, status = run(exported, tmp_path, arithmetic, inputs)
+    done = correct_checked(same, calibration, policy="hold", power_on_s=float(same.time[0]))
+    plain = correct_checked(same, calibration, policy="hold")
+    np.testing.assert_array_equal((status & 1).astype(bool), done.outside)
+    assert not (status & 4).any()
+    assert np.abs(done.record.gyro - plain.record.gyro).max() > 0.3  # what it is worth
+    static, gain = calibration.drift.static, np.abs(calibration.gyro.matrix)
+    terms = (np.abs(same.gyro) + np.abs(static.gyro_offset).max(axis=0) + np.abs(EXTRA).max(axis=0)) @ gain.T
+    of_accel = (np.abs(same.accel) + np.abs(static.accel_offset).max(axis=0)) @ np.abs(calibration.accel.matrix).T
+    terms += of_accel @ np.abs(calibration.gyro.g_sensitivity).T + np.abs(calibration.drift.dynamic.error).max()
+    # as for the rest: float 24 bits and a dozen operations, fixed point the bound that the export states
+    limit = exported.gyro_bound if arithmetic == "fixed" else {"float": 1e-6, "double": 1e-13}[arithmetic] * terms
+    for name, c, python in (("since", out[:, :3], done), ("without", out[:, 6:9], plain)):
+        ratio = float((np.abs(c - python.record.gyro) / limit).max())
+        show(f"warm-up {name}, {nodes}, {arithmetic}: worst error over its limit", f"{ratio:.3g}", 1)
+        assert ratio <= 1.0
+    np.testing.assert_array_equal(out[:, 3:6], out[:, 9:12])
+    settled = same.time >= NODES[nodes][-1]
+    np.testing.assert_array_equal(out[settled, :3], out[settled, 6:9])  # not a bit is left of it afterwards
+    assert settled.sum() > 1000
+
+
+@pytest.mark.parametrize("arithmetic", ["float", "fixed"])
+@pytest.mark.parametrize("nodes", NODES)
+def test_wild_times_do_nothing_undefined_and_take_off_the_first_node_or_nothing(nodes, arithmetic, tmp_path):
+    exported = export_c(warming(nodes))
+    fixed = arithmetic == "fixed"
+    wild = [-(2**31), -1, 0, 2**31 - 1] if fixed else [-np.inf, -1e30, -0.0, np.inf, np.nan, 1e30]
+    r = record(len(wild), low=25.0, high=25.0)
+    inputs, _ = given(exported, arithmetic, r, np.arange(len(wild), dtype=float))
+    inputs[:] = inputs[-1]
+    inputs[:, 7] = wild
+    options = ("-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+    out, _ = run(exported, tmp_path, arithmetic, inputs, *options)
+    before = 3  # of the times above, those that are not after power-on
+    assert (out[:before, :3] == out[0, :3]).all()
+    assert (np.abs(out[:before, :3] - out[:before, 6:9]) > 0.05).any()
+    np.testing.assert_array_equal(out[before:, :3], out[before:, 6:9])
+
+
+@pytest.mark.parametrize("arithmetic", ["float", "double", "fixed"])
+def test_the_estimate_holds_the_warm_up_and_the_lead(arithmetic, tmp_path):
+    whole, bare = (
+        export_c(c) for c in (warming(lag_s=30.0, lag_smooth_s=5.0), device(drift=tables(), adc=ROUNDINGS[1]))
+    )
+    stated, less = (next(c for c in e.costs if c.arithmetic == arithmetic) for e in (whole, bare))
+    assert less.lead_cycles == 0 < stated.lead_cycles
+    assert stated.cycles > less.cycles
+    assert f"{stated.cycles} cycles, and {stated.lead_cycles} of undrift_temperature" in whole.header
+    assert "of undrift_temperature" not in bare.header
+    code = []
+    for exported, cost in ((whole, stated), (bare, less)):
+        write(exported, tmp_path)
+        words = [
+            "gcc",
+            *STRICT,
+            "-c",
+            f"-DUNDRIFT_{arithmetic.upper()}",
+            tmp_path / "undrift.c",
+            "-o",
+            tmp_path / "u.o",
+        ]
+        subprocess.run([*words, "-O0"], check=True)
+        symbols = subprocess.run(["nm", "-S", tmp_path / "u.o"], capture_output=True, text=True, check=True).stdout
+        assert not re.findall(r" [UbBdDC] ", symbols)  # nothing undefined, nothing writable
+        assert sum(int(size, 16) for size in re.findall(r"^\S+ (\S+) r ", symbols, re.M)) == cost.table_bytes
+        subprocess.run([*words, "-Os"], check=True)
+        sections = subprocess.run(["size", "-A", tmp_path / "u.o"], capture_output=True, text=True, check=True).stdout
+        code.append(int(re.findall(r"^\.text\s+(\d+)", sections, re.M)[0]))
+    more, estimate = code[0] - code[1], stated.code_bytes - less.code_bytes
+    show(f"{arithmetic}: warm-up and lead, bytes of code on this machine", more, f"estimate {estimate}, factor 2")
+    assert 0.5 < code[0] / stated.code_bytes < 2.0 or arithmetic == "double"  # double is done by a library there
+    assert 0.5 < more / estimate < 2.0 or arithmetic == "double"
+
+
+def test_the_header_tells_of_the_second_entry_and_without_a_warm_up_there_is_none():
+    exported = export_c(warming())
+    assert "it is zero from 901.3 s on" in exported.header
+    assert (
+        "undrift_correct_since, which wants the time since power-on; undrift_correct leaves it in" in exported.notes[0]
+    )
+    assert "2 offset(T) and warm-up" in exported.header
+    assert not [text for text in exported.not_carried if "power-on" in text]
+    assert [text for text in losses(warming(), frozenset()) if "extra offset after power-on" in text]
+    assert "correct_since" not in export_c(device(drift=tables())).header
+
+
+def test_a_warm_up_without_offsets_over_temperature_is_carried_too(tmp_path):
+    static = StaticDrift(
+        temp_c=[18.0, 75.0], accel_offset=np.zeros((2, 3)), warm_up=WarmUp(power_on_s=NODES["even"], gyro_offset=EXTRA)
+    )
+    calibration = device(drift=replace(tables(), static=static, dynamic=None), g=False)
+    exported = export_c(calibration)
+    inputs, same = given(exported, "double", record(50, low=20.0, high=70.0), np.linspace(0.0, 50.0, 50))
+    out, _ = run(exported, tmp_path, "double", inputs)
+    python = correct_checked(same, calibration, power_on_s=0.0).record
+    np.testing.assert_allclose(out[:, :3], python.gyro, rtol=0.0, atol=1e-12)  # sums of 3 rad/s
+
+
+def test_a_warm_up_beyond_what_fixed_point_holds_is_refused():
+    drift = tables()
+    for change, said in (
+        ({"power_on_s": [0.0, 40000.0], "gyro_offset": [EXTRA[0], EXTRA[-1]]}, "wanted nodes within 32767"),
+        ({"power_on_s": [0.0, 600.0], "gyro_offset": [[np.nan] * 3, EXTRA[-1]]}, "model of the gyro, got 3 NaN"),
+    ):
+        static = replace(drift.static, warm_up=WarmUp(**change))
+        with pytest.raises(InputError, match=said):
+            export_c(device(drift=replace(drift, static=static)))
