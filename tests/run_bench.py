@@ -16,7 +16,13 @@ from undrift.rig.judge import RunSettings
 from undrift.rig.programme import programme_of
 from undrift.rig.rig import Limits
 from undrift.rig.run import Bench, run_programme
+from undrift.sim.device.chain import SensorChain
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.noise import WhiteNoise
+from undrift.sim.device.offset import Offset
+from undrift.sim.device.scale import Scale
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
+from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DPS = RADIAN_PER_DEGREE
@@ -79,12 +85,9 @@ class Device:
 class Oven:
     """A chamber that is soaked on the second question."""
 
-    def __init__(self):
+    def __init__(self, window_s=300.0):
         self.temp_c, self.asked = 25.0, 0
-
-    @property
-    def criterion(self):
-        return SoakSettings()
+        self.criterion = SoakSettings(window_s=window_s)
 
     def set(self, temp_c):
         self.temp_c, self.asked = temp_c, 0
@@ -99,6 +102,24 @@ class Oven:
 
     def close(self):
         pass
+
+
+def streaming(emulator, seed=1):
+    """Return the same device as one that sends: +z up, 25 degC, listened to over its socket."""
+    noise = NOISE_DPS * DPS * np.sqrt(0.01)
+    device = DeviceModel(
+        serial="made",
+        gyro=SensorChain(
+            unit="dps",
+            scale=Scale(nominal_sensitivity=1.0 / DPS, error=np.diag(GAIN) - 1.0),
+            offset=Offset(constant=OFFSET * DPS),
+            white_noise=WhiteNoise(random_walk=np.full(3, noise)),
+        ),
+        accel=SensorChain(unit="m/s2", scale=Scale(nominal_sensitivity=1.0)),
+    )
+    return EmulatedDevice(
+        device, emulator, lambda times: np.full(len(times), 25.0), emulator.clock, StreamSettings(seed=seed)
+    )
 
 
 def emulated(speed=20.0, **settings):
@@ -122,14 +143,15 @@ def run(
     report=lambda progress: None,
     chamber=None,
     giving_up=RunSettings(device_lag_s=0.0),
+    readings=None,
     **settings,
 ):
-    """Run a protocol on an emulator; return the result and the hands."""
+    """Run a protocol on an emulator; return the result and the hands. Readings are the fake device's unless given."""
     hands = Hands()
     with RunFolder(path, protocol, resume=resume) as folder:
         bench = Bench(
             rig=opened(emulator, **settings),
-            readings=Device(emulator, hands),
+            readings=readings or Device(emulator, hands),
             mounting=hands,
             chamber=chamber,
             clock=Clock(speed=emulator.settings.speed),
@@ -146,7 +168,7 @@ def run(
     return made, hands
 
 
-def at_rest(emulator, within_s=5.0):
+def at_rest(emulator, within_s=60.0):
     """Wait until the true axis is at rest with its motor off; False when it never is."""
     last = time.monotonic() + within_s
     while abs(emulator.axis_rate()) > 1e-3 or emulator.motor_on:
