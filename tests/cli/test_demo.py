@@ -24,7 +24,7 @@ def quick(tmp_path_factory):
     """Folder and answer of `undrift demo --quick --json`."""
     out = tmp_path_factory.mktemp("demo") / "d"
     return out, subprocess.run(
-        [sys.executable, "-c", CODE.format(str(out))], check=False, capture_output=True, text=True, timeout=180
+        [sys.executable, "-c", CODE.format(str(out))], check=False, capture_output=True, text=True, timeout=900
     )
 
 

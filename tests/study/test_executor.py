@@ -5,7 +5,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,11 @@ import pytest
 
 from data import show
 from undrift.errors import InputError, UndriftError
-from undrift.study.executor import MOST_LOSSES, Dask, InProcess, Pool
+from undrift.study.executor import MOST_LOSSES, Dask, Executor, InProcess, Pool
 from undrift.study.file import read_study
 from undrift.study.plan import Study
 from undrift.study.run import run_study
-from undrift.study.unit import run_unit, units_of
+from undrift.study.unit import Unit, run_unit, units_of
 
 TEXT = """
 [study]
@@ -34,7 +35,25 @@ turn_rate_max_dps = [50.0, 60.0, 70.0, 80.0, 90.0]
 dwell_s = 1.0
 bracket_s = 3.0
 """
-CLIENT = "import sys; from undrift.cli.app import main; main(sys.argv[1:])"
+# the command, which stands still in the fourth unit until it is killed
+CLIENT = """
+import sys, time
+from pathlib import Path
+from undrift.cli.app import main
+from undrift.study import run
+
+folder, work = Path(sys.argv[4]), run.run_unit
+
+def stands(unit):
+    if len(list(folder.glob("runs/*.parquet"))) == 3:
+        (folder / "stands").touch()
+        time.sleep(3600.0)
+    return work(unit)
+
+run.run_unit = stands
+main(sys.argv[1:])
+"""
+LONG_S = 300.0  # a machine that is busy takes its time; nothing takes so long
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +111,17 @@ def own_worker() -> int:
     return next(p.pid for p in multiprocessing.active_children() if p.pid and p.is_alive())
 
 
+def wait_for(event: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + LONG_S
+    while not event():
+        assert time.monotonic() < deadline, "nothing happened"
+        time.sleep(0.02)
+
+
+def has_workers(executor: Executor, count: int) -> bool:
+    return executor.workers == count
+
+
 def dies(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -102,13 +132,20 @@ def sleeps(seconds: float) -> float:
 
 
 def test_a_unit_of_work_is_worth_sending(study: Study) -> None:
+    import pickle
+
     unit = units_of(study)[0]
     run_unit(unit)
-    start = time.perf_counter()
-    run_unit(unit)
-    took = time.perf_counter() - start
-    show("a unit of work (ms)", 1e3 * took, ">= 50")
-    assert took >= 0.05
+    worked, sent = [], []
+    for _ in range(3):
+        start = time.perf_counter()
+        found = run_unit(unit)
+        worked.append(time.perf_counter() - start)
+        start = time.perf_counter()
+        pickle.loads(pickle.dumps((unit, found)))
+        sent.append(time.perf_counter() - start)
+    show("a unit of work over packing and unpacking it", min(worked) / min(sent), "some 1000; >= 20")
+    assert min(worked) >= 20.0 * min(sent)  # of the same machine: the quickest of three is no pause of its scheduler
 
 
 def test_a_pool_whose_worker_is_killed_gives_the_same_bits(study: Study, expected: np.ndarray, tmp_path: Path) -> None:
@@ -152,27 +189,31 @@ def test_a_scheduler_that_goes_away_is_said(tmp_path: Path) -> None:
         host="127.0.0.1",
         silence_logs=50,
     ) as short:
-        found = Dask(short.scheduler_address).run(sleeps, [0.01, 30.0])
+        found = Dask(short.scheduler_address).run(sleeps, [0.01, 3600.0])
         assert next(found) == (0, 0.01)
     with pytest.raises(UndriftError, match=r"scheduler: wanted an answer from tcp://.*, got none any more"):
         list(found)
 
 
-def test_dask_with_two_workers_is_faster_than_with_one(study: Study, cluster: Any) -> None:
+def where(unit: Unit) -> int:
+    run_unit(unit)
+    return os.getpid()
+
+
+def test_dask_gives_work_to_each_of_two_workers_and_then_to_the_one_that_is_left(study: Study, cluster: Any) -> None:
     executor = Dask(cluster.scheduler_address)
     units = units_of(study) * 2
     took = {}
     for count in (2, 1):
         cluster.scale(count)
-        deadline = time.monotonic() + 20.0
-        while executor.workers != count and time.monotonic() < deadline:
-            time.sleep(0.1)
+        wait_for(partial(has_workers, executor, count))
         list(executor.run(run_unit, units[:4]))  # imports and compiled code
         start = time.perf_counter()
-        assert len(list(executor.run(run_unit, units))) == len(units)
+        done = dict(executor.run(where, units))
         took[count] = time.perf_counter() - start
-    show("Dask, two workers over one: speed-up", took[1] / took[2], "2 on two idle processors")
-    assert took[2] < 3.0 * took[1]  # the machine may be busy: two workers at least do not stand in each other's way
+        assert sorted(done) == list(range(len(units)))
+        assert len(set(done.values())) == count
+    show("Dask, two workers over one: speed-up", took[1] / took[2], "2 on two idle processors; told, not held")
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:
@@ -188,13 +229,13 @@ def test_a_client_that_is_killed_loses_nothing_that_was_finished(
         [sys.executable, "-c", CLIENT, "study", str(plan), "-o", str(folder), "--workers", "1"],
         stdout=subprocess.DEVNULL,
     )
-    deadline = time.monotonic() + 60.0
-    while len(list(folder.glob("runs/*.parquet"))) < 3 and time.monotonic() < deadline:
-        time.sleep(0.02)
-    client.send_signal(signal.SIGKILL)
-    client.wait()
+    try:
+        wait_for(lambda: (folder / "stands").exists() or client.poll() is not None)
+    finally:
+        client.send_signal(signal.SIGKILL)
+        client.wait()
     before = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*.parquet")}
-    assert 3 <= len(before) < len(units_of(study))
+    assert len(before) == 3
     told: list[tuple[int, int]] = []
     found = run_study(study, InProcess(), folder, advance=lambda done, total: told.append((done, total)))
     assert told[0] == (len(before), len(units_of(study)))
