@@ -108,7 +108,12 @@ def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, 
     assert cutoff["mixed_model"]["values"] == 9
     assert cutoff["f"] == cutoff["mixed_model"]["f"]
     assert greatest["anova"]["subjects"] == 5
-    assert "cut-off (Hz) is judged by a mixed model" in (tmp_path / "a" / "report.html").read_text()
+    told = "Missing: 3 of 30 runs"
+    page = (tmp_path / "a" / "report.html").read_text()
+    assert told in page
+    assert "cut-off (Hz) is judged by a mixed model" in page
+    assert "Optional stopping: looking again after each added subject" in page
+    assert told in " ".join(undrift.good(*words[:-1]).out.split())
 
 
 def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):

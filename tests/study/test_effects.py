@@ -9,7 +9,7 @@ import pytest
 
 from undrift.protocol import Protocol
 from undrift.report.study import write_study_report
-from undrift.study.effects import ParameterEffect
+from undrift.study.effects import ParameterEffect, effects_at
 from undrift.study.executor import InProcess
 from undrift.study.outcome import TaskOutcome, judge_study
 from undrift.study.plan import Space, Study, StudyTask
@@ -132,7 +132,6 @@ def test_pairs_of_a_mixed_model_that_matters_are_its_contrasts(tmp_path: Path) -
     surface = without_lost(read_surfaces(RunStore(tmp_path, STUDY).join(units_of(STUDY)), STUDY)[0])
     error = surface.error_rms_deg.copy()
     error[[2, 5], [0, 2]] = np.nan  # omega_M of 30 and of 50 deg/s at 5 Hz
-    from undrift.study.effects import effects_at
 
     effect = effects_at(surface, 1, error=error, allowed=np.ones(9, dtype=bool))[3]
     assert effect.mixed is not None

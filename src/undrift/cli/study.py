@@ -367,6 +367,7 @@ def _cohort_summary(cohort: "Cohort") -> dict[str, object]:
 
 def _show(outcome: "StudyOutcome", output: Path) -> None:
     from undrift.cli.output import console, table
+    from undrift.report.study_answer import missing_words
 
     out = console()
     heads = ("cut-off (Hz)", "step (deg/s)", "omega_m (deg/s)", "omega_M (deg/s)", "p", "rms (deg)", "rig (min)")
@@ -392,6 +393,8 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
             f"[{tested.interval_rms_deg[0]:.3f}, {tested.interval_rms_deg[1]:.3f}], {tested.error_max_deg:.3f} deg at most",
             markup=False,
         )
+        if missing := missing_words(task).strip():
+            out.print(f"  {missing}", markup=False)
         if task.beside is not None:
             out.print(f"  the note {task.beside.verdict}: {task.beside.because}", markup=False)
     if outcome.figure3 is not None:

@@ -7,7 +7,7 @@ from undrift.report.figures import svg_of
 from undrift.report.page import Section, write_page
 from undrift.report.study_answer import answer_sections
 from undrift.report.study_extra import design_sections, real_sections, rival_sections
-from undrift.report.study_pictures import LEVEL_NAMES, NAMES, draw_figure3, draw_pareto, draw_surface
+from undrift.report.study_pictures import LEVEL_NAMES, NAMES, draw_figure3, draw_pareto, draw_surface, told_p
 from undrift.report.study_statistics import effect_sections, full_section
 
 if TYPE_CHECKING:
@@ -73,9 +73,9 @@ def _table_1(outcome: "StudyOutcome") -> Section:
     rows = []
     for task in outcome.tasks:
         found = task.optimum
-        rows.append((f"{_words(task.surface.task)}: optimum", *_protocol(task, found.best), f"{found.p_value:.2g}"))
+        rows.append((f"{_words(task.surface.task)}: optimum", *_protocol(task, found.best), told_p(found.p_value)))
         if found.cheapest != found.best:
-            rows.append(("… cheapest that is as good", *_protocol(task, found.cheapest), ""))
+            rows.append(("… shortest that is as good", *_protocol(task, found.cheapest), ""))
         if task.beside is not None:
             row = task.beside.row
             four = row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
@@ -99,7 +99,7 @@ def _table_1(outcome: "StudyOutcome") -> Section:
 
 def _worth(task: "TaskOutcome") -> str:
     found = task.optimum
-    flat = "; the minimum is flat, use the cheapest" if found.flat else ""
+    flat = "; the minimum is flat, use the one with the shortest session" if found.flat else ""
     failed = f" {found.failed} runs could not calibrate their device." if found.failed else ""
     return (
         f"{_words(task.surface.task)}: {found.equivalent.sum()} of {len(task.surface.cutoff_hz)} protocols are statistically as "
@@ -123,7 +123,7 @@ def _testing(outcome: "StudyOutcome") -> Section:
     rows = [
         (f"{_words(task.surface.task)}: {name}", *_tested(tested))
         for task in outcome.tasks
-        for name, tested in zip(("optimum", "cheapest as good"), task.tested, strict=True)
+        for name, tested in zip(("optimum", "shortest that is as good"), task.tested, strict=True)
     ]
     return Section(
         title="On the other cohort",
@@ -232,7 +232,7 @@ def _protocol(task: "TaskOutcome", place: int) -> tuple[str, ...]:
         *(f"{getattr(surface, name)[place]:.4g}" for name in NAMES),
         f"{surface.error_rms_deg[:, place].mean():.3f}",
         f"{surface.error_max_deg[:, place].mean():.3f}",
-        f"{surface.rig_minutes[place]:.0f}",
+        f"{surface.rig_minutes[place]:.1f}",
     )
 
 

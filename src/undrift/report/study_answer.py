@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from undrift.report.page import Section
-from undrift.report.study_pictures import NAMES
+from undrift.report.study_pictures import NAMES, told_p
 
 if TYPE_CHECKING:
     from undrift.study.effects import ParameterEffect
@@ -97,7 +97,7 @@ def _paragraph(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
         saved = surface.rig_minutes[found.best] - surface.rig_minutes[found.cheapest]
         mean = surface.error(outcome.study.objective).mean(axis=0)
         said += (
-            f" The best one, {rates_of(task, found.best)} deg/s at {surface.cutoff_hz[found.best]:.4g} Hz, takes {saved:.0f} min "
+            f" The best one, {rates_of(task, found.best)} deg/s at {surface.cutoff_hz[found.best]:.4g} Hz, takes {saved:.1f} min "
             f"longer; its error is {_less(float(mean[found.cheapest] - mean[found.best]))}, which may be chance."
         )
     return said + missing_words(task)
@@ -110,11 +110,11 @@ def _less(difference_deg: float) -> str:
 def _decides(matter: "list[ParameterEffect]", p: float) -> str:
     if not matter:
         return (
-            f"None of the four parameters decides the error (least p {p:.2g}, after Holm)."
+            f"None of the four parameters decides the error (least p {told_p(p)}, after Holm)."
             if p == p
             else ("The four parameters could not be tested.")
         )
-    told = ", ".join(f"{NAMES[e.name]} ({e.span_deg:.3f} deg from best to worst, p {e.p_holm:.2g})" for e in matter)
+    told = ", ".join(f"{NAMES[e.name]} ({e.span_deg:.3f} deg from best to worst, p {told_p(e.p_holm)})" for e in matter)
     return f"What decides the error: {told}."
 
 
@@ -144,7 +144,8 @@ def missing_words(task: "TaskOutcome") -> str:
     if mixed:
         said += (
             f" Since runs are missing, {' and '.join(mixed)} {'is' if len(mixed) == 1 else 'are'} judged by a mixed model (a "
-            "random level for each subject) in place of the analysis of variance; it takes what is missing as missing by chance."
+            "random level for each subject) in place of the analysis of variance; it takes what is missing as "
+            "missing by chance, which failures seldom are: its means flatter the value that failed."
         )
     return said
 

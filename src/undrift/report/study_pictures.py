@@ -19,9 +19,26 @@ NAMES = {
     "turn_rate_min_dps": "omega_m (deg/s)",
     "turn_rate_max_dps": "omega_M (deg/s)",
 }
+LEAST_P = 1e-4  # below it a p value is no longer told by its digits
 LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
 LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
 LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
+
+
+def told_p(p: float) -> str:
+    """Return a p value for people.
+
+    Parameters
+    ----------
+    p : float
+        0 to 1.
+
+    Returns
+    -------
+    str
+        Two digits, or that it is below 0.0001.
+    """
+    return f"{p:.2g}" if p >= LEAST_P else f"< {LEAST_P:.4f}"
 
 
 def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
@@ -111,7 +128,7 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
             effect.values, effect.means_deg, yerr=reach if reach > 0.0 else None, color=DEVICE, marker="o", ms=3.5
         )
         panel.set_xlabel(NAMES[effect.name])
-        p = f"p = {effect.p_holm:.2g}" if effect.test is not None else "not tested"
+        p = f"p {told_p(effect.p_holm)}" if effect.test is not None else "not tested"
         panel.set_title(p, fontsize=9)
         ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
         panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[::3])

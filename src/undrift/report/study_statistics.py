@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from undrift.report.figures import svg_of
 from undrift.report.page import Section
 from undrift.report.study_answer import missing_words
-from undrift.report.study_pictures import NAMES, draw_effects
+from undrift.report.study_pictures import NAMES, draw_effects, told_p
 
 if TYPE_CHECKING:
     from undrift.study.effects import ParameterEffect
@@ -93,7 +93,7 @@ def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> tuple
         f"{effect.span_deg:.3f}",
         "ANOVA" if effect.anova is not None else f"mixed model, {effect.missing} missing",
         f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})",
-        f"{effect.p_holm:.2g}",
+        told_p(effect.p_holm),
         f"{test.partial_eta_squared:.2f}",
         f"{power.power:.2f}",
         "no number" if power.subjects is None else str(power.subjects),
@@ -115,7 +115,7 @@ def _pair_rows(outcome: "StudyOutcome", effect: "ParameterEffect") -> tuple[tupl
                 f"{sign * pair.difference:.3f}",
                 f"{low:.3f} to {high:.3f}",
                 f"{sign * pair.t:.2f}",
-                f"{pair.p_holm:.2g}",
+                told_p(pair.p_holm),
                 f"{sign * pair.cohen_dz:.2f}",
                 "yes" if pair.p_holm < outcome.study.level else "no",
             )
@@ -132,7 +132,10 @@ def _compared(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[str, ...]:
 def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[str, ...]:
     held = task.stopping
     if held is None:
-        return ()
+        return (
+            "Optional stopping: looking again after each added subject, until p falls below the level, finds differences that are "
+            "not there; how often is computed with more than ten subjects. Fix their number beforehand.",
+        )
     first, last = held.p_by_subjects[0][0], held.p_by_subjects[-1][0]
     return (
         f"Optional stopping: adding subjects until p falls below {outcome.study.level:g}, as the note's thirty subjects that "
@@ -190,20 +193,20 @@ def _full_row(task: "TaskOutcome", effect: "ParameterEffect") -> tuple[str, ...]
     name, residual = f"{task.surface.task.replace('_', ' ')}: {NAMES[effect.name]}", f"{effect.error_variance**0.5:.4f}"
     found = effect.anova
     if found is None:
-        p = "" if effect.mixed is None else f"{effect.mixed.p_value:.2g}"
+        p = "" if effect.mixed is None else told_p(effect.mixed.p_value)
         return (name, p, "", "", "mixed model", *("",) * 5, residual)
     form = found.sphericity
     more = found.conditions > 2
     return (
         name,
-        f"{found.p_uncorrected:.2g}",
-        f"{found.p_greenhouse_geisser:.2g}",
-        f"{found.p_huynh_feldt:.2g}",
+        told_p(found.p_uncorrected),
+        told_p(found.p_greenhouse_geisser),
+        told_p(found.p_huynh_feldt),
         {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction],
         f"{form.greenhouse_geisser:.2f}",
         f"{form.huynh_feldt:.2f}",
         f"{form.mauchly_w:.2f}" if more else "",
-        f"{form.p_value:.2g}" if more else "",
+        told_p(form.p_value) if more else "",
         f"{found.generalized_eta_squared:.3f}",
         residual,
     )
