@@ -10,6 +10,7 @@ import pytest
 
 from cli_bench import contents
 from undrift.calibration.store import read_calibration
+from undrift.errors import RigTimeout
 from undrift.io.protocol import read_protocol
 from undrift.io.session import read_session
 from undrift.study.bench_checks import Check
@@ -104,6 +105,23 @@ def test_a_bench_that_is_interrupted_leaves_no_thread_and_no_socket(tmp_path):
         record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, told=interrupt)
     assert set(threading.enumerate()) <= before
     assert read_session(tmp_path / "bench").stills  # what was done is on the disk
+
+
+def test_a_bench_on_a_busy_computer_resumes_where_an_answer_came_too_late(tmp_path, caplog):
+    late = iter([RigTimeout("rig: wanted an answer, got nothing; check power and cable"), None])
+    told = []
+
+    def starve(what: str, left_s: float) -> None:
+        told.append(what)
+        if "thermal 9/" in what and "settling" in what and (error := next(late, None)) is not None:
+            raise error
+
+    run = record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, told=starve)
+    steps = [piece.step for piece in run.thermal.pieces]
+    assert sorted(set(steps)) == steps
+    assert run.thermal.added < len(steps)
+    assert "resuming, attempt 2 of 3" in caplog.text
+    assert len(read_session(tmp_path / "thermal").turns) == sum(p.purpose == "rate" for p in run.thermal.pieces)
 
 
 def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):

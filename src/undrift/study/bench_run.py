@@ -10,6 +10,7 @@ what positions of the encoder show against the host's clock, and that holds up t
 long, so that this chamber heats by 10 K a second and this board, with its thermometer in moving air, follows within seconds.
 """
 
+import logging
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from undrift.errors import LinkError, RigTimeout
 from undrift.live.address import source_at
 from undrift.live.clock import ClockSettings
 from undrift.live.dwells import DwellReadings
@@ -50,7 +52,10 @@ SOAK_S = 25.0  # forecast of a soak: overshoot, then the window
 CRYSTAL = ClockSettings(
     memory_s=1e5, rate_tolerance=1e-4
 )  # a board that samples by a crystal: a busy host does not bend it
+ATTEMPTS = 3  # a computer that is busy for a moment loses an answer; the run resumes
 STEP_HOST_S = 0.04  # sockets and disk take as long for each step, host s
+
+log = logging.getLogger(__name__)
 
 Told = Callable[[str, float], None]  # what is being done, and the seconds of the host that are left of it
 
@@ -212,10 +217,28 @@ def _record(
     path: Path,
     report: Callable[[Progress], None],
 ) -> RunResult:
-    """Run one protocol; all connections end with it."""
+    """Run one protocol, and resume it where a late answer ended it."""
+    for attempt in range(1, ATTEMPTS):
+        try:
+            return _record_once(plan, bench, what, path, report, resume=attempt > 1)
+        except (LinkError, RigTimeout) as error:
+            log.warning("%s; resuming, attempt %d of %d", error, attempt + 1, ATTEMPTS)
+    return _record_once(plan, bench, what, path, report, resume=True)
+
+
+def _record_once(
+    plan: BenchPlan,
+    bench: EmulatedBench,
+    what: tuple[Protocol, Programme],
+    path: Path,
+    report: Callable[[Progress], None],
+    *,
+    resume: bool,
+) -> RunResult:
+    """Run what is not on the disk yet; all connections end with it."""
     protocol, programme = what
     with ExitStack() as stack:
-        folder = stack.enter_context(RunFolder(path, protocol))
+        folder = stack.enter_context(RunFolder(path, protocol, resume=resume))
         recorder = Recorder(source_at(bench.device_address), settings=RecorderSettings(clock=CRYSTAL))
         recorder.start()
         readings = DwellReadings(recorder)
