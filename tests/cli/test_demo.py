@@ -113,7 +113,7 @@ def test_a_bench_on_a_busy_computer_resumes_where_an_answer_came_too_late(tmp_pa
 
     def starve(what: str, left_s: float) -> None:
         told.append(what)
-        if "thermal 9/" in what and "settling" in what and (error := next(late, None)) is not None:
+        if "thermal 15/" in what and "settling" in what and (error := next(late, None)) is not None:
             raise error
 
     run = record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, told=starve)
