@@ -208,3 +208,29 @@ def test_workers_of_a_scheduler_write_the_same_bytes(undrift, bench, tmp_path):
         assert "torn.parquet" in line
         torn.unlink()
         assert contents(tmp_path) == before
+
+
+def test_readings_beyond_what_the_fit_has_seen_are_told_and_left_as_they_are(undrift, bench, tmp_path):
+    known = read_calibration(bench / "calibration.json")
+    narrow = replace(known, gyro=replace(known.gyro, valid_range=(-0.2, 0.2)))  # the trial turns at up to 0.46 rad/s
+    write_calibration(narrow, tmp_path / "narrow.json")
+    raw, done = read_record(bench / "trial.parquet"), read_record(bench / "corrected.parquet")
+    write_record(raw, tmp_path / "trial.csv")
+    share = float((np.abs(done.gyro) > 0.22).any(axis=1).mean())
+    worst = float(done.gyro.flat[np.abs(done.gyro).argmax()])
+    for path in (bench / "trial.parquet", tmp_path / "trial.csv"):
+        words = ["correct", path, "--calibration", tmp_path / "narrow.json", "-o", tmp_path / f"c{path.suffix}"]
+        row = undrift.good(*words, "--json").json()["recordings"][0]
+        (told,) = row["beyond_range"]
+        assert (told["sensor"], told["range"], told["unit"]) == ("gyro", [-0.2, 0.2], "rad/s")
+        assert told["share"] == pytest.approx(share, abs=1e-12) == told["samples"] / len(done)
+        assert told["worst"] == pytest.approx(worst, abs=1e-9)
+        (line,) = [
+            text for text in row["warnings"] if "beyond what the calibration has seen, -11.5 to 11.5 deg/s" in text
+        ]
+        assert f"the worst is {np.degrees(worst):.4g} deg/s" in line
+        assert f"  warning: {line}\n" in undrift.good(*words).out
+        made = read_record(tmp_path / f"c{path.suffix}")
+        np.testing.assert_allclose(made.gyro, done.gyro, atol=1e-12, rtol=0.0)
+    plain = ["--calibration", bench / "calibration.json", "-o", tmp_path / "p.parquet", "--json"]
+    assert undrift.good("correct", bench / "trial.parquet", *plain).json()["recordings"][0]["beyond_range"] == []

@@ -13,11 +13,12 @@ from undrift.cli.writing import checked_folder, checked_output, name_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from rich.progress import Progress
 
     from undrift.calibration.model import Calibration
+    from undrift.drift.lookup.beyond import Beyond
     from undrift.record import Record
     from undrift.stream import Corrector, CorrectorState
 
@@ -82,22 +83,7 @@ def correct(
             folder.rmdir()
         raise
     if json:
-        rows = [
-            {
-                "recording": str(record),
-                "output": str(target),
-                "samples": state.samples,
-                "samples_outside": state.samples_outside,
-                "seconds_outside": state.reach.seconds_outside,
-                "samples_extrapolated": state.samples_extrapolated,
-                "seconds_extrapolated": state.reach.seconds_extrapolated,
-                "samples_without_temperature": state.samples_without_temperature,
-                "seconds_without_temperature": state.reach.seconds_without_temperature,
-                "warnings": said.warnings,
-                "notes": said.notes,
-            }
-            for record, target, state, said in results
-        ]
+        rows = [_row(*result) for result in results]
         write_json({"calibration": str(calibration), "recordings": rows})
         return 0
     out = console()
@@ -108,6 +94,35 @@ def correct(
         for text in said.notes:
             out.print(f"  note: {text}", markup=False)
     return 0
+
+
+def _row(record: Path, target: Path, state: "CorrectorState", said: "Said") -> dict[str, object]:
+    """What --json says of one recording."""
+    return {
+        "recording": str(record),
+        "output": str(target),
+        "samples": state.samples,
+        "samples_outside": state.samples_outside,
+        "seconds_outside": state.reach.seconds_outside,
+        "samples_extrapolated": state.samples_extrapolated,
+        "seconds_extrapolated": state.reach.seconds_extrapolated,
+        "samples_without_temperature": state.samples_without_temperature,
+        "seconds_without_temperature": state.reach.seconds_without_temperature,
+        "beyond_range": [
+            {
+                "sensor": one.sensor,
+                "samples": one.samples,
+                "share": one.share,
+                "worst": one.worst,
+                "range": one.seen,
+                "unit": "rad/s" if one.sensor == "gyro" else "m/s2",
+            }
+            for one in said.beyond
+            if one.samples
+        ],
+        "warnings": said.warnings,
+        "notes": said.notes,
+    }
 
 
 def _correct_all(
@@ -200,10 +215,13 @@ class Said:
         Where the calibration did not cover it, and what makes one doubt that it was read rightly.
     notes : list of str
         What a reader of the result may not expect.
+    beyond : tuple of Beyond
+        Readings beyond what the fits have seen, which the warnings tell of too.
     """
 
     warnings: list[str]
     notes: list[str]
+    beyond: "tuple[Beyond, ...]" = ()
 
 
 def _correct_one(
@@ -215,6 +233,7 @@ def _correct_one(
     opening: Opening,
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", Said]:
+    from undrift.drift.lookup.beyond import find_beyond
     from undrift.io.parquet import ParquetWriter
     from undrift.io.recording import iter_record, write_record
     from undrift.stream import read_ahead
@@ -223,7 +242,9 @@ def _correct_one(
     if not part.name.endswith(".parquet"):
         done = stream.push_checked(opening.read(record))
         write_record(done.record, part)
-        return stream.state, Said(warnings=[*_doubts(done.record, model), *done.warnings], notes=[*done.notes])
+        doubts = _doubts(done.record, model)
+        return stream.state, _said(doubts, done.warnings, done.notes, find_beyond(done.record, model))
+    beyond: tuple[Beyond, ...] = ()
     with ParquetWriter(part) as writer:
         for chunk in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
             done = stream.push_checked(chunk)
@@ -231,8 +252,15 @@ def _correct_one(
             if stream.state.samples == len(chunk):  # the first chunk tells
                 doubts = _doubts(done.record, model)
             notes.update(dict.fromkeys(done.notes))
+            found = find_beyond(done.record, model)
+            beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
-    return stream.state, Said(warnings=[*doubts, *stream.warnings], notes=[*notes])
+    return stream.state, _said(doubts, stream.warnings, notes, beyond)
+
+
+def _said(doubts: list[str], warnings: "Iterable[str]", notes: "Iterable[str]", beyond: "tuple[Beyond, ...]") -> Said:
+    texts = [one.text for one in beyond if one.text]
+    return Said(warnings=[*doubts, *warnings, *texts], notes=[*notes], beyond=beyond)
 
 
 def _doubts(done: "Record", model: "Calibration") -> list[str]:
