@@ -106,3 +106,14 @@ def beyond_the_table(bench, folder):
     write_calibration(replace(c, drift=DriftTables(static=static)), folder / "c.json")
     write_record(replace(raw, temp_c=np.full(len(raw), 31.0)), folder / "warm.parquet")
     return [folder / "warm.parquet", "--calibration", folder / "c.json"]
+
+
+def warm_between(bench, folder, start_s, stop_s, *, accel=False):
+    """The trial with a stretch beyond a table of the gyroscopes, of both where asked, and its calibration: gaps under nan."""
+    c, raw = read_calibration(bench / "calibration.json"), read_record(bench / "trial.parquet")
+    offsets = np.tile(c.accel.offset, (2, 1)) if accel else None
+    static = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=np.tile(c.gyro.offset, (2, 1)), accel_offset=offsets)
+    write_calibration(replace(c, drift=DriftTables(static=static)), folder / "c.json")
+    warm = (raw.time >= start_s) & (raw.time < stop_s)
+    write_record(replace(raw, temp_c=np.where(warm, 31.0, 25.0)), folder / "warm.parquet")
+    return [folder / "warm.parquet", "--calibration", folder / "c.json"]

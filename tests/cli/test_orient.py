@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cli_bench import beyond_the_table, contents
+from cli_bench import beyond_the_table, contents, warm_between
 from data import data_path, show
 from undrift.io.angles import COLUMNS
 from undrift.io.reference import read_reference
@@ -106,3 +106,27 @@ def test_a_worn_recording_without_a_still_phase_says_so(undrift, tmp_path):
         "orient", worn, "--map", tmp_path / "map.toml", "-o", tmp_path / "o.csv"
     )
     assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("start_s", "stop_s", "said"),
+    [
+        (0.0, 1.0, "a gap (NaN) at 100 of 1604, the first stretch from 0 to 0.99 s"),
+        (8.0, 8.01, "a gap (NaN) at 1 of 1604, the first stretch from 8 to 8 s"),
+        (15.0, 99.0, "a gap (NaN) at 104 of 1604, the first stretch from 15 to 16.03 s"),
+        (0.0, 99.0, "a gap (NaN) at 1604 of 1604, the first stretch from 0 to 16.03 s"),
+    ],
+)
+def test_no_orientation_is_carried_over_a_gap_that_the_policy_nan_left(undrift, bench, tmp_path, start_s, stop_s, said):
+    words = ["orient", *warm_between(bench, tmp_path, start_s, stop_s), "-o", tmp_path / "o.csv", "--policy", "nan"]
+    line = undrift.refused(*words)
+    assert line.startswith(
+        f"undrift: orient: wanted a rate at every sample, got {said}; after a gap the orientation is unknown"
+    )
+    assert "policy hold" in line
+    assert not (tmp_path / "o.csv").exists()
+
+
+def test_under_the_policy_nan_a_record_within_the_table_is_oriented_as_under_any_other(undrift, bench, tmp_path):
+    words = ["orient", *warm_between(bench, tmp_path, 99.0, 99.0), "-o", tmp_path / "o.csv", "--json"]
+    assert undrift.good(*words, "--policy", "nan").json() == undrift.good(*words).json()

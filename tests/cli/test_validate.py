@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from cli_bench import beyond_the_table, contents
+from cli_bench import beyond_the_table, contents, warm_between
 from data import data_path, show
 from trc_text import trc
 from undrift.calibration.store import read_calibration
@@ -20,7 +20,7 @@ B = [
 ]  # fmt: skip
 FIGURES = {
     "lag_ms", "rmse_total_deg", "rmse_inclination_deg", "rmse_heading_deg", "rmse_pitch_deg", "max_abs_pitch_deg", "end_total_deg",
-    "end_inclination_deg", "drift_deg_per_min", "valid_optics",
+    "end_inclination_deg", "drift_deg_per_min", "valid_optics", "pitch_defined",
 }  # fmt: skip
 
 
@@ -58,6 +58,7 @@ def test_without_a_word_the_rest_offset_is_taken_off_and_the_table_is_whole(undr
         "inclination",
         "end total",
         "lag ms",
+        "pitch %",
         "optics %",
         B[0].removesuffix(".hdf5"),
         B[1].removesuffix(".hdf5"),
@@ -107,6 +108,41 @@ def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(u
     told = undrift.good(*words, "--policy", "hold", "--json").json()
     assert any("s lie outside the drift table: 31.0 to 31.0 degC" in note for note in told["trials"][0]["notes"])
     assert told["mean"]["max_abs_pitch_deg"] < 0.75
+
+
+@pytest.mark.parametrize(
+    ("start_s", "stop_s", "said"),
+    [
+        (
+            8.0,
+            8.01,
+            "got a gap (NaN) at 1 of 1053, the first stretch from 8 to 8 s; after a gap the orientation is unknown",
+        ),
+        (15.0, 99.0, "got a gap (NaN) at 104 of 1053, the first stretch from 15 to 16.03 s; after a gap"),
+        (0.0, 99.0, "got a gap (NaN) at 1604 of 1604, the first stretch from 0 to 16.03 s; after a gap"),
+        (
+            0.5,
+            99.0,
+            "no common motion; check that the two files belong together, or widen longest_lag_s; 97% of the samples are gaps",
+        ),
+    ],
+)
+def test_no_error_is_judged_over_a_gap_that_the_policy_nan_left(undrift, bench, tmp_path, start_s, stop_s, said):
+    words = ["validate", *warm_between(bench, tmp_path, start_s, stop_s), "--reference", bench / "reference.parquet"]
+    assert said in undrift.refused(*words, "--policy", "nan")
+
+
+def test_gaps_in_the_rest_before_the_motion_are_told_and_the_rest_serves(undrift, bench, tmp_path):
+    words = ["--reference", bench / "reference.parquet", "--policy", "nan", "--json"]
+    told = undrift.good("validate", *warm_between(bench, tmp_path, 0.0, 3.0, accel=True), *words).json()
+    assert (
+        "300 of 551 samples before the motion are gaps (NaN): the rest is taken from the others"
+        in told["trials"][0]["notes"]
+    )
+    whole = undrift.good("validate", *warm_between(bench, tmp_path, 99.0, 99.0, accel=True), *words).json()
+    assert not any("gaps" in note for note in whole["trials"][0]["notes"])
+    # half of the rest's samples are left: white noise moves the tilt by hundredths of a degree
+    assert told["mean"]["rmse_inclination_deg"] == pytest.approx(whole["mean"]["rmse_inclination_deg"], abs=0.05)
 
 
 @pytest.fixture(scope="module")

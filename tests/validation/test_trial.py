@@ -169,7 +169,7 @@ def test_what_cannot_be_judged_is_refused(perfect):
         validate_trial(record, hidden(reference, -1.0, 7.6))
     gyro = np.array(record.gyro)
     gyro[4000:4010] = np.nan
-    with pytest.raises(InputError, match="wanted a rate at every sample, got gaps"):
+    with pytest.raises(InputError, match=r"wanted a rate at every sample, got a gap \(NaN\) at 10 of 7699, the first"):
         validate_trial(replace(record, gyro=gyro), reference)
     gyro[:1600] = np.nan
     with pytest.raises(InputError, match="wanted gyro readings at rest before the motion, got none; use offset none"):
@@ -192,3 +192,30 @@ def test_turning_about_one_axis_is_judged_without_a_mounting_unless_one_is_wante
     assert validate_trial(trial.record, trial.reference).mounting is None
     with pytest.raises(AlignmentError, match="wanted turning about two axes or more, got one"):
         validate_trial(trial.record, trial.reference, settings=TrialSettings(align="rates"))
+
+
+def test_the_share_of_the_samples_in_which_pitch_is_defined_is_told(perfect):
+    (record, reference), shares = perfect, []
+    for forward, up in (("+x", "+z"), ("+y", "+z"), ("+x", "+y")):
+        trial = validate_trial(record, reference, settings=TrialSettings(forward=forward, up=up))
+        side = ({"x", "y", "z"} - {forward[1], up[1]}).pop()
+        lateral = Rotation.from_quat(reference.q_nb, scalar_first=True).as_matrix()[:, 2, "xyz".index(side)]
+        moving, seen = trial.moving > 0.0, np.isfinite(trial.error.total)
+        inside = np.abs(lateral) < np.cos(np.radians(5.0))
+        share = float(inside[moving & seen].mean())
+        # sensor and reference, 0.02 deg apart, need not cross the edge at the very same one of 3000 samples
+        assert trial.figures.pitch_defined == pytest.approx(share, abs=1e-3)
+        assert trial.figures.pitch_defined == np.isfinite(trial.error.pitch[moving & seen]).mean()
+        shares.append(share)
+    assert min(shares) < 0.998  # it tumbles: the tolerance does not hide that
+    upright = validate_trial(*make_recording(np.random.default_rng(2), turn_s=20.0, speed=0.05, tilt=0.0)).figures
+    assert upright.pitch_defined == 1.0
+
+
+def test_a_rest_without_a_specific_force_is_refused(perfect):
+    record, reference = perfect
+    start_s = validate_trial(record, reference).motion.start_s
+    accel = record.accel.copy()
+    accel[record.time < start_s] = np.nan
+    with pytest.raises(InputError, match=r"wanted a specific force at rest before .* s, got nothing but gaps \(NaN\)"):
+        validate_trial(replace(record, accel=accel), reference)

@@ -212,13 +212,13 @@ def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: 
     from undrift.cli.output import console, table
 
     title = f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})"
-    shown = table(title, "recording", *(head for _, head in SHOWN), "optics %")
+    shown = table(title, "recording", *(head for _, head in SHOWN), "pitch %", "optics %")
     rows = [(trial.recording, trial.figures) for trial in result.trials]
     if len(rows) > 1:
         rows += [("mean", result.mean), ("median", result.median)]
     for name, figures in rows:
         cells = [f"{getattr(figures, key):.2f}" for key, _ in SHOWN]
-        shown.add_row(name, *cells, f"{100.0 * figures.valid_optics:.1f}")
+        shown.add_row(name, *cells, _percent(figures.pitch_defined), _percent(figures.valid_optics))
     out = console()
     out.print(shown, markup=False)
     if result.agreement is not None:
@@ -227,6 +227,12 @@ def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: 
             f"agreement on mean inclination over {limits.count} trials: bias {limits.bias:+.2f} deg, 95 % limits "
             f"{limits.limits[0]:+.2f} to {limits.limits[1]:+.2f} deg; {icc.kind} {icc.value:.3f} "
             f"[{icc.interval[0]:.3f}, {icc.interval[1]:.3f}]",
+            markup=False,
+        )
+    if any(figures.pitch_defined < 1.0 for _, figures in rows):
+        out.print(
+            "pitch %: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
+            "and near there pitch max says more than the error in space",
             markup=False,
         )
     if in_sample:
@@ -241,3 +247,7 @@ def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: 
         out.print(f"  {who}: {note}", markup=False)
     if output is not None:
         out.print(f"Wrote {output}: look at report.html", markup=False)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f}"

@@ -12,7 +12,7 @@ from undrift.arrays import FloatArray, frozen
 from undrift.calibration.model import TriadModel
 from undrift.errors import InputError
 from undrift.orientation.angles import heading_of, inclination_of, sagittal_pitch
-from undrift.orientation.strapdown import integrate_strapdown
+from undrift.orientation.strapdown import check_gaps, integrate_strapdown
 from undrift.orientation.tilt import Tilt, initial_tilt
 from undrift.record import Record
 from undrift.session import Face, Still
@@ -139,6 +139,7 @@ def orient(
 
 def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
     """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
+    check_gaps(gyro, time, "orient")
     steps = np.diff(time)
     holes = np.flatnonzero(steps > max(LONGEST_HOLE_S, 5.0 * float(np.median(steps))))
     if len(holes):

@@ -10,8 +10,41 @@ lag, which the lag search of validation takes up.
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import InputError
+
+
+def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
+    """Refuse a rate with gaps: no orientation can be carried over one.
+
+    Parameters
+    ----------
+    gyro_b : array, shape (N, 3)
+        rad/s, NaN where there is none.
+    time : array, shape (N,)
+        s.
+    what : str
+        Begins the message.
+
+    Raises
+    ------
+    InputError
+        Any gap; says how many samples, and where the first stretch of them lies.
+    """
+    gap: BoolArray = ~np.isfinite(gyro_b).all(axis=1).reshape(-1)
+    if not gap.any():
+        return
+    first = int(gap.argmax())
+    after = np.flatnonzero(~gap[first:])
+    last = first + int(after[0]) - 1 if len(after) else len(gap) - 1
+    raise InputError(
+        f"{what}: wanted a rate at every sample, got a gap (NaN) at {int(gap.sum())} of {len(gap)}, the first stretch from "
+        f"{time[first]:.6g} to {time[last]:.6g} s; after a gap the orientation is unknown: correct without gaps (policy hold, "
+        "temperatures filled in), or take each stretch between gaps with a rest of its own",
+        gaps=int(gap.sum()),
+        first_s=float(time[first]),
+        last_s=float(time[last]),
+    )
 
 
 def integrate_strapdown(

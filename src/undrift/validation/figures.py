@@ -24,7 +24,8 @@ class Figures:
     rmse_total_deg, rmse_inclination_deg, rmse_heading_deg, rmse_pitch_deg : float
         Root-mean-square error over the motion, deg.
     mean_pitch_deg, sd_pitch_deg, max_abs_pitch_deg : float
-        Mean signed, standard deviation and largest pitch error over the motion, deg.
+        Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the edge of
+        that, on tumbling motion, the largest grows beyond the error in space.
     range_pitch_error_deg : float
         Range of motion in pitch less that of the reference, deg; needs less than half a turn to mean anything.
     max_total_deg : float
@@ -37,6 +38,9 @@ class Figures:
         Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two.
     valid_optics : float
         Share of the motion in which the reference saw the body.
+    pitch_defined : float
+        Share of the samples of the motion with an error at all in which sensor and reference have a pitch: the vertical is not
+        within 5 deg of the normal of the sagittal plane.
     motion_s : float
         Length of the motion, s.
     turn_rate_rms_dps : float
@@ -59,6 +63,7 @@ class Figures:
     rmse_total_before_lag_deg: float
     rmse_total_after_lag_deg: float
     valid_optics: float
+    pitch_defined: float
     motion_s: float
     turn_rate_rms_dps: float
 
@@ -129,6 +134,7 @@ def figures_of(
         drift_deg_per_min=degrees(60.0 * slope(stretches.time, error.total, m)),
         rmse_total_before_lag_deg=nothing,
         rmse_total_after_lag_deg=nothing,
+        pitch_defined=len(pitch) / len(total) if len(total) else nothing,
         valid_optics=float(stretches.valid[m].mean()) if m.any() else 0.0,
         motion_s=nothing,
         turn_rate_rms_dps=nothing,

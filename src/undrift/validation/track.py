@@ -13,7 +13,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import AlignmentError, InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
-from undrift.orientation.strapdown import integrate_strapdown
+from undrift.orientation.strapdown import check_gaps, integrate_strapdown
 from undrift.orientation.tilt import shortest_rotation_up
 from undrift.record import Record, Reference
 from undrift.sync import Motion
@@ -83,7 +83,7 @@ def track_from_rest(
     Raises
     ------
     InputError
-        Gaps in the rate.
+        Gaps in the rate from the start of the integration on, or in the specific force all through the rest.
     AlignmentError
         The reference saw nothing of the rest.
     """
@@ -92,9 +92,17 @@ def track_from_rest(
     stop = motion.start_s - lead_s
     at_rest = (record.time >= motion.start_s - rest_s) & (record.time < stop)
     first = int(np.searchsorted(record.time, stop))
+    check_gaps(record.gyro[first:], record.time[first:], "validate")
     start = _mean_pose(reference, motion.start_s - rest_s - shift_s, stop - shift_s)
     if record.accel is not None:
-        start = _levelled(np.nanmean(record.accel[at_rest], axis=0), start)
+        force = record.accel[at_rest]
+        force = force[np.isfinite(force).all(axis=1)]
+        if not len(force):
+            raise InputError(
+                f"validate: wanted a specific force at rest before {stop:.6g} s, got nothing but gaps (NaN); correct without gaps "
+                "(policy hold, temperatures filled in)"
+            )
+        start = _levelled(force.mean(axis=0), start)
     time = record.time[first:]
     return Track(time=time, q_nb=integrate_strapdown(record.gyro[first:], time, start))
 

@@ -11,12 +11,13 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.model import AdcModel, Calibration, TriadModel
 from undrift.correct import Policy, correct_checked
 from undrift.errors import AlignmentError, InputError
 from undrift.orientation.angles import inclination_of, sagittal_pitch
+from undrift.orientation.strapdown import check_gaps
 from undrift.record import Record, Reference
 from undrift.session import Face
 from undrift.sync import Lag, LagSettings, Motion, find_lag, find_motion, native_poses
@@ -190,9 +191,18 @@ def validate_trial(
         No common motion, no rest before it, or no pose in that rest.
     """
     done, notes = _corrected(record, calibration, settings)
+    if done.gyro is not None and not np.isfinite(done.gyro).all(axis=1).any():
+        check_gaps(done.gyro, done.time, "validate")
+    share = _gaps(done).mean()
     poses = native_poses(reference)
-    lag = find_lag(done, poses, settings.lag)
+    try:
+        lag = find_lag(done, poses, settings.lag)
+    except AlignmentError as unmatched:
+        if share > 0.0:
+            raise AlignmentError(f"{unmatched}; {share:.0%} of the samples are gaps (NaN)") from unmatched
+        raise
     motion = find_motion(done, reference, lag_s=lag.seconds)
+    notes += _gaps_before(done, motion, settings)
     if settings.offset == "rest":
         done = _without_rest_mean(done, motion, settings)
     done, mounting = _aligned(done, poses, lag, settings)
@@ -229,6 +239,25 @@ def validate_trial(
         sensor_pitch=sensor_pitch,
         reference_pitch=reference_pitch,
         moving=stretches.moving.astype(float),
+    )
+
+
+def _gaps(record: Record) -> BoolArray:
+    """True where a channel that the record has is missing."""
+    mask = np.zeros(len(record), dtype=bool)
+    for values in (record.gyro, record.accel):
+        if values is not None:
+            mask |= ~np.isfinite(values).all(axis=1)
+    return mask
+
+
+def _gaps_before(record: Record, motion: Motion, settings: TrialSettings) -> tuple[str, ...]:
+    """Say what is missing of the rest that tilt and offset are taken from; after it, a gap is refused."""
+    gaps = _gaps(record)[record.time < motion.start_s - settings.lead_s]
+    if not gaps.any():
+        return ()
+    return (
+        f"{int(gaps.sum())} of {len(gaps)} samples before the motion are gaps (NaN): the rest is taken from the others",
     )
 
 
