@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from data import show
-from undrift.errors import InputError
+from turning import make_recording
+from undrift.errors import FileFormatError, InputError
+from undrift.io.reference import write_reference
 from undrift.record import Reference
 from undrift.sim.motion.library import draw_task
 from undrift.study.real import agreement_of, real_errors
 from undrift.study.real_motion import REPETITION, BesideRow, Capture, motion_rows, repetitions
+from undrift.study.real_plan import read_real
 from undrift.study.real_sway import MEASURES, Stance, read_stance, sway_figures
 from undrift.study.real_worn import worn_in
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 
 def captured(seed: int = 3) -> Capture:
@@ -104,3 +108,58 @@ def test_files_and_calls_that_do_not_serve_are_told(tmp_path: Path) -> None:
         read_stance(other, mass_kg=0.0, condition="open on firm")
     with pytest.raises(InputError, match="wanted devices with two trials or more, got none"):
         real_errors(())
+
+
+def foreign(folder: Path, *, with_map: bool = True) -> tuple[Path, Reference]:
+    """Two trials in deg/s and g under other names, without a time column, and the file that names them."""
+    text, held = "", None
+    for k in range(2):
+        record, reference = make_recording(np.random.default_rng(k), turn_s=20.0)
+        assert record.gyro is not None
+        assert record.accel is not None
+        cells = np.column_stack((record.accel / STANDARD_GRAVITY, record.gyro / RADIAN_PER_DEGREE))
+        np.savetxt(folder / f"t{k}.csv", cells, delimiter=";", header="ax;ay;az;wx;wy;wz", comments="", fmt="%.12g")
+        write_reference(reference, folder / f"p{k}.parquet")
+        mapped = 'map = "layout.toml"\n' if with_map else ""
+        text += f'[[trial]]\nrecording = "t{k}.csv"\nreference = "p{k}.parquet"\ndevice = "F"\n{mapped}'
+        held = held or reference
+    rate_hz = 1.0 / float(np.median(np.diff(record.time)))
+    (folder / "layout.toml").write_text(
+        f'sample_rate_hz = {rate_hz!r}\ndelimiter = ";"\n'
+        'columns = { gyro = ["wx", "wy", "wz"], accel = ["ax", "ay", "az"] }\nunits = { gyro = "dps", accel = "g" }\n'
+    )
+    (folder / "real.toml").write_text(text)
+    assert held is not None
+    return folder / "real.toml", held
+
+
+def test_trials_in_foreign_columns_and_units_are_read_and_judged_as_the_same_ones_in_our_own(tmp_path: Path) -> None:
+    path, reference = foreign(tmp_path)
+    (device,) = read_real(path).devices
+    known = [make_recording(np.random.default_rng(k), turn_s=20.0)[0] for k in range(2)]
+    for (read, _), own in zip(device.pairs, known, strict=True):
+        assert (read.gyro_unit, read.accel_unit) == ("dps", "g")
+        np.testing.assert_allclose(read.in_si().gyro, own.gyro, rtol=0.0, atol=1e-9)  # 12 digits in the file
+        np.testing.assert_allclose(read.in_si().accel, own.accel, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(np.diff(read.time), np.diff(own.time), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        device.pairs[0][1].q_nb, reference.q_nb, rtol=0.0, atol=1e-14
+    )  # made of length one again
+    levels = real_errors((device,))
+    totals = {level.level: level.rmse_total_deg for level in levels}
+    show("a perfect device in foreign columns, median total error, deg", totals)
+    assert totals["none"] < 0.5  # half a sample at up to 3 rad/s: the lag is left in
+
+
+def test_a_map_that_is_missing_or_does_not_fit_is_told_with_the_file(tmp_path: Path) -> None:
+    path, _ = foreign(tmp_path, with_map=False)
+    with pytest.raises(FileFormatError, match=r"real\.toml: .*t0\.csv: columns: wanted names such as"):
+        read_real(path)
+    path, _ = foreign(tmp_path)
+    layout = tmp_path / "layout.toml"
+    layout.write_text(layout.read_text().replace('"wx"', '"vx"'))
+    with pytest.raises(FileFormatError, match=r"real\.toml: .*vx"):
+        read_real(path)
+    layout.unlink()
+    with pytest.raises(FileFormatError, match=r"real\.toml: .*layout\.toml"):
+        read_real(path)

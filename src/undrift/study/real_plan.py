@@ -1,8 +1,9 @@
 """real.toml: real recordings to lay beside a study, read and checked before anything runs, judged after it.
 
 [[trial]]                           # a device worn beside optics: two or more of each device
-recording = "02.hdf5"               # BROAD, or any recording in SI units; paths from the folder of the file
+recording = "02.hdf5"               # BROAD, or any recording in physical units; paths from the folder of the file
 reference = "02_poses.csv"          # leave out where the recording holds its own, as BROAD does
+map = "02.toml"                     # columns and units of a foreign recording, as for --map; leave out where it needs none
 device = "B"                        # which device: each trial is judged by a fit to the others of its device
 [[capture]]                         # a captured person
 file = "STS1.trc.gz"
@@ -47,6 +48,8 @@ class TrialEntry(Entry):
         Readings of the device.
     device : str
         Which.
+    map : str or None
+        Columns, units and sample rate of a foreign recording, a file as for --map.
     reference : str or None
         Poses; None where the recording is a BROAD file.
     markers : list of str
@@ -57,6 +60,7 @@ class TrialEntry(Entry):
 
     recording: str
     device: str
+    map: str | None = None
     reference: str | None = None
     markers: list[str] = Field(default_factory=list)
     up: Literal["y", "z"] | None = None
@@ -217,6 +221,7 @@ def _devices(entries: list[TrialEntry], folder: Path) -> tuple[DeviceTrials, ...
 
 def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
     from undrift.io.detect import detect
+    from undrift.io.mapping import read_column_map
     from undrift.io.recording import read_record
     from undrift.io.reference import read_reference
 
@@ -224,7 +229,8 @@ def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
     if entry.reference is None and detect(recording) != "broad":
         raise InputError(f"{recording}: wanted a reference, got none and no BROAD file, which holds its own; name one")
     poses = recording if entry.reference is None else folder / entry.reference
-    return read_record(recording), read_reference(poses, labels=entry.markers or None, up=entry.up)
+    columns = None if entry.map is None else read_column_map(folder / entry.map)
+    return read_record(recording, columns), read_reference(poses, labels=entry.markers or None, up=entry.up)
 
 
 def _capture(entry: CaptureEntry, folder: Path) -> Capture:
