@@ -2,6 +2,7 @@
 
 import binascii
 import struct
+import threading
 import time
 
 import numpy as np
@@ -17,10 +18,14 @@ from undrift.live.pieces import iter_pieces, next_connection, piece_path, read_p
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.timeline import Block
 from undrift.live.writer import PieceWriter
+from waiting import eventually
 
 TEN = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,mag_x,mag_y,mag_z,temp"
 THREE = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
-QUICK = RecorderSettings(silence_s=0.3, piece_s=0.2)
+QUICK = RecorderSettings(silence_s=1.0, piece_s=0.2)
+
+
+PIECES = RecorderSettings(silence_s=60.0, piece_s=0.2)
 
 
 def frames_of(values: np.ndarray) -> bytes:
@@ -55,7 +60,7 @@ def test_ten_minutes_at_two_kilohertz_and_ten_channels_reach_the_disk_without_a_
     with Sender(pieces) as device:
         start = time.monotonic()
         with Recorder(source_at(f"tcp://127.0.0.1:{device.port}{query}"), tmp_path) as recorder:
-            while recorder.tally().readings < rows and time.monotonic() < start + 60.0:
+            while recorder.tally().readings < rows and time.monotonic() < start + 300.0:
                 time.sleep(0.02)
             tally = recorder.stop()
     assert (tally.readings, tally.written, tally.missing, tally.garbled, tally.late) == (rows, rows, 0, 0, 0)
@@ -84,7 +89,7 @@ def test_a_disk_slower_than_the_device_makes_the_sender_wait_and_loses_nothing(t
         Sender([data[a : a + 3000] for a in range(0, len(data), 3000)]) as device,
         Recorder(source_at(f"tcp://127.0.0.1:{device.port}{query}"), tmp_path, settings) as recorder,
     ):
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 120.0
         while recorder.tally().readings < 20_000 and time.monotonic() < end:
             time.sleep(0.01)
         assert recorder.stop().written == 20_000
@@ -93,6 +98,7 @@ def test_a_disk_slower_than_the_device_makes_the_sender_wait_and_loses_nothing(t
 
 def test_a_dwell_is_what_came_between_two_moments():
     with Sender(paced(300)) as device, Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}")) as recorder:
+        eventually(lambda: recorder.tally().readings > 200, "200 readings, some of them prompt")
         begin = recorder.tally().clock.host_time(0.0)
         record = recorder.between(begin + 0.205, begin + 0.405)
         assert record.gyro[:, 0].tolist() == pytest.approx(np.arange(21, 41), abs=2)
@@ -118,9 +124,10 @@ def test_dwells_follow_each_other():
 
 def test_drop_outs_are_rows_of_nan_in_dwells_and_on_the_disk(tmp_path):
     with (
-        Sender(paced(60, skip=(20, 21, 22))) as device,
-        Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), tmp_path, QUICK) as recorder,
+        Sender(paced(300, skip=(20, 21, 22))) as device,
+        Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), tmp_path, PIECES) as recorder,
     ):
+        eventually(lambda: recorder.tally().readings > 200, "200 readings, some of them prompt")
         begin = recorder.tally().clock.host_time(0.0)
         record = recorder.between(begin + 0.1, begin + 0.4)
         tally = recorder.stop()
@@ -188,7 +195,7 @@ def test_a_stopped_recorder_does_not_let_anybody_wait():
 def test_what_is_no_longer_kept_is_refused():
     settings = RecorderSettings(keep_s=0.1)
     with (
-        Sender(paced(100)) as device,
+        Sender(paced(3000)) as device,
         Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), settings=settings) as recorder,
     ):
         start = recorder.now()
@@ -265,17 +272,24 @@ def test_every_row_is_written_once_however_the_blocks_are_cut(tmp_path):
 
 
 def test_a_disk_that_hangs_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("undrift.live.writer.write_synced", lambda record, path: time.sleep(0.3))
+    hangs, mended = threading.Event(), threading.Event()
+
+    def write(record, path):
+        hangs.set()
+        mended.wait(60.0)
+
+    monkeypatch.setattr("undrift.live.writer.write_synced", write)
     monkeypatch.setattr("undrift.live.writer.QUEUE_BLOCKS", 1)
     writer = PieceWriter(tmp_path, description(), 4)
-    writer.put(block(0, 4), 0.1)
-    time.sleep(0.05)
-    writer.put(block(4, 4), 0.1)
+    writer.put(block(0, 4), 60.0)
+    assert hangs.wait(60.0)
+    writer.put(block(4, 4), 60.0)
     with pytest.raises(RigTimeout, match=r"wanted room for readings within 0.05 s, got a disk that does not keep up"):
         writer.put(block(8, 4), 0.05)
     with pytest.raises(LinkError, match=r"wanted the last readings written in 0.01 s, got no end; check the disk"):
         writer.stop(0.01)
-    writer.stop(5.0)
+    mended.set()
+    writer.stop(60.0)
 
 
 def test_half_written_pieces_are_left_aside(tmp_path):

@@ -69,7 +69,7 @@ def test_silence_is_an_end(monkeypatch):
         program.write("\n")
         program.flush()
         assert watch("rig", "", lines, io.StringIO(), silence_s=0.2) == 0
-        assert 0.2 <= time.monotonic() - start < 5.0
+        assert 0.2 <= time.monotonic() - start < 30.0
     assert stopped == ["rig"]
 
 
@@ -79,7 +79,7 @@ def test_a_program_that_breaks_its_promise_is_taken_for_hanging_and_the_table_st
         rig.enable(True)
         rig.turn(30.0 * DPS)
         guard.expect(0.0)
-        assert at_rest(emulator, 15.0), "the guard did not stop the table"
+        assert at_rest(emulator), "the guard did not stop the table"
         with pytest.raises(RigFault, match=r"guard: wanted it to stand by .* got it ended \(code 0\).*--resume"):
             until_ended(guard)
         rig.close()
@@ -91,7 +91,7 @@ def lost_after(guard):
 
 
 def until_ended(guard):
-    last = time.monotonic() + 5.0
+    last = time.monotonic() + 60.0
     while time.monotonic() < last:
         guard.check()
         time.sleep(0.02)

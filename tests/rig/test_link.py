@@ -4,14 +4,19 @@ import os
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 
 from scripted import Scripted
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.rig.link import Link, LinkSettings
+from waiting import eventually
 
-QUICK = LinkSettings(terminator="\r", reply_timeout_s=0.2, connect_timeout_s=1.0)
+LINK = LinkSettings(
+    terminator="\r", reply_timeout_s=20.0, connect_timeout_s=20.0
+)  # what must come has time on a busy machine
+QUICK = replace(LINK, reply_timeout_s=0.2)
 
 
 def echo(command: str) -> bytes:
@@ -19,15 +24,15 @@ def echo(command: str) -> bytes:
 
 
 def test_a_question_is_answered_over_tcp():
-    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+    with Scripted(echo) as server, Link(server.url, LINK) as link:
         assert link.exchange("hello") == "hello!\n"
         assert server.heard == ["hello"]
 
 
 def test_a_question_is_answered_over_what_pyserial_opens():
-    with Scripted(echo) as server, Link(server.url.replace("tcp", "socket"), QUICK) as link:
+    with Scripted(echo) as server, Link(server.url.replace("tcp", "socket"), LINK) as link:
         assert link.exchange("hello") == "hello!\n"
-    with Link("loop://", LinkSettings(reply_timeout_s=1.0)) as link:
+    with Link("loop://", LinkSettings(reply_timeout_s=20.0)) as link:
         assert link.exchange("hello") == "hello\n"
 
 
@@ -35,7 +40,7 @@ def test_a_question_is_answered_over_what_pyserial_opens():
 def test_a_question_is_answered_over_a_pseudo_terminal(prefix):
     ours, theirs = os.openpty()
     try:
-        with Link(f"{prefix}{os.ttyname(theirs)}", LinkSettings(terminator="\r", reply_timeout_s=2.0)) as link:
+        with Link(f"{prefix}{os.ttyname(theirs)}", LINK) as link:
             answerer = threading.Thread(target=lambda: os.write(ours, os.read(ours, 100).replace(b"\r", b"!\n")))
             answerer.start()
             assert link.exchange("hello") == "hello!\n"
@@ -47,7 +52,7 @@ def test_a_question_is_answered_over_a_pseudo_terminal(prefix):
 
 def test_marked_bytes_that_nobody_asked_for_are_kept_out_of_an_answer():
     hidden = bytes(byte | 0x80 for byte in b"limit\r\n")
-    with Scripted(lambda command: b"12" + hidden + b"34\n") as server, Link(server.url, QUICK) as link:
+    with Scripted(lambda command: b"12" + hidden + b"34\n") as server, Link(server.url, LINK) as link:
         link.mask_high_bit()
         assert link.exchange("TP") == "1234\n"
         assert link.unsolicited() == "limit\r\n"
@@ -55,16 +60,16 @@ def test_marked_bytes_that_nobody_asked_for_are_kept_out_of_an_answer():
 
 
 def test_bytes_that_come_between_two_exchanges_are_kept_aside():
-    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+    with Scripted(echo) as server, Link(server.url, LINK) as link:
         link.exchange("a")
         server.say(b"by the way\n")
-        time.sleep(0.05)
+        eventually(lambda: len(link._receiver._received) == len(b"by the way\n"), "the bytes come")
         assert link.exchange("b") == "b!\n"
         assert link.unsolicited() == "by the way\n"
 
 
 def test_a_line_that_comes_by_itself_can_be_waited_for():
-    with Scripted(echo, greeting=b"Grbl 1.1h\r\n") as server, Link(server.url, QUICK) as link:
+    with Scripted(echo, greeting=b"Grbl 1.1h\r\n") as server, Link(server.url, LINK) as link:
         assert link.read() == "Grbl 1.1h\r\n"
         with pytest.raises(RigTimeout, match="got nothing"):
             link.read(0.01)
@@ -72,13 +77,15 @@ def test_a_line_that_comes_by_itself_can_be_waited_for():
 
 
 def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_taken_for_the_next():
-    with Scripted(lambda command: None) as server, Link(server.url, QUICK) as link:
+    with Scripted(lambda command: None) as server, Link(server.url, LINK) as link:
+        link.settings = QUICK
         start = time.monotonic()
         with pytest.raises(
             RigTimeout, match=r"wanted an answer to 'TP' within 0.2 s, got nothing; check power and cable"
         ):
             link.exchange("TP")
-        assert 0.15 < time.monotonic() - start < 1.0
+        assert 0.15 < time.monotonic() - start < 15.0
+        link.settings = LINK
         server.say(b"late\n")
         with pytest.raises(LinkError, match=r"out of step with its device; resynchronise first"):
             link.exchange("TP")
@@ -92,38 +99,36 @@ def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_ta
 def test_half_a_reply_is_a_timeout_that_shows_what_came():
     with (
         Scripted(lambda command: b" 00000") as server,
-        Link(server.url, QUICK) as link,
+        Link(server.url, LINK) as link,
         pytest.raises(RigTimeout, match=r"got only b' 00000'"),
     ):
-        link.exchange("TP")
+        link.exchange("TP", 1.0)
 
 
 def test_a_reply_that_trickles_in_is_a_timeout_too():
     stop = threading.Event()
-    with Scripted(lambda command: None) as server, Link(server.url, QUICK) as link:
+    with Scripted(lambda command: None) as server, Link(server.url, LINK) as link:
 
         def trickle() -> None:
             while not stop.wait(0.02):
                 server.say(b".")
 
         thread = threading.Thread(target=trickle)
-        link.send(b"")
-        time.sleep(0.05)
         thread.start()
         start = time.monotonic()
         try:
             with pytest.raises(RigTimeout, match="got only"):
-                link.exchange("TP")
+                link.exchange("TP", 1.0)
         finally:
             stop.set()
             thread.join()
-        assert time.monotonic() - start < 1.0
+        assert time.monotonic() - start < 15.0
 
 
 def test_a_flood_without_an_end_is_refused_before_the_deadline():
     with (
         Scripted(lambda command: b"x" * 100_000) as server,
-        Link(server.url, QUICK) as link,
+        Link(server.url, LINK) as link,
         pytest.raises(LinkError, match="wanted an end of the answer to 'TP'"),
     ):
         link.exchange("TP", 30.0)
@@ -132,20 +137,20 @@ def test_a_flood_without_an_end_is_refused_before_the_deadline():
 def test_bytes_that_are_no_text_are_refused():
     with (
         Scripted(lambda command: b"\xff\xfe\n") as server,
-        Link(server.url, QUICK) as link,
+        Link(server.url, LINK) as link,
         pytest.raises(LinkError, match=r"wanted text in answer to 'TP', got b'\\xff\\xfe\\n'"),
     ):
         link.exchange("TP")
 
 
 def test_a_lost_link_says_so_at_once_and_can_be_opened_again():
-    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+    with Scripted(echo) as server, Link(server.url, LINK) as link:
         link.exchange("a")
         server.hang_up()
         start = time.monotonic()
         with pytest.raises(LinkError, match="lost"):
             link.exchange("b", 30.0)
-        assert time.monotonic() - start < 5.0
+        assert time.monotonic() - start < 25.0
         assert not link.is_open
         with pytest.raises(LinkError, match="wanted an open link"):
             link.send(b"c\r")
@@ -158,7 +163,7 @@ def test_an_interrupted_wait_leaves_the_link_out_of_step():
     def interrupted(received: bytes) -> int:
         raise KeyboardInterrupt
 
-    with Scripted(echo) as server, Link(server.url, QUICK) as link:
+    with Scripted(echo) as server, Link(server.url, LINK) as link:
         with pytest.raises(KeyboardInterrupt):
             link.exchange("a", until=interrupted)
         with pytest.raises(LinkError, match="out of step"):
@@ -168,7 +173,7 @@ def test_an_interrupted_wait_leaves_the_link_out_of_step():
 def test_closing_twice_is_harmless_and_leaves_no_thread():
     before = threading.active_count()
     with Scripted(echo) as server:
-        link = Link(server.url, QUICK)
+        link = Link(server.url, LINK)
         link.exchange("a")
         link.close()
         link.close()
@@ -179,7 +184,7 @@ def test_closing_twice_is_harmless_and_leaves_no_thread():
 
 
 def test_closing_ends_a_wait_in_another_thread():
-    with Scripted(lambda command: None) as server, Link(server.url, QUICK) as link:
+    with Scripted(lambda command: None) as server, Link(server.url, LINK) as link:
         closer = threading.Timer(0.05, link.close)
         closer.start()
         with pytest.raises(LinkError, match="closed"):

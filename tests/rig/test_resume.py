@@ -50,20 +50,20 @@ def test_kill_9_at_random_moments_leaves_a_table_at_rest_and_loses_one_dwell_at_
         kept = 0
         for _ in range(3):
             process = started(words(bench, tmp_path / "protocol.toml", path, "--resume"))
-            last = time.monotonic() + 20.0
+            last = time.monotonic() + 120.0
             while len(read_journal(path / JOURNAL)[0]) <= kept and process.poll() is None and time.monotonic() < last:
                 time.sleep(0.01)
             time.sleep(rng.uniform(0.0, 0.8))
             process.kill()
-            process.communicate(timeout=20.0)
-            assert at_rest(bench.rig, 20.0), "the guard did not stop the table"
+            process.communicate(timeout=120.0)
+            assert at_rest(bench.rig), "the guard did not stop the table"
             now = len(read_journal(path / JOURNAL)[0])
             assert now > kept
             kept = now
             if now > 1:
                 assert len(read_session(path).records) in (now - 1, now - 2)  # one behind, if struck just then
         process = started(words(bench, tmp_path / "protocol.toml", path, "--resume", "--json"))
-        out, err = process.communicate(timeout=60.0)
+        out, err = process.communicate(timeout=120.0)
         assert process.returncode == 0, err
         assert json.loads(out)["dwells"] == 9
         assert at_rest(bench.rig)
@@ -77,11 +77,11 @@ def test_ctrl_c_sigterm_and_ctrl_z_end_at_rest_with_what_was_done(tmp_path, numb
     write_protocol(LONGER, tmp_path / "protocol.toml")
     with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
-        last = time.monotonic() + 20.0
+        last = time.monotonic() + 120.0
         while len(read_journal(tmp_path / "run" / JOURNAL)[0]) < 4 and time.monotonic() < last:
             time.sleep(0.01)
         os.kill(process.pid, number)
-        _, err = process.communicate(timeout=30.0)
+        _, err = process.communicate(timeout=120.0)
         assert process.returncode == 130
         assert "stopped; nothing was left half written" in err
         assert at_rest(bench.rig)
@@ -93,11 +93,11 @@ def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(tmp_pat
     with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
         turning(bench.rig)
-        last = time.monotonic() + 20.0
+        last = time.monotonic() + 120.0
         while process.poll() is None and time.monotonic() < last:
             process.send_signal(signal.SIGINT)
             time.sleep(0.01)
-        _, err = process.communicate(timeout=20.0)
+        _, err = process.communicate(timeout=120.0)
         assert process.returncode == 130, err
         assert err.splitlines()[-1] == "undrift: stopped; nothing was left half written"
         assert not bench.rig.motor_on
@@ -109,15 +109,15 @@ def test_a_program_that_is_halted_has_its_table_stopped_and_does_not_go_on_after
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"))
         turning(bench.rig)
         process.send_signal(signal.SIGSTOP)
-        assert at_rest(bench.rig, 15.0), "the guard did not stop the table"
+        assert at_rest(bench.rig), "the guard did not stop the table"
         process.send_signal(signal.SIGCONT)
-        _, err = process.communicate(timeout=30.0)
+        _, err = process.communicate(timeout=120.0)
         assert process.returncode == 3, err
         assert at_rest(bench.rig, 0.0)
 
 
 def turning(rig):
-    last = time.monotonic() + 20.0
+    last = time.monotonic() + 120.0
     while abs(rig.axis_rate()) < 10.0 * DPS:
         assert time.monotonic() < last, "it never turned"
         time.sleep(0.005)
@@ -149,7 +149,7 @@ def test_a_file_that_may_not_grow_is_a_clear_error_in_a_process_of_its_own(tmp_p
     write_protocol(LONGER, tmp_path / "protocol.toml")
     with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
         process = started(words(bench, tmp_path / "protocol.toml", tmp_path / "run"), LIMIT_FILES)
-        _, err = process.communicate(timeout=30.0)
+        _, err = process.communicate(timeout=120.0)
         assert process.returncode == 2
         assert re.search("wanted to write a dwell, got .*; all dwells before it are kept", err)
         assert at_rest(bench.rig)
@@ -212,7 +212,7 @@ def test_two_programs_never_write_into_one_folder(tmp_path):
             ["rig", "run", "none"],
             f"from pathlib import Path; from undrift.rig.journal import Journal; Journal(Path({str(path / JOURNAL)!r})); ",
         )
-        assert "no other program writes to" in process.communicate(timeout=20.0)[1]
+        assert "no other program writes to" in process.communicate(timeout=120.0)[1]
     assert first.pieces == ()
     with emulated() as emulator:
         result, _ = run(emulator, path)

@@ -56,19 +56,18 @@ def impatient(rig) -> None:
 
 
 def measured(rig, duration_s: float) -> tuple[float, float]:
-    """Return the measured rate, and how far the link's delays leave it open, as a part of it."""
-    delays, ask = [], rig.position
+    """Return the measured rate, and how far the times of its two positions leave it open, as a part of it."""
+    within, ask = [], rig.position
 
     def position():
-        asked = time.monotonic()
         said = ask()
-        delays.append((time.monotonic() - asked) * SPEED)
+        within.append(said.within_s)
         return said
 
     rig.position = position
     rate = rig.measured_turn_rate(duration_s)
     del rig.position
-    return rate, 0.5 * sum(delays) / duration_s
+    return rate, sum(within) / duration_s
 
 
 def test_every_command_of_a_session_is_understood(emulator):

@@ -9,16 +9,17 @@ from undrift.rig.galil.port import LinkPort, reply_end
 from undrift.rig.galil.tuning import Gains, read_gains, set_gains, set_sample_time
 from undrift.rig.galil.words import ERRORS, STOPS, Switches, error_in_words, stop_in_words
 from undrift.rig.link import LinkSettings
+from waiting import eventually
 
-QUICK = LinkSettings(reply_timeout_s=0.2)
+PATIENT, IMPATIENT = LinkSettings(reply_timeout_s=20.0), LinkSettings(reply_timeout_s=0.5)
 
 
 class Talk:
     """A card behind a scripted server; closes both."""
 
-    def __init__(self, answer, axis: str = "X") -> None:
+    def __init__(self, answer, axis: str = "X", links: LinkSettings = PATIENT) -> None:
         self.server = Scripted(answer)
-        self.port = LinkPort(self.server.url, QUICK)
+        self.port = LinkPort(self.server.url, links)
         self.card = GalilCard(self.port, axis)
 
     def __enter__(self):
@@ -130,7 +131,8 @@ def test_an_answer_ends_at_a_prompt_that_opens_a_line(received, end):
     ],
 )
 def test_garbage_for_a_position_is_an_error_and_never_a_number(answer, error, text):
-    with Talk(lambda command: answer) as talk, pytest.raises(error, match=text):
+    links = IMPATIENT if error is RigTimeout else PATIENT
+    with Talk(lambda command: answer, links=links) as talk, pytest.raises(error, match=text):
         talk.card.position("TPX")
 
 
@@ -191,10 +193,10 @@ def test_resynchronising_throws_away_late_answers():
 
 
 def test_a_card_that_cannot_be_brought_into_step_is_a_timeout_after_three_tries():
-    with Talk(lambda command: b"?") as talk:
+    with Talk(lambda command: b"?", links=IMPATIENT) as talk:
         with pytest.raises(RigTimeout):
             talk.port.resynchronise()
-        assert len(talk.server.heard) == 3
+        eventually(lambda: len(talk.server.heard) == 3, "three questions")
 
 
 def test_a_card_that_is_gone_is_shouted_at_without_complaint():

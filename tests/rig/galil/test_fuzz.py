@@ -26,6 +26,8 @@ from undrift.units import RADIAN_PER_DEGREE
 
 LETTERS = b"?:0123456789 .-\r\nTPXBG\x00\x07\xff\xc2"
 REPLY_S = 0.03
+SPEED = 500.0
+BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was; older cards refuse it
 AT_OPENING = 0.3  # share of openings that are spoilt as well
 CALLS = {
     "identify": lambda rig: rig.identify(),
@@ -61,11 +63,14 @@ HARMLESS = re.compile(
 class Mover(Card):
     """Remembers what it held each time that it began."""
 
-    def __init__(self):
+    def __init__(self, tells_time):
         super().__init__(polls=3)
-        self.last, self.begun = "", []
+        self.held |= {"TM": "1000", "KP": "6", "KI": "0", "KD": "64"}
+        self.last, self.begun, self.tells_time = "", [], tells_time
 
     def answer(self, command):
+        if command == BOTH and self.tells_time:
+            return f"{int(self.held['TP']): 011d} {int(1e3 * SPEED * time.monotonic()) % 10**9: 011d}\r\n:".encode()
         try:
             said = super().answer(command)
         except (KeyError, ValueError):  # a word that lost a letter
@@ -86,7 +91,7 @@ class PoorLine:
     """A card at the end of a line that spoils a share of what passes."""
 
     def __init__(self, seed, share):
-        self.card, self.share = Mover(), share
+        self.card, self.share = Mover(tells_time=seed % 2 == 0), share
         self.chance = random.Random(seed)
         self.armed, self.heard, self.spoilt = True, 0, Counter()
         self.hang_up = lambda: None
@@ -169,7 +174,7 @@ def opened(url, sent):
         send(data)
 
     link.send = noted
-    return GalilRig(port, GalilSettings(clock=Clock(speed=500.0)))
+    return GalilRig(port, GalilSettings(clock=Clock(speed=SPEED)))
 
 
 def check_sent(name, sent, failure):

@@ -32,7 +32,7 @@ acceleration_dps2 = 2300.0
 
 @pytest.fixture
 def emulated():
-    calls = ["rig", "emulate", "--kind", "grbl", "--speed", "5", "--seed", "3", "--json"]
+    calls = ["rig", "emulate", "--kind", "grbl", "--speed", "2", "--seed", "3", "--json"]
     code = f"from undrift.cli.app import main; main({calls!r})"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     try:

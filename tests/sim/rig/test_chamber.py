@@ -107,7 +107,7 @@ def test_each_command_is_answered_by_the_letter(chamber, said, answer):
 
 def test_lines_come_whole_out_of_pieces_over_a_socket(chamber):
     host, port = chamber.address.removeprefix("tcp://").split(":")
-    with socket.create_connection((host, int(port)), timeout=2.0) as link:
+    with socket.create_connection((host, int(port)), timeout=60.0) as link:
         for byte in b"TEMP:SPO 31\nTEMP:SPO?\r\n\xff\n":
             link.sendall(bytes([byte]))
         assert link.makefile().readline() == "31.0\n"

@@ -52,7 +52,7 @@ class Heard:
         warm = lambda times: np.full(len(times), 25.0)  # noqa: E731
         self.device = EmulatedDevice(device, table or Table(), warm, self.clock, StreamSettings(**settings))
         self.source = open_source(self.device.address(1.0))
-        end = time.monotonic() + 2.0
+        end = time.monotonic() + 60.0
         while not self.device._sessions and time.monotonic() < end:
             time.sleep(0.002)
 
@@ -68,7 +68,7 @@ class Heard:
         self.clock.advance(duration_s)
         last, counts, values = round(self.clock.now() * 100.0), [], []
         while not counts or counts[-1] < last:
-            chunk = self.source.read(2.0)
+            chunk = self.source.read(60.0)
             counts += chunk.counter.tolist()
             values += chunk.values.tolist()
         return np.array(counts), np.array(values)
@@ -211,9 +211,11 @@ def test_a_whole_bench_works_over_its_sockets(kind, tmp_path):
             rig.set_acceleration(10.0)
             achieved = rig.turn(1.0)
             time.sleep(0.1)
+            begun = time.monotonic()
             dwells.start()
             time.sleep(0.25)
             turning = dwells.stop()
+            turned_s = (time.monotonic() - begun) * SPEED
         finally:
             rig.close()
         soak = SoakSettings(window_s=20.0)
@@ -227,7 +229,7 @@ def test_a_whole_bench_works_over_its_sockets(kind, tmp_path):
     true = DEVICE.gyro.forward_matrix[0, 0]
     assert (turning.gyro[:, 0].mean() - warm.gyro[:, 0].mean()) / achieved == pytest.approx(true, rel=0.02)
     assert turning.accel[:, 0].mean() == pytest.approx(DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.1)
-    assert turning.duration_s == pytest.approx(0.25 * SPEED, rel=0.2)
+    assert 0.2 * SPEED < turning.duration_s <= turned_s
     assert warm.temp_c.mean() - turning.temp_c.mean() == pytest.approx(10.0, abs=1.0)
     assert tally.written >= 2 + tally.readings - 4
     assert abs(tally.clock.rate_error) < 1e-3
