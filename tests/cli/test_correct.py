@@ -234,3 +234,17 @@ def test_readings_beyond_what_the_fit_has_seen_are_told_and_left_as_they_are(und
         np.testing.assert_allclose(made.gyro, done.gyro, atol=1e-12, rtol=0.0)
     plain = ["--calibration", bench / "calibration.json", "-o", tmp_path / "p.parquet", "--json"]
     assert undrift.good("correct", bench / "trial.parquet", *plain).json()["recordings"][0]["beyond_range"] == []
+
+
+def test_orient_and_validate_tell_of_readings_beyond_the_fit_too(undrift, bench, tmp_path):
+    known = read_calibration(bench / "calibration.json")
+    write_calibration(replace(known, gyro=replace(known.gyro, valid_range=(-0.2, 0.2))), tmp_path / "narrow.json")
+    said = "beyond what the calibration has seen, -11.5 to 11.5 deg/s"
+    for calibration, count in ((tmp_path / "narrow.json", 1), (bench / "calibration.json", 0)):
+        words = [bench / "trial.parquet", "--calibration", calibration, "--json"]
+        oriented = undrift.good("orient", *words, "-o", tmp_path / "o.csv").json()["notes"]
+        judged = undrift.good("validate", *words, "--reference", bench / "reference.parquet").json()["trials"][0][
+            "notes"
+        ]
+        for notes in (oriented, judged):
+            assert sum(said in note for note in notes) == count

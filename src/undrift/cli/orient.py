@@ -74,10 +74,12 @@ def orient(
     if calibration is not None:
         from undrift.calibration.store import read_calibration
         from undrift.correct import correct_checked
+        from undrift.drift.lookup.beyond import find_beyond
 
         held = read_calibration(calibration)
         done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
-        readings, model, notes = done.record, held.accel, (*done.warnings, *done.notes)
+        beyond = (one.text for one in find_beyond(done.record, held) if one.text)
+        readings, model, notes = done.record, held.accel, (*done.warnings, *beyond, *done.notes)
     else:
         check_physical(readings, record)
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)

@@ -232,7 +232,7 @@ def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: 
     if any(figures.pitch_defined < 1.0 for _, figures in rows):
         out.print(
             "pitch %: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
-            "and near there pitch max says more than the error in space",
+            "and near there pitch max may exceed the error in space",
             markup=False,
         )
     if in_sample:

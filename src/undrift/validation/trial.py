@@ -15,6 +15,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.model import AdcModel, Calibration, TriadModel
 from undrift.correct import Policy, correct_checked
+from undrift.drift.lookup.beyond import find_beyond
 from undrift.errors import AlignmentError, InputError
 from undrift.orientation.angles import inclination_of, sagittal_pitch
 from undrift.orientation.strapdown import check_gaps
@@ -298,7 +299,8 @@ def _corrected(
     if settings.adc == "none":
         calibration = replace(calibration, adc=None)
     done = correct_checked(record, calibration, policy=settings.policy, power_on_s=settings.power_on_s)
-    return done.record.in_si(), (*done.warnings, *done.notes)
+    beyond = (one.text for one in find_beyond(done.record, calibration) if one.text)
+    return done.record.in_si(), (*done.warnings, *beyond, *done.notes)
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
