@@ -129,9 +129,13 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
     assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]
     assert told["rivals"][1]["error_rms_deg"]["median"] < told["rivals"][2]["error_rms_deg"]["median"]
     assert told["rivals_missing"] is None
+    alone = {row["effect"]: row["simulated_actual_max_deg"] for row in told["figure3_effects"]}
+    assert list(alone) == ["noise alone", "hysteresis", "thermometer", "adc_inl", "g_sensitivity", "all"]
+    assert alone["all"] == told["figure3"]["simulated_actual_by_level_deg"]  # the figure is the last of its own table
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Discussion as an experiment: other ways to calibrate" in page
     assert "optics see orientation, not specific force" in page
+    assert "Figure 3: what sets simulated and actual apart" in page
     undrift.good("study", plan, "-o", tmp_path / "quick", "--workers", "1", "--quick")
     assert len(asked) == 1
 

@@ -58,7 +58,8 @@ def study(
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
     no_rivals : bool
-        Leave out the other ways to calibrate, which the note's Discussion names: about 10 s a task. --quick implies it.
+        Leave out the other ways to calibrate, which the note's Discussion names, about 10 s a task, and Figure 3 effect by effect,
+        about 10 s. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge beside the study. See docs/study.md.
     json : bool
@@ -219,6 +220,7 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         if figure is not None
         else None,
         "figure3_missing": outcome.figure3_missing or None,
+        "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
         "designs": [asdict(row) for row in outcome.designs],
         "rivals": [asdict(row) for row in outcome.rivals] or None,
         "rivals_missing": outcome.rivals_missing or None,

@@ -63,6 +63,7 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
         *tasks,
         *((full,) if full.rows else ()),
         _figure3(outcome.figure3, outcome.figure3_missing),
+        *_figure3_effects(outcome),
         *design_sections(outcome.designs),
         *rival_sections(outcome),
         *real_sections(outcome.real),
@@ -223,6 +224,29 @@ def _figure3(found: "Figure3 | None", missing: str) -> Section:
         ),
         rows=rows,
         pictures=(svg_of(draw_figure3(found)),),
+    )
+
+
+def _figure3_effects(outcome: "StudyOutcome") -> tuple[Section, ...]:
+    if not outcome.figure3_effects:
+        return ()
+    return (
+        Section(
+            title="Figure 3: what sets simulated and actual apart",
+            text=(
+                "The actual device's effects switched on one at a time: largest difference between the two errors at each level of "
+                "compensation, and the largest error that both tables leave. Noise alone is another recording of the same model.",
+            ),
+            columns=("effect", *(f"{name} (deg)" for name in LEVEL_NAMES), "largest error, both tables (deg)"),
+            rows=tuple(
+                (
+                    _words(row.effect),
+                    *(f"{value:.2f}" for value in row.simulated_actual_max_deg),
+                    f"{row.full_max_deg:.2f}",
+                )
+                for row in outcome.figure3_effects
+            ),
+        ),
     )
 
 

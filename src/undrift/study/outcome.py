@@ -12,13 +12,14 @@ from typing import cast, get_args
 import numpy as np
 
 from undrift.errors import InputError, UndriftError
+from undrift.sim.device.model import DeviceModel
 from undrift.sim.motion.library import TaskName
 from undrift.study.beside import Beside, compare_with_note
 from undrift.study.case import device_of, seeded
 from undrift.study.design_rows import DesignRow, design_rows
 from undrift.study.effects import PARAMETERS, ParameterEffect
 from undrift.study.executor import Executor
-from undrift.study.figure3 import Figure3, figure3
+from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
 from undrift.study.note import DEVICE, TABLE_1
 from undrift.study.optimise import Optimum, find_optimum
 from undrift.study.plan import Study, StudyTask
@@ -105,6 +106,8 @@ class StudyOutcome:
         For a study with a sit-to-stand.
     figure3_missing : str
         Why there is none.
+    figure3_effects : tuple of EffectRow
+        What sets its two devices apart, effect by effect; empty where the rivals were not asked for either.
     designs : tuple of DesignRow
         D- and I-optimal rates beside the uniform grid, by task.
     rivals : tuple of RivalRow
@@ -121,6 +124,7 @@ class StudyOutcome:
     cohorts: tuple[Cohort, Cohort]
     figure3: Figure3 | None
     figure3_missing: str
+    figure3_effects: tuple[EffectRow, ...] = ()
     designs: tuple[DesignRow, ...] = ()
     rivals: tuple[RivalRow, ...] = ()
     rivals_missing: str = "not asked for"
@@ -150,7 +154,7 @@ def judge_study(
     advance : callable, optional
         Told how many units are done, of how many.
     rivals : bool
-        Compare other ways to calibrate too; about 10 s a task.
+        Compare other ways to calibrate too, and make Figure 3 effect by effect; about 10 s each.
     real : RealData, optional
         Real recordings to judge.
     say : callable, optional
@@ -176,6 +180,8 @@ def judge_study(
     tested = run_testing(study, surfaces, optima, folder / TESTING)
     figure, missing = _figure3(study)
     say = say or _silent
+    if rivals and figure is not None:
+        say("Figure 3, effect by effect: about 10 s")
     say("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
     rows, rivals_missing = _rivals(study, say) if rivals else ((), "not asked for")
@@ -188,6 +194,7 @@ def judge_study(
         cohorts=(cohort_of(study), cohort_of(other_study(study))),
         figure3=figure,
         figure3_missing=missing,
+        figure3_effects=_figure3_effects(study) if rivals and figure is not None else (),
         designs=designs,
         rivals=rows,
         rivals_missing=rivals_missing,
@@ -279,10 +286,20 @@ def _stopping(study: Study, surface: TaskSurface, optimum: Optimum) -> tuple[str
 def _figure3(study: Study) -> tuple[Figure3 | None, str]:
     if not any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks):
         return None, "the study has no sit-to-stand of the library"
-    from undrift.sim.device.presets import preset
-
-    unit = device_of(study, 0) if study.worn else preset(study.device)
     try:
-        return figure3(unit, seed=study.seed, excursion_k=sum(study.excursion_k) / 2.0), ""
+        return figure3(_typical(study), seed=study.seed, excursion_k=sum(study.excursion_k) / 2.0), ""
     except UndriftError as error:  # this device cannot be calibrated so: the study's own figures stand
         return None, str(error)
+
+
+def _figure3_effects(study: Study) -> tuple[EffectRow, ...]:
+    try:
+        return effect_table(_typical(study), seed=study.seed, excursion_k=sum(study.excursion_k) / 2.0, back=False)
+    except UndriftError:  # an effect alone can be more than the fit takes: the figure stands without its table
+        return ()
+
+
+def _typical(study: Study) -> DeviceModel:
+    from undrift.sim.device.presets import preset
+
+    return device_of(study, 0) if study.worn else preset(study.device)
