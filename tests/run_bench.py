@@ -130,7 +130,7 @@ def opened(emulator, **settings):
     speed = emulator.settings.speed
     return open_rig(
         f"galil:tcp://{emulator.host}:{emulator.port}",
-        RigSettings(**{"clock_speed": speed, "reply_timeout_s": 0.5, "limits": LIMITS, **settings}),
+        RigSettings(**{"clock_speed": speed, "reply_timeout_s": 20.0, "limits": LIMITS, **settings}),
     )
 
 
