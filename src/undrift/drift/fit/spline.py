@@ -5,7 +5,8 @@
                  variance (s2) are weighed by leave-out error: how well each group of neighbours is told by the others
 
 One pair (q, s2) is seldom certain. Every pair on a grid gets the weight exp(sum of the log densities of what was left out),
-times a wide prior on the bend: that the slope changes by as much as it is over 50 degC, give or take a factor of ten. Value and
+times a wide prior on the bend: that the slope changes by as much as it is over 50 degC, give or take a factor of ten. The same
+change laid out evenly, a parabola, is told apart from it, as most drift curves are parabolas first of all. Value and
 covariance are those of the mixture, widened by Student's factor for few rows. s2 is the floor under the variance of a cell: a
 thousand blocks at the hot end of a warm-up count no more than the scatter between cells lets them.
 """
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.drift.fit.weigh import SmoothSettings, weigh, widening_of
+from undrift.drift.fit.weigh import SmoothSettings, bow_variance, weigh, widening_of
 from undrift.drift.fit.wiener import Problem, curve_at, solved
 from undrift.errors import InputError, NotObservable
 
@@ -251,6 +252,7 @@ def fit_smooth(
             correlation=correlation,
             groups=groups,
             shared=0.0 if wander.shared is None else wander.shared[column],
+            bow=bow_variance(value[:, column], variance[:, column], span, settings),
         )
         parts.append(weigh(problem, None if wander.scatter is None else float(wander.scatter[column]), span, settings))
     known = 0.0 if wander.scatter is None else 2.0 / settings.scatter_spread**2

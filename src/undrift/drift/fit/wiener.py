@@ -2,13 +2,15 @@
 
 ::
 
-    y = f(x) + Z c + e       f = a + b x + sqrt(q) * integral of a Wiener process       x = (T - T_0) / span, T_0 the middle
+    y = f(x) + Z c + e       f = a + b x + g p(x) + sqrt(q) * integral of a Wiener process
+                             x = (T - T_0) / span, T_0 the middle; p = 4 x^2 between the ends, its tangents outside
     cov e = diag(v) + s2 C   v known, C known, q and s2 to be found
 
 The mean of f given y is the cubic smoothing spline with stiffness s2 / q, and its covariance is known everywhere: small among
-the data, growing with the cube of the distance outside [1]_. a, b and c have no prior. With K = q k(x, x') + cov e,
-H = (1, x, Z) and P = K^-1 - K^-1 H (H' K^-1 H)^-1 H' K^-1, what the others say about rows I left out is off by
-P_II^-1 (P y)_I with covariance P_II^-1: the leave-out error needs no second fit.
+the data, growing with the cube of the distance outside [1]_. a, b and c have no prior; g, the bow, has a wide one about 0, as most
+drift curves are parabolas first of all: without it five values would leave the whole bow to chance between them. With
+K = q k(x, x') + g2 p p' + cov e, H = (1, x, Z) and P = K^-1 - K^-1 H (H' K^-1 H)^-1 H' K^-1, what the others say about rows I left
+out is off by P_II^-1 (P y)_I with covariance P_II^-1: the leave-out error needs no second fit.
 
 References
 ----------
@@ -45,6 +47,8 @@ class Problem:
         Rows of one number are left out together.
     shared : array, shape (n, n), or 0
         Known covariance of the rows beside v, that unit squared.
+    bow : float
+        Prior variance of g, that unit squared; 0 for no parabola.
     """
 
     x: FloatArray
@@ -54,6 +58,7 @@ class Problem:
     correlation: FloatArray
     groups: IntArray
     shared: FloatArray | float = 0.0
+    bow: float = 0.0
 
     def covariance(self, bend: FloatArray, scatter: FloatArray) -> FloatArray:
         """Return K for each pair of hyperparameters.
@@ -68,7 +73,9 @@ class Problem:
         array, shape (G, n, n)
             Unit of y squared.
         """
-        own = self.shared + np.diag(self.variance + _JITTER * max(float(np.var(self.y)), 1e-300))
+        bow = parabola(self.x)
+        own = self.shared + self.bow * np.outer(bow, bow)
+        own = own + np.diag(self.variance + _JITTER * max(float(np.var(self.y)), 1e-300))
         made: FloatArray = (
             bend[:, None, None] * bending(self.x, self.x) + own + scatter[:, None, None] * self.correlation
         )
@@ -118,6 +125,25 @@ def bending(one: FloatArray, two: FloatArray) -> FloatArray:
     most = np.maximum(np.abs(one)[:, None], np.abs(two)[None, :])
     same_side = one[:, None] * two[None, :] > 0.0
     return np.where(same_side, least**2 * (3.0 * most - least) / 6.0, 0.0)
+
+
+def parabola(x: FloatArray) -> FloatArray:
+    """Return p: a parabola between the ends of the data, its tangents outside.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Scaled temperature.
+
+    Returns
+    -------
+    array, shape (n,)
+        0 in the middle, 1 at either end.
+    """
+    size = np.abs(x)
+    inside = np.minimum(size, 0.5)
+    p: FloatArray = 4.0 * (inside**2 + size - inside)
+    return p
 
 
 def solved(problem: Problem, bend: FloatArray, scatter: FloatArray) -> Solved:
@@ -221,7 +247,8 @@ def curve_at(problem: Problem, made: Solved, bend: FloatArray, nodes: FloatArray
     covariance : array, shape (G, m, m)
         Of f, unit of y squared.
     """
-    cross = bend[:, None, None] * bending(nodes, problem.x)
+    bow = parabola(nodes)
+    cross = bend[:, None, None] * bending(nodes, problem.x) + problem.bow * np.outer(bow, parabola(problem.x))
     straight = np.zeros((len(nodes), problem.basis.shape[1]))
     straight[:, 0], straight[:, 1] = 1.0, nodes
     weight = cross @ made.inverse
@@ -229,6 +256,7 @@ def curve_at(problem: Problem, made: Solved, bend: FloatArray, nodes: FloatArray
     lacking = straight - weight @ problem.basis
     covariance = (
         bend[:, None, None] * bending(nodes, nodes)
+        + problem.bow * np.outer(bow, bow)
         - weight @ np.swapaxes(cross, 1, 2)
         + lacking @ made.beta_covariance @ np.swapaxes(lacking, 1, 2)
     )
