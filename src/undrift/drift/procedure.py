@@ -22,7 +22,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.model import Calibration, DriftTables, Verdict
 from undrift.calibration.observed import in_one_unit
 from undrift.drift.fit.accel import AccelDriftFit, fit_accel_drift, with_accel
-from undrift.drift.fit.agree import check_sessions, check_turns, offsets_verdict
+from undrift.drift.fit.agree import check_sessions, check_turns, offsets_verdict, poses_verdict
 from undrift.drift.fit.asymmetry import Asymmetry, scale_asymmetry
 from undrift.drift.fit.choose import Alternative, Choice, choose_tables
 from undrift.drift.fit.crop import cropped_choice, cropped_static, widened
@@ -199,7 +199,7 @@ def fit_drift(
     told_of_tables = choice_verdict(choice, not_chosen), static_verdict(static, accel, len(np.unique(rests.pose)))
     gyro = summarise_gyro(static, rests, device, settings.static)
     told_of_way = one_way_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
-    told_of_rest = told_of_way, accel_verdict(accel), lag_verdict(lag, lag_s)
+    told_of_rest = told_of_way, poses_verdict(accel, device), accel_verdict(accel), lag_verdict(lag, lag_s)
     verdict = reduce(Verdict.also, (agrees, temperature_verdict(together), *told_of_tables, *told_of_rest))
     return DriftFit(
         calibration=replace(

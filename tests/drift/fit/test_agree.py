@@ -6,6 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soaks import GRAVITY, reading
+from undrift.drift.fit.accel import fit_accel_drift
+from undrift.drift.fit.agree import offsets_verdict, poses_verdict
+from undrift.drift.observe.observations import RestBlocks
 from undrift.drift.procedure import DriftSettings, fit_drift
 from undrift.errors import Implausible
 from undrift.sim.device.presets import preset
@@ -84,6 +88,81 @@ def test_an_offset_that_is_not_the_calibration_s_is_told_in_deg_per_s():
         assert len(said) == 1
         assert float(re.search(r"degC is (\S+) \+-", said[0])[1]) == pytest.approx(-dps, abs=0.5)
         assert fit.verdict.status == status
+
+
+def with_table_uncertainty(static, dps):
+    raw = np.broadcast_to(
+        np.abs(np.diag(CALIBRATION.gyro.forward_matrix)) * np.radians(dps), (len(static.table.temp_c), 3)
+    )
+    return replace(static, gyro=replace(static.gyro, uncertainty=raw))
+
+
+@pytest.mark.parametrize(
+    ("off", "known_to", "status", "words"),
+    [
+        (6.0, 1.5, "marginal", "a switch-on moves it by 2 deg/s at most"),  # four standard uncertainties
+        (15.0, 3.0, "marginal", "a switch-on moves it by 2 deg/s at most"),  # five: too few for bad
+        (15.0, 1.0, "bad", "a switch-on moves it by 2 deg/s at most"),
+        (6.0, 3.0, "good", "this session is too poor to tell whether it belongs to the calibration"),
+        (1.0, 0.1, "good", ""),  # ten, and no more than a switch-on makes
+        (1.0, 3.0, "good", ""),
+    ],
+)
+def test_an_offset_is_told_from_three_standard_uncertainties_and_below_that_a_poor_table_is(
+    off, known_to, status, words
+):
+    static = fit_drift([warmed(4, (0.0, 0.0, 0.0))], CALIBRATION, settings=TABLES).static
+    verdict = offsets_verdict(with_table_uncertainty(static, known_to), shifted((off, 0.0, 0.0)))
+    assert verdict.status == status
+    assert [words in reason for reason in verdict.reasons] == ([True] if words else [])
+    if words:
+        assert f"+- {known_to:.2g}, " in verdict.reasons[0]
+
+
+FACES = np.concatenate((np.eye(3), -np.eye(3)))
+
+
+def six_faces(scale, shift_mg):
+    """Return the poses' fit of a device whose accelerometers read ``scale`` times as much, and ``shift_mg`` more, on x."""
+    made = replace(DEVICE, accel=replace(DEVICE.accel, nonlinearity=None, lever_arm=None))
+    temp, up = np.repeat([20.0, 30.0, 40.0], 6), np.tile(FACES, (3, 1))
+    force = GRAVITY * (up * [scale, 1.0, 1.0] + [1e-3 * shift_mg, 0.0, 0.0])
+    rng, sigma = np.random.default_rng(0), 2e-4 * GRAVITY * made.accel.gain
+    blank = np.zeros(18)
+    rests = RestBlocks(
+        session=np.zeros(18, int), pose=np.tile(np.arange(6), 3), time=np.arange(18.0), power_on_s=blank, temp_c=temp,
+        ramp_c_per_min=blank, gyro=np.zeros((18, 3)), gyro_variance=np.ones((18, 3)),
+        accel=reading(made.accel, force, temp - made.reference_temp_c) + rng.normal(0.0, sigma, (18, 3)),
+        accel_variance=np.full((18, 3), sigma**2),
+    )  # fmt: skip
+    calibration = true_calibration(made)
+    return fit_accel_drift(rests, calibration, temp_c=np.arange(20.0, 40.1, 1.0)), calibration
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift_mg", "status", "words"),
+    [
+        (1.0, 0.0, "good", ""),
+        (1.005, 30.0, "good", ""),
+        (1.02, 0.0, "marginal", r"matrix at \S+ degC differ from the calibration's by -1\.9\S*, .* in xx \(wanted 1\)"),
+        (1.10, 0.0, "bad", r"matrix at \S+ degC differ from the calibration's by -9\.\S*, "),
+        (1.0, 80.0, "marginal", r"offset at \S+ degC \+(79|80|81)\S* \+- \S+, .* mg on x, y, z off the calibration's"),
+        (1.0, 400.0, "bad", r"mg on x, y, z off the calibration's \(wanted 50\)"),
+    ],
+)
+def test_accelerometers_of_poses_are_held_against_the_calibration(scale, shift_mg, status, words):
+    verdict = poses_verdict(*six_faces(scale, shift_mg))
+    assert verdict.status == status
+    assert len(verdict.reasons) == bool(words)
+    assert all(re.search(words, reason) for reason in verdict.reasons)
+
+
+def test_accelerometers_without_poses_or_of_a_nominal_calibration_are_held_against_nothing():
+    found, calibration = six_faces(1.10, 400.0)
+    assert not poses_verdict(None, calibration).reasons
+    assert not poses_verdict(found, replace(calibration, accel=None)).reasons
+    nominal = replace(calibration, accel=replace(calibration.accel, method="nominal"))
+    assert not poses_verdict(found, nominal).reasons
 
 
 def test_sessions_of_two_devices_are_refused():
