@@ -1,6 +1,8 @@
 """Every reading counts once: data given twice are refused, and recordings cut from one switch-on are put together.
 
-The fit takes sessions as independent. A copy of one would halve the variance and feign a second switch-on.
+The fit takes sessions as independent. A copy of one would halve the variance and feign a second switch-on; so would one log whose
+rows were dealt out to two files. Those are known by their readings: between two rows of the one, the other lies in the middle but
+for noise, in every channel, stretch by stretch. Two switch-ons differ in temperature, pose or offset by more than that.
 """
 
 from collections.abc import Sequence
@@ -15,6 +17,10 @@ from undrift.session import Session
 
 _RUN = 16  # equal rows one after another: noise does not make them
 _DISTINCT = 8  # of them: a stuck or coarse sensor repeats itself
+_STRETCH = 64  # rows, over whose mean noise is small beside what two switch-ons differ by
+_HOLE = 8.0  # steps: rows beyond are not between two of the other
+_LIKE_NOISE = 2.0  # mean square of the stretches' means over what noise makes it
+_TELLING = 5.0  # standard deviations of the mean over all
 _GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
 
 
@@ -29,8 +35,8 @@ def check_once(sessions: Sequence[Session]) -> None:
     Raises
     ------
     InputError
-        A recording's file that is in two sessions, or recordings of two sessions with equal readings: all of them, or 16 rows
-        one after another at the same times.
+        A recording's file that is in two sessions; recordings of two sessions with equal readings: all of them, or 16 rows
+        one after another at the same times; or rows of one log in turn.
     """
     first: dict[str, str] = {}
     for number, session in enumerate(sessions):
@@ -87,8 +93,15 @@ def _joined(parts: list[Session]) -> Session:
 def _check_pair(sessions: Sequence[Session], a: int, b: int) -> None:
     for i, one in enumerate(sessions[a].records):
         for j, other in enumerate(sessions[b].records):
+            names = _called(a, _name(sessions[a], i)), _called(b, _name(sessions[b], j))
             if told := _same_readings(one, other):
-                raise _twice(_called(a, _name(sessions[a], i)), _called(b, _name(sessions[b], j)), told)
+                raise _twice(*names, told)
+            if _dealt_out(one, other):
+                raise InputError(
+                    f"drift: wanted one recording for each switch-on, got rows of one log in turn in {names[0]} and {names[1]}: "
+                    "between the times of one lie those of the other, with the same course; put them into one file by time, or "
+                    "leave one out"
+                )
 
 
 def _same_readings(one: Record, other: Record) -> str:
@@ -107,6 +120,45 @@ def _same_readings(one: Record, other: Record) -> str:
         if stop - start >= _RUN and _varies(ours[at[start:stop]]):
             return f"{stop - start} readings one after another are equal, from {one.time[at[start]]:g} s on"
     return ""
+
+
+def _dealt_out(one: Record, other: Record) -> bool:
+    """Tell whether two records are rows of one log: their times interleave, and each goes where the other goes."""
+    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
+        return False
+    ours, theirs = _channels(one), _channels(other)
+    here = np.flatnonzero((other.time > one.time[0]) & (other.time < one.time[-1]))
+    if len(here) < 2 * _STRETCH or ours.shape[1] != theirs.shape[1]:
+        return False
+    after = np.searchsorted(one.time, other.time[here])
+    step = one.time[after] - one.time[after - 1]
+    usual = float(np.median(np.diff(other.time)))
+    between = (one.time[after] > other.time[here]) & (step <= _HOLE * usual)
+    if between.mean() < 0.9:  # the same times, or holes
+        return False
+    here, after = here[between], after[between]
+    share = ((other.time[here] - one.time[after - 1]) / step[between])[:, None]
+    off = theirs[here] - (1.0 - share) * ours[after - 1] - share * ours[after]
+    known = np.isfinite(off).all(axis=1)
+    off, after = off[known], after[known]
+    count = len(off) // _STRETCH
+    varies = np.ptp(off, axis=0) > 0.0 if len(off) else np.zeros(0, bool)
+    if count < 2 or not varies.any():
+        return False
+    means = off[: count * _STRETCH].reshape(count, _STRETCH, -1).mean(axis=1)
+    rows = np.array([len(np.unique(part)) for part in np.split(after[: count * _STRETCH], count)])
+    # White noise s2 in both: s2 (1 + 2/3) in a difference, s2 / n + s2 / m in the mean over n rows of one and m of the other.
+    noise = off.var(axis=0) / (1.0 + 2.0 / 3.0)
+    expected = noise * (1.0 / _STRETCH + 1.0 / rows)[:, None]
+    like = (means**2).mean(axis=0) <= _LIKE_NOISE * expected.mean(axis=0)
+    even = np.abs(means.mean(axis=0)) <= _TELLING * np.sqrt(expected.mean(axis=0) / count)
+    return bool((like & even).all())
+
+
+def _channels(record: Record) -> FloatArray:
+    """Return the readings and the temperature where it is a column."""
+    parts = [_rows(record)] if record.temp_c is None else [_rows(record), record.temp_c[:, None]]
+    return np.column_stack(parts)
 
 
 def _varies(rows: FloatArray) -> bool:
