@@ -90,8 +90,8 @@ class GalilPlace:
             counts, ticks = self._counts_and_ticks()
         answered = self._clock.now()
         middle = 0.5 * (asked + answered)
-        self._check_reach(counts, middle)
-        self.last, self._read_at = counts, middle
+        self._check_reach(counts, answered)
+        self.last, self._read_at = counts, asked
         if self._card_clock is None:
             return Place(counts, middle, 0.5 * (answered - asked))
         return Place(counts, *self._card_clock.when(ticks, asked, answered))
@@ -124,6 +124,7 @@ class GalilPlace:
         return int(found.group(1)), int(found.group(2))
 
     def _check_reach(self, counts: int, now: float) -> None:
+        """Allow for all the time that can have passed: from the last question to this answer."""
         if self.last is None:
             return
         reach = 1.5 * self._fastest * (now - self._read_at) + self._slack
