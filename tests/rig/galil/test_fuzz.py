@@ -149,9 +149,7 @@ class PoorLine:
         self.hang_up()
 
     def byte_lost(self, command):
-        place = self.chance.choice(
-            [place for place, letter in enumerate(command) if letter != "-"]
-        )  # see docs/worklist.md
+        place = self.chance.randrange(len(command))
         return self.card(command[:place] + command[place + 1 :])
 
     def end_lost(self, command):

@@ -124,8 +124,25 @@ def test_a_turning_axis_changes_over_without_another_begin(bench):
 
 
 def test_a_card_that_reads_back_magnitudes_is_understood(bench):
-    bench.card.spoil("JG ?", b" 11\r\n:")
+    bench.card.spoil("JG ?", b" 11\r\n:", b" 11\r\n:", b" 22\r\n:")
     assert bench.rig.turn(-0.1 * DEGREE) / DEGREE == pytest.approx(-0.099)
+    assert bench.rig.turn(-0.2 * DEGREE) / DEGREE == pytest.approx(-0.198)
+    assert bench.sent == ["JG -11", "JG -11", "BGX", "JG -22", "BGX"]
+
+
+def test_a_minus_sign_that_is_lost_on_the_way_never_turns_the_table_the_other_way(bench):
+    lost = iter([True, False, False, True])
+
+    def poor_line(command):
+        return bench.card(command.replace("-", "") if command.startswith("JG -") and next(lost) else command)
+
+    bench.server._answer = poor_line
+    assert bench.rig.turn(-1.0) < 0.0
+    assert bench.card.held["JG"] == "-6366"
+    assert bench.rig.turn(-2.0) < 0.0
+    with pytest.raises(LinkError, match="wanted JG -6366, got 6366 when it was read back"):
+        bench.rig.turn(-1.0)
+    assert bench.card.moving == 0
 
 
 def test_an_older_card_that_rounds_to_two_is_believed(bench):

@@ -12,6 +12,7 @@ from undrift.rig.galil.port import GalilPort
 from undrift.rig.galil.words import error_in_words
 
 NUMBER = re.compile(r"[ ]*-?[ ]?\d{1,12}(?:\.\d{1,8})?[ ]*")
+CABLE = "check cable and baud"
 AXES = "ABCDEFGH"
 
 
@@ -31,6 +32,7 @@ class GalilCard:
         self.axis = axis
         self._commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
         self._digits: int | None = None
+        self._tells_signs: bool | None = None  # of a jog speed that is read back
 
     def do(self, command: str, deadline_s: float | None = None) -> None:
         """Give a command that has no answer but ``:``.
@@ -53,9 +55,7 @@ class GalilCard:
         if answer is None:
             raise _refusal(self.port, command)
         if answer:
-            raise LinkError(
-                f"{self.port.name}: wanted ':' in answer to '{command}', got {answer!r}; check cable and baud"
-            )
+            raise LinkError(f"{self.port.name}: wanted ':' in answer to '{command}', got {answer!r}; {CABLE}")
 
     def tries(self, command: str) -> bool:
         """Give a command that older cards may not know.
@@ -117,9 +117,7 @@ class GalilCard:
         """
         answer = self.text(command)
         if not NUMBER.fullmatch(answer):
-            raise LinkError(
-                f"{self.port.name}: wanted a number in answer to '{command}', got {answer!r}; check cable and baud"
-            )
+            raise LinkError(f"{self.port.name}: wanted a number in answer to '{command}', got {answer!r}; {CABLE}")
         return float(answer.replace(" ", ""))
 
     def integer(self, command: str, smallest: int = -(2**31), largest: int = 2**31 - 1) -> int:
@@ -129,10 +127,8 @@ class GalilCard:
         ----------
         command : str
             ``TPX``, ``JG ?``, ...
-        smallest : int
-            Least that can be true.
-        largest : int
-            Most that can be true.
+        smallest, largest : int
+            Range that can be true.
 
         Returns
         -------
@@ -148,7 +144,7 @@ class GalilCard:
         if value != int(value) or not smallest <= value <= largest:
             raise LinkError(
                 f"{self.port.name}: wanted a whole number from {smallest} to {largest} in answer to '{command}', "
-                f"got {value:g}; check cable and baud"
+                f"got {value:g}; {CABLE}"
             )
         return int(value)
 
@@ -173,9 +169,7 @@ class GalilCard:
         answer = self.text(command)
         digits = sum(character.isdigit() for character in answer)
         if not re.fullmatch(r" *-? ?\d{1,10} *", answer) or (self._digits is not None and digits != self._digits):
-            raise LinkError(
-                f"{self.port.name}: wanted counts in answer to '{command}', got {answer!r}; check cable and baud"
-            )
+            raise LinkError(f"{self.port.name}: wanted counts in answer to '{command}', got {answer!r}; {CABLE}")
         return int(answer.replace(" ", ""))
 
     def fix_format(self) -> None:
@@ -197,7 +191,7 @@ class GalilCard:
         tolerance : float
             How far a card of coarser steps may differ.
         magnitude : bool
-            The card reads it back without its sign.
+            Some cards read it back without its sign.
 
         Returns
         -------
@@ -211,13 +205,18 @@ class GalilCard:
         LinkError
             It holds something else: a byte was lost on the way.
         """
-        self.do(f"{name} {self._commas}{value:.10g}")
-        held = self.number(f"{name} {self._commas}?")
-        if magnitude and value < 0:
-            held = -abs(held)
+        tell, ask = f"{name} {self._commas}{value:.10g}", f"{name} {self._commas}?"
+        self.do(tell)
+        held = self.number(ask)
+        if magnitude and value < 0.0:
+            if held > 0.0 and self._tells_signs is None:  # a minus sign that was lost, or such a card
+                self.do(tell)
+                held = self.number(ask)
+            self._tells_signs = self._tells_signs or held < 0.0
+            held = held if self._tells_signs else -held
         if abs(held - value) > tolerance:
             raise LinkError(
-                f"{self.port.name}: wanted {name} {value:.10g}, got {held:.10g} when it was read back; check cable and baud",
+                f"{self.port.name}: wanted {name} {value:.10g}, got {held:.10g} when it was read back; {CABLE}",
                 wanted=value,
                 held=held,
             )
@@ -229,7 +228,7 @@ def _refusal(port: GalilPort, command: str) -> RigFault:
     said = port.ask("TC1") or ""
     found = re.match(r"\s*(\d{1,3})\b", said)
     if not found:
-        raise LinkError(f"{port.name}: wanted an error code in answer to 'TC1', got {said!r}; check cable and baud")
+        raise LinkError(f"{port.name}: wanted an error code in answer to 'TC1', got {said!r}; {CABLE}")
     code = int(found.group(1))
     return RigFault(
         f"{port.name}: wanted '{command}', got error {code}: {error_in_words(code)}; see the state of the card",
