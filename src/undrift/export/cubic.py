@@ -260,9 +260,10 @@ def _nominal(triad: Constant, quantity: Quantity, stated: float | None) -> float
         return si_factor(triad.unit_in, quantity)
     if stated is None or not np.isfinite(stated) or stated <= 0.0:
         name = "gyro" if quantity == "rate" else "accel"
+        option = "--gyro-dps-per-unit" if quantity == "rate" else "--accel-g-per-unit"
         raise InputError(
             f"export, {name}: wanted the gain that the autopilot's driver uses, since the calibration is for {triad.unit_in}, "
-            f"got {stated}; give the nominal gain"
+            f"got {'none' if stated is None else stated}; give the nominal gain: {option}"
         )
     return stated
 

@@ -320,7 +320,7 @@ def _settings(path: Path, kind: Format) -> Description:
             path=str(path),
             kind="calibration",
             format=kind,
-            summary=f"calibration of {held.get('device', 'an unnamed device')}, format {held.get('format')}",
+            summary=f"calibration of {held.get('device') or 'a device without a serial number'}, format {held.get('format')}",
         )
     if isinstance(held, dict) and held.get("kind") == "undrift.device":
         named = " ".join(str(held[key]) for key in ("name", "serial") if held.get(key)) or "without a name"
