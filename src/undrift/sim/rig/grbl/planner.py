@@ -49,7 +49,7 @@ def plan(moves: list[tuple[float, float]], rate: float, acceleration: float) -> 
 
 
 def _merged(moves: list[tuple[float, float]]) -> tuple[list[tuple[float, float]], list[int]]:
-    """Return the chain with moves shorter than a step joined to the next, or the last one, and how many moves of it end with each."""
+    """Return the chain with moves shorter than a step joined to a neighbour, and how many of the chain end with each move."""
     todo: list[tuple[float, float]] = []
     part_of: list[int] = []
     carried = 0.0
@@ -62,7 +62,7 @@ def _merged(moves: list[tuple[float, float]]) -> tuple[list[tuple[float, float]]
     if todo:
         todo[-1] = (todo[-1][0] + carried, todo[-1][1])
         return todo, part_of
-    return [(carried, moves[-1][1])], part_of[:-1] + [1]
+    return [(carried, moves[-1][1])], [*part_of[:-1], 1]
 
 
 def _speeds(moves: list[tuple[float, float]], enter: float, acceleration: float) -> list[float]:
