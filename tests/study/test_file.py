@@ -106,12 +106,16 @@ def test_a_motion_of_ones_own_is_performed_by_every_subject_with_another_unit(tm
 def test_a_captured_sit_to_stand_is_a_motion_of_ones_own(tmp_path: Path) -> None:
     trial = data_path("mocap_sit_to_stand", "STS1.trc.gz")
     own = TEXT.replace('"sit_to_stand"', '"rising"').replace("excursion_k", "name = 'captured'\nexcursion_k")
-    own += f'[task.motion]\nfile = "{trial}"\nbody = "pelvis"\nup = "y"\nrest_s = 0.5\n'
+    own += f'[task.motion]\nfile = "{trial}"\nbody = "pelvis"\nup = "y"\nrest_s = 6.0\nhold = true\n'
     study = read_study(written(tmp_path, own))
     case = make_case(study, study.tasks[0], 0, 11.1)
     lean = np.ptp(case.pitch[case.moving[0] : case.moving[1] - 50]) / DPS
     show("pelvis, pitch of five stand-ups, deg", lean, "20 to 60")
     assert 20.0 < lean < 60.0  # a trunk leans 43 deg
+    with pytest.raises(
+        FileFormatError, match=r"wanted a body at rest for its first rest_s = 0\.5 s, .* still for 0\.2 s"
+    ):
+        read_study(written(tmp_path, own.replace("rest_s = 6.0\nhold = true", "rest_s = 0.5")))
     (surface,) = run_study(study, InProcess(), tmp_path / "runs")
     show("pitch error over them, mean over three units, deg rms", surface.error_rms_deg.mean(axis=0), "< 2")
     assert np.isfinite(surface.error_rms_deg).all()

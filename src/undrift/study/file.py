@@ -26,8 +26,9 @@ set_points_c = [18.0, 30.0, 45.0, 60.0, 75.0]
 [task.motion]                       # own poses or markers in place of a drawn performance
 file = "squat.c3d"                  # from the folder of study.toml
 body = "pelvis"                     # or thorax, trunk; or markers = [...] of one rigid cluster
-up = "z"
-rest_s = 2.0                        # the body is at rest that long at the beginning
+up = "y"
+rest_s = 6.0                        # the body is at rest that long at the beginning, which its poses must bear out;
+hold = true                         # or, without such a rest: the first pose is held that long before the recording
 """
 
 from pathlib import Path
@@ -102,6 +103,8 @@ class MotionEntry(Entry):
         Or pelvis, thorax or trunk, found by its markers.
     up : str or None
         Laboratory axis that points up, for markers.
+    hold : bool
+        Hold the first pose for ``rest_s`` before a recording that has no rest.
     """
 
     file: str
@@ -109,6 +112,7 @@ class MotionEntry(Entry):
     markers: list[str] = Field(default_factory=list)
     body: BodyName | None = None
     up: Literal["y", "z"] | None = None
+    hold: bool = False
 
 
 class TaskEntry(Entry):
@@ -238,6 +242,7 @@ def _task(entry: TaskEntry, folder: Path) -> StudyTask:
             markers=tuple(entry.motion.markers),
             body=entry.motion.body,
             up=entry.motion.up,
+            hold=entry.motion.hold,
         )
         read_motion(motion)  # refused now rather than by a worker
     return StudyTask(

@@ -5,8 +5,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
+from undrift.frames import quaternion_conjugate, rotate
 from undrift.io.bodies import L5_OFFSET, BodyName, device_on, find_body
 from undrift.io.markers import Up
 from undrift.io.reference import read_markers, read_reference
@@ -14,9 +17,9 @@ from undrift.record import Reference
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.study.plan import OwnMotion
+from undrift.study.rest import LEAST_REST_S, check_rest
 
 SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
-LEAST_REST_S = 0.5  # the tilt at the start is a mean over the rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,17 +31,20 @@ class RecordedTask:
     spline : PoseSpline
         The poses.
     moving_s : (float, float)
-        First and last instant of motion, s from the first pose.
+        First and last instant of motion, s from the beginning.
+    held_s : float
+        How long the first pose is held before the recording begins, s.
     """
 
     spline: PoseSpline
     moving_s: tuple[float, float]
+    held_s: float = 0.0
 
     @property
     def duration_s(self) -> float:
         """Length, s."""
         start, stop = self.spline.span_s
-        return stop - start
+        return self.held_s + stop - start
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
         """Return the motion at given instants.
@@ -46,16 +52,32 @@ class RecordedTask:
         Parameters
         ----------
         time : array, shape (N,)
-            s from the first pose, increasing.
+            s from the beginning, increasing.
         gravity_m_s2 : float
             m/s2.
 
         Returns
         -------
         Motion
-            NaN outside the recording.
+            NaN outside the recording; at rest in the first pose while that is held.
         """
-        return replace(self.spline.at(time + self.spline.span_s[0], gravity_m_s2), time=time)
+        start = self.spline.span_s[0]
+        motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
+        if self.held_s == 0.0:
+            return motion
+        first = self.spline.at(np.array([start]), gravity_m_s2).q_nb
+        up = rotate(quaternion_conjugate(first), np.array([0.0, 0.0, gravity_m_s2]))
+        rows, swing = (time < self.held_s)[:, None], motion.angular_acceleration_b
+        return replace(
+            motion,
+            q_nb=np.where(rows, first, motion.q_nb),
+            rate_b=np.where(rows, 0.0, motion.rate_b),
+            mean_rate_b=np.where(rows, 0.0, motion.mean_rate_b),
+            force_b=np.where(rows, up, motion.force_b),
+            moving=np.where(rows[:, 0], 0.0, motion.moving),
+            angular_acceleration_b=None if swing is None else np.where(rows, 0.0, swing),
+            valid=np.where(rows[:, 0], 1.0, motion.valid),
+        )
 
 
 def read_motion(own: OwnMotion) -> RecordedTask:
@@ -74,7 +96,7 @@ def read_motion(own: OwnMotion) -> RecordedTask:
     Raises
     ------
     InputError
-        No such file, a file that has changed, gaps, no positions, or a rest that is too short or too long.
+        No such file, a file that has changed, gaps, no positions, a rest that is too short or too long, a body not at rest then.
     """
     return _read(own)
 
@@ -96,11 +118,19 @@ def _read(own: OwnMotion) -> RecordedTask:
             f"{own.path}: wanted poses without long gaps, got {len(spline.pieces) - 1}; cut the recording between gaps"
         )
     length = spline.span_s[1] - spline.span_s[0]
+    if own.hold:
+        if own.rest_s < LEAST_REST_S:
+            raise InputError(
+                f"{own.path}: wanted a rest_s of {LEAST_REST_S:g} s or more to hold the first pose for, got {own.rest_s:g}; "
+                "6 is the note's"
+            )
+        return RecordedTask(spline=spline, moving_s=(own.rest_s, own.rest_s + length), held_s=own.rest_s)
     if not LEAST_REST_S <= own.rest_s < length - 1.0:
         raise InputError(
             f"{own.path}: wanted a rest_s of {LEAST_REST_S:g} s to {length - 1.0:.1f} s, got {own.rest_s:g}; state how long the "
             "body is at rest at the beginning"
         )
+    check_rest(spline, own.rest_s, Path(own.path))
     return RecordedTask(spline=spline, moving_s=(own.rest_s, length))
 
 

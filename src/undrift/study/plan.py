@@ -74,6 +74,8 @@ class OwnMotion:
         Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5), thorax or trunk.
     up : str or None
         Laboratory axis that points up, for markers.
+    hold : bool
+        The recording has no rest: its first pose is held for ``rest_s`` before it.
     """
 
     path: str
@@ -82,6 +84,7 @@ class OwnMotion:
     markers: tuple[str, ...] = ()
     body: BodyName | None = None
     up: Literal["y", "z"] | None = None
+    hold: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
