@@ -66,12 +66,13 @@ def test_broad_trials_by_level_and_their_agreement() -> None:
         DeviceTrials(device=name, names=tuple(FILES[n] for n in numbers), pairs=tuple(trial(n) for n in numbers))
         for name, numbers in DEVICES.items()
     )
-    none, rest, calibrated = real_errors(devices)
-    for level in (none, rest, calibrated):
+    levels = real_errors(devices)
+    none, rest, calibrated, *left_in = levels
+    for level in levels:
         assert level.agreement is not None
         limits, icc = level.agreement.limits, level.agreement.icc
         show(
-            f"BROAD, {level.level}: median rms total, inclination; largest pitch; end, deg",
+            f"BROAD, {level.level}, rounding {level.rounding}: median rms total, inclination; largest pitch; end, deg",
             f"{level.rmse_total_deg:.2f}, {level.rmse_inclination_deg:.2f}; {level.max_abs_pitch_deg:.1f}; "
             f"{level.end_total_deg:.2f}",
         )
@@ -82,6 +83,10 @@ def test_broad_trials_by_level_and_their_agreement() -> None:
         )
     assert len(none.trials) == len(FILES)
     assert none.rmse_total_deg > 4.0 * rest.rmse_total_deg  # offsets of half a degree a second over two minutes
+    assert [level.rounding for level in left_in] == ["left in"] * 3
+    # Truncated codes: half a step is an offset that turning reads differently from resting.
+    assert left_in[1].rmse_total_deg > 1.2 * rest.rmse_total_deg
+    assert left_in[2].rmse_total_deg > calibrated.rmse_total_deg
     # A third at least: what the matrix and the offset in motion are worth beyond the rest and the half step given back, on
     # trials that the fit never saw.
     assert calibrated.rmse_total_deg < 0.67 * rest.rmse_total_deg

@@ -152,8 +152,14 @@ def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
     )
     words = ["study", plan, "-o", tmp_path / "out", "--workers", "1", "--quick", "--json", "--real", real]
     told = undrift.good(*words).json()["real"]
-    none, rest, calibrated = told["trials"]
-    assert [level["level"] for level in told["trials"]] == ["none", "rest", "calibrated"]
+    none, rest, calibrated, *left_in = told["trials"]
+    names = ["none", "rest", "calibrated"]
+    wanted = [(name, rounding) for rounding in ("undone", "left in") for name in names]
+    assert [(level["level"], level["rounding"]) for level in told["trials"]] == wanted
+    # half a step of rounding is an offset: the rest takes off all of it only where it is undone in the motion too
+    assert [level["median"] != other["median"] for level, other in zip(told["trials"], left_in, strict=False)] == [
+        True
+    ] * 3
     assert calibrated["median"]["rmse_total_deg"] < 0.67 * rest["median"]["rmse_total_deg"]  # as tests/authority holds
     assert rest["median"]["rmse_total_deg"] < none["median"]["rmse_total_deg"]
     assert {row["measure"] for row in told["captures"]} >= {"lean", "duration"}

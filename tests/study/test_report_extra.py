@@ -20,6 +20,7 @@ def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
     assert pairwise is not None
     level = RealErrors(
         level="rest",
+        rounding="undone",
         trials=(),
         rmse_total_deg=1.25,
         rmse_inclination_deg=0.5,
@@ -42,7 +43,7 @@ def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
     told = "largest lean, deg: bias -0.25, limits of agreement -0.82 to 0.32 (4 trials); ICC(2,1) 0.9"
     assert any(told in text for text in trials.text)
     assert any(text.startswith("full: ") and told in text for text in worn.text)
-    assert trials.rows == (("median", "rest", "1.25", "0.50", "not told", "not told"),)
+    assert trials.rows == (("median", "rest", "undone", "1.25", "0.50", "not told", "not told"),)
     assert captured.rows[0][3:] == ("not told", "2.00", "1.00 to 3.00", "")
     assert "a: no squat." in captured.text
     assert lacks.text == ("x: none.",)

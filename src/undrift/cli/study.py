@@ -238,6 +238,7 @@ def _real_summary(real: "RealOutcome") -> dict[str, object]:
         "trials": [
             {
                 "level": level.level,
+                "rounding": level.rounding,
                 "median": {name: getattr(level, name) for name in REAL_FIGURES},
                 "trials": [{"recording": trial.recording} | asdict(trial.figures) for trial in level.trials],
                 "agreement": None if level.agreement is None else asdict(level.agreement),

@@ -200,6 +200,7 @@ def _trials(levels: "tuple[RealErrors, ...]") -> tuple[Section, ...]:
         (
             trial.recording,
             level.level,
+            level.rounding,
             f"{trial.figures.rmse_total_deg:.2f}",
             f"{trial.figures.rmse_inclination_deg:.2f}",
             _number(trial.figures.max_abs_pitch_deg),
@@ -212,6 +213,7 @@ def _trials(levels: "tuple[RealErrors, ...]") -> tuple[Section, ...]:
         (
             "median",
             level.level,
+            level.rounding,
             *(_number(v) for v in (level.rmse_total_deg, level.rmse_inclination_deg)),
             *(_number(v) for v in (level.max_abs_pitch_deg, level.end_total_deg)),
         )
@@ -221,13 +223,19 @@ def _trials(levels: "tuple[RealErrors, ...]") -> tuple[Section, ...]:
         Section(
             title="Real recordings: devices worn beside optics",
             text=(
-                "none: readings as they come; rest: less the mean rate of the first rest; calibrated: a gyroscope fit to the other "
+                "none: no offset taken off; rest: less the mean rate of the first rest; calibrated: a gyroscope fit to the other "
                 "trials of the same device, which never saw the one that is judged.",
-                *(_agreement(level.level, level.agreement) for level in levels if level.agreement is not None),
+                _rounding(levels),
+                *(
+                    _agreement(f"{level.level}, rounding {level.rounding}", level.agreement)
+                    for level in levels
+                    if level.agreement is not None
+                ),
             ),
             columns=(
                 "recording",
                 "level",
+                "converter's rounding",
                 "total rms (deg)",
                 "inclination rms",
                 "largest pitch error",
@@ -235,6 +243,15 @@ def _trials(levels: "tuple[RealErrors, ...]") -> tuple[Section, ...]:
             ),
             rows=tuple(rows),
         ),
+    )
+
+
+def _rounding(levels: "tuple[RealErrors, ...]") -> str:
+    if levels[0].rounding == "none found":
+        return "The codes of no recording show that the converter rounds: all are taken as they come."
+    return (
+        "Converters that cut off what is below a step leave half a step as an offset. Rounding undone: the half step that the "
+        "codes show is given back, at all three levels; left in: at none. Compare levels with the same treatment alone."
     )
 
 

@@ -1,14 +1,18 @@
 """Real recordings judged as the study judges simulated ones: BROAD trials with and without calibration, agreement over trials.
 
-Three levels, of one set of recordings::
+Three levels of calibration, of one set of recordings::
 
-    none         readings as they come
-    rest         less the mean rate of the first rest, half a step given back to truncated codes
+    none         no offset taken off
+    rest         less the mean rate of the first rest
     calibrated   a gyroscope fit to the other trials of the same device, which never saw the one that is judged
+
+What the converter's rounding took is worth as much as a level: half a step of truncated codes is an offset. So all three are
+judged twice, with the rounding undone and with it left in, and levels are compared with others of the same treatment alone.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -16,8 +20,10 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.agreement import BlandAltman, IntraclassCorrelation, bland_altman, intraclass_correlation
-from undrift.validation.trial import Trial, TrialSettings
+from undrift.validation.trial import Adc, Trial, TrialSettings
 from undrift.validation.trials import LEAST_FOR_AGREEMENT, Pair, validate_leave_one_out, validate_trials
+
+Rounding = Literal["undone", "left in", "none found"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +72,8 @@ class RealErrors:
     ----------
     level : str
         none, rest or calibrated.
+    rounding : str
+        What became of the converter's rounding: undone, left in, or none found in the codes of any trial.
     trials : tuple of Trial
         Each judged.
     rmse_total_deg, rmse_inclination_deg, max_abs_pitch_deg, end_total_deg : float
@@ -75,6 +83,7 @@ class RealErrors:
     """
 
     level: str
+    rounding: Rounding
     trials: tuple[Trial, ...]
     rmse_total_deg: float
     rmse_inclination_deg: float
@@ -83,7 +92,7 @@ class RealErrors:
     agreement: Pairwise | None
 
 
-def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, RealErrors, RealErrors]:
+def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, ...]:
     """Judge real trials without calibration, with their rest alone, and with a calibration from the device's other trials.
 
     Parameters
@@ -94,7 +103,8 @@ def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, RealErrors
     Returns
     -------
     tuple of RealErrors
-        Levels none, rest, calibrated.
+        Levels none, rest, calibrated with the converter's rounding undone, then the same three with it left in; the first three
+        alone where no rounding is found.
 
     Raises
     ------
@@ -107,13 +117,27 @@ def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, RealErrors
             f"real trials: wanted devices with two trials or more, got {'none' if not devices else 'one of ' + few[0]}; a fit "
             "that judges a trial must come from others"
         )
+    undone, left_in = _levels(devices, "auto"), _levels(devices, "none")
+    errors = [
+        [trial.figures.rmse_total_deg for _, trials in levels for trial in trials] for levels in (undone, left_in)
+    ]
+    if np.array_equal(errors[0], errors[1], equal_nan=True):
+        return tuple(_told(level, "none found", trials) for level, trials in undone)
+    return (
+        *(_told(level, "undone", trials) for level, trials in undone),
+        *(_told(level, "left in", trials) for level, trials in left_in),
+    )
+
+
+def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> tuple[tuple[str, tuple[Trial, ...]], ...]:
+    """Return the trials at the three levels, the codes treated alike in all."""
     pairs = [pair for device in devices for pair in device.pairs]
     names = [name for device in devices for name in device.names]
-    bare = validate_trials(pairs, settings=TrialSettings(adc="none"), names=names).trials
-    rest = validate_trials(pairs, settings=TrialSettings(offset="rest"), names=names).trials
-    held = [validate_leave_one_out(device.pairs, names=device.names).trials for device in devices]
-    calibrated = tuple(trial for of_device in held for trial in of_device)
-    return _told("none", bare), _told("rest", rest), _told("calibrated", calibrated)
+    settings = TrialSettings(adc=adc)
+    bare = validate_trials(pairs, settings=settings, names=names).trials
+    rest = validate_trials(pairs, settings=TrialSettings(adc=adc, offset="rest"), names=names).trials
+    held = [validate_leave_one_out(device.pairs, settings=settings, names=device.names).trials for device in devices]
+    return ("none", bare), ("rest", rest), ("calibrated", tuple(trial for of_device in held for trial in of_device))
 
 
 def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwise | None:
@@ -140,7 +164,7 @@ def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwi
     )
 
 
-def _told(level: str, trials: tuple[Trial, ...]) -> RealErrors:
+def _told(level: str, rounding: Rounding, trials: tuple[Trial, ...]) -> RealErrors:
     def median(name: str) -> float:
         return float(np.nanmedian([getattr(trial.figures, name) for trial in trials]))
 
@@ -148,6 +172,7 @@ def _told(level: str, trials: tuple[Trial, ...]) -> RealErrors:
     tilts = tilts[np.isfinite(tilts).all(axis=1)]
     return RealErrors(
         level=level,
+        rounding=rounding,
         trials=trials,
         rmse_total_deg=median("rmse_total_deg"),
         rmse_inclination_deg=median("rmse_inclination_deg"),

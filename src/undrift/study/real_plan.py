@@ -148,7 +148,7 @@ class RealOutcome:
     Parameters
     ----------
     errors : tuple of RealErrors
-        Levels none, rest, calibrated; empty without trials.
+        Levels none, rest, calibrated, the converter's rounding undone and left in; empty without trials.
     motions, sways : tuple of BesideRow
         Captures and stances beside the cohort.
     worn : Worn or None
