@@ -66,6 +66,29 @@ def test_without_a_word_the_rest_offset_is_taken_off_and_the_table_is_whole(undr
     ):
         assert word in answer.out
     assert "agreement on mean inclination over 3 trials" in answer.out
+    # undrift info counts the rests and ends, in which markers were hidden; it says 96.8, 96.6, 96.7 %
+    assert "optics %: share of the motion in which the reference saw the body" in answer.out
+    assert "of the whole file it is 96.6 % or more" in answer.out
+
+
+def test_the_page_of_a_calibration_names_it_and_its_verdict(undrift, bench, tmp_path):
+    words = ["--calibration", bench / "calibration.json", "--reference", bench / "reference.parquet", "--adc", "none"]
+    told = undrift.good("validate", bench / "trial.parquet", *words, "-o", tmp_path / "r", "--json").json()
+    page = (tmp_path / "r" / "report.html").read_text()
+    made = read_calibration(bench / "calibration.json")
+    assert f"calibration.json of {made.device}: gyroscope by {made.gyro.method}" in page
+    assert f"<td>its verdict</td><td>{made.verdict.status}</td>" in page
+    assert "<td>trial.parquet</td><td>reference.parquet</td>" in page
+    assert "<td>left in</td>" in page
+    assert told["calibration"] == "calibration.json"
+
+
+def test_the_page_without_a_calibration_says_how_offset_and_rounding_were_dealt_with(undrift, tmp_path):
+    told = undrift.good("validate", *broad(B[1]), "-o", tmp_path / "r", "--json").json()
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert f"<td>{told['mean']['max_abs_pitch_deg']:.2f}</td>" in page
+    assert "the mean rate of the rest before the motion was taken off" in page
+    assert "gyro codes rounded toward zero" in page
 
 
 def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_path):
@@ -81,6 +104,10 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     page = (out / "report.html").read_text()
     assert page.count("<svg") == 5  # four courses and the agreement
     assert "Agreement over trials" in page
+    assert "leave-one-out: each recording judged by a gyroscope fit to the references of the others" in page
+    assert "left in" in page
+    assert all(f"<td>{name}</td><td>the same file</td>" in page for name in B)
+    assert told["calibration"] == "reference"
     assert answer.json() == told
 
 

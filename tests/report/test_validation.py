@@ -1,12 +1,34 @@
-"""The page of a validation shows the fields of the result and nothing else."""
+"""The page of a validation shows the fields of the result, and what was done to get them."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from undrift.calibration.model import AdcModel, Verdict
 from undrift.correct import correct
-from undrift.report.validation import COLUMNS, trials_section, validation_sections, write_validation_report
+from undrift.report.validation import (
+    COLUMNS,
+    trial_figure,
+    trials_section,
+    validation_sections,
+    write_validation_report,
+)
+from undrift.report.validation_method import Method, method_section, recordings_section
 from undrift.sim import random_device, simulate_trial, true_calibration
+from undrift.sync import LagSettings
 from undrift.validation import TrialSettings, validate_trials
+
+METHOD = Method(
+    recordings=("a.csv", "b.csv", "c.csv"),
+    references=("a.trc", "b.trc", "c.trc"),
+    calibration=None,
+    source="",
+    leave_one_out=False,
+    verdict=Verdict(),
+    settings=TrialSettings(offset="none"),
+)
+MADE = true_calibration(random_device(np.random.default_rng(2)))
 
 
 @pytest.fixture(scope="module")
@@ -19,26 +41,132 @@ def result():
     return validate_trials(pairs, calibrations=(None,), settings=TrialSettings(offset="none"), names=["a", "b", "c"])
 
 
+def said(method):
+    return dict(method_section(method).rows)
+
+
 def test_every_figure_of_the_table_is_a_field_of_the_result(result):
     section = trials_section(result.trials, [("mean", result.mean)])
-    assert len(section.columns) == len(COLUMNS) + 2
+    assert len(section.columns) == len(COLUMNS) + 3
     assert [row[0] for row in section.rows] == ["a", "b", "c", "mean"]
     for row, figures in zip(section.rows, [*(t.figures for t in result.trials), result.mean], strict=True):
         for cell, (key, _) in zip(row[1:], COLUMNS, strict=False):
             assert float(cell) == pytest.approx(getattr(figures, key), abs=0.005 + 1e-9)
+        assert float(row[-2]) == pytest.approx(100.0 * figures.pitch_defined, abs=0.051)
         assert float(row[-1]) == pytest.approx(100.0 * figures.valid_optics, abs=0.051)
+    assert "it is left out where the body lies within 5 deg of its side" in section.text[1]
 
 
-def test_sections_are_errors_agreement_and_one_for_each_trial(result):
-    titles = [section.title for section in validation_sections(result)]
-    assert titles == ["Errors", "Agreement over trials", "a", "b", "c"]
-    agreement = validation_sections(result)[1]
+def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(result):
+    sections = validation_sections(result, METHOD)
+    assert [section.title for section in sections] == [
+        "Errors",
+        "What was done",
+        "Recordings",
+        "Agreement over trials",
+        "a",
+        "b",
+        "c",
+    ]
+    agreement = sections[3]
     assert f"bias {result.agreement.limits.bias:+.2f} deg" in agreement.text[0]
     assert "An ICC depends on how much the trials differ." in agreement.text[0]
 
 
+def test_each_recording_is_shown_with_its_reference_its_lag_and_the_share_of_its_whole_file(result):
+    section = recordings_section(METHOD, result.trials)
+    assert [row[:2] for row in section.rows] == [("a.csv", "a.trc"), ("b.csv", "b.trc"), ("c.csv", "c.trc")]
+    for row, trial in zip(section.rows, result.trials, strict=True):
+        shown = dict(zip(section.columns, row, strict=True))
+        assert float(shown["lag found (ms)"].split()[0]) == pytest.approx(trial.figures.lag_ms, abs=0.006)
+        assert shown["lag in the figures"] == ("undone" if trial.lag_undone else "left in")
+        assert shown["motion (s)"] == f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}"
+        assert float(shown["optics seen, whole file (%)"]) == pytest.approx(
+            100.0 * trial.figures.valid_optics_file, abs=0.051
+        )
+    unseen = recordings_section(replace(METHOD, references=()), (replace(result.trials[0], mounting=None),) * 3)
+    assert unseen.rows[0][1] == "the same file"
+    assert unseen.rows[0][5] == "not seen"
+
+
+def test_the_page_says_which_calibration_judged_and_what_its_verdict_was():
+    assert said(METHOD)["calibration"] == "none: readings as they come, in the unit of their file"
+    assert "its verdict" not in said(METHOD)
+    read = replace(
+        METHOD, calibration=MADE, source="mine.json", verdict=Verdict(status="marginal", reasons=("why so",))
+    )
+    assert said(read)["calibration"].startswith(f"mine.json of {MADE.device}: gyroscope by ")
+    assert method_section(read).rows[1:3] == (("its verdict", "marginal"), ("", "why so"))
+    assert "flatters the figures" in said(replace(METHOD, calibration=MADE))["calibration"]
+    assert said(replace(METHOD, calibration=MADE, leave_one_out=True))["calibration"].startswith("leave-one-out: each")
+
+
+def test_the_page_says_what_became_of_the_offset():
+    rest = replace(METHOD, settings=TrialSettings(offset="rest"))
+    assert said(METHOD)["gyroscope's offset"] == "left as it is"
+    assert said(rest)["gyroscope's offset"] == "the mean rate of the rest before the motion was taken off"
+    assert said(replace(METHOD, calibration=MADE))["gyroscope's offset"] == "the calibration's alone"
+    assert said(replace(rest, calibration=MADE))["gyroscope's offset"].startswith(
+        "the calibration's, and the mean rate"
+    )
+    assert "what the others' motion added" in said(replace(rest, leave_one_out=True))["gyroscope's offset"]
+
+
+def test_the_page_says_what_became_of_the_rounding():
+    codes = replace(MADE, adc=AdcModel(gyro_lsb=np.ones(3), gyro_rounding="toward_zero"))
+    assert said(METHOD)["ADC's rounding"].startswith("given back where the codes show one")
+    assert said(replace(METHOD, settings=TrialSettings(adc="none")))["ADC's rounding"] == "left in"
+    assert said(replace(METHOD, calibration=codes))["ADC's rounding"] == (
+        "as the calibration knows it (gyroscope toward zero): what the codes lost was given back"
+    )
+    assert (
+        said(replace(METHOD, calibration=replace(MADE, adc=None)))["ADC's rounding"]
+        == "none known to the calibration: left in"
+    )
+
+
+def test_the_page_says_how_far_the_lag_was_looked_for():
+    settings = TrialSettings(lag=LagSettings(longest_lag_s=30.0))
+    assert said(replace(METHOD, settings=settings))["lag"].startswith(
+        "looked for up to 30 s either way; one up to 10 ms"
+    )
+
+
+@pytest.mark.parametrize(
+    ("align", "words"),
+    [("auto", "undone where it exceeds 5 deg"), ("rates", "is undone"), ("none", "is taken for the reference's body")],
+)
+def test_the_page_says_what_became_of_the_mounting(align, words):
+    assert said(replace(METHOD, settings=TrialSettings(align=align)))["mounting"].endswith(words)
+
+
+def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):
+    # A long trial: more samples than the picture has columns, and the peak one sample long.
+    trial = result.trials[0]
+    n = 50_000
+    course = 0.01 * np.sin(np.arange(n) / 40.0)
+    course[31_417] = np.radians(-8.41)
+    nothing = np.zeros(n)
+    error = replace(trial.error, total=np.abs(course), heading=nothing, inclination=nothing, pitch=course)
+    long = replace(
+        trial,
+        time=np.arange(n) / 286.0,
+        error=error,
+        sensor_pitch=nothing,
+        reference_pitch=nothing,
+        moving=(np.arange(n) > 20_000).astype(float),
+    )
+    _, panel = trial_figure(long).axes
+    drawn = {line.get_label(): line for line in panel.lines}
+    assert drawn["pitch"].get_ydata().min() == pytest.approx(-8.41)
+    assert drawn["total"].get_ydata().max() == pytest.approx(8.41)
+    assert len(drawn["pitch"].get_ydata()) < 4001
+    (shade,) = panel.patches
+    assert shade.get_x() == pytest.approx(20_001 / 286.0)
+
+
 def test_the_page_is_written_with_a_picture_for_each_trial(result, tmp_path):
-    write_validation_report(result, tmp_path / "r.html")
+    write_validation_report(result, METHOD, tmp_path / "r.html")
     text = (tmp_path / "r.html").read_text()
     assert "3 recordings, errors in degrees." in text
     assert text.count("<svg") == 4

@@ -13,6 +13,7 @@ from undrift.errors import InputError
 if TYPE_CHECKING:
     from undrift.calibration.model import Calibration
     from undrift.record import Record, Reference
+    from undrift.report.validation_method import Method
     from undrift.validation import Trial, TrialSettings, Validation
 
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
@@ -25,6 +26,7 @@ SHOWN = (
     ("end_inclination_deg", "end incl."),
     ("lag_ms", "lag ms"),
 )
+SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
 
 
 def validate(
@@ -110,12 +112,16 @@ def validate(
                 check_physical(readings, path)
                 check_gravity(readings, path)
         names = [name_of(record) for record in records]
-        result, fitted = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
-    for trial in result.trials:
-        _check_scale(trial)
-    told = validation_json(result) | {"offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
+        result, model = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
+    source = calibration.name if calibration else calibrate_from
+    told = validation_json(result) | {
+        "calibration": source,
+        "offset": chosen,
+        "adc": adc,
+        "leave_one_out": leave_one_out,
+    }
     if output is not None:
-        _write(output, result, told, fitted)
+        _write(output, result, told, _method(records, reference, calibration, result, model, settings))
     if json:
         write_json(told)
     else:
@@ -180,20 +186,50 @@ def _judged(
     *,
     fit: bool,
 ) -> tuple["Validation", "Calibration | None"]:
-    """Return the validation, and the calibration fitted to all recordings where one was."""
+    """Return the validation, and the calibration: as read, or as fitted to all recordings, or None."""
     from undrift.calibration.procedure_reference import calibrate_to_references
     from undrift.calibration.store import read_calibration
     from undrift.validation import validate_leave_one_out, validate_trials
 
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     fitted = calibrate_to_references(records, references, adc=settings.adc) if fit else None
-    if leave_one_out:
-        return validate_leave_one_out(pairs, settings=settings, names=names), fitted
     model = fitted if calibration is None else read_calibration(calibration)
-    return validate_trials(pairs, calibrations=(model,), settings=settings, names=names), fitted
+    if leave_one_out:
+        result = validate_leave_one_out(pairs, settings=settings, names=names)
+    else:
+        result = validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
+    for trial in result.trials:
+        _check_scale(trial)
+    return result, model
 
 
-def _write(folder: Path, result: "Validation", told: dict[str, object], fitted: "Calibration | None") -> None:
+def _method(
+    records: tuple[Path, ...],
+    references: tuple[Path, ...],
+    calibration: Path | None,
+    result: "Validation",
+    model: "Calibration | None",
+    settings: "TrialSettings",
+) -> "Method":
+    """Return what was asked for, with the verdict of what judged: in leave-one-out that of all fits to the others."""
+    from undrift.calibration.model import Verdict
+    from undrift.report.validation_method import Method
+
+    verdict = Verdict() if model is None or result.held_out else model.verdict
+    for held in result.held_out:
+        verdict = verdict.also(held.fit.triad.verdict)
+    return Method(
+        recordings=tuple(path.name for path in records),
+        references=tuple(path.name for path in references),
+        calibration=model,
+        source=calibration.name if calibration else "",
+        leave_one_out=bool(result.held_out),
+        verdict=verdict,
+        settings=settings,
+    )
+
+
+def _write(folder: Path, result: "Validation", told: dict[str, object], method: "Method") -> None:
     import json
 
     from undrift.calibration.store import write_calibration
@@ -202,14 +238,15 @@ def _write(folder: Path, result: "Validation", told: dict[str, object], fitted: 
     from undrift.report.validation import write_validation_report
 
     folder.mkdir(exist_ok=True)
-    write_validation_report(result, folder / "report.html")
+    write_validation_report(result, method, folder / "report.html")
     write_whole(folder / "validation.json", json.dumps(plain(told), indent=1, allow_nan=False) + "\n")
-    if fitted is not None:
-        write_calibration(fitted, folder / "calibration.json")
+    if method.calibration is not None and not method.source:
+        write_calibration(method.calibration, folder / "calibration.json")
 
 
 def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: bool) -> None:
     from undrift.cli.output import console, table
+    from undrift.report.validation import OPTICS_SEEN, PITCH_DEFINED
 
     title = f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})"
     shown = table(title, "recording", *(head for _, head in SHOWN), "pitch %", "optics %")
@@ -230,11 +267,11 @@ def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: 
             markup=False,
         )
     if any(figures.pitch_defined < 1.0 for _, figures in rows):
-        out.print(
-            "pitch %: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
-            "and near there pitch max may exceed the error in space",
-            markup=False,
-        )
+        out.print(PITCH_DEFINED.replace("Pitch defined", "pitch %"), markup=False)
+    least = min(trial.figures.valid_optics_file for trial in result.trials)
+    if least < min(trial.figures.valid_optics for trial in result.trials) - SHOWN_SHARE:
+        whole = f"{_percent(least)} %" + (" or more" if len(result.trials) > 1 else "")
+        out.print(f"{OPTICS_SEEN.replace('Optics seen', 'optics %')} of the whole file it is {whole}", markup=False)
     if in_sample:
         out.print(
             "these recordings made the calibration that they judge: say --leave-one-out for an honest figure",

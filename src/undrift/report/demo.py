@@ -8,10 +8,11 @@ import numpy as np
 
 from undrift.report.calibration import calibration_sections
 from undrift.report.drift import drift_sections, plus_minus
+from undrift.report.envelope import envelope
 from undrift.report.figures import DEVICE, ERROR, LIMIT, OPTICS, new_figure, svg_of
 from undrift.report.page import Section, write_page
 from undrift.report.study import study_sections
-from undrift.report.validation import MOST_POINTS, trials_section
+from undrift.report.validation import trials_section
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -138,12 +139,12 @@ def draw_levels(trials: tuple["Trial", ...]) -> "Figure":
         Two panels.
     """
     figure, (angle, error) = new_figure(2)
-    thin = slice(None, None, max(1, len(trials[0].time) // MOST_POINTS))
-    angle.plot(trials[0].time[thin], trials[0].reference_pitch[thin] / RADIAN_PER_DEGREE, color=OPTICS)
+    angle.plot(*envelope(trials[0].time, trials[0].reference_pitch / RADIAN_PER_DEGREE), color=OPTICS)
     angle.set_ylabel("pitch (deg)")
     angle.set_title("as the optics saw it", loc="left", fontsize=9)
     for trial, colour in zip(trials, LEVEL_COLOURS, strict=True):
-        error.plot(trial.time[thin], trial.error.pitch[thin] / RADIAN_PER_DEGREE, color=colour, label=trial.recording)
+        course = envelope(trial.time, trial.error.pitch / RADIAN_PER_DEGREE)
+        error.plot(*course, color=colour, label=trial.recording)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set_ylabel("error (deg)")
     error.set_xlabel("time (s)")

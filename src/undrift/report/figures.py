@@ -13,12 +13,14 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import write_whole
+from undrift.report.envelope import envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
+SHADE = "#f1efe8"  # behind a stretch that the figures are taken over
 PICTURES = (".svg", ".png", ".pdf")
 _UNDATED: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}  # the same bytes for the same figure
 AXIS_COLOURS = ("#c23b3b", "#2f8f4e", "#2b62b3")  # x, y, z
@@ -120,8 +122,12 @@ def draw_comparison(
     errors_deg: Sequence[tuple[str, FloatArray]],
     *,
     title: str,
+    moving: FloatArray | None = None,
 ) -> "Figure":
     """Draw an angle as the device and as the optics saw it, and the errors under it.
+
+    A course longer than the picture shows apart is drawn by the least and the largest value of each column: a peak of one
+    sample is in the picture.
 
     Parameters
     ----------
@@ -133,6 +139,8 @@ def draw_comparison(
         Name and course of each error, deg.
     title : str
         Heading.
+    moving : array, shape (N,), or None
+        1 within the motion, which is shaded in the errors' panel.
 
     Returns
     -------
@@ -140,19 +148,30 @@ def draw_comparison(
         Two panels.
     """
     figure, (angle, error) = new_figure(2)
-    angle.plot(time, _without_wraps(optics_deg), color=OPTICS, label="optics")
-    angle.plot(time, _without_wraps(device_deg), color=DEVICE, label="device", alpha=0.85)
+    angle.plot(*envelope(time, _without_wraps(optics_deg)), color=OPTICS, label="optics")
+    angle.plot(*envelope(time, _without_wraps(device_deg)), color=DEVICE, label="device", alpha=0.85)
     angle.set_ylabel("pitch (deg)")
     angle.set_title(title, loc="left", fontsize=10)
     angle.legend(loc="lower left", bbox_to_anchor=(0.75, 1.0), ncols=2, borderaxespad=0.2, frameon=False)
     colours = (ERROR, DEVICE, LIMIT, OPTICS)
     for (name, course), colour in zip(errors_deg, colours, strict=False):
-        error.plot(time, course, color=colour, label=name)
+        error.plot(*envelope(time, course), color=colour, label=name)
+    for start, stop in _runs(time, moving):
+        error.axvspan(start, stop, color=SHADE, linewidth=0.0, zorder=0)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set_ylabel("error (deg)")
     error.set_xlabel("time (s)")
     error.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(errors_deg), borderaxespad=0.2, frameon=False)
     return figure
+
+
+def _runs(time: FloatArray, moving: FloatArray | None) -> list[tuple[float, float]]:
+    """Return first and last instant of each stretch of motion, s."""
+    if moving is None:
+        return []
+    marks = np.diff(np.concatenate(([0.0], moving > 0.0, [0.0])))
+    starts, stops = np.flatnonzero(marks > 0.0), np.flatnonzero(marks < 0.0) - 1
+    return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops, strict=True)]
 
 
 def _without_wraps(angle_deg: FloatArray) -> FloatArray:

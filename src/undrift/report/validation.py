@@ -7,10 +7,13 @@ import numpy as np
 
 from undrift.report.figures import draw_agreement, draw_comparison, svg_of
 from undrift.report.page import Section, write_page
+from undrift.report.validation_method import Method, method_section, recordings_section
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
 
     from undrift.arrays import FloatArray
     from undrift.validation import Figures, Trial, Validation
@@ -24,18 +27,23 @@ COLUMNS = (
     ("end_total_deg", "end total (deg)"),
     ("end_inclination_deg", "end inclination (deg)"),
     ("drift_deg_per_min", "drift (deg/min)"),
-    ("lag_ms", "lag (ms)"),
 )
-MOST_POINTS = 4000  # of a drawn course
+PITCH_DEFINED = (
+    "Pitch defined: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
+    "and near there pitch max may exceed the error in space"
+)
+OPTICS_SEEN = "Optics seen: share of the motion in which the reference saw the body, where alone errors count;"
 
 
-def write_validation_report(result: "Validation", path: Path) -> None:
+def write_validation_report(result: "Validation", method: Method, path: Path) -> None:
     """Write the page of a validation.
 
     Parameters
     ----------
     result : Validation
         Trials and what they come to.
+    method : Method
+        What was asked for.
     path : Path
         The .html file.
     """
@@ -43,25 +51,33 @@ def write_validation_report(result: "Validation", path: Path) -> None:
         path,
         title="Against the reference",
         lead=f"{len(result.trials)} recording{'s' * (len(result.trials) > 1)}, errors in degrees.",
-        sections=validation_sections(result),
+        sections=validation_sections(result, method),
     )
 
 
-def validation_sections(result: "Validation") -> tuple[Section, ...]:
+def validation_sections(result: "Validation", method: Method) -> tuple[Section, ...]:
     """Return the sections of a validation's page.
 
     Parameters
     ----------
     result : Validation
         Trials and what they come to.
+    method : Method
+        What was asked for.
 
     Returns
     -------
     tuple of Section
-        Table, agreement, one section a trial.
+        Errors, what was done, recordings, agreement, one section a trial.
     """
     rows = [("mean", result.mean), ("median", result.median)] if len(result.trials) > 1 else []
-    return (trials_section(result.trials, rows), *_agreement(result), *map(trial_section, result.trials))
+    return (
+        trials_section(result.trials, rows),
+        method_section(method),
+        recordings_section(method, result.trials),
+        *_agreement(result),
+        *map(trial_section, result.trials),
+    )
 
 
 def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures]]" = ()) -> Section:
@@ -82,15 +98,19 @@ def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures
     named = [(trial.recording, trial.figures) for trial in trials]
     return Section(
         title="Errors",
-        text=("Root-mean-square over the motion; end errors are medians over the first three seconds after it.",),
-        columns=("recording", *(head for _, head in COLUMNS), "optics seen (%)"),
+        text=(
+            "Root-mean-square over the motion; end errors are medians over the first three seconds after it.",
+            f"{PITCH_DEFINED}.",
+            f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
+        ),
+        columns=("recording", *(head for _, head in COLUMNS), "pitch defined (%)", "optics seen (%)"),
         rows=tuple(_row(name, figures) for name, figures in (*named, *more)),
     )
 
 
 def _row(name: str, figures: "Figures") -> tuple[str, ...]:
     cells = (f"{getattr(figures, key):.2f}" for key, _ in COLUMNS)
-    return (name, *cells, f"{100.0 * figures.valid_optics:.1f}")
+    return (name, *cells, f"{100.0 * figures.pitch_defined:.1f}", f"{100.0 * figures.valid_optics:.1f}")
 
 
 def trial_section(trial: "Trial") -> Section:
@@ -106,21 +126,31 @@ def trial_section(trial: "Trial") -> Section:
     Section
         With its notes and a picture.
     """
-    errors = (
-        ("total", _degrees(trial.error.total)),
-        ("inclination", _degrees(trial.error.inclination)),
-        ("pitch", _degrees(trial.error.pitch)),
-    )
-    step = max(1, len(trial.time) // MOST_POINTS)
-    thin = slice(None, None, step)
-    figure = draw_comparison(
-        trial.time[thin],
-        _degrees(trial.sensor_pitch)[thin],
-        _degrees(trial.reference_pitch)[thin],
-        [(name, course[thin]) for name, course in errors],
+    return Section(title=trial.recording, text=trial.notes, pictures=(svg_of(trial_figure(trial)),))
+
+
+def trial_figure(trial: "Trial") -> "Figure":
+    """Draw the course of one trial: pitch of device and optics, and the errors, the motion shaded.
+
+    Parameters
+    ----------
+    trial : Trial
+        A recording judged.
+
+    Returns
+    -------
+    Figure
+        Two panels, deg over s.
+    """
+    errors = (("total", trial.error.total), ("inclination", trial.error.inclination), ("pitch", trial.error.pitch))
+    return draw_comparison(
+        trial.time,
+        _degrees(trial.sensor_pitch),
+        _degrees(trial.reference_pitch),
+        [(name, _degrees(course)) for name, course in errors],
         title=f"{trial.recording}: sagittal pitch",
+        moving=trial.moving,
     )
-    return Section(title=trial.recording, text=trial.notes, pictures=(svg_of(figure),))
 
 
 def _agreement(result: "Validation") -> tuple[Section, ...]:

@@ -38,6 +38,8 @@ class Figures:
         Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two.
     valid_optics : float
         Share of the motion in which the reference saw the body.
+    valid_optics_file : float
+        Share of all its poses in which the reference saw the body, rests and ends counted.
     pitch_defined : float
         Share of the samples of the motion with an error at all in which sensor and reference have a pitch: the vertical is not
         within 5 deg of the normal of the sagittal plane.
@@ -63,6 +65,7 @@ class Figures:
     rmse_total_before_lag_deg: float
     rmse_total_after_lag_deg: float
     valid_optics: float
+    valid_optics_file: float
     pitch_defined: float
     motion_s: float
     turn_rate_rms_dps: float
@@ -136,6 +139,7 @@ def figures_of(
         rmse_total_after_lag_deg=nothing,
         pitch_defined=len(pitch) / len(total) if len(total) else nothing,
         valid_optics=float(stretches.valid[m].mean()) if m.any() else 0.0,
+        valid_optics_file=float(stretches.valid.mean()),
         motion_s=nothing,
         turn_rate_rms_dps=nothing,
     )
