@@ -404,3 +404,31 @@ def test_the_earth_is_taken_off_dwells_whose_axis_is_upright() -> None:
 
 def _first(means: tuple[DwellMeans, RestMeans]) -> tuple[RateTableFit, DwellMeans, RestMeans]:
     return fit_rate_table(means[0]), *means
+
+
+def test_an_offset_that_goes_with_the_axis_is_gravity_and_nobody_is_told_to_warm_up() -> None:
+    # Without accelerometers the dwells alone: each axis of the table turns the device another way up.
+    dwells, rests = steady()
+    H = np.zeros((3, 3))
+    H[1] = np.radians([0.05, -0.05, 0.15]) / STANDARD_GRAVITY
+    dwells, _ = felt(dwells, rests, H)
+    fit = fit_with_rests(fit_rate_table(dwells), dwells, None)
+    (reason,) = [reason for reason in fit.verdict.reasons if "offset" in reason]
+    show("an offset that goes with the axis", reason)
+    assert reason.startswith("the offset differs between the axes of the table by up to 0.")
+    size = float(reason.split("by up to ")[1].split(" deg/s")[0])
+    up = np.array(_mean_force(dwells, rests))
+    assert size == pytest.approx(np.degrees(np.ptp(up @ H[1])), rel=0.15)
+    assert "warm" not in reason
+
+
+def test_an_offset_that_goes_with_time_is_told_to_warm_up_without_accelerometers_too() -> None:
+    dwells, _ = steady(np.radians(0.05))
+    fit = fit_with_rests(fit_rate_table(dwells), dwells, None)
+    assert any("warm the device up before" in reason for reason in fit.verdict.reasons)
+    assert not any("differs between the axes" in reason for reason in fit.verdict.reasons)
+
+
+def _mean_force(dwells: DwellMeans, rests: RestMeans) -> list[Array]:
+    axes = np.array(dwells.axis)
+    return [rests.dwell_force[axes == axis].mean(axis=0) for axis in "xyz"]

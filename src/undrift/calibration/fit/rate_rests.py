@@ -19,7 +19,7 @@ from undrift.calibration.fit.dwells import DwellMeans
 from undrift.calibration.fit.rate_table import RateTableFit, imposed_rates
 from undrift.calibration.fit.result import inverse_jacobian, scaled_condition
 from undrift.calibration.fit.wandering import Wandering, fit_wandering
-from undrift.calibration.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Status, TriadModel, Verdict
+from undrift.calibration.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Status, TriadModel, Verdict
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 CHANCE = 1e-3
@@ -30,6 +30,8 @@ MISS_PERCENT = (
     0.5,
     3.0,
 )  # rms, of the largest rate: parts are linear within 0.2 %; 3 % is a false rate or a stuck table
+_STAYS = 0.5  # of the walk: what is left of it with an offset for each axis of the table, where it went with the axis
+_MINUTE_S = 60.0
 _ROUNDING = 1e-9  # of the largest reading: a mean is not known better than the filter's arithmetic, whatever its noise
 
 
@@ -97,7 +99,18 @@ def fit_with_rests(
             if _feels_force(felt, readings.size - 21):
                 return _refined(fit, full, readings, felt)
     plain = np.column_stack((rates, np.ones(len(rates))))
-    return _refined(fit, plain, readings, [fit_wandering(plain, readings[:, k], sigma[:, k], time) for k in range(3)])
+    found = [fit_wandering(plain, readings[:, k], sigma[:, k], time) for k in range(3)]
+    by_axis = _by_axis(dwells, rates, sigma) if forces is None and any(one.walk > 0.0 for one in found) else None
+    return _refined(fit, plain, readings, found, by_axis)
+
+
+def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[Wandering] | None:
+    """Solve with an offset of its own for each axis of the table, the last three parameters; None where it cannot be told."""
+    own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
+    design = np.column_stack((rates, own))
+    if dwells.time is None or scaled_condition(design)[0] < 6:
+        return None
+    return [fit_wandering(design, dwells.reading[:, k], sigma[:, k], dwells.time) for k in range(3)]
 
 
 def _feels_force(felt: list[Wandering], spare: int) -> bool:
@@ -111,7 +124,13 @@ def _excess(found: list[Wandering], spare: int) -> float:
     return square / spare if spare > 0 and square > _chance(spare) else 1.0
 
 
-def _refined(fit: RateTableFit, design: FloatArray, readings: FloatArray, found: list[Wandering]) -> RateTableFit:
+def _refined(
+    fit: RateTableFit,
+    design: FloatArray,
+    readings: FloatArray,
+    found: list[Wandering],
+    by_axis: list[Wandering] | None = None,
+) -> RateTableFit:
     theta = np.array([one.theta for one in found])
     residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     rank, condition = scaled_condition(design)
@@ -124,27 +143,25 @@ def _refined(fit: RateTableFit, design: FloatArray, readings: FloatArray, found:
         rank=3 * rank,
         condition=condition,
     )
-    verdict = fit.verdict.also(_judged(model, found, widen, float(np.abs(fit.turn_rate).max())))
+    verdict = fit.verdict.also(_judged(model, (found, by_axis), widen, float(np.abs(fit.turn_rate).max())))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
 
 
-def _judged(model: TriadModel, found: list[Wandering], widen: float, largest: float) -> Verdict:
+def _judged(
+    model: TriadModel, solved: tuple[list[Wandering], list[Wandering] | None], widen: float, largest: float
+) -> Verdict:
     said, marks = [], []
+    found, by_axis = solved
     if model.g_sensitivity is not None:
         felt = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
         said.append(
             f"the gyroscopes feel gravity, by up to {felt:.2g} (deg/s)/g: fitted from dwells and rests, and taken off by the "
             "corrected specific force"
         )
-    walk = float(np.linalg.norm(model.matrix, 2)) * max(one.walk for one in found) / RADIAN_PER_DEGREE
-    wander = walk * 60.0**0.5
-    if walk > 0.0:
-        marks.append(_mark(wander, WANDER_DPS))
-        said.append(
-            f"the offset wandered during the session, by {wander:.2g} deg/s in a minute "
-            f"(1 sigma{_wanted(wander, WANDER_DPS, '')}): "
-            "it holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
-        )
+    moved, why = _moved(model, found, by_axis)
+    if why:
+        marks.append(_mark(moved, WANDER_DPS))
+        said.append(why)
     misses = 100.0 * model.rms_residual / largest
     marks.append(_mark(misses, MISS_PERCENT))
     if widen > 1.0 or misses > MISS_PERCENT[0]:
@@ -162,6 +179,28 @@ def _judged(model: TriadModel, found: list[Wandering], widen: float, largest: fl
             "dwell longer, and look at the residual of each dwell"
         )
     return Verdict(status=max(marks, key=("good", "marginal", "bad").index, default="good"), reasons=tuple(said))
+
+
+def _moved(model: TriadModel, found: list[Wandering], by_axis: list[Wandering] | None) -> tuple[float, str]:
+    """Return how far the offset moved, deg/s, and whether with time or with the axis of the table; nothing where it stayed."""
+    gain = float(np.linalg.norm(model.matrix, 2)) / RADIAN_PER_DEGREE
+    walk, within = (gain * max(one.walk for one in part) for part in (found, by_axis or found))
+    wander = walk * _MINUTE_S**0.5
+    if walk == 0.0:
+        return 0.0, ""
+    if by_axis is None or within > _STAYS * walk:
+        return wander, (
+            f"the offset wandered during the session, by {wander:.2g} deg/s in a minute "
+            f"(1 sigma{_wanted(wander, WANDER_DPS, '')}): "
+            "it holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
+        )
+    offsets = np.array([one.theta[3:] for one in by_axis])  # sensor, axis of the table
+    apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
+    return apart, (
+        f"the offset differs between the axes of the table by up to {apart:.2g} deg/s"
+        f"{_wanted(apart, WANDER_DPS, '', ' (', ')')} and hardly moves while one of them turns, as it does where gyroscopes feel "
+        "gravity: it is a mean over these poses; rest on six faces in the same session, which tells the g-sensitivity apart"
+    )
 
 
 def _mark(value: float, limits: tuple[float, float]) -> Status:
