@@ -248,3 +248,30 @@ def test_orient_and_validate_tell_of_readings_beyond_the_fit_too(undrift, bench,
         ]
         for notes in (oriented, judged):
             assert sum(said in note for note in notes) == count
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.parquet"])
+def test_specific_force_that_no_motion_explains_is_refused_by_the_name_of_its_unit(undrift, bench, tmp_path, name):
+    """A file in m/s2 that says g reads 9.8 g; 2.5 times gravity from one shaken hard is told and written."""
+    record = read_record(bench / "trial.parquet")
+    unit = record.accel_unit
+    command = ("--calibration", bench / "calibration.json", "-o", tmp_path / name)
+    for factor in (9.80665, 1 / 9.80665):
+        write_record(replace(record, accel=record.accel * factor), tmp_path / "wrong.parquet")
+        said = undrift.refused("correct", tmp_path / "wrong.parquet", *command)
+        assert f"taken as {unit}; state their true unit in a map (units = {{ accel = ... }}, --map FILE)" in said
+        assert not (tmp_path / name).exists()
+    write_record(replace(record, accel=record.accel * 2.5), tmp_path / "hard.parquet")
+    assert "far from 1 g" in undrift.good("correct", tmp_path / "hard.parquet", *command).out
+    assert (tmp_path / name).exists()
+
+
+def test_a_file_that_correct_wrote_as_text_is_known_again(undrift, bench, tmp_path):
+    """Its first line is undrift's own, before the names of the columns."""
+    for name in ("x.csv", "x.csv.gz"):
+        undrift.good(
+            "correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / name
+        )
+        found = undrift.good("info", tmp_path / name, "--json").json()
+        assert found["kind"] == "recording"
+        assert found["rows"] == len(read_record(bench / "trial.parquet"))

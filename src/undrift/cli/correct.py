@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from undrift.stream import Corrector, CorrectorState
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
+MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 or 1000 times; likewise 1 / 3 below
 
 
 def correct(
@@ -240,7 +241,9 @@ def _correct_one(
 
     stream, doubts, notes = corrector(), list[str](), dict[str, None]()
     if not part.name.endswith(".parquet"):
-        done = stream.push_checked(opening.read(record))
+        raw = opening.read(record)
+        done = stream.push_checked(raw)
+        _check_unit(done.record, record, raw.accel_unit)
         write_record(done.record, part)
         doubts = _doubts(done.record, model)
         return stream.state, _said(doubts, done.warnings, done.notes, find_beyond(done.record, model))
@@ -248,9 +251,10 @@ def _correct_one(
     with ParquetWriter(part) as writer:
         for chunk in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
             done = stream.push_checked(chunk)
-            writer.write(done.record)
             if stream.state.samples == len(chunk):  # the first chunk tells
+                _check_unit(done.record, record, chunk.accel_unit)
                 doubts = _doubts(done.record, model)
+            writer.write(done.record)
             notes.update(dict.fromkeys(done.notes))
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
@@ -261,6 +265,21 @@ def _correct_one(
 def _said(doubts: list[str], warnings: "Iterable[str]", notes: "Iterable[str]", beyond: "tuple[Beyond, ...]") -> Said:
     texts = [one.text for one in beyond if one.text]
     return Said(warnings=[*doubts, *warnings, *texts], notes=[*notes], beyond=beyond)
+
+
+def _check_unit(done: "Record", path: Path, unit: str) -> None:
+    """Refuse specific forces that no motion explains: the file's unit is another, and the result would be wrong by a factor."""
+    from undrift.io.symptoms import median_accel_g
+
+    median = median_accel_g(done)
+    if median > MOST_G or median < 1.0 / MOST_G:
+        raise InputError(
+            f"{path}: wanted a specific force of about 1 g after correction, got a median of {median:.3g} g from readings taken "
+            f"as {unit}; state their true unit in a map (units = {{ accel = ... }}, --map FILE) or in the names of the columns, "
+            "or name the calibration of this device",
+            median_g=median,
+            unit=unit,
+        )
 
 
 def _doubts(done: "Record", model: "Calibration") -> list[str]:

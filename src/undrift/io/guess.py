@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from undrift.io.columns import TextLayout
 from undrift.io.files import read_bytes
-from undrift.io.text import Text, open_text
+from undrift.io.text import MARK, Text, open_text
 
 _FORCE = re.compile(r"GRF|COP|FREEMOMENT|^[FM][xyz]\[")
 _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
@@ -35,9 +35,10 @@ def sniff(path: object) -> Text:
     Text
         As a map would open it; good for showing names, not for reading.
     """
-    lines = [
-        line for line in read_bytes(str(path), 1 << 16).decode("utf-8", "replace").splitlines()[:64] if line.strip()
-    ]
+    head = read_bytes(str(path), 1 << 16)
+    lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
+    if head.startswith(MARK):  # undrift's own first line, which open_text passes over by itself
+        lines = lines[1:] or lines
     body = lines[len(lines) // 2 :] or lines
     delimiter = max(",\t;", key=lambda mark: min(line.count(mark) for line in body[:-1] or body))
     if not any(delimiter in line for line in body):
