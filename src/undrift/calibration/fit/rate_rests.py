@@ -105,12 +105,21 @@ def fit_with_rests(
 
 
 def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[Wandering] | None:
-    """Solve with an offset of its own for each axis of the table, the last three parameters; None where it cannot be told."""
-    own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
-    design = np.column_stack((rates, own))
-    if dwells.time is None or scaled_condition(design)[0] < 6:
+    """Solve with an offset of its own for each axis of the table, parameters 4 to 6, and a trend.
+
+    None where it cannot be told, or where the trend within the axes makes half of what differs between them.
+    """
+    if dwells.time is None:
         return None
-    return [fit_wandering(design, dwells.reading[:, k], sigma[:, k], dwells.time) for k in range(3)]
+    own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
+    away = dwells.time - dwells.time.mean()
+    design = np.column_stack((rates, own, away))
+    if scaled_condition(design)[0] < 7:
+        return None
+    solved = [fit_wandering(design, dwells.reading[:, k], sigma[:, k], dwells.time) for k in range(3)]
+    trend = np.array([one.theta[6] for one in solved]) * float(np.ptp(away @ own / own.sum(axis=0)))
+    apart = np.array([np.ptp(one.theta[3:6]) for one in solved])
+    return None if (np.abs(trend) > _STAYS * apart)[np.argmax(apart)] else solved
 
 
 def _feels_force(felt: list[Wandering], spare: int) -> bool:
@@ -194,7 +203,7 @@ def _moved(model: TriadModel, found: list[Wandering], by_axis: list[Wandering] |
             f"(1 sigma{_wanted(wander, WANDER_DPS, '')}): "
             "it holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
         )
-    offsets = np.array([one.theta[3:] for one in by_axis])  # sensor, axis of the table
+    offsets = np.array([one.theta[3:6] for one in by_axis])  # sensor, axis of the table
     apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
     return apart, (
         f"the offset differs between the axes of the table by up to {apart:.2g} deg/s"
