@@ -8,6 +8,7 @@ import pytest
 from cli_bench import contents
 from undrift.calibration.model import DriftTables, StaticDrift, WarmUp
 from undrift.calibration.store import read_calibration, write_calibration
+from undrift.correct import correct
 from undrift.io.recording import read_record, write_record
 
 
@@ -275,3 +276,25 @@ def test_a_file_that_correct_wrote_as_text_is_known_again(undrift, bench, tmp_pa
         found = undrift.good("info", tmp_path / name, "--json").json()
         assert found["kind"] == "recording"
         assert found["rows"] == len(read_record(bench / "trial.parquet"))
+
+
+@pytest.mark.parametrize("triad", ["gyro", "accel"])
+def test_a_triad_in_counts_without_a_model_is_left_out_and_said_so(undrift, bench, tmp_path, triad):
+    """The rest is corrected as ever, in a file of either kind."""
+    held = read_calibration(bench / "calibration.json")
+    record, name = read_record(bench / "trial.parquet"), {"gyro": "gyroscopes", "accel": "accelerometers"}[triad]
+    other = "accel" if triad == "gyro" else "gyro"
+    kept = held.gyro if other == "gyro" else held.accel
+    model = replace(held, **{triad: None, other: replace(kept, g_sensitivity=None)})
+    write_calibration(model, tmp_path / "part.json")
+    write_record(replace(record, **{f"{triad}_unit": "count"}), tmp_path / "raw.parquet")
+    for ending in ("csv", "parquet"):
+        out = tmp_path / f"out.{ending}"
+        said = undrift.good("correct", tmp_path / "raw.parquet", "--calibration", tmp_path / "part.json", "-o", out).out
+        assert f"the {name} are left out of the result: their readings are in count" in said
+        done = read_record(out)
+        assert getattr(done, triad) is None
+        assert done.state == "corrected"
+        np.testing.assert_array_equal(
+            getattr(done, other), getattr(correct(replace(record, **{triad: None}), model), other)
+        )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening
+from undrift.cli.opening import Flag, Opening, calibrated_part
 from undrift.cli.writing import checked_folder, checked_output, name_of
 from undrift.errors import InputError
 
@@ -241,21 +241,22 @@ def _correct_one(
 
     stream, doubts, notes = corrector(), list[str](), dict[str, None]()
     if not part.name.endswith(".parquet"):
-        raw = opening.read(record)
+        raw, left_out = calibrated_part(opening.read(record), model)
         done = stream.push_checked(raw)
         _check_unit(done.record, record, raw.accel_unit)
         write_record(done.record, part)
         doubts = _doubts(done.record, model)
-        return stream.state, _said(doubts, done.warnings, done.notes, find_beyond(done.record, model))
+        return stream.state, _said(doubts, done.warnings, (*left_out, *done.notes), find_beyond(done.record, model))
     beyond: tuple[Beyond, ...] = ()
     with ParquetWriter(part) as writer:
-        for chunk in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
+        for read in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
+            chunk, left_out = calibrated_part(read, model)
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk tells
                 _check_unit(done.record, record, chunk.accel_unit)
                 doubts = _doubts(done.record, model)
             writer.write(done.record)
-            notes.update(dict.fromkeys(done.notes))
+            notes.update(dict.fromkeys((*left_out, *done.notes)))
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening, check_gravity
+from undrift.cli.opening import Flag, Opening, calibrated_part, check_gravity
 
 if TYPE_CHECKING:
     from undrift.calibration.noise import AxisNoise, NoiseFit
@@ -68,8 +68,10 @@ def noise(
             from undrift.correct import correct_checked
 
             since = None if power_on_s is None else float(power_on_s + readings.time[0] - began)
-            done = correct_checked(readings, read_calibration(calibration), power_on_s=since)
-            readings, notes = done.record, (*done.warnings, *done.notes)
+            model = read_calibration(calibration)
+            readings, left_out = calibrated_part(readings, model)
+            done = correct_checked(readings, model, power_on_s=since)
+            readings, notes = done.record, (*left_out, *done.warnings, *done.notes)
         check_gravity(readings, record)
         found = fit_noise(readings)
     if figure is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from undrift.calibration.model import Calibration
     from undrift.io.columns import ColumnMap
     from undrift.io.recording import ReadSettings
     from undrift.record import Record
@@ -118,6 +119,42 @@ def check_physical(record: "Record", path: Path) -> None:
                 f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
                 "say --calibration calibration.json"
             )
+
+
+def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
+    """Leave out the triad that stays in counts or volts because the calibration has no model of it.
+
+    Parameters
+    ----------
+    record : Record
+        As read.
+    model : Calibration
+        That it is to be corrected with.
+
+    Returns
+    -------
+    record : Record
+        Unchanged where every triad has a model or a physical unit, or where nothing would be left.
+    notes : tuple of str
+        What was left out, and why.
+    """
+    from dataclasses import replace
+
+    from undrift.units import is_physical
+
+    if record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
+        return record, ()
+    if model.accel is None and not is_physical(record.accel_unit):
+        return replace(record, accel=None, accel_unit="m/s2"), (_left_out("accelerometers", record.accel_unit),)
+    if model.gyro is None and not is_physical(record.gyro_unit):
+        return replace(record, gyro=None, gyro_unit="rad/s"), (_left_out("gyroscopes", record.gyro_unit),)
+    return record, ()
+
+
+def _left_out(what: str, unit: str) -> str:
+    return (
+        f"the {what} are left out of the result: their readings are in {unit}, and the calibration has no model of them"
+    )
 
 
 def check_gravity(record: "Record", path: Path) -> None:
