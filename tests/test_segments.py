@@ -115,7 +115,7 @@ def test_a_threshold_can_be_given_and_is_reported_with_its_unit():
 def test_a_record_shorter_than_a_window_says_so():
     record = Record(time=np.arange(50) / FS, gyro=np.zeros((50, 3)))
     with pytest.raises(
-        InputError, match=r"wanted a record longer than one window of 1 s, got 0\.49 s; shorten window_s"
+        InputError, match=r"wanted a record longer than one window of 1 s, got 0\.49 s; record for longer, or find"
     ):
         find_still(record)
 

@@ -2,10 +2,13 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from cli_bench import beyond_the_table, contents
 from data import DATA, data_path
+from undrift.io.recording import write_record
+from undrift.record import Record
 
 KEYS = {
     "kind", "format", "rows", "sample_rate_hz", "duration_s", "columns", "units", "gaps", "temp_c", "stills", "problems",
@@ -90,7 +93,7 @@ def test_what_a_file_needs_is_said_in_words_of_the_command_line_and_then_it_read
         ("trial.parquet", "recording", "100 Hz"),
         ("reference.parquet", "reference", "poses at 100 Hz"),
         ("calibration.json", "calibration", "format 1"),
-        ("summary.json", "settings", "checks"),
+        ("summary.json", "results", "checks"),
         ("report.html", "text", "doctype"),
     ],
 )
@@ -144,6 +147,45 @@ def test_names_with_brackets_are_shown_as_they_are(undrift, bench, tmp_path):
         str(path)
         in undrift.good("correct", path, "--calibration", bench / "calibration.json", "-o", tmp_path / "o").out
     )
+
+
+def test_an_uneven_log_is_told_by_samples_over_time_with_its_usual_step_beside(undrift, tmp_path):
+    """Steps of 10 ms, and one hole of 10 s in 20: 1000 samples over 20 s are 50 Hz, whatever the usual step."""
+    time = np.arange(1000) * 0.01 + np.where(np.arange(1000) < 500, 0.0, 10.0)
+    rng = np.random.default_rng(3)
+    values = rng.normal(0.0, 0.01, (1000, 3))
+    write_record(Record(time=time, gyro=values, accel=values + np.array([0.0, 0.0, 9.8])), tmp_path / "log.csv")
+    told = undrift.good("info", tmp_path / "log.csv", "--json").json()
+    assert told["sample_rate_hz"] == pytest.approx(999 / 19.99)
+    assert told["usual_rate_hz"] == pytest.approx(100.0)
+    said = undrift.good("info", tmp_path / "log.csv").out
+    assert "1000 samples at 49.97 Hz on average (usual step 10 ms, 100 Hz), 19.99 s" in said
+    assert "problem: 1 drop-outs, the longest 10.01 s" in said
+
+
+def test_a_recording_of_half_a_second_is_told_without_its_still_phases(undrift, tmp_path):
+    write_record(Record(time=np.arange(50) / 100.0, gyro=np.zeros((50, 3))), tmp_path / "short.csv")
+    assert "50 samples at 100 Hz" in (said := undrift.good("info", tmp_path / "short.csv").out)
+    assert "no still phase: 0.49 s are too short to look for one (1 s and more)" in said
+
+
+def test_the_proposed_map_can_be_pasted_line_by_line(undrift, tmp_path):
+    """The lines under the hint are a map as soon as every ? is a unit or a rate."""
+    rows = ["1,2,3;4;5;6".replace(",", ";")] * 60
+    (tmp_path / "t.csv").write_text("gx;gy;gz;ax;ay;az\n" + "\n".join(rows) + "\n")
+    lines = undrift.good("info", tmp_path / "t.csv").out.splitlines()
+    at = next(k for k, line in enumerate(lines) if "write the lines below" in line)
+    text = "\n".join(line.strip() for line in lines[at + 1 :])
+    text = text.replace('gyro = "?"', 'gyro = "dps"').replace('accel = "?"', 'accel = "g"').replace("= ?", "= 50")
+    (tmp_path / "map.toml").write_text(text)
+    assert undrift.good("info", tmp_path / "t.csv", "--map", tmp_path / "map.toml", "--json").json()["rows"] == 60
+
+
+def test_the_reasons_of_a_verdict_stand_one_a_line(undrift, bench):
+    told = undrift.good("info", bench / "calibration.json", "--json").json()["effects"]["verdict"]
+    lines = undrift.good("info", bench / "calibration.json").out.splitlines()
+    at = lines.index(f"  verdict: {told[0]}")
+    assert lines[at + 1 : at + len(told)] == [f"    - {reason}" for reason in told[1:]]
 
 
 def test_every_public_folder_was_found():

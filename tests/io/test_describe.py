@@ -129,3 +129,18 @@ def test_damaged_json_and_missing_files_are_errors(tmp_path):
         describe(put(tmp_path, "a.json", "{"))
     with pytest.raises(InputError, match="nothing of that name"):
         describe(tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("keys", "what"),
+    [
+        (("trials", "mean", "agreement", "offset", "leave_one_out"), "results of undrift validate"),
+        (("name", "objective", "tasks", "cohorts", "rivals"), "results of undrift study"),
+        (("calibration", "study", "checks"), "results of undrift demo"),
+    ],
+)
+def test_results_are_named_for_the_command_that_wrote_them(tmp_path, keys, what):
+    put(tmp_path, "x.json", json.dumps(dict.fromkeys(keys, 1)).encode())
+    found = describe(tmp_path / "x.json")
+    assert found.kind == "results"
+    assert found.summary.startswith(what)

@@ -7,6 +7,8 @@ from undrift.cli.opening import Flag, Opening
 
 if TYPE_CHECKING:
     from undrift.io.describe import Description
+    from undrift.record import Record
+    from undrift.session import Still
 
 
 def info(
@@ -51,6 +53,7 @@ def info(
                 "format": found.format,
                 "rows": found.rows,
                 "sample_rate_hz": found.sample_rate_hz,
+                "usual_rate_hz": found.usual_rate_hz,
                 "duration_s": found.duration_s,
                 "columns": found.columns,
                 "units": dict(found.units),
@@ -59,6 +62,7 @@ def info(
                 "stills": stills,
                 "problems": found.problems,
                 "summary": found.summary,
+                "map": found.example,
                 "no_still_because": reason,
                 "effects": effects,
             }
@@ -66,7 +70,12 @@ def info(
         return 0
     _show(found, stills, reason)
     for part, names in effects.items():
-        _line(f"  {part}: {', '.join(names)}")
+        if part == "verdict":  # one reason a line
+            _line(f"  verdict: {names[0]}")
+            for name in names[1:]:
+                _line(f"    - {name}")
+        else:
+            _line(f"  {part}: {', '.join(names)}")
     return 0
 
 
@@ -93,20 +102,30 @@ def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[li
     """Return [start_s, stop_s] of every still phase, and why there is none."""
     from undrift.io.recording import read_record
     from undrift.io.session import read_session
-    from undrift.segments import find_still
 
     if found.kind == "session":
         session = read_session(file)
-        stills = session.stills or tuple(
-            still for k, record in enumerate(session.records) for still in find_still(record, recording=k).stills
-        )
+        stills = session.stills or tuple(s for k, record in enumerate(session.records) for s in _search(record, k)[0])
         clocks = [record.time for record in session.records]
         return [[float(clocks[s.recording][s.start]), float(clocks[s.recording][s.stop - 1])] for s in stills], ""
     if found.kind != "recording":
         return [], ""
     record = read_record(file, opening.columns(), settings=opening.settings())
-    search = find_still(record)
-    return [[float(record.time[s.start]), float(record.time[s.stop - 1])] for s in search.stills], search.reason
+    stills, reason = _search(record)
+    return [[float(record.time[s.start]), float(record.time[s.stop - 1])] for s in stills], reason
+
+
+def _search(record: "Record", recording: int = 0) -> "tuple[tuple[Still, ...], str]":
+    """Return the still phases, and why there is none; a recording too short to tell is told, not refused."""
+    from undrift.errors import InputError
+    from undrift.segments import StillSettings, find_still
+
+    try:
+        search = find_still(record, recording=recording)
+    except InputError:
+        window = StillSettings().window_s
+        return (), f"no still phase: {record.duration_s:.3g} s are too short to look for one ({window:g} s and more)"
+    return search.stills, search.reason
 
 
 def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
@@ -114,7 +133,7 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
 
     out = console()
     out.print(f"{found.path}: {found.kind} ({found.format})", markup=False)
-    out.print(f"  {found.summary}", markup=False)
+    out.print(f"  {found.summary.partition(', for example')[0] if found.example else found.summary}", markup=False)
     for name, unit in found.units:
         out.print(f"  {name}: {unit}", markup=False)
     if found.kind in ("recording", "session"):
@@ -144,10 +163,10 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
 
 def _hints(found: "Description") -> list[str]:
     """Return what to type next, in the words of the command line."""
-    if found.kind == "table" and "columns = {" in found.summary:
+    if found.example:
         return [
-            "write that into map.toml, one entry a line, put what is true where it says ?, and say: "
-            "undrift info FILE --map map.toml"
+            "write the lines below into map.toml, put what is true where it says ?, and say: undrift info FILE --map map.toml",
+            *found.example,
         ]
     if found.kind == "table" and found.format == "apdm":
         return [f"say: undrift info FILE --sensor {found.columns[0]}"]

@@ -15,7 +15,7 @@ from undrift.io.columns import ColumnMap, is_native
 from undrift.io.csv import native_columns
 from undrift.io.detect import Format, detect
 from undrift.io.files import read_bytes
-from undrift.io.guess import example_map, foreign_kind, sniff
+from undrift.io.guess import example_map, foreign_kind, result_of, sniff
 from undrift.io.mapping import read_column_map
 from undrift.io.markers import Up
 from undrift.io.parquet import parquet_names
@@ -26,6 +26,7 @@ from undrift.io.symptoms import find_symptoms, gaps_of
 from undrift.record import Record, Reference
 from undrift.units import SI_UNIT
 
+_REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 _NEEDS = "needs a map with the true units, for example"
 
 
@@ -38,7 +39,8 @@ class Description:
     path : str
         The file or folder.
     kind : str
-        recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary.
+        recording, reference, markers, session, calibration, device, table (needs a map), results, settings,
+        text or binary.
     format : str
         csv, parquet, npz, mat, broad, trc, c3d, apdm, ...
     summary : str
@@ -46,7 +48,9 @@ class Description:
     rows : int or None
         Samples or frames.
     sample_rate_hz : float or None
-        Hz.
+        Samples over time, Hz: what is lost or uneven counts.
+    usual_rate_hz : float or None
+        Rate of the usual step, drop-outs left out, Hz; the same where every step is alike.
     duration_s : float or None
         s.
     columns : tuple of str
@@ -59,6 +63,8 @@ class Description:
         Lowest and highest temperature, degC.
     problems : tuple of str
         One sentence each.
+    example : tuple of str
+        Lines of the map that a table of foreign names may need, "?" where a person must say what is true.
     """
 
     path: str
@@ -67,12 +73,14 @@ class Description:
     summary: str
     rows: int | None = None
     sample_rate_hz: float | None = None
+    usual_rate_hz: float | None = None
     duration_s: float | None = None
     columns: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
     gaps: int = 0
     temp_c: tuple[float, float] | None = None
     problems: tuple[str, ...] = ()
+    example: tuple[str, ...] = ()
 
 
 def describe(
@@ -147,15 +155,16 @@ def describe_record(record: Record, *, path: str = "", kind: Format = "csv", bui
         Of kind "recording".
     """
     dropped, repaired = (0, 0) if built is None else (built.dropped_rows, built.repaired_rows)
-    rate = record.sample_rate_hz
+    mean, usual = mean_rate_hz(record), record.sample_rate_hz
     return Description(
         path=path,
         kind="recording",
         format=kind,
-        summary=f"{len(record)} samples at {rate:.6g} Hz, {record.duration_s:.6g} s"
+        summary=f"{len(record)} samples at {_told_rate(mean, usual)}, {record.duration_s:.6g} s"
         + (f", {record.device}" if record.device else ""),
         rows=len(record),
-        sample_rate_hz=rate,
+        sample_rate_hz=mean,
+        usual_rate_hz=usual,
         duration_s=record.duration_s,
         columns=native_columns(record)[0],
         units=_units(record),
@@ -163,6 +172,28 @@ def describe_record(record: Record, *, path: str = "", kind: Format = "csv", bui
         temp_c=_temperatures(record),
         problems=find_symptoms(record, dropped_rows=dropped, repaired_rows=repaired),
     )
+
+
+def mean_rate_hz(*records: Record) -> float:
+    """Return samples over time, drop-outs and all.
+
+    Parameters
+    ----------
+    records : Record
+        One or more.
+
+    Returns
+    -------
+    float
+        Hz, all of them together.
+    """
+    return sum(len(record) - 1 for record in records) / sum(record.duration_s for record in records)
+
+
+def _told_rate(mean: float, usual: float) -> str:
+    if abs(mean / usual - 1.0) < _REGULAR:
+        return f"{mean:.6g} Hz"
+    return f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
 
 
 def _temperatures(*records: Record) -> tuple[float, float] | None:
@@ -183,7 +214,7 @@ def _units(record: Record) -> tuple[tuple[str, str], ...]:
 
 def _with_optics(found: Description, reference: Reference) -> Description:
     seen = 100.0 * float(reference.valid.mean())
-    return replace(found, summary=f"{found.summary}, with optical poses ({seen:.1f} % seen)")
+    return replace(found, summary=f"{found.summary}, with optical poses ({seen:.1f} % seen, rest and motion together)")
 
 
 def _needs(path: Path, kind: Format, settings: ReadSettings) -> Description | None:
@@ -214,7 +245,7 @@ def _of_names(path: Path, kind: Format, names: tuple[str, ...], arrays: Arrays) 
     shown = tuple(f"{name} {array.shape}" for name, array in arrays) or names
     threes = tuple(name for name, array in arrays if array.ndim == 2 and array.shape[1] == 3)
     example = example_map(names, arrays=threes)
-    return _table(path, kind, shown, f"{len(names)} arrays or columns; {_NEEDS} {example}")
+    return _mapless(path, kind, shown, f"{len(names)} arrays or columns", example)
 
 
 def _text_table(path: Path) -> Description | None:
@@ -227,7 +258,11 @@ def _text_table(path: Path) -> Description | None:
     if what is not None:
         return _table(path, "csv", text.names, what)
     named = f"{len(text.names)} columns" + ("" if text.layout.header else " without names")
-    return _table(path, "csv", text.names, f"a table of {named}; {_NEEDS} {example_map(text.names, text=text)}")
+    return _mapless(path, "csv", text.names, f"a table of {named}", example_map(text.names, text=text))
+
+
+def _mapless(path: Path, kind: Format, names: tuple[str, ...], what: str, example: tuple[str, ...]) -> Description:
+    return replace(_table(path, kind, names, f"{what}; {_NEEDS} {', '.join(example)}"), example=example)
 
 
 def _table(path: Path, kind: Format, names: tuple[str, ...], summary: str) -> Description:
@@ -291,7 +326,8 @@ def _session(path: Path) -> Description:
         summary=f"{session.kind} of {session.serial}: {_count(session.records, 'recording')}, "
         f"{_count(session.stills, 'still')}, {_count(session.turns, 'turn')}",
         rows=sum(len(record) for record in session.records),
-        sample_rate_hz=session.records[0].sample_rate_hz,
+        sample_rate_hz=mean_rate_hz(*session.records),
+        usual_rate_hz=session.records[0].sample_rate_hz,
         duration_s=sum(record.duration_s for record in session.records),
         columns=native_columns(session.records[0])[0],
         units=_units(session.records[0]),
@@ -327,6 +363,9 @@ def _settings(path: Path, kind: Format) -> Description:
         return Description(
             path=str(path), kind="device", format=kind, summary=f"device model {named}, format {held.get('format')}"
         )
+    result = result_of(held)
+    if result:
+        return Description(path=str(path), kind="results", format=kind, summary=result)
     names = (
         ", ".join(list(held)[:8])
         if isinstance(held, dict)

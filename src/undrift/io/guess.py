@@ -16,6 +16,11 @@ _UNITS = {  # what a name may say of its unit; "?" where it says nothing, which 
     "accel": (("m/s2", r"m[_/]?s\^?2"), ("mg", r"\bmg\b|_mg\b"), ("g", r"\(g\)|_g\b"), ("count", r"raw|count|lsb")),
     "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
 }
+_RESULTS: tuple[tuple[str, set[str]], ...] = (  # what undrift writes as plain JSON, and keys that tell it
+    ("results of undrift validate", {"trials", "agreement", "offset", "leave_one_out"}),
+    ("results of undrift study", {"objective", "tasks", "cohorts", "rivals"}),
+    ("results of undrift demo", {"calibration", "study", "checks"}),
+)
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
     "accel": re.compile(r"^(a|acc|accel|accelerometer)[ _.]?([xyz])\b", re.IGNORECASE),
@@ -81,6 +86,27 @@ def foreign_kind(text: Text) -> str | None:
     return None
 
 
+def result_of(held: object) -> str:
+    """Name what undrift itself wrote as plain JSON, by keys that only it has.
+
+    Parameters
+    ----------
+    held : object
+        The JSON value.
+
+    Returns
+    -------
+    str
+        One line; "" for anything else.
+    """
+    if not isinstance(held, dict):
+        return ""
+    for what, keys in _RESULTS:
+        if keys <= held.keys():
+            return f"{what}, not a recording: {', '.join(list(held)[:8])}"
+    return ""
+
+
 def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     """Return names that differ only in an x, y, z: three axes of one quantity.
 
@@ -104,7 +130,7 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     return tuple(found)
 
 
-def example_map(names: tuple[str, ...], *, text: Text | None = None, arrays: tuple[str, ...] = ()) -> str:
+def example_map(names: tuple[str, ...], *, text: Text | None = None, arrays: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Return an example of the map that a table needs; a unit that no name tells is "?", for a person to fill in.
 
     Parameters
@@ -118,8 +144,8 @@ def example_map(names: tuple[str, ...], *, text: Text | None = None, arrays: tup
 
     Returns
     -------
-    str
-        One line of TOML keys.
+    tuple of str
+        Lines of TOML, one key each.
     """
     if text is not None and not text.layout.header:
         keys = _by_position(text)
@@ -147,10 +173,9 @@ def example_map(names: tuple[str, ...], *, text: Text | None = None, arrays: tup
     keys = keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
     units = ", ".join(f'{channel} = "{_unit_of(channel, value)}"' for channel, value in keys.items())
-    rate = "" if "time" in keys else ", sample_rate_hz = ?"
-    return (
-        f"columns = {{ {columns} }}, units = {{ {units} }}{rate}{_layout_keys(None if text is None else text.layout)}"
-    )
+    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}"]
+    lines += [] if "time" in keys else ["sample_rate_hz = ?"]
+    return (*lines, *_layout_keys(None if text is None else text.layout))
 
 
 def _unit_of(channel: str, names: str) -> str:
@@ -180,17 +205,17 @@ def _likely(channel: str, names: tuple[str, ...]) -> str | None:
     return next((name for name in names if stem in name.lower() or _LIKELY[channel].match(name.strip())), None)
 
 
-def _layout_keys(layout: TextLayout | None) -> str:
+def _layout_keys(layout: TextLayout | None) -> list[str]:
+    keys: list[str] = []
     if layout is None:
-        return ""
-    keys = []
+        return keys
     if layout.delimiter != ",":
         keys.append('delimiter = "\\t"' if layout.delimiter == "\t" else f'delimiter = "{layout.delimiter}"')
     if not layout.header:
         keys.append("header = false")
     if layout.skip_rows:
         keys.append(f"skip_rows = {layout.skip_rows}")
-    return "".join(f", {key}" for key in keys)
+    return keys
 
 
 def _first_row(text: Text) -> list[str]:

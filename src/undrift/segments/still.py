@@ -136,7 +136,7 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
     if len(record) < window + smooth:
         raise InputError(
             f"find_still: wanted a record longer than one window of {settings.window_s:g} s, got {record.duration_s:.2f} s; "
-            "shorten window_s"
+            "record for longer, or find still phases with a shorter window_s"
         )
     quiet = np.ones(len(record) - window - smooth + 2, bool)
     thresholds: list[StillThreshold] = []
