@@ -1,6 +1,7 @@
 """undrift validate: BROAD, simulated trials, and markers as the reference."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from trc_text import trc
 from undrift.calibration.store import read_calibration
 from undrift.correct import correct
 from undrift.io.recording import write_record
-from undrift.io.reference import write_reference
+from undrift.io.reference import read_reference, write_reference
 from undrift.sim import random_device, simulate_trial, true_calibration
 
 B = [
@@ -129,6 +130,21 @@ def test_raw_and_corrected_are_judged_alike(undrift, bench):
     assert turned["mean"]["rmse_pitch_deg"] == pytest.approx(done["mean"]["rmse_pitch_deg"], abs=0.02)
 
 
+def test_clocks_further_apart_than_the_search_are_refused_by_its_option_and_found_with_it(undrift, bench, tmp_path):
+    """The reference's clock is put 12 s late; the figures are those of clocks that agree."""
+    poses = read_reference(bench / "reference.parquet")
+    write_reference(replace(poses, time=poses.time + 12.0), tmp_path / "late.parquet")
+    words = ["validate", bench / "corrected.parquet", "--json", "--offset", "none", "--reference"]
+    assert "widen longest_lag_s (--longest-lag-s)" in undrift.refused(*words, tmp_path / "late.parquet")
+    found = undrift.good(*words, tmp_path / "late.parquet", "--longest-lag-s", 20).json()
+    plain = undrift.good(*words, bench / "reference.parquet").json()
+    assert found["trials"][0]["lag_ms"] == pytest.approx(plain["trials"][0]["lag_ms"] - 12000.0, abs=5.0)
+    for key in FIGURES - {"lag_ms"}:  # the lag is taken out of both, to a fraction of a sample of 10 ms
+        assert found["mean"][key] == pytest.approx(plain["mean"][key], abs=0.05)
+    line = undrift.refused(*words, bench / "reference.parquet", "--longest-lag-s", 0)
+    assert "--longest-lag-s: wanted more than 0 s, got 0" in line
+
+
 def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(undrift, bench, tmp_path):
     words = ["validate", *beyond_the_table(bench, tmp_path), "--reference", bench / "reference.parquet"]
     assert "choose the policy hold or nan" in undrift.refused(*words)
@@ -150,7 +166,7 @@ def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(u
         (
             0.5,
             99.0,
-            "no common motion; check that the two files belong together, or widen longest_lag_s; 97% of the samples are gaps",
+            "check that the two files belong together, or widen longest_lag_s (--longest-lag-s); 97% of the samples are gaps",
         ),
     ],
 )

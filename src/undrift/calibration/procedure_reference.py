@@ -10,9 +10,11 @@ from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.fit.reference import ReferenceSettings, fit_reference
 from undrift.calibration.model import AdcModel, Calibration
 from undrift.record import Record, Reference
+from undrift.sync import LagSettings
 from undrift.units import STANDARD_GRAVITY
 
 REFERENCE_SETTINGS = ReferenceSettings()
+LAG_SETTINGS = LagSettings()
 
 
 def calibrate_to_references(
@@ -21,6 +23,7 @@ def calibrate_to_references(
     *,
     adc: Literal["auto", "none"] = "auto",
     settings: ReferenceSettings = REFERENCE_SETTINGS,
+    lag_settings: LagSettings = LAG_SETTINGS,
 ) -> Calibration:
     """Calibrate the gyroscopes of one device from its recordings beside a reference.
 
@@ -34,6 +37,8 @@ def calibrate_to_references(
         "auto" gives back what the ADC's rounding took, where it shows; "none" leaves the codes.
     settings : ReferenceSettings
         Of the fit.
+    lag_settings : LagSettings
+        Of the search for the lag between the clocks.
 
     Returns
     -------
@@ -46,7 +51,7 @@ def calibrate_to_references(
         All that ``fit_reference`` raises.
     """
     rounding = device_adc(records) if adc == "auto" else None
-    fit = fit_reference(records, references, settings=settings, adc=rounding)
+    fit = fit_reference(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     return Calibration(
         device=records[0].device,

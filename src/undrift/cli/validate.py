@@ -1,5 +1,6 @@
 """``undrift validate``: what a calibration is worth in degrees, against an orientation reference."""
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
@@ -41,6 +42,7 @@ def validate(
     up: Side = "+z",
     power_on_s: float | None = None,
     policy: Literal["raise", "hold", "nan"] = "raise",
+    longest_lag_s: float = 5.0,
     markers: str | None = None,
     reference_up: Literal["y", "z"] | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
@@ -74,6 +76,8 @@ def validate(
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
         temperature was recorded the result is a gap under each, and a warning says for how long.
+    longest_lag_s : float
+        How far the clocks of recording and reference may stand apart, s: the lag is looked for up to this either way.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
     reference_up : str or None
@@ -92,6 +96,7 @@ def validate(
     """
     from undrift.cli.output import waiting, write_json
     from undrift.cli.pairs import read_pairs
+    from undrift.sync import LagSettings
     from undrift.validation import TrialSettings
 
     if not records:
@@ -100,11 +105,23 @@ def validate(
         raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
     if calibrate_from is not None and calibration is not None:
         raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+    if not 0.0 < longest_lag_s < math.inf:
+        raise InputError(
+            f"--longest-lag-s: wanted more than 0 s, got {longest_lag_s:g}; say how far the clocks may differ"
+        )
     if output is not None:
         checked_folder(output)
     labels = tuple(markers.split(",")) if markers else None
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
-    settings = TrialSettings(offset=chosen, adc=adc, forward=forward, up=up, power_on_s=power_on_s, policy=policy)
+    settings = TrialSettings(
+        offset=chosen,
+        adc=adc,
+        forward=forward,
+        up=up,
+        power_on_s=power_on_s,
+        policy=policy,
+        lag=LagSettings(longest_lag_s=longest_lag_s),
+    )
     with waiting("reading, aligning and integrating"):
         pairs = read_pairs(records, reference, labels, reference_up, opening, command="validate")
         if calibration is None and calibrate_from is None:
@@ -192,7 +209,7 @@ def _judged(
     from undrift.validation import validate_leave_one_out, validate_trials
 
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-    fitted = calibrate_to_references(records, references, adc=settings.adc) if fit else None
+    fitted = calibrate_to_references(records, references, adc=settings.adc, lag_settings=settings.lag) if fit else None
     model = fitted if calibration is None else read_calibration(calibration)
     if leave_one_out:
         result = validate_leave_one_out(pairs, settings=settings, names=names)

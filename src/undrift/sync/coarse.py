@@ -57,7 +57,7 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     if not enough.any():
         raise AlignmentError(
             f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
-            "of search, got less; check their clocks, or widen longest_lag_s"
+            "of search, got less; check their clocks, or widen longest_lag_s (--longest-lag-s)"
         )
     best = int(np.nanargmax(np.where(enough, correlation, np.nan)))
     return float((best - reach) * cell * CELL_S)

@@ -169,7 +169,7 @@ def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagS
         raise AlignmentError(
             f"lag: wanted a correlation of {settings.least_correlation:g} or more between the record's rates and the "
             f"reference's, got {correlation:.2f} within {settings.longest_lag_s:g} s: no common motion; check that the two "
-            "files belong together, or widen longest_lag_s",
+            "files belong together, or widen longest_lag_s (--longest-lag-s)",
             correlation=correlation,
         )
     return Lag(
