@@ -28,6 +28,14 @@ dwell_s = 1.0
 """
 
 
+def done(undrift, *words):
+    """Return the answer to a study that succeeds; where stderr is no terminal it has a line for each stage."""
+    answer = undrift(*words)
+    assert answer.code == 0, answer
+    assert all(": " in line and "Traceback" not in line for line in answer.err.splitlines())
+    return answer
+
+
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory):
     path = tmp_path_factory.mktemp("plan") / "study.toml"
@@ -37,8 +45,16 @@ def plan(tmp_path_factory):
 
 def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path):
     out = tmp_path / "out"
-    answer = undrift.good("study", plan, "-o", out, "--workers", "1", "--no-rivals")
-    assert "small: 18 runs (sit_to_stand; 3 subjects), about" in answer.out.splitlines()[0]
+    answer = done(undrift, "study", plan, "-o", out, "--workers", "1", "--no-rivals")
+    assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker, in all about" in answer.out.splitlines()[0]
+    stages = [line.removeprefix("small: ").split(", about")[0] for line in answer.err.splitlines()]
+    assert stages == [
+        "calibration sessions",
+        "calibration sessions: 6 of 6 units of work",
+        "the other cohort",
+        "rates to dwell at",
+        "Figure 3",
+    ]
     assert "the note agrees: " in answer.out
     assert {path.name for path in out.iterdir()} >= {"surface.parquet", "summary.json", "report.html"}
     table = pq.read_table(out / "surface.parquet")
@@ -60,7 +76,7 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     }
     assert told["figure3"]["decrease_deg"] > 3.2  # the note's figure, on the typical device
     before = (out / "surface.parquet").read_bytes()
-    again = undrift.good("study", plan, "-o", out, "--workers", "2", "--json", "--no-rivals").json()
+    again = done(undrift, "study", plan, "-o", out, "--workers", "2", "--json", "--no-rivals").json()
     assert again["tasks"] == told["tasks"]
     assert again["designs"] == told["designs"]
     assert [(row["degree"], row["criterion"]) for row in told["designs"]] == [
@@ -70,11 +86,41 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     assert (out / "surface.parquet").read_bytes() == before
 
 
+def test_values_that_no_protocol_has_are_named_with_the_reason(undrift, plan, tmp_path):
+    text = TEXT.replace("step_dps = [5.0]", "step_dps = [5.0, 70.0]").replace("[50.0, 70.0, 90.0]", "[5.0, 50.0, 90.0]")
+    path = tmp_path / "more.toml"
+    path.write_text(text)
+    answer = done(undrift, "study", path, "-o", tmp_path / "out", "--workers", "1", "--no-rivals")
+    said = (
+        "Not tried: step d 70 deg/s (divides no span from an omega_m to an omega_M); "
+        "omega_M 5 deg/s (not above any omega_m)."
+    )
+    assert f"sit_to_stand: {said}" in answer.out
+    assert said in (tmp_path / "out" / "report.html").read_text()
+    (task,) = json.loads((tmp_path / "out" / "summary.json").read_text())["tasks"]
+    assert [(row["parameter"], row["value"]) for row in task["untried"]] == [
+        ("turn_rate_step_dps", 70.0),
+        ("turn_rate_max_dps", 5.0),
+    ]
+    assert task["untried"][1]["reason"] == "not above any omega_m"
+
+
+def test_a_stated_rest_that_is_none_ends_with_two_and_one_line(undrift, tmp_path):
+    file = data_path("c3d", "squat.c3d.gz")
+    path = tmp_path / "squat.toml"
+    motion = f'[task.motion]\nfile = "{file}"\nbody = "pelvis"\nup = "y"\nrest_s = 1.0\n'
+    path.write_text(TEXT.replace('"sit_to_stand"', '"squat"') + motion)
+    line = undrift.refused("study", path, "-o", tmp_path / "out", "--no-rivals")
+    assert "wanted a body at rest for its first rest_s = 1 s, got one that turns at up to 67.3 deg/s" in line
+    assert "it is still for 0 s: take a recording that begins with 0.5 s at rest or more, or set hold = true" in line
+    assert not (tmp_path / "out").exists()
+
+
 def test_another_seed_and_number_of_subjects(undrift, plan, tmp_path):
     step = tmp_path / "step.toml"
     step.write_text(plan.read_text().replace("sit_to_stand", "step"))
     words = ["study", step, "-o", tmp_path / "a", "--quick", "--seed", "3", "--subjects", "4", "--workers", "1"]
-    told = undrift.good(*words, "--json").json()
+    told = done(undrift, *words, "--json").json()
     assert (told["seed"], told["subjects"], told["runs"]) == (3, 4, 16)
     assert told["figure3"] is None
     assert told["figure3_missing"] == "the study has no sit-to-stand of the library"
@@ -84,7 +130,7 @@ def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, 
     step = tmp_path / "step.toml"
     step.write_text(plan.read_text().replace("sit_to_stand", "step"))
     words = ["study", step, "-o", tmp_path / "a", "--subjects", "5", "--workers", "1", "--no-rivals", "--json"]
-    (whole,) = undrift.good(*words).json()["tasks"]
+    (whole,) = done(undrift, *words).json()["tasks"]
     cutoff, *_, greatest = whole["effects"]
     assert (cutoff["missing"], cutoff["mixed_model"], whole["failed_runs"], whole["left_out"]) == (0, None, 0, [])
     assert cutoff["anova"]["dof"] == [1.0, 4.0]
@@ -102,7 +148,7 @@ def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, 
         table = table.set_column(place, name, pa.array(np.full(table.num_rows, np.nan)))
     pq.write_table(table, piece)
     rmtree(tmp_path / "a" / "testing")  # of the optimum that the whole study had
-    (task,) = undrift.good(*words).json()["tasks"]
+    (task,) = done(undrift, *words).json()["tasks"]
     cutoff, *_, greatest = task["effects"]
     assert (task["failed_runs"], cutoff["missing"], cutoff["anova"]) == (3, 1, None)
     assert cutoff["mixed_model"]["values"] == 9
@@ -113,7 +159,7 @@ def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, 
     assert told in page
     assert "cut-off (Hz) is judged by a mixed model" in page
     assert "Optional stopping: looking again after each added subject" in page
-    assert told in " ".join(undrift.good(*words[:-1]).out.split())
+    assert told in " ".join(done(undrift, *words[:-1]).out.split())
 
 
 def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):
@@ -124,7 +170,7 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
         return compare_rivals(**words | {"units": 1, "methods": ("data_sheet", "rate_table", "mocap")})
 
     monkeypatch.setattr("undrift.study.outcome.compare_rivals", few)
-    told = undrift.good("study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
+    told = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
     assert asked == [{"kind": "enc03j_3031", "seed": 0, "tasks": ("sit_to_stand",)}]
     assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]
     assert told["rivals"][1]["error_rms_deg"]["median"] < told["rivals"][2]["error_rms_deg"]["median"]
@@ -136,7 +182,7 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
     assert "Discussion as an experiment: other ways to calibrate" in page
     assert "optics see orientation, not specific force" in page
     assert "Figure 3: what sets simulated and actual apart" in page
-    undrift.good("study", plan, "-o", tmp_path / "quick", "--workers", "1", "--quick")
+    done(undrift, "study", plan, "-o", tmp_path / "quick", "--workers", "1", "--quick")
     assert len(asked) == 1
 
 
@@ -150,16 +196,14 @@ def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
         + f'[[capture]]\nfile = "{sit}"\ntask = "sit_to_stand"\nbody = "pelvis"\nup = "y"\n'
         + f'[[stance]]\nfile = "{stance}"\nmass_kg = 65.35\ncondition = "open on foam"\n'
     )
-    words = ["study", plan, "-o", tmp_path / "out", "--workers", "1", "--quick", "--json", "--real", real]
-    told = undrift.good(*words).json()["real"]
+    answer = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--quick", "--real", real)
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())["real"]
     none, rest, calibrated, *left_in = told["trials"]
-    names = ["none", "rest", "calibrated"]
-    wanted = [(name, rounding) for rounding in ("undone", "left in") for name in names]
-    assert [(level["level"], level["rounding"]) for level in told["trials"]] == wanted
-    # half a step of rounding is an offset: the rest takes off all of it only where it is undone in the motion too
-    assert [level["median"] != other["median"] for level, other in zip(told["trials"], left_in, strict=False)] == [
-        True
-    ] * 3
+    assert [(level["level"], level["rounding"]) for level in told["trials"]] == [
+        (name, rounding) for rounding in ("undone", "left in") for name in ("none", "rest", "calibrated")
+    ]
+    for level, other in zip((none, rest, calibrated), left_in, strict=True):
+        assert level["median"] != other["median"]
     assert calibrated["median"]["rmse_total_deg"] < 0.67 * rest["median"]["rmse_total_deg"]  # as tests/authority holds
     assert rest["median"]["rmse_total_deg"] < none["median"]["rmse_total_deg"]
     assert {row["measure"] for row in told["captures"]} >= {"lean", "duration"}
@@ -167,6 +211,13 @@ def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
     assert any("eyes closed on foam" in row["said"] for row in told["stances"])
     assert "agreement over trials: 3 trials or more are needed, 2 were given" in told["lacks"]
     page = (tmp_path / "out" / "report.html").read_text()
+    lines = [line for line in answer.out.splitlines() if line.startswith("real, ")]
+    for name in names:
+        (line,) = (line for line in lines if name.split(".")[0] in line)
+        assert "total rms none" in line
+        assert "rounding undone" in line
+    assert any(line.startswith("real, STS1: pitch of the simulated device worn in it, rms none") for line in lines)
+    assert any(line.startswith("real, PDS13OF1grf: ") and "figures within the cohort's 95 %" in line for line in lines)
     assert "Real recordings: devices worn beside optics" in page
     assert "Real recordings: what is not there" in page
 

@@ -12,11 +12,12 @@ from undrift.study.beside import compare_with_note
 from undrift.study.case import device_of
 from undrift.study.design_rows import design_rows, task_rates
 from undrift.study.executor import InProcess
+from undrift.study.forecast import forecast
 from undrift.study.note import TABLE_1, note_study
 from undrift.study.optimise import find_optimum
-from undrift.study.outcome import StudyOutcome, judge_study
-from undrift.study.plan import ends_of
-from undrift.study.run import TaskSurface, estimate_s
+from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, judge_study
+from undrift.study.plan import Space, ends_of
+from undrift.study.run import TaskSurface, run_study
 from undrift.study.testing import other_study
 
 ROW = TABLE_1["sit_to_stand"]
@@ -166,7 +167,40 @@ def test_the_ends_of_a_study_are_a_first_look() -> None:
         assert len(task.space.cutoff_hz) == 2
 
 
-def test_what_a_study_costs_is_measured() -> None:
+def test_what_a_study_costs_is_told_by_stage_and_what_is_done_already_costs_nothing(tmp_path: Path) -> None:
     study = note_study(quick=True, subjects=3)
-    seconds = estimate_s(replace(study, tasks=study.tasks[:1]))
-    assert 0.0 < seconds < 600.0  # six units of two runs: some tenths of a second where nobody else works
+    study = replace(study, tasks=study.tasks[1:2])
+    stages = forecast(study, tmp_path, workers=1, rivals=True, real=None)
+    assert [stage.name for stage in stages] == [
+        "calibration sessions",
+        "the other cohort",
+        "rates to dwell at",
+        "rival methods",
+    ]  # no sit-to-stand, no Figure 3
+    assert stages[0].seconds > 0.0
+    run_study(study, InProcess(), tmp_path)
+    assert forecast(study, tmp_path, workers=1, rivals=False, real=None)[0].seconds == 0.0
+    names = [
+        stage.name for stage in forecast(note_study(quick=True), tmp_path / "b", workers=1, rivals=True, real=None)
+    ]
+    assert names[3:] == ["Figure 3", "Figure 3, effect by effect", "rival methods"]
+
+
+def test_values_without_a_protocol_are_named_and_so_are_those_whose_sessions_are_too_long() -> None:
+    space = Space(
+        cutoff_hz=(5.0,),
+        turn_rate_step=(0.1, 0.3),
+        turn_rate_min=(0.1, 0.25, 0.9),
+        turn_rate_max=(0.5, 0.6),
+    )
+    told = [(row.parameter, row.value, row.reason) for row in space.untried()]
+    assert told == [
+        ("turn_rate_step", 0.3, "divides no span from an omega_m to an omega_M"),
+        ("turn_rate_min", 0.25, "no step divides a span that it ends"),
+        ("turn_rate_min", 0.9, "not below any omega_M"),
+    ]
+    assert replace(space, only=((0.1, 0.1, 0.5),)).untried() == ()
+    held = surface(noisy([0.5, 0.5, 0.5, 0.5]))
+    assert _too_long(note_study(), held) == ()
+    (row,) = _too_long(replace(note_study(), rig_minutes_max=195.0), held)
+    assert (row.parameter, row.value, row.reason) == ("turn_rate_max", pytest.approx(np.pi / 2.0), TOO_LONG)

@@ -8,10 +8,10 @@ from cyclopts import Parameter
 
 from undrift.cli.opening import Flag
 from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.study.effects import ParameterEffect
-    from undrift.study.executor import Executor
     from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real_motion import BesideRow
@@ -58,8 +58,8 @@ def study(
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
     no_rivals : bool
-        Leave out the other ways to calibrate, which the note's Discussion names, about 10 s a task, and Figure 3 effect by effect,
-        about 10 s. --quick implies it.
+        Leave out the other ways to calibrate, which the note's Discussion names, about 20 s, and Figure 3 effect by effect, about
+        15 s. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge beside the study. See docs/study.md.
     json : bool
@@ -71,17 +71,22 @@ def study(
         Exit code.
     """
     from undrift.cli.output import plain, write_json
+    from undrift.cli.study_progress import StudyProgress, announce
     from undrift.files import write_whole
     from undrift.report.study import write_study_report
     from undrift.study.executor import choose_executor
+    from undrift.study.forecast import forecast
+    from undrift.study.outcome import judge_study
 
     planned = _planned(plan, preset, quick, subjects, seed)
     held = None if real is None else _read_real(real)
     executor = choose_executor(scheduler, workers)
-    workers = executor.workers
+    workers, rivals = executor.workers, not (no_rivals or quick)
     _check_folder(output, planned)
-    _announce(planned, workers, json)
-    outcome = _with_progress(planned, executor, output, not (no_rivals or quick), held)
+    stages = forecast(planned, output, workers=workers, rivals=rivals, real=held)
+    announce(planned, stages, workers, json)
+    with StudyProgress(planned.name, stages) as shown:
+        outcome = judge_study(planned, executor, output, advance=shown.advance, rivals=rivals, real=held, say=shown.say)
     summary = study_summary(outcome)
     write_whole(output / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
     write_study_report(outcome, output / "report.html")
@@ -124,62 +129,12 @@ def _check_folder(output: Path, planned: "Study") -> None:
     RunStore(output, planned)
 
 
-def _announce(planned: "Study", workers: int, json: bool) -> None:
-    """Say how many runs there are and about how long they take: to a person, or to a terminal where stdout is for JSON."""
-    import sys
-
-    from rich.console import Console
-
-    from undrift.cli.output import console
-    from undrift.study.run import count_runs, estimate_s
-
-    if json and not sys.stderr.isatty():
-        return
-    out = Console(stderr=True, highlight=False) if json else console()
-    seconds = estimate_s(planned) / workers
-    tasks = ", ".join(task.name for task in planned.tasks)
-    out.print(
-        f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects), about {_duration(seconds)} on "
-        f"{workers} worker{'s' * (workers > 1)}",
-        markup=False,
-    )
-
-
 def _read_real(path: Path) -> "RealData":
     from undrift.cli.output import waiting
     from undrift.study.real_plan import read_real
 
     with waiting("reading real recordings"):
         return read_real(path)
-
-
-def _with_progress(
-    planned: "Study", executor: "Executor", output: Path, rivals: bool, real: "RealData | None"
-) -> "StudyOutcome":
-    from undrift.cli.output import progress
-    from undrift.study.outcome import judge_study
-
-    with progress() as shown:
-        bar = shown.add_task(planned.name, total=None)
-
-        def advance(done: int, total: int) -> None:
-            what = planned.name if done < total else f"{planned.name}: other cohort, statistics"
-            shown.update(bar, description=what, completed=done, total=total)
-
-        def say(what: str) -> None:
-            shown.update(bar, description=f"{planned.name}: {what}")
-
-        return judge_study(planned, executor, output, advance=advance, rivals=rivals, real=real, say=say)
-
-
-def _duration(seconds: float) -> str:
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 90.0
-        else f"{seconds / 60.0:.0f} min"
-        if seconds < 5400.0
-        else f"{seconds / 3600.0:.1f} h"
-    )
 
 
 def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
@@ -295,6 +250,14 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             for place in found.pareto
         ],
         "left_out": surface.left_out,
+        "untried": [
+            {
+                "parameter": f"{row.parameter}_dps",
+                "value": round(row.value / RADIAN_PER_DEGREE, 9),
+                "reason": row.reason,
+            }
+            for row in task.untried
+        ],
         "effects": [_effect_summary(effect, powers.get(effect.name)) for effect in found.effects],
         "optional_stopping": None
         if task.stopping is None
@@ -370,7 +333,8 @@ def _cohort_summary(cohort: "Cohort") -> dict[str, object]:
 
 def _show(outcome: "StudyOutcome", output: Path) -> None:
     from undrift.cli.output import console, table
-    from undrift.report.study_answer import missing_words
+    from undrift.report.study_answer import missing_words, untried_words
+    from undrift.study.outcome import TOO_LONG
 
     out = console()
     heads = ("cut-off (Hz)", "step (deg/s)", "omega_m (deg/s)", "omega_M (deg/s)", "p", "rms (deg)", "rig (min)")
@@ -396,8 +360,10 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
             f"[{tested.interval_rms_deg[0]:.3f}, {tested.interval_rms_deg[1]:.3f}], {tested.error_max_deg:.3f} deg at most",
             markup=False,
         )
-        if missing := missing_words(task).strip():
-            out.print(f"  {missing}", markup=False)
+        late = tuple(row for row in task.untried if row.reason == TOO_LONG)
+        for told in (untried_words(late), missing_words(task).strip()):
+            if told:
+                out.print(f"  {told}", markup=False)
         if task.beside is not None:
             out.print(f"  the note {task.beside.verdict}: {task.beside.because}", markup=False)
     if outcome.figure3 is not None:
@@ -406,4 +372,38 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
             f"Figure 3, largest error: {none:.2f} deg without compensation, {static:.2f} deg static, {full:.2f} deg static and "
             "dynamic"
         )
+    for line in () if outcome.real is None else real_lines(outcome.real):
+        out.print(line, markup=False)
     out.print(f"Wrote {output}: look at {output / 'report.html'}", markup=False)
+
+
+def real_lines(real: "RealOutcome") -> tuple[str, ...]:
+    """Return what real recordings came to, a line a recording.
+
+    Parameters
+    ----------
+    real : RealOutcome
+        Judged.
+
+    Returns
+    -------
+    tuple of str
+        Trials beside optics, captures, stances, and what is not there.
+    """
+    lines = []
+    first, left_in = real.errors[:3], real.errors[3:]
+    for place, trial in enumerate(first[0].trials if first else ()):
+        told = ", ".join(f"{level.level} {level.trials[place].figures.rmse_total_deg:.2f}" for level in first)
+        line = f"{trial.recording}: total rms {told} deg"
+        if left_in:
+            told = ", ".join(f"{level.trials[place].figures.rmse_total_deg:.2f}" for level in left_in)
+            line += f", the converter's rounding undone; {told} deg, left in"
+        lines.append(line)
+    worn = () if real.worn is None else real.worn.rows
+    for name in dict.fromkeys(row.trial for row in worn):
+        told = ", ".join(f"{row.level} {row.error_rms_deg:.2f}" for row in worn if row.trial == name)
+        lines.append(f"{name}: pitch of the simulated device worn in it, rms {told} deg")
+    for name in dict.fromkeys(row.trial for row in (*real.motions, *real.sways)):
+        own = [row for row in (*real.motions, *real.sways) if row.trial == name and row.real == row.real]
+        lines.append(f"{name}: {sum(row.inside for row in own)} of {len(own)} figures within the cohort's 95 %")
+    return (*(f"real, {line}" for line in lines), *(f"real, not there: {lack}" for lack in real.lacks))

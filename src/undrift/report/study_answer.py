@@ -4,10 +4,12 @@ from typing import TYPE_CHECKING
 
 from undrift.report.page import Section
 from undrift.report.study_pictures import NAMES, told_p
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.study.effects import ParameterEffect
     from undrift.study.outcome import StudyOutcome, TaskOutcome
+    from undrift.study.plan import Untried
 
 
 def answer_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
@@ -100,7 +102,8 @@ def _paragraph(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
             f" The best one, {rates_of(task, found.best)} deg/s at {surface.cutoff_hz[found.best]:.4g} Hz, takes {saved:.1f} min "
             f"longer; its error is {_less(float(mean[found.cheapest] - mean[found.best]))}, which may be chance."
         )
-    return said + missing_words(task)
+    untried = untried_words(task.untried)
+    return said + (f" {untried}" if untried else "") + missing_words(task)
 
 
 def _less(difference_deg: float) -> str:
@@ -116,6 +119,26 @@ def _decides(matter: "list[ParameterEffect]", p: float) -> str:
         )
     told = ", ".join(f"{NAMES[e.name]} ({e.span_deg:.3f} deg from best to worst, p {told_p(e.p_holm)})" for e in matter)
     return f"What decides the error: {told}."
+
+
+def untried_words(rows: "tuple[Untried, ...]") -> str:
+    """Say which values of the plan no protocol has.
+
+    Parameters
+    ----------
+    rows : tuple of Untried
+        Values, rad/s, and reasons.
+
+    Returns
+    -------
+    str
+        Empty where all are tried.
+    """
+    told = "; ".join(
+        f"{NAMES[f'{row.parameter}_dps'].replace(' (deg/s)', '')} {row.value / RADIAN_PER_DEGREE:.4g} deg/s ({row.reason})"
+        for row in rows
+    )
+    return f"Not tried: {told}." if told else ""
 
 
 def missing_words(task: "TaskOutcome") -> str:

@@ -20,9 +20,10 @@ from undrift.study.design_rows import DesignRow, design_rows
 from undrift.study.effects import PARAMETERS, ParameterEffect
 from undrift.study.executor import Executor
 from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
+from undrift.study.forecast import StageName
 from undrift.study.note import DEVICE, TABLE_1
 from undrift.study.optimise import Optimum, find_optimum
-from undrift.study.plan import Study, StudyTask
+from undrift.study.plan import Study, StudyTask, Untried
 from undrift.study.power import OptionalStopping, power_of_anova, stopping_of, subjects_needed
 from undrift.study.real_plan import RealData, RealOutcome, judge_real
 from undrift.study.rival_rows import TASKS, RivalRow, compare_rivals
@@ -32,6 +33,7 @@ from undrift.units import RADIAN_PER_DEGREE
 
 TESTING = "testing"
 FIRST_LOOK = 10  # subjects
+TOO_LONG = "every session with it takes longer than rig_minutes_max"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +78,8 @@ class TaskOutcome:
         That parameter.
     beside : Beside or None
         The note's row; None for other tasks.
+    untried : tuple of Untried
+        Values of the plan that no protocol has, or none that is short enough.
     """
 
     surface: TaskSurface
@@ -86,6 +90,7 @@ class TaskOutcome:
     stopping: OptionalStopping | None
     stopping_of: str
     beside: Beside | None
+    untried: tuple[Untried, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,7 +144,7 @@ def judge_study(
     advance: Callable[[int, int], None] | None = None,
     rivals: bool = False,
     real: RealData | None = None,
-    say: Callable[[str], None] | None = None,
+    say: Callable[[StageName], None] | None = None,
 ) -> StudyOutcome:
     """Run a study, or what is left of it, and judge it.
 
@@ -154,11 +159,11 @@ def judge_study(
     advance : callable, optional
         Told how many units are done, of how many.
     rivals : bool
-        Compare other ways to calibrate too, and make Figure 3 effect by effect; about 10 s each.
+        Compare other ways to calibrate too, and make Figure 3 effect by effect; about 20 and 15 s.
     real : RealData, optional
         Real recordings to judge.
     say : callable, optional
-        Told what is being worked on after the units.
+        Told each stage as it begins, by the names of ``forecast``.
 
     Returns
     -------
@@ -172,29 +177,34 @@ def judge_study(
     NotObservable
         A task without a protocol that calibrates every device in the time allowed.
     """
+    say = say or _silent
+    say("calibration sessions")
     surfaces = tuple(map(without_lost, run_study(study, executor, folder, advance=advance)))
     optima = tuple(
         find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
         for surface in surfaces
     )
+    say("the other cohort")
     tested = run_testing(study, surfaces, optima, folder / TESTING)
-    figure, missing = _figure3(study)
-    say = say or _silent
-    if rivals and figure is not None:
-        say("Figure 3, effect by effect: about 10 s")
     say("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
+    say("Figure 3")
+    figure, missing = _figure3(study)
+    effects: tuple[EffectRow, ...] = ()
+    if rivals and figure is not None:
+        say("Figure 3, effect by effect")
+        effects = _figure3_effects(study)
     rows, rivals_missing = _rivals(study, say) if rivals else ((), "not asked for")
     if real is not None:
         say("real recordings")
     return StudyOutcome(
         study=study,
         runs=count_runs(study),
-        tasks=tuple(_judge(study, *held) for held in zip(surfaces, optima, tested, strict=True)),
+        tasks=tuple(_judge(study, *held) for held in zip(study.tasks, surfaces, optima, tested, strict=True)),
         cohorts=(cohort_of(study), cohort_of(other_study(study))),
         figure3=figure,
         figure3_missing=missing,
-        figure3_effects=_figure3_effects(study) if rivals and figure is not None else (),
+        figure3_effects=effects,
         designs=designs,
         rivals=rows,
         rivals_missing=rivals_missing,
@@ -202,7 +212,7 @@ def judge_study(
     )
 
 
-def _silent(what: str) -> None:
+def _silent(stage: StageName) -> None:
     """Say nothing."""
 
 
@@ -215,18 +225,20 @@ def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optim
     return design_rows(study, task, found)
 
 
-def _rivals(study: Study, say: Callable[[str], None]) -> tuple[tuple[RivalRow, ...], str]:
+def _rivals(study: Study, say: Callable[[StageName], None]) -> tuple[tuple[RivalRow, ...], str]:
     """Compare the methods on units of the study's kind, or of the note's where every subject wears one device."""
     known = get_args(TaskName)
     tasks = tuple(cast("TaskName", task.name) for task in study.tasks if task.motion is None and task.name in known)
-    say(f"rival methods: about {10 * len(tasks or TASKS)} s")
+    say("rival methods")
     try:
         return compare_rivals(kind=DEVICE if study.worn else study.device, seed=study.seed, tasks=tasks or TASKS), ""
     except UndriftError as error:  # this device cannot be calibrated so: the study's own figures stand
         return (), str(error)
 
 
-def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[Tested, Tested]) -> TaskOutcome:
+def _judge(
+    study: Study, task: StudyTask, surface: TaskSurface, optimum: Optimum, tested: tuple[Tested, Tested]
+) -> TaskOutcome:
     row = TABLE_1.get(cast("TaskName", surface.task))
     least, stopping = _stopping(study, surface, optimum)
     return TaskOutcome(
@@ -240,7 +252,21 @@ def _judge(study: Study, surface: TaskSurface, optimum: Optimum, tested: tuple[T
         beside=None
         if row is None
         else compare_with_note(surface, optimum, row, objective=study.objective, level=study.level),
+        untried=(*task.space.untried(), *_too_long(study, surface)),
     )
+
+
+def _too_long(study: Study, surface: TaskSurface) -> tuple[Untried, ...]:
+    """Return the rates and steps whose every session is longer than is allowed."""
+    most = np.inf if study.rig_minutes_max is None else study.rig_minutes_max
+    rows = []
+    for name in PARAMETERS[1:]:
+        values = getattr(surface, name)
+        for value in np.unique(values):
+            if (surface.rig_minutes[values == value] > most).all():
+                rate = float(value) * RADIAN_PER_DEGREE
+                rows.append(Untried(parameter=name.removesuffix("_dps"), value=rate, reason=TOO_LONG))
+    return tuple(rows)
 
 
 def _reach(effect: ParameterEffect) -> float:

@@ -20,6 +20,25 @@ Objective = Literal["rms", "maximum"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Untried:
+    """A value of the plan that no protocol has.
+
+    Parameters
+    ----------
+    parameter : str
+        turn_rate_step, turn_rate_min or turn_rate_max.
+    value : float
+        rad/s.
+    reason : str
+        Why not.
+    """
+
+    parameter: str
+    value: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
     """The values that are tried.
 
@@ -54,6 +73,34 @@ class Space:
             count = (high - low) / step
             if high > low and abs(count - round(count)) < 1e-6:
                 yield step, low, high
+
+    def untried(self) -> tuple[Untried, ...]:
+        """Return the rates and steps that no combination has, and why.
+
+        Returns
+        -------
+        tuple of Untried
+            Empty where all are tried, or ``only`` names the combinations.
+        """
+        if self.only:
+            return ()
+        tried = list(self.grids())
+        lows, highs = self.turn_rate_min, self.turn_rate_max
+        rows = []
+        for place, name in enumerate(("turn_rate_step", "turn_rate_min", "turn_rate_max")):
+            for value in getattr(self, name):
+                if any(grid[place] == value for grid in tried):
+                    continue
+                if name == "turn_rate_min" and value >= max(highs):
+                    reason = "not below any omega_M"
+                elif name == "turn_rate_max" and value <= min(lows):
+                    reason = "not above any omega_m"
+                elif name == "turn_rate_step":
+                    reason = "divides no span from an omega_m to an omega_M"
+                else:
+                    reason = "no step divides a span that it ends"
+                rows.append(Untried(parameter=name, value=value, reason=reason))
+        return tuple(rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

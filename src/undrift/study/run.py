@@ -185,29 +185,4 @@ def count_runs(study: Study) -> int:
     return sum(study.subjects * len(task.candidates(cutoff)) for task in study.tasks for cutoff in task.space.cutoff_hz)
 
 
-def estimate_s(study: Study) -> float:
-    """Measure what a study costs one worker, by its first unit of each task.
-
-    Parameters
-    ----------
-    study : Study
-        What to do.
-
-    Returns
-    -------
-    float
-        s of one processor such as this one.
-    """
-    from time import perf_counter
-
-    units, total = units_of(study), 0.0
-    run_unit(units[0])  # what is compiled or imported the first time does not count
-    for task in study.tasks:
-        own = [unit for unit in units if unit.task.name == task.name]
-        start = perf_counter()
-        run_unit(own[0])
-        total += (perf_counter() - start) * len(own)
-    return total
-
-
-__all__ = ["TaskSurface", "Unit", "count_runs", "estimate_s", "read_surfaces", "run_study", "without_lost"]
+__all__ = ["TaskSurface", "Unit", "count_runs", "read_surfaces", "run_study", "without_lost"]
