@@ -15,7 +15,9 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import adc_model, identify_adc, without_truncation
+from undrift.calibration.fit.multi_position_accel import HELD_AT_ZERO
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, face_means, fit_six_face
+from undrift.calibration.limits import limits_of
 from undrift.calibration.model import AdcModel, Calibration, Provenance, Verdict
 from undrift.calibration.observed import CalibrateSettings, Observed, in_one_unit, observe
 from undrift.calibration.one_temperature import at_one_temperature
@@ -85,6 +87,7 @@ def calibrate(
     reasons = said_once((*set_aside, *seen.reasons, *accel_outcome.reasons, *gyro_outcome.reasons, *ignored))
     if accel_outcome.fit is None and gyro_outcome.fit is None:
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that serve: {'; '.join(reasons)}")
+    limits = limits_of(accel_outcome, gyro_outcome, seen.mean_temperature(), thermal=bool(set_aside))
     return Calibration(
         device=session.serial or session.records[0].device,
         reference_temp_c=seen.mean_temperature(),
@@ -92,7 +95,7 @@ def calibrate(
         gyro=None if gyro_outcome.fit is None else gyro_outcome.fit.model,
         accel=None if accel_outcome.fit is None else accel_outcome.fit.model,
         adc=adc,
-        verdict=_verdict(reasons, accel_outcome, gyro_outcome),
+        verdict=_verdict(reasons, accel_outcome, gyro_outcome).also(limits),
         provenance=_provenance(session, settings, accel_outcome.method, gyro_outcome.method, mode),
     )
 
@@ -227,8 +230,9 @@ def _scale_and_offset(seen: Observed, why: str) -> Outcome:
         ).accel
     except (NotObservable, PoorFit) as error:
         return Outcome(reasons=(f"accelerometer by {error}",))
+    other = tuple(reason for reason in fit.verdict.reasons if reason != HELD_AT_ZERO)  # said below, and why
     return Outcome(
-        fit=fit,
+        fit=replace(fit, verdict=replace(fit.verdict, reasons=other)),
         method="multi-position",
         reasons=(f"accelerometer: scale and offset alone were fitted, cross-axis terms were not observable: {why}",),
     )

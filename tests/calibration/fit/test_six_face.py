@@ -235,8 +235,22 @@ def test_a_large_tilt_is_said_and_makes_the_fit_marginal():
     assert fit.verdict.status == "marginal"
     assert fit.verdict.reasons == (
         f"the faces are tilted by {np.degrees(fit.tilt):.2f} deg (1 sigma) against the plane or each other; six faces cannot tell "
-        "that from misaligned sensors, and the off-diagonal uncertainty holds it: add nine or more free poses to do better",
+        "that from misaligned sensors, and the uncertainty of the cross-axis terms holds it: true the box and its seat, or rest in "
+        "nine or more free poses instead",
     )
+
+
+def test_a_small_tilt_is_a_figure_that_is_not_rounded_to_nothing():
+    rng = np.random.default_rng(7)
+    crooked = np.where(UP == 0.0, G * np.radians(0.003) * rng.standard_normal((6, 3)), 0.0)
+    poses = FaceMeans(reading=faces(noise=0.0).reading + crooked @ FORWARD.T, faces=FACES, noise=np.full((6, 3), 1e-6))
+    fit = fit_six_face(poses, gravity=G)
+    assert fit.verdict.status == "good"
+    assert fit.verdict.reasons == (
+        f"the faces lie level and square within {np.degrees(fit.tilt):.1g} deg (1 sigma), which the uncertainty of the cross-axis "
+        "terms holds",
+    )
+    assert "0.00 " not in fit.verdict.reasons[0]
 
 
 @pytest.mark.parametrize("scale", [208.8, 1e-3])

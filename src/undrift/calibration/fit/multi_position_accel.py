@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from undrift.arrays import FloatArray, frozen
 from undrift.calibration.fit.norm import NAMES, WEAKEST, NormFit, fit_norm
 from undrift.calibration.fit.result import TriadFit
+from undrift.calibration.fit.words import in_words
 from undrift.calibration.model import AXES, Status, TriadModel, Verdict
 from undrift.calibration.plausibility import check_gravity, check_scale_factor
 from undrift.errors import InputError, NotObservable
@@ -30,6 +31,7 @@ from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_fact
 SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # of m_xx .. m_zz, offset_x ..: those that the length of gravity shows
 TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
 MG = STANDARD_GRAVITY * 1e-3
+HELD_AT_ZERO = "cross-axis terms were held at zero: the poses were not asked to show them"
 
 
 def fit_poses(
@@ -104,7 +106,7 @@ def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> N
         Fewer poses, or all the same.
     """
     wanted = parameters + (not known_noise)
-    names = ", ".join(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
+    names = in_words(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
     different = len(np.unique(reading, axis=0))
     if different < wanted:
         raise NotObservable(
@@ -146,7 +148,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     if fit.weakest < WEAKEST:
         raise NotObservable(
             f"multi-position: wanted poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
-            f"{fit.weakest:.2g} for {', '.join(fit.unseen)}; {_advice(corrected, fit.unseen)}",
+            f"{fit.weakest:.2g} for {in_words(fit.unseen)}; {_advice(corrected, fit.unseen)}",
             weakest=fit.weakest,
             parameters=fit.unseen,
         )
@@ -185,7 +187,7 @@ def _verdict(fit: NormFit) -> Verdict:
             f"a corrected reading of gravity is uncertain by {doubt:.2g} mg (wanted 2): record more poses, held longer"
         )
     if fit.p[1] == fit.p[2] == fit.p[4] == 0.0:
-        reasons.append("cross-axis terms were held at zero: the poses were not asked to show them")
+        reasons.append(HELD_AT_ZERO)
     return Verdict(status=status, reasons=tuple(reasons))
 
 
@@ -196,5 +198,5 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
         axis = AXES[int(np.abs(vectors[:, 0]).argmax())]
         return f"all poses lie near one plane: add poses with the {axis} axis up and with it down"
     if set(unseen) <= {"m_xy", "m_xz", "m_yz"}:
-        return "add poses between the faces (edges and corners up), or fit scale and offset alone"
+        return "add poses between the faces (edges and corners up)"
     return "add poses on the sides, edges and corners that are missing"

@@ -41,6 +41,7 @@ from undrift.calibration.fit.multi_position_turns import (
     rough_matrix,
 )
 from undrift.calibration.fit.result import TriadFit, scaled_condition
+from undrift.calibration.fit.words import in_words
 from undrift.calibration.model import MATRIX_NAMES, Status, TriadModel, Verdict
 from undrift.calibration.plausibility import check_scale_factor
 from undrift.errors import NotObservable, PoorFit
@@ -125,7 +126,7 @@ def fit_gyro_between_stills(
     moves = cut_moves(records, stills, stills if cores is None else cores)
     if len(moves.first) < 5:
         raise NotObservable(
-            f"multi-position gyro: wanted 5 moves or more between stills for {', '.join(MATRIX_NAMES)}, got {len(moves.first)}; "
+            f"multi-position gyro: wanted 5 moves or more between stills for {in_words(MATRIX_NAMES)}, got {len(moves.first)}; "
             "turn the device by 90 deg or more about another axis between still poses of one recording",
             moves=len(moves.first),
         )
@@ -297,7 +298,7 @@ def _check_seen(missed: _Missed, p: FloatArray) -> None:
     if singular[-1] < WEAKEST:
         raise NotObservable(
             f"multi-position gyro: wanted moves that turn gravity by {WEAKEST:g} rad or more per unit of every parameter, got "
-            f"{singular[-1]:.2g} for {', '.join(names)}; turn the device by 90 deg or more about each axis in turn while that "
+            f"{singular[-1]:.2g} for {in_words(names)}; turn the device by 90 deg or more about each axis in turn while that "
             "axis lies level",
             weakest=float(singular[-1]),
             parameters=names,

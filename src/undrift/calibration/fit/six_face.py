@@ -288,11 +288,16 @@ def _affine(
 def _tilt_verdict(tilt: float) -> Verdict:
     if tilt == 0.0:
         return Verdict()
-    told = (
-        f"the faces are tilted by {tilt / RADIAN_PER_DEGREE:.2f} deg (1 sigma) against the plane or each other; six faces cannot "
-        "tell that from misaligned sensors, and the off-diagonal uncertainty holds it: add nine or more free poses to do better"
-    )
-    return Verdict(status="marginal" if tilt > _LARGE_TILT else "good", reasons=(told,))
+    degrees = tilt / RADIAN_PER_DEGREE
+    if tilt > _LARGE_TILT:
+        told = (
+            f"the faces are tilted by {degrees:.2f} deg (1 sigma) against the plane or each other; six faces cannot tell that from "
+            "misaligned sensors, and the uncertainty of the cross-axis terms holds it: true the box and its seat, or rest in nine "
+            "or more free poses instead"
+        )
+        return Verdict(status="marginal", reasons=(told,))
+    told = f"the faces lie level and square within {degrees:.1g} deg (1 sigma), which the uncertainty of the cross-axis terms holds"
+    return Verdict(reasons=(told,))
 
 
 def _untold_tilt(poses: FaceMeans, up: FloatArray) -> Verdict:
@@ -304,7 +309,7 @@ def _untold_tilt(poses: FaceMeans, up: FloatArray) -> Verdict:
     if tilt == 0.0:
         return Verdict()
     told = (
-        f"mode paper takes the faces for level, and they are tilted by {tilt / RADIAN_PER_DEGREE:.2f} deg (1 sigma) against the "
+        f"mode paper takes the faces for level, and they are tilted by {tilt / RADIAN_PER_DEGREE:.2g} deg (1 sigma) against the "
         f"plane or each other: the off-diagonal terms are uncertain by about {tilt:.2g} of the gain, which their stated "
         "uncertainty leaves out; use mode levelled"
     )
