@@ -55,6 +55,12 @@ def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
     assert left_s[0] == max(left_s)
 
 
+def test_the_page_says_once_what_the_note_is(quick):
+    page = (quick[0] / "report.html").read_text()
+    assert page.count("EMBC 2007") == 1
+    assert page.index("EMBC 2007") < page.index("<h2")
+
+
 def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
     out = quick[0]
     assert {path.name for path in out.iterdir()} == FILES | {"bench", "thermal", "study"}

@@ -56,6 +56,7 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
         "Figure 3",
     ]
     assert "the note agrees: " in answer.out
+    assert "0.048 (its own)" in answer.out
     assert {path.name for path in out.iterdir()} >= {"surface.parquet", "summary.json", "report.html"}
     table = pq.read_table(out / "surface.parquet")
     assert table.num_rows == 18

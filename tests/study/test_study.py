@@ -122,8 +122,18 @@ def test_a_flat_minimum_is_called_flat_and_the_cheapest_is_named() -> None:
     rng = np.random.default_rng(3)
     found = find_optimum(surface(1.0 + rng.normal(0.0, 0.3, (30, 12)), np.linspace(100.0, 20.0, 12)))
     assert found.flat
+    assert found.deciding == ()
     assert found.cheapest == 11
     assert found.p_value > 0.05
+
+
+def test_a_minimum_is_not_flat_where_a_parameter_decides_though_many_protocols_share_it() -> None:
+    rng = np.random.default_rng(5)
+    true = np.array([1.0, 1.0, 1.5, 1.6])  # half of four protocols
+    found = find_optimum(surface(true + rng.normal(0.0, 0.1, (30, 4)), np.arange(4.0)))
+    assert found.equivalent.tolist() == [True, True, False, False]
+    assert found.deciding == ("turn_rate_step_dps",)
+    assert not found.flat
 
 
 def test_the_winners_luck_does_not_reach_the_stated_error() -> None:

@@ -232,6 +232,7 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
         "equivalent_protocols": int(found.equivalent.sum()),
         "protocols": len(surface.cutoff_hz),
         "flat": found.flat,
+        "deciding": found.deciding,
         "failed_runs": found.failed,
         "rig_minutes": float(surface.rig_minutes[found.best]),
         "cheapest": {
@@ -334,6 +335,7 @@ def _cohort_summary(cohort: "Cohort") -> dict[str, object]:
 def _show(outcome: "StudyOutcome", output: Path) -> None:
     from undrift.cli.output import console, table
     from undrift.report.study_answer import missing_words, untried_words
+    from undrift.report.study_pictures import NAMES
     from undrift.study.outcome import TOO_LONG
 
     out = console()
@@ -350,7 +352,7 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
         if task.beside is not None:
             row = task.beside.row
             four = row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
-            shown.add_row(" the note", *(f"{value:.4g}" for value in four), f"{row.p_value:.3f}", "", "")
+            shown.add_row(" the note", *(f"{value:.4g}" for value in four), f"{row.p_value:.3f} (its own)", "", "")
     out.print(shown)
     for task in outcome.tasks:
         tested, found = task.tested[0], task.optimum
@@ -360,6 +362,8 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
             f"[{tested.interval_rms_deg[0]:.3f}, {tested.interval_rms_deg[1]:.3f}], {tested.error_max_deg:.3f} deg at most",
             markup=False,
         )
+        if found.deciding:
+            out.print(f"  what decides the error: {', '.join(NAMES[name] for name in found.deciding)}", markup=False)
         late = tuple(row for row in task.untried if row.reason == TOO_LONG)
         for told in (untried_words(late), missing_words(task).strip()):
             if told:

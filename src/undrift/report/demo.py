@@ -11,7 +11,7 @@ from undrift.report.drift import drift_sections, plus_minus
 from undrift.report.envelope import envelope
 from undrift.report.figures import DEVICE, ERROR, LIMIT, OPTICS, new_figure, svg_of
 from undrift.report.page import Section, write_page
-from undrift.report.study import study_sections
+from undrift.report.study import NOTE, study_sections
 from undrift.report.validation import trials_section
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -53,7 +53,8 @@ def write_demo_report(
         path,
         title="undrift demo: the note's method on a virtual bench",
         lead="A wearable device is calibrated on an emulated rate table and in an emulated chamber, over sockets, and worn: the "
-        f"pitch of a sit-to-stand errs by up to {none:.2f} deg with a constant calibration, by {full:.2f} deg with tuning tables.",
+        f"pitch of a sit-to-stand errs by up to {none:.2f} deg with a constant calibration, by {full:.2f} deg with tuning tables. "
+        f"{NOTE}",
         verdict=fit.drift.verdict,
         sections=(
             check_section(checks),

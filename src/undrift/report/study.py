@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from undrift.study.testing import Tested
 
 FOUR = tuple(NAMES.values())
+NOTE = (
+    'The note, here and below: D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with '
+    'rate-gyroscopes and accelerometers", EMBC 2007.'
+)
 
 
 def write_study_report(outcome: "StudyOutcome", path: Path) -> None:
@@ -34,7 +38,7 @@ def write_study_report(outcome: "StudyOutcome", path: Path) -> None:
         title=f"Study: {held.name}",
         lead=f"{outcome.runs} calibration sessions simulated, fitted and judged: {held.subjects} subjects, device {held.device}, "
         f"seed {held.seed}; the {'root-mean-square' if held.objective == 'rms' else 'maximum'} error of the sagittal pitch is "
-        "minimised.",
+        f"minimised. {NOTE}",
         sections=study_sections(outcome),
     )
 
@@ -82,15 +86,17 @@ def _table_1(outcome: "StudyOutcome") -> Section:
             four = row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
             mark = " *" if row.erratum else ""
             rest = ("", "", "") if task.beside.place is None else _protocol(task, task.beside.place)[4:]
-            rows.append((f"… the note{mark}", *(f"{value:.4g}" for value in four), *rest, f"{row.p_value:.3f}"))
+            rows.append(
+                (f"… the note{mark}", *(f"{value:.4g}" for value in four), *rest, f"{row.p_value:.3f}, its own")
+            )
     text = [_worth(task) for task in outcome.tasks]
     errata = {task.beside.row.erratum for task in outcome.tasks if task.beside and task.beside.row.erratum}
     return Section(
         title="Table 1: optimised parameters",
         text=(
             *text,
-            "p is the least of the four parameters', after Holm: whether any of them matters at all, others at the optimum. The "
-            "note does not say what its p tests.",
+            "p is the least of the four parameters', after Holm: whether any of them matters at all, others at the optimum. In the "
+            "note's rows it is the one that the note prints as its own; what that tests the note does not say.",
             *(f"* {erratum}" for erratum in sorted(errata)),
         ),
         columns=("task", *FOUR, "error, rms (deg)", "largest (deg)", "session (min)", "p"),
@@ -101,6 +107,9 @@ def _table_1(outcome: "StudyOutcome") -> Section:
 def _worth(task: "TaskOutcome") -> str:
     found = task.optimum
     flat = "; the minimum is flat, use the one with the shortest session" if found.flat else ""
+    if found.deciding and found.equivalent.sum() > 1:
+        names = " and ".join(NAMES[name] for name in found.deciding)
+        flat = f"; not that nothing matters: {names} {'decides' if len(found.deciding) == 1 else 'decide'} the error"
     failed = f" {found.failed} runs could not calibrate their device." if found.failed else ""
     return (
         f"{_words(task.surface.task)}: {found.equivalent.sum()} of {len(task.surface.cutoff_hz)} protocols are statistically as "

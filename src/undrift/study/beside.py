@@ -86,7 +86,9 @@ def compare_with_note(
     error, apart = float(mean[place]), float(mean[place] - mean[optimum.best])
     count, tried = int(optimum.equivalent.sum()), len(mean)
     flat = "; the minimum is flat" if optimum.flat else ""
-    if count == tried:
+    if optimum.deciding and count > 1:
+        flat = f"; still {_words_of(optimum.deciding)} the error"
+    elif count == tried:
         flat = "; nothing that was tried is worse, so the four parameters do not decide the error here"
     if place == optimum.best:
         because = f"its protocol is our optimum, with {count - 1} of {tried - 1} others as good{flat}"
@@ -110,6 +112,11 @@ def compare_with_note(
 def _place(table: FloatArray, wanted: FloatArray) -> int | None:
     hits = np.flatnonzero(np.isclose(table, wanted, rtol=1e-6).all(axis=1))
     return int(hits[0]) if len(hits) else None
+
+
+def _words_of(deciding: tuple[str, ...]) -> str:
+    words = [UNITS[name][0] for name in deciding]
+    return f"{' and '.join(words)} {'decides' if len(words) == 1 else 'decide'}"
 
 
 def _least_seen(apart: FloatArray, tests: int, level: float) -> float:

@@ -3,8 +3,8 @@
 The least of many noisy means is too small (the winner was also lucky). So the error that is stated for the optimum is taken
 from subjects that did not choose it: the subjects are split in two, each half chooses, the other half says what that is
 worth. A protocol is as good as the optimum where a paired t test over the subjects, after Holm over all protocols, does not
-tell them apart. Where that holds for many, the minimum is flat, and the cheapest of them in minutes on the rig is the one to
-use.
+tell them apart. Where that holds for many and no parameter's own test says that it matters, the minimum is flat. The cheapest of
+them in minutes on the rig is the one to use.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from undrift.study.effects import ParameterEffect, effects_at
 from undrift.study.posthoc import adjust_holm
 from undrift.study.run import TaskSurface
 
-FLAT_SHARE = 0.25  # a minimum that a quarter of the protocols share is called flat
+FLAT_SHARE = 0.25  # a minimum that a quarter of the protocols share is called flat where no parameter decides
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,7 +39,9 @@ class Optimum:
     cheapest : int
         Of those, the one with the shortest session.
     flat : bool
-        Whether a quarter of all protocols or more are as good.
+        Whether a quarter of all protocols or more are as good, and no parameter decides the error.
+    deciding : tuple of str
+        Parameters whose p after Holm is below the level.
     effects : tuple of ParameterEffect
         One a parameter.
     p_value : float
@@ -59,6 +61,7 @@ class Optimum:
     equivalent: BoolArray
     cheapest: int
     flat: bool
+    deciding: tuple[str, ...]
     effects: tuple[ParameterEffect, ...]
     p_value: float
     pareto: IntArray
@@ -107,6 +110,7 @@ def find_optimum(
     effects = effects_at(surface, best, error=error, allowed=allowed, level=level)
     honest, interval = _honest(error, usable)
     tested = [effect.p_holm for effect in effects if effect.test is not None]
+    deciding = tuple(effect.name for effect in effects if effect.p_holm < level)
     return Optimum(
         task=surface.task,
         best=best,
@@ -116,7 +120,8 @@ def find_optimum(
         honest_interval_deg=interval,
         equivalent=equivalent,
         cheapest=cheapest,
-        flat=bool(equivalent.sum() >= FLAT_SHARE * usable.sum()),
+        flat=bool(equivalent.sum() >= FLAT_SHARE * usable.sum()) and not deciding,
+        deciding=deciding,
         effects=effects,
         p_value=min(tested) if tested else float("nan"),
         pareto=pareto_front(surface.rig_minutes, mean),
