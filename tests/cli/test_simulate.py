@@ -1,6 +1,7 @@
 """``undrift simulate`` and ``undrift info device.json``: files out, figures said, calls refused in one line."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from undrift.io.recording import read_record
 from undrift.io.reference import read_reference, write_reference
 from undrift.io.session import read_session
 from undrift.sim import draw_task, see
-from undrift.sim.device.store import read_device
+from undrift.sim.device.presets import preset
+from undrift.sim.device.store import read_device, write_device
 
 
 def test_a_task_and_a_preset_make_a_recording_with_its_truth(
@@ -38,6 +40,33 @@ def test_a_task_and_a_preset_make_a_recording_with_its_truth(
     assert {"scale", "low_pass", "warm_up", "adc"} <= set(described["effects"]["gyro"])
     assert run(["info", str(device)]) == 0
     assert "low_pass" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("ending", ["parquet", "csv"])
+def test_a_truth_is_a_motion_that_is_replayed_with_its_accelerometer(tmp_path: Path, ending: str) -> None:
+    first, truth, again = tmp_path / "a.parquet", tmp_path / f"truth.{ending}", tmp_path / "b.parquet"
+    assert run(["simulate", "free", "--device", "mpu6050", "-o", str(first), "--truth", str(truth)]) == 0
+    assert run(["simulate", str(truth), "--device", "mpu6050", "-o", str(again), "--seed", "1"]) == 0
+    one, two = read_record(first), read_record(again)
+    assert read_reference(truth).position is not None
+    assert len(two) == len(one) - 20  # poses are not believed for 0.1 s at either end
+    assert one.accel is not None
+    assert two.accel is not None
+    apart = two.accel - one.accel[10:-10]
+    # counts of 1/4096 g: white noise of 0.028 m/s2 in either makes 16.5, the motion itself is 700 to 1700
+    assert float(apart.std(axis=0).max()) < 18.0
+    assert float(one.accel.std(axis=0).min()) > 500.0
+
+
+def test_the_truth_of_poses_without_positions_has_none(tmp_path: Path) -> None:
+    poses, truth, out = tmp_path / "poses.parquet", tmp_path / "truth.parquet", tmp_path / "r.parquet"
+    seen = see(draw_task("sit_to_stand", rng=np.random.default_rng(1)), rng=np.random.default_rng(2))
+    write_reference(replace(seen, position=None), poses)
+    typical = preset("mpu6050")
+    device = tmp_path / "device.json"
+    write_device(replace(typical, gyro=replace(typical.gyro, g_sensitivity=None)), device)  # which needs positions
+    assert run(["simulate", str(poses), "--device", str(device), "-o", str(out), "--truth", str(truth)]) == 0
+    assert read_reference(truth).position is None
 
 
 def test_poses_move_the_device_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

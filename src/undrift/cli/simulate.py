@@ -11,6 +11,7 @@ from undrift.units import STANDARD_GRAVITY
 if TYPE_CHECKING:
     import numpy as np
 
+    from undrift.arrays import FloatArray
     from undrift.sim.device.model import DeviceModel
     from undrift.sim.device.simulate import Simulated, Triad
     from undrift.sim.motion.motion import Motion
@@ -63,7 +64,8 @@ def simulate(
     up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
     truth : Path or None
-        Write the true orientation at the samples there, as a reference: .parquet or .csv.
+        Write the true orientation at the samples there, and the position where the motion has one, as a reference: .parquet or
+        .csv, which this command takes for a motion again.
     save_device : Path or None
         Write the device there, as device.json.
     seed : int
@@ -80,8 +82,6 @@ def simulate(
 
     from undrift.cli.output import console, waiting, write_json
     from undrift.io.recording import write_record
-    from undrift.io.reference import write_reference
-    from undrift.record import Reference
     from undrift.sim.device.simulate import simulate_device
     from undrift.sim.device.store import write_device
 
@@ -100,13 +100,11 @@ def simulate(
             console().print(_in_words(motion, output, said), markup=False)
         return 0
     with waiting(f"simulating {motion}"):
-        moved = _motion(motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), up, rng)
+        moved, where = _motion(motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), up, rng)
         made = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
     write_record(made.record, output)
     if truth is not None:
-        write_reference(
-            Reference(time=moved.time, q_nb=moved.q_nb, moving=moved.moving, name=f"truth of {motion}"), truth
-        )
+        _write_truth(moved, where, truth)
     if save_device is not None:
         write_device(model, save_device)
     found = _figures(made, model)
@@ -117,6 +115,13 @@ def simulate(
     out.print(f"{motion} -> {output}: {len(made.record)} samples at {made.record.sample_rate_hz:.6g} Hz", markup=False)
     _show(made, model)
     return 0
+
+
+def _write_truth(moved: "Motion", where: "FloatArray | None", path: Path) -> None:
+    from undrift.io.reference import write_reference
+    from undrift.record import Reference
+
+    write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), path)
 
 
 def _thermal_kind(motion: str, **unused: object) -> "ThermalKind":
@@ -205,24 +210,26 @@ def _motion(
     markers: tuple[str, ...] | None,
     up: Literal["y", "z"] | None,
     rng: "np.random.Generator",
-) -> "Motion":
+) -> tuple["Motion", "FloatArray | None"]:
+    """Return the motion, and where it takes the device, m: None of poses without positions."""
     import numpy as np
 
     from undrift.io.reference import read_reference
     from undrift.sim.motion.library import TaskName, draw_task
-    from undrift.sim.motion.poses import motion_from_poses
+    from undrift.sim.motion.poses import fit_pose_spline, motion_from_poses
 
     for task in get_args(TaskName):
         if name == task:
             performed = draw_task(task, rng=rng)
             time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
-            return performed.at(time, gravity_m_s2)
+            return performed.at(time, gravity_m_s2), performed.position(time)
     if not Path(name).exists():
         raise InputError(
             f"motion: wanted a file of poses or markers, or one of {', '.join(get_args(TaskName))}, got '{name}'; name one"
         )
     reference = read_reference(Path(name), labels=markers, up=up)
-    return motion_from_poses(reference, sample_rate_hz=sample_rate_hz, gravity_m_s2=gravity_m_s2)
+    moved = motion_from_poses(reference, sample_rate_hz=sample_rate_hz, gravity_m_s2=gravity_m_s2)
+    return moved, None if reference.position is None else fit_pose_spline(reference).position(moved.time)
 
 
 def _labels(markers: str | None) -> tuple[str, ...] | None:

@@ -99,16 +99,7 @@ def validate(
     from undrift.sync import LagSettings
     from undrift.validation import TrialSettings
 
-    if not records:
-        raise InputError("validate: wanted one recording or more, got none; name them first")
-    if leave_one_out and calibrate_from is None:
-        raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
-    if calibrate_from is not None and calibration is not None:
-        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
-    if not 0.0 < longest_lag_s < math.inf:
-        raise InputError(
-            f"--longest-lag-s: wanted more than 0 s, got {longest_lag_s:g}; say how far the clocks may differ"
-        )
+    _check_asked(records, calibration, calibrate_from, leave_one_out, longest_lag_s)
     if output is not None:
         checked_folder(output)
     labels = tuple(markers.split(",")) if markers else None
@@ -131,12 +122,8 @@ def validate(
         names = [name_of(record) for record in records]
         result, model = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
     source = calibration.name if calibration else calibrate_from
-    told = validation_json(result) | {
-        "calibration": source,
-        "offset": chosen,
-        "adc": adc,
-        "leave_one_out": leave_one_out,
-    }
+    asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
+    told = validation_json(result) | asked
     if output is not None:
         _write(output, result, told, _method(records, reference, calibration, result, model, settings))
     if json:
@@ -144,6 +131,26 @@ def validate(
     else:
         _show(result, chosen, output, in_sample=calibrate_from is not None and not leave_one_out)
     return 0
+
+
+def _check_asked(
+    records: tuple[Path, ...],
+    calibration: Path | None,
+    calibrate_from: str | None,
+    leave_one_out: bool,
+    longest_lag_s: float,
+) -> None:
+    """Refuse a call that does not say what to judge, or by what."""
+    if not records:
+        raise InputError("validate: wanted one recording or more, got none; name them first")
+    if leave_one_out and calibrate_from is None:
+        raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
+    if calibrate_from is not None and calibration is not None:
+        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+    if not 0.0 < longest_lag_s < math.inf:
+        raise InputError(
+            f"--longest-lag-s: wanted more than 0 s, got {longest_lag_s:g}; say how far the clocks may differ"
+        )
 
 
 def validation_json(result: "Validation") -> dict[str, object]:
