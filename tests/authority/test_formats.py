@@ -158,7 +158,7 @@ def test_the_dirty_logs_read_and_their_wrong_scale_is_named(name, rows, temps, g
     problems = describe(path, columns).problems
     assert f"{built.dropped_rows} rows did not parse and were left out" in problems
     assert any("median |accel| is 0.25" in problem and "wrong unit or scale" in problem for problem in problems)
-    with pytest.raises(FileFormatError, match="set drop_bad_rows"):
+    with pytest.raises(FileFormatError, match="say drop_bad_rows = true in a map"):
         read_csv(path, ColumnMap(**keys, sample_rate_hz=50.0, layout=TextLayout(header=False)))
 
 

@@ -181,6 +181,19 @@ def test_the_proposed_map_can_be_pasted_line_by_line(undrift, tmp_path):
     assert undrift.good("info", tmp_path / "t.csv", "--map", tmp_path / "map.toml", "--json").json()["rows"] == 60
 
 
+def test_a_map_of_one_key_serves_own_names_and_an_option_overrules_it(undrift, tmp_path):
+    rows = "".join(f"{t},1,2,3\n" for t in (0.0, 0.01, 0.005, 0.02))
+    (tmp_path / "r.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n" + rows)
+    (tmp_path / "map.toml").write_text("repair_time = true\n")
+    assert "repair_time = true in a map" in undrift.refused("info", tmp_path / "r.csv")
+    told = undrift.good("info", tmp_path / "r.csv", "--map", tmp_path / "map.toml", "--json").json()
+    assert told["rows"] == 3
+    assert told["problems"][0] == "1 rows whose time did not go forward were left out"
+    (tmp_path / "gap.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n0.01,,2,3\n0.02,1,2,3\n")
+    assert "say --gaps keep, or" in undrift.refused("info", tmp_path / "gap.csv")
+    assert undrift.good("info", tmp_path / "gap.csv", "--gaps", "keep", "--json").json()["gaps"] == 1
+
+
 def test_the_reasons_of_a_verdict_stand_one_a_line(undrift, bench):
     told = undrift.good("info", bench / "calibration.json", "--json").json()["effects"]["verdict"]
     lines = undrift.good("info", bench / "calibration.json").out.splitlines()

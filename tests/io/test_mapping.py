@@ -1,10 +1,14 @@
 """Column maps in TOML mean what they say, and a slip is named by its line."""
 
+import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import csv, parquet
 
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.mapping import read_column_map
+from undrift.io.mapping import read_column_map, read_map_settings
+from undrift.io.recording import ReadSettings, iter_record, read_record
 from undrift.io.toml import entry_name, line_of
 
 TEXT = """sample_rate_hz = 50
@@ -79,3 +83,37 @@ def test_lines_and_entries_are_found_in_the_text():
     assert entry_name(("still", 1, "face")) == "[[still]] 2, face"
     assert entry_name(("session", "kind")) == "[session], kind"
     assert entry_name(("columns",)) == "columns"
+
+
+def test_a_map_without_columns_says_what_own_names_leave_unsaid(tmp_path):
+    path = tmp_path / "map.toml"
+    path.write_text("repair_time = true\n")
+    assert read_map_settings(path) == ReadSettings(repair_time=True)
+    path.write_text('gaps = "keep"\nsample_rate_hz = 50.0\ndrop_bad_rows = true\n')
+    assert read_map_settings(path) == ReadSettings(gaps="keep", sample_rate_hz=50.0, drop_bad_rows=True)
+    path.write_text(TEXT)
+    assert read_map_settings(path) is None
+    for text, got in (("skip_rows = 2", "skip_rows"), ("# nothing", "no key")):
+        path.write_text(text)
+        with pytest.raises(InputError, match=f"wanted one table of columns, got 0 and {got}; add columns"):
+            read_map_settings(path)
+
+
+@pytest.mark.parametrize("name", ["r.csv", "r.parquet"])
+def test_rows_whose_time_goes_back_are_left_out_of_own_names_on_request(tmp_path, name):
+    time = np.array([0.0, 0.01, 0.02, 0.015, 0.03, 0.04])
+    table = pa.table({"time_s": time} | {f"gyro_{axis}_dps": time for axis in "xyz"})
+    (csv.write_csv if name == "r.csv" else parquet.write_table)(table, tmp_path / name)
+    with pytest.raises(InputError, match=r"say repair_time = true in a map \(--map FILE\)"):
+        read_record(tmp_path / name)
+    settings = ReadSettings(repair_time=True)
+    kept = [0.0, 0.01, 0.02, 0.03, 0.04]
+    np.testing.assert_array_equal(read_record(tmp_path / name, settings=settings).time, kept)
+    np.testing.assert_array_equal(next(iter_record(tmp_path / name, settings=settings)).time, kept)
+
+
+def test_rows_that_do_not_parse_are_left_out_of_own_names_on_request(tmp_path):
+    (tmp_path / "r.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n0.1,1,x,3\n0.2,1,2,3\n")
+    with pytest.raises(FileFormatError, match=r"say drop_bad_rows = true in a map \(--map FILE\)"):
+        read_record(tmp_path / "r.csv")
+    assert len(read_record(tmp_path / "r.csv", settings=ReadSettings(drop_bad_rows=True))) == 2

@@ -24,6 +24,7 @@ class Opening:
     ----------
     column_map : Path or None
         TOML file with columns, units and what else a foreign table needs: the keys of a [[recording]] in session.toml.
+        With undrift's own column names only sample_rate_hz, gaps, repair_time or drop_bad_rows, without columns.
     sample_rate_hz : float or None
         Samples per second, for a file without time.
     sensor : str or None
@@ -43,11 +44,13 @@ class Opening:
         Returns
         -------
         ColumnMap or None
-            Read from the file.
+            Read from the file; None too where it names no columns, for a file with undrift's own names.
         """
-        from undrift.io.mapping import read_column_map
+        from undrift.io.mapping import read_column_map, read_map_settings
 
-        return None if self.column_map is None else read_column_map(self.column_map)
+        if self.column_map is None or read_map_settings(self.column_map) is not None:
+            return None
+        return read_column_map(self.column_map)
 
     def settings(self) -> "ReadSettings":
         """Return what else the reader is told.
@@ -55,11 +58,20 @@ class Opening:
         Returns
         -------
         ReadSettings
-            Rate, sensor, gaps.
+            Rate, sensor, gaps, and what a map without columns says; options overrule it.
         """
+        from dataclasses import replace
+
+        from undrift.io.mapping import read_map_settings
         from undrift.io.recording import ReadSettings
 
-        return ReadSettings(sample_rate_hz=self.sample_rate_hz, sensor=self.sensor, gaps=self.gaps)
+        held = (None if self.column_map is None else read_map_settings(self.column_map)) or ReadSettings()
+        return replace(
+            held,
+            sample_rate_hz=self.sample_rate_hz or held.sample_rate_hz,
+            sensor=self.sensor,
+            gaps=self.gaps or held.gaps,
+        )
 
     def read(self, path: Path) -> "Record":
         """Read a recording; a session folder gives its only recording.

@@ -275,7 +275,8 @@ def _check_gaps(table: Table, name: str, values: FloatArray, columns: ColumnMap)
         row = table.row(int(np.flatnonzero(gap)[0]))
         raise InputError(
             f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
-            f'data row {row}{_period(gap)}; set gaps = "keep" to keep them as gaps',
+            f'data row {row}{_period(gap)}; say --gaps keep, or gaps = "keep" in a map '
+            "or [[recording]], to keep them as gaps",
             row=row,
         )
     return gap
@@ -324,8 +325,8 @@ def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | 
     kind = "doubled" if steps[row - 1] == 0.0 else "backward"
     raise InputError(
         f"{table.source}: time column {columns.time!r}: wanted strictly increasing time, got {int((steps <= 0).sum())} steps back "
-        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); set repair_time "
-        "to drop such rows",
+        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); say repair_time = "
+        "true in a map (--map FILE) or its [[recording]] to drop such rows",
         row=table.row(row),
     )
 

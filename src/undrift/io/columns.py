@@ -307,8 +307,8 @@ def native_map(
     mag, mag_unit = _native_triple(names, "mag", {"ut": "ut"})
     if gyro is None and accel is None:
         raise InputError(
-            f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {_listed(names)}; map them: "
-            f'columns = {{ {EXAMPLE} }}, units = {{ gyro = "dps", accel = "g", temp = "degC" }}'
+            f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {_listed(names)}; undrift info FILE "
+            "proposes a map of them, to be given with --map"
         )
     temps = [(f"temp_{suffix}", unit) for unit, suffix in TEMP_SUFFIX.items() if f"temp_{suffix}" in names]
     if len(temps) > 1:

@@ -16,7 +16,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import Frame
 from undrift.io.build import Built, build
-from undrift.io.columns import ACCEL_SUFFIX, AXES, GYRO_SUFFIX, ColumnMap, Gaps, native_map
+from undrift.io.columns import ACCEL_SUFFIX, AXES, GYRO_SUFFIX, ColumnMap, Gaps, TextLayout, native_map
 from undrift.io.text import Text, open_text, parse_text
 from undrift.record import Record, State
 
@@ -53,7 +53,13 @@ def read_csv(
 
 
 def build_csv(
-    path: str | Path, columns: ColumnMap | None = None, *, sample_rate_hz: float | None = None, gaps: Gaps = "raise"
+    path: str | Path,
+    columns: ColumnMap | None = None,
+    *,
+    sample_rate_hz: float | None = None,
+    gaps: Gaps = "raise",
+    repair_time: bool = False,
+    drop_bad_rows: bool = False,
 ) -> Built:
     """Read a record and the count of rows left out.
 
@@ -67,6 +73,10 @@ def build_csv(
         Hz, likewise.
     gaps : str
         Likewise.
+    repair_time : bool
+        For a file with undrift's own names: leave out rows whose time does not go forward.
+    drop_bad_rows : bool
+        Likewise rows that do not parse.
 
     Returns
     -------
@@ -78,9 +88,9 @@ def build_csv(
     InputError
         As :func:`read_csv`.
     """
-    text = open_text(path, None if columns is None else columns.layout)
+    text = open_text(path, TextLayout(drop_bad_rows=drop_bad_rows) if columns is None else columns.layout)
     if columns is None:
-        columns = _native(text, sample_rate_hz, gaps)
+        columns = replace(_native(text, sample_rate_hz, gaps), repair_time=repair_time)
     wanted = tuple(column for channel in columns.mapped() for column in columns.columns_of(channel))
     return build(parse_text(text, wanted), columns)
 

@@ -14,7 +14,10 @@ from typing import Literal
 
 from undrift.errors import InputError
 from undrift.io.columns import Column, ColumnMap, Gaps, Scale, TextLayout, Trim
+from undrift.io.recording import ReadSettings
 from undrift.io.toml import Entry, read_toml
+
+BESIDE_OWN_NAMES = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"}
 
 
 class ColumnsEntry(Entry):
@@ -226,6 +229,44 @@ def read_column_map(path: str | Path) -> ColumnMap:
     if len(maps) != 1:
         raise InputError(f"{path}: wanted one table of columns, got {len(maps)}; add columns = {{ ... }}")
     return maps[0]
+
+
+def read_map_settings(path: str | Path) -> ReadSettings | None:
+    """Read a map without columns: what a file with undrift's own names may need beside them.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, with any of sample_rate_hz, gaps, repair_time and drop_bad_rows.
+
+    Returns
+    -------
+    ReadSettings or None
+        None where the map names columns.
+
+    Raises
+    ------
+    InputError
+        No such file, an empty map, or a key that means nothing without columns.
+    FileFormatError
+        Not TOML, or an unknown key; names the line.
+    """
+    entry = read_toml(path, MapEntry)
+    if entry.columns is not None:
+        return None
+    given = entry.model_fields_set
+    if not given or given - BESIDE_OWN_NAMES:
+        got = ", ".join(sorted(given - BESIDE_OWN_NAMES)) or "no key"
+        raise InputError(
+            f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
+            f"names only {', '.join(sorted(BESIDE_OWN_NAMES))}"
+        )
+    return ReadSettings(
+        sample_rate_hz=entry.sample_rate_hz,
+        gaps=entry.gaps if "gaps" in given else None,
+        repair_time=entry.repair_time,
+        drop_bad_rows=entry.drop_bad_rows,
+    )
 
 
 def _columns(entry: list[str | int] | str | None) -> tuple[Column, ...] | None:

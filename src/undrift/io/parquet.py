@@ -6,6 +6,7 @@ The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "fo
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -26,7 +27,12 @@ _BUFFER = 1 << 20
 
 
 def read_parquet(
-    path: str | Path, columns: ColumnMap | None = None, *, sample_rate_hz: float | None = None, gaps: Gaps | None = None
+    path: str | Path,
+    columns: ColumnMap | None = None,
+    *,
+    sample_rate_hz: float | None = None,
+    gaps: Gaps | None = None,
+    repair_time: bool = False,
 ) -> Record:
     """Read a record.
 
@@ -40,6 +46,8 @@ def read_parquet(
         Hz, for undrift's own names without time_s.
     gaps : str or None
         "raise" or "keep"; None keeps them in files that undrift wrote and refuses them in others.
+    repair_time : bool
+        For undrift's own names: leave out rows whose time does not go forward.
 
     Returns
     -------
@@ -55,13 +63,20 @@ def read_parquet(
     """
     handle = _open(path)
     names = tuple(handle.schema_arrow.names)
-    columns = columns or _native(Path(path), names, handle.schema_arrow.metadata, sample_rate_hz, gaps)
+    columns = columns or replace(
+        _native(Path(path), names, handle.schema_arrow.metadata, sample_rate_hz, gaps), repair_time=repair_time
+    )
     with handle:
         return _record(Path(path), _whole(handle, path), columns)
 
 
 def iter_parquet(
-    path: str | Path, columns: ColumnMap | None = None, *, rows: int = CHUNK_ROWS, gaps: Gaps | None = None
+    path: str | Path,
+    columns: ColumnMap | None = None,
+    *,
+    rows: int = CHUNK_ROWS,
+    gaps: Gaps | None = None,
+    repair_time: bool = False,
 ) -> Iterator[Record]:
     """Read a record in chunks: constant memory, whatever the size of the file.
 
@@ -75,6 +90,8 @@ def iter_parquet(
         Samples in a chunk, two or more; the last chunk may be one longer or shorter.
     gaps : str or None
         As for :func:`read_parquet`.
+    repair_time : bool
+        Likewise, within a chunk.
 
     Yields
     ------
@@ -89,7 +106,10 @@ def iter_parquet(
     if rows < 2:
         raise InputError(f"rows: wanted two samples or more in a chunk, got {rows}")
     path, handle = Path(path), _open(path, stream=True)
-    columns = columns or _native(path, tuple(handle.schema_arrow.names), handle.schema_arrow.metadata, None, gaps)
+    names = tuple(handle.schema_arrow.names)
+    columns = columns or replace(
+        _native(path, names, handle.schema_arrow.metadata, None, gaps), repair_time=repair_time
+    )
     if columns.time is None:
         raise InputError(f"{path}: wanted a time column to read in chunks, got none; add time_s or read it whole")
     last: float | None = None
@@ -316,8 +336,6 @@ def _native(
     sample_rate_hz: float | None,
     gaps: Gaps | None,
 ) -> ColumnMap:
-    from dataclasses import replace
-
     try:
         columns = native_map(names, sample_rate_hz=sample_rate_hz)
     except InputError as error:

@@ -44,11 +44,17 @@ class ReadSettings:
     gaps : str or None
         "raise" or "keep", whatever a map says; None: as the map says, and without one gaps are refused except in Parquet that
         undrift wrote.
+    repair_time : bool
+        For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward.
+    drop_bad_rows : bool
+        For a text table with undrift's own names: leave out rows that do not parse.
     """
 
     sample_rate_hz: float | None = None
     sensor: str | None = None
     gaps: Gaps | None = None
+    repair_time: bool = False
+    drop_bad_rows: bool = False
 
 
 def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None) -> Record:
@@ -110,9 +116,17 @@ def read_built(path: str | Path, columns: ColumnMap | None = None, *, settings: 
         gaps = settings.gaps or "raise"
         return Built(record=record_of_arrays(arrays, path, columns, sample_rate_hz=settings.sample_rate_hz, gaps=gaps))
     if kind == "parquet":
-        return Built(record=read_parquet(path, columns, sample_rate_hz=settings.sample_rate_hz, gaps=settings.gaps))
+        rate, repair = settings.sample_rate_hz, settings.repair_time
+        return Built(record=read_parquet(path, columns, sample_rate_hz=rate, gaps=settings.gaps, repair_time=repair))
     if columns is not None or kind == "csv":
-        return build_csv(path, columns, sample_rate_hz=settings.sample_rate_hz, gaps=settings.gaps or "raise")
+        return build_csv(
+            path,
+            columns,
+            sample_rate_hz=settings.sample_rate_hz,
+            gaps=settings.gaps or "raise",
+            repair_time=settings.repair_time,
+            drop_bad_rows=settings.drop_bad_rows,
+        )
     return Built(record=_read_wearable(path, kind, settings))
 
 
@@ -145,7 +159,7 @@ def iter_record(
     settings = settings or ReadSettings()
     columns = _overruled(columns, settings)
     if detect(path) == "parquet":
-        yield from iter_parquet(path, columns, rows=rows, gaps=settings.gaps)
+        yield from iter_parquet(path, columns, rows=rows, gaps=settings.gaps, repair_time=settings.repair_time)
         return
     if rows < 2:
         raise InputError(f"rows: wanted two samples or more in a chunk, got {rows}")
@@ -198,5 +212,7 @@ def _read_wearable(path: Path, kind: Format, settings: ReadSettings) -> Record:
     if kind == "ximu3":
         return read_ximu3(path)
     if settings.sample_rate_hz is None:
-        raise InputError(f"{path}: wanted the sample rate of this x-IMU recording, got none; give sample_rate_hz")
+        raise InputError(
+            f"{path}: wanted the sample rate of this x-IMU recording, got none; give sample_rate_hz (--sample-rate-hz)"
+        )
     return read_ximu(path, sample_rate_hz=settings.sample_rate_hz)

@@ -14,6 +14,7 @@ units = { time = "s", accel = "count", gyro = "count" }
 [[turn]]                            # likewise; optional axis, turn_rate_dps or angle_deg, temp_c
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +27,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.io.build import join_records
 from undrift.io.columns import ColumnMap
 from undrift.io.files import checked_file, sha256_of
-from undrift.io.mapping import MapEntry
+from undrift.io.mapping import BESIDE_OWN_NAMES, MapEntry
 from undrift.io.parquet import write_parquet
 from undrift.io.recording import ReadSettings, read_record
 from undrift.io.toml import Entry, entry_name, line_of, read_toml
@@ -256,13 +257,15 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Re
             f"wanted one table of columns for each file, got {len(maps)} for {len(names)} files; "
             "columns = [{ ... }, { ... }] in the order of the files"
         )
-    unused = entry.model_fields_set - {"file", "columns", "sample_rate_hz", "sensor", "gaps"}
+    unused = entry.model_fields_set - {"file", "columns", "sensor"} - BESIDE_OWN_NAMES
     if not maps and unused:
         raise InputError(
             f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
         )
     gaps = entry.gaps if "gaps" in entry.model_fields_set else None
     settings = ReadSettings(sample_rate_hz=entry.sample_rate_hz, sensor=entry.sensor, gaps=gaps)
+    if not maps:
+        settings = replace(settings, repair_time=entry.repair_time, drop_bad_rows=entry.drop_bad_rows)
     records = tuple(
         read_record(folder / name, columns, settings=settings)
         for name, columns in zip(names, maps or (None,) * len(names), strict=True)

@@ -163,8 +163,8 @@ def _parse_dirty(text: Text, positions: list[int]) -> Table:
         row = ragged[0]
         raise FileFormatError(
             f"{text.path}: wanted {row.expected_columns} columns in every row, got {row.actual_columns} in data row "
-            f"{row.number - text.skip} ({row.text[:40]!r}; {len(ragged)} such rows); repair them, or set drop_bad_rows to "
-            "leave them out",
+            f"{row.number - text.skip} ({row.text[:40]!r}; {len(ragged)} such rows); repair them, or say "
+            "drop_bad_rows = true in a map (--map FILE)",
             row=row.number - text.skip,
         )
     lost = np.array([row.number - text.skip - 1 for row in ragged], dtype=np.int64)
@@ -178,7 +178,8 @@ def _parse_dirty(text: Text, positions: list[int]) -> Table:
             first = int(np.flatnonzero(~fine)[0])
             raise FileFormatError(
                 f"{text.path}: column {text.names[i]!r}: wanted numbers, got {_shown(columns[i][first])} in data row "
-                f"{rows[first] + 1} ({int((~fine).sum())} such rows); repair the file, or set drop_bad_rows to leave them out",
+                f"{rows[first] + 1} ({int((~fine).sum())} such rows); repair the file, or say drop_bad_rows = true "
+                "in a map (--map FILE)",
                 row=int(rows[first]) + 1,
             )
         good &= fine
