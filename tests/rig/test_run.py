@@ -79,6 +79,7 @@ def test_a_chamber_is_set_and_waited_for_with_the_motor_off(tmp_path):
         assert not any(motor)
     assert {piece.temp_c for piece in result.pieces} == {30.0, 40.0}
     assert {turn.temp_c for turn in read_session(tmp_path).turns} == {30.0, 40.0}
+    assert read_session(tmp_path).kind == "thermal"
 
 
 def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
@@ -191,6 +192,7 @@ def test_a_device_without_a_thermometer_is_given_five_of_its_stated_time_constan
         )
     assert next(at for phase, at in said if phase == "settling") > 100.0
     assert read_session(tmp_path).stills[0].temp_c == 40.0
+    assert read_session(tmp_path).kind == "calibration"  # one temperature makes no tables
     with pytest.raises(InputError, match=r"run: wanted a device lag of 0 s or more, got -1.0"):
         RunSettings(device_lag_s=-1.0)
 

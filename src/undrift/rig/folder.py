@@ -46,7 +46,7 @@ class Head:
     gravity_m_s2 : float
         Local gravity, m/s2.
     kind : str
-        calibration, or thermal with a chamber.
+        calibration, or thermal where the chamber visits two temperatures or more.
     """
 
     protocol: str

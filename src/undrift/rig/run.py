@@ -24,6 +24,7 @@ from undrift.rig.rig import Position, Rig
 from undrift.rig.safety import check_programme
 from undrift.rig.seams import Chamber, Mounting, Readings
 from undrift.rig.signals import uninterrupted
+from undrift.session import Kind
 
 Phase = Literal["enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "resting", "writing", "closing"]
 POLLS = 20  # positions in a short dwell
@@ -164,7 +165,7 @@ def run_programme(
                 rig=name,
                 serial=serial,
                 gravity_m_s2=gravity_m_s2,
-                kind="calibration" if bench.chamber is None else "thermal",
+                kind=_kind_of(programme),
             )
         )
         start = bench.clock.now()
@@ -176,6 +177,12 @@ def run_programme(
     return RunResult(
         pieces=folder.pieces, added=len(folder.pieces) - len(done), duration_s=bench.clock.now() - start, rig=name
     )
+
+
+def _kind_of(programme: Programme) -> Kind:
+    """Return what a session of this programme is for: one temperature makes no tables, room or chamber."""
+    visited = {step.temp_c for step in programme.steps if isinstance(step, Soak)}
+    return "thermal" if len(visited) > 1 else "calibration"
 
 
 class _Run:

@@ -7,6 +7,7 @@ import pytest
 
 from undrift.errors import InputError
 from undrift.sim import random_device
+from undrift.sim.device.presets import PRESETS, random_device_of
 from undrift.sim.device.random import grade_named
 
 
@@ -44,3 +45,18 @@ def test_a_wider_tolerance_of_one_property_leaves_the_others_as_they_were() -> N
 def test_a_grade_that_is_not_one_is_refused() -> None:
     with pytest.raises(InputError, match="wanted consumer, industrial or wearable, got 'gold'"):
         random_device(np.random.default_rng(1), grade="gold")  # type: ignore[arg-type]
+
+
+def test_devices_that_differ_in_anything_have_serial_numbers_of_their_own():
+    """The same seed draws the same unit of a kind, and another serial of another kind."""
+    kinds = [random_device_of(name, np.random.default_rng(0)).serial for name in PRESETS]
+    grades = [
+        random_device(np.random.default_rng(0), grade=name).serial for name in ("consumer", "industrial", "wearable")
+    ]
+    seeds = [random_device(np.random.default_rng(seed)).serial for seed in range(1, 4)]
+    every = [*kinds, *grades, *seeds]
+    assert len(set(every)) == len(every)
+    changed = replace(grade_named("consumer"), trim_error_sd=0.5)
+    assert random_device(np.random.default_rng(0), grade=changed).serial not in every
+    assert random_device(np.random.default_rng(0)).serial == grades[0]
+    assert random_device(np.random.default_rng(0), serial="A1").serial == "A1"

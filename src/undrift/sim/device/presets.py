@@ -63,7 +63,7 @@ def random_device_of(name: str, rng: np.random.Generator, *, serial: str = "") -
     rng : Generator
         Draws each property from a stream of its own.
     serial : str
-        Serial number; drawn where not given.
+        Serial number; where not given it follows from the kind and all that is drawn.
 
     Returns
     -------

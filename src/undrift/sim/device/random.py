@@ -78,7 +78,7 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
     grade : str or Grade
         How units spread.
     serial : str
-        Serial number; drawn where not given.
+        Serial number; where not given it follows from the grade and all that is drawn.
 
     Returns
     -------
@@ -99,8 +99,19 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
             return stream.normal(0.0, sd, shape)
         return sd * _cut_normal(stream, chosen.limit_sd, shape)
 
-    made = device_of(chosen, draw, serial or f"SIM-{streams.of('serial').integers(0, 10**6):06d}")
-    return replace(made, source_tag="drawn")
+    made = replace(device_of(chosen, draw, serial), source_tag="drawn")
+    return made if serial else replace(made, serial=_serial_of(made))
+
+
+def _serial_of(device: DeviceModel) -> str:
+    """Return a serial number that tells every value of the device: two that differ in anything never share one."""
+    import hashlib
+    import json
+
+    from undrift.sim.device.store import device_json
+
+    text = json.dumps(device_json(device), sort_keys=True)
+    return f"SIM-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
 
 
 def typical_device(grade: Grade, *, serial: str = "typical") -> DeviceModel:
