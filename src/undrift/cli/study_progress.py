@@ -89,7 +89,7 @@ class StudyProgress:
             return
         text = f"{stage}, about {duration(left[0].seconds)}"
         if len(left) > 1:
-            text += f" of {duration(sum(each.seconds for each in left))} that are left"
+            text += f"; {duration(sum(each.seconds for each in left))} left in all"
         self._tell(text)
 
     def advance(self, done: int, total: int) -> None:
@@ -109,8 +109,9 @@ class StudyProgress:
             self._tell(f"calibration sessions: {done} of {total} units of work")
 
     def _tell(self, text: str) -> None:
-        if self._live:
-            self._shown.update(self._bar, description=f"{self._name}: {text}")
+        if self._live:  # a stage of its own bar: only the first counts units
+            self._shown.remove_task(self._bar)
+            self._bar = self._shown.add_task(f"{self._name}: {text}", total=None)
         else:
             sys.stderr.write(f"{self._name}: {text}\n")
             sys.stderr.flush()
