@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.calibration.limits import CASE, G_SENSITIVITY, NO_ACCEL, OTHER_RATES
+from undrift.calibration.limits import CASE, FACES, G_SENSITIVITY, NO_ACCEL, OTHER_RATES
 from undrift.calibration.procedure import calibrate
 from undrift.sim import random_device, simulate_session
 
 DEVICE = random_device(np.random.default_rng(21))
-KINDS = (CASE, G_SENSITIVITY, OTHER_RATES, NO_ACCEL)
+KINDS = (CASE, FACES, G_SENSITIVITY, OTHER_RATES, NO_ACCEL)
 
 
 def made(kind):
@@ -19,7 +19,12 @@ def made(kind):
 
 @pytest.mark.parametrize(
     ("kind", "limits"),
-    [("multi_position", (CASE, G_SENSITIVITY)), ("ferraris", (OTHER_RATES,)), ("bench", ()), ("six_face", ())],
+    [
+        ("multi_position", (CASE, G_SENSITIVITY)),
+        ("ferraris", (FACES, OTHER_RATES)),
+        ("bench", (FACES,)),
+        ("six_face", (FACES,)),
+    ],
 )
 def test_each_kind_of_session_names_its_own_limits_and_no_other(kind, limits):
     verdict = calibrate(made(kind)).verdict

@@ -4,6 +4,7 @@
 by               not told                                      told by
 ===============  ============================================  ==================================================
 multi-position   how the sensors sit in the case               rests on six faces
+six-face         whether the box is square                     free poses
 multi-position   g-sensitivity of the gyroscopes               six faces and turns by known angles, or a rate table
 known-rotation   whether the scale holds at other rates        a rate table
 rate-table       g-sensitivity, without an accelerometer       its rests on six faces
@@ -21,6 +22,10 @@ from undrift.calibration.outcome import Outcome
 CASE = (
     "how the sensors sit in the case was not told, the axes are the accelerometer's own: free poses show lengths alone; rests on "
     "six faces of the case show it"
+)
+FACES = (
+    "accelerometer: its axes are those of the faces, and a box out of square counts as misaligned sensors; nine or more free poses "
+    "tell the angles between the sensors without a box"
 )
 G_SENSITIVITY = (
     "gyroscope: its g-sensitivity was not told by moves between poses and is taken for nothing; rests on six faces with turns by "
@@ -53,6 +58,8 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
     said: list[str] = []
     if accel.fit is not None and accel.method == "multi-position":
         said.append(CASE)
+    if accel.fit is not None and accel.method == "six-face":
+        said.append(FACES)
     if gyro.fit is not None and gyro.method == "multi-position":
         said.append(G_SENSITIVITY)
     if gyro.fit is not None and gyro.method == "known-rotation":

@@ -71,7 +71,7 @@ def method_section(method: Method) -> Section:
         ("ADC's rounding", _adc(method)),
         (
             "start",
-            f"tilt from the specific force and heading from the reference, both over the {settings.rest_s:g} s before the motion; "
+            f"tilt from the specific force, heading from the reference, both over the last {settings.rest_s:g} s of rest or less; "
             f"from {settings.lead_s:g} s before the motion the gyroscope alone",
         ),
         ("pitch", f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)"),

@@ -247,8 +247,8 @@ def test_a_small_tilt_is_a_figure_that_is_not_rounded_to_nothing():
     fit = fit_six_face(poses, gravity=G)
     assert fit.verdict.status == "good"
     assert fit.verdict.reasons == (
-        f"the faces lie level and square within {np.degrees(fit.tilt):.1g} deg (1 sigma), which the uncertainty of the cross-axis "
-        "terms holds",
+        f"the faces lie level among themselves within {np.degrees(fit.tilt):.1g} deg (1 sigma), which the cross-axis terms' "
+        "uncertainty holds",
     )
     assert "0.00 " not in fit.verdict.reasons[0]
 

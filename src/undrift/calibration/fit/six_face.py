@@ -296,7 +296,7 @@ def _tilt_verdict(tilt: float) -> Verdict:
             "or more free poses instead"
         )
         return Verdict(status="marginal", reasons=(told,))
-    told = f"the faces lie level and square within {degrees:.1g} deg (1 sigma), which the uncertainty of the cross-axis terms holds"
+    told = f"the faces lie level among themselves within {degrees:.1g} deg (1 sigma), which the cross-axis terms' uncertainty holds"
     return Verdict(reasons=(told,))
 
 
