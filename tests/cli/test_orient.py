@@ -106,6 +106,27 @@ def test_a_worn_recording_without_a_still_phase_says_so(undrift, tmp_path):
         "orient", worn, "--map", tmp_path / "map.toml", "-o", tmp_path / "o.csv"
     )
     assert contents(tmp_path) == before
+    stretch = (
+        "--still-start-s",
+        10,
+        "--still-stop-s",
+        11.5,
+    )  # named, it is taken; the rest of the person is not judged
+    said = undrift.good("orient", worn, "--map", tmp_path / "map.toml", *stretch, "-o", tmp_path / "o.csv").out
+    assert "tilt from the still phase 10.0 to 11.5 s" in said
+
+
+def test_a_stretch_at_rest_is_taken_by_its_own_times_and_refused_outside_them(undrift, bench, tmp_path):
+    corrected, out = bench / "corrected.parquet", tmp_path / "o.csv"
+    found = undrift.good("orient", corrected, "-o", out, "--json").json()["still"]
+    named = ("--still-start-s", found[0], "--still-stop-s", found[0] + 1.0)
+    told = undrift.good("orient", corrected, "-o", out, *named, "--json").json()["still"]
+    assert told == pytest.approx([found[0], found[0] + 0.99])
+    before = contents(tmp_path)
+    for words in (("--still-start-s", 1), ("--still-start-s", 3, "--still-stop-s", 2), (*named[:3], 1e6)):
+        line = undrift.refused("orient", corrected, "-o", out, *words)
+        assert "--still-start-s, --still-stop-s: wanted both, within the recording's" in line
+    assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize(

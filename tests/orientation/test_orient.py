@@ -86,7 +86,8 @@ def test_what_cannot_be_oriented_is_refused():
     rng = np.random.default_rng(2)
     shaken = Record(time=record.time, gyro=rng.normal(size=(600, 3)), accel=record.accel + rng.normal(size=(600, 3)))
     with pytest.raises(
-        InputError, match=r"orient: wanted a still phase, got none: .*; name a stretch at rest, or record"
+        InputError,
+        match=r"orient: wanted a still phase, got none: .*; name a stretch at rest \(--still-start-s, --still-stop-s\), or record",
     ):
         orient(shaken)
     with pytest.raises(InputError, match="rate: wanted a physical unit, got count"):

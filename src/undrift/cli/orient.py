@@ -11,6 +11,8 @@ from undrift.cli.opening import Flag, Opening, check_physical
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.orientation.orient import Orientation
+    from undrift.record import Record
+    from undrift.session import Still
 
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 
@@ -22,6 +24,8 @@ def orient(
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     calibration: Path | None = None,
     offset: Literal["none", "rest"] = "none",
+    still_start_s: float | None = None,
+    still_stop_s: float | None = None,
     heading_deg: float = 0.0,
     forward: Side = "+x",
     up: Side = "+z",
@@ -42,6 +46,10 @@ def orient(
         calibration.json of the device, for a raw recording.
     offset : str
         "rest" takes off the mean rate of the still phase.
+    still_start_s : float or None
+        Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
+    still_stop_s : float or None
+        End of that stretch.
     heading_deg : float
         Heading at the still phase, deg.
     forward : str
@@ -83,7 +91,8 @@ def orient(
     else:
         check_physical(readings, record)
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
-    found = find(readings, settings=settings, accel_model=model)
+    still = _still(readings, still_start_s, still_stop_s)
+    found = find(readings, still, settings, accel_model=model)
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
     if json:
         write_json(_json(found) | {"recording": str(record), "output": str(output), "notes": notes})
@@ -105,6 +114,29 @@ def orient(
     for note in notes:
         out.print(f"  note: {note}", markup=False)
     return 0
+
+
+def _still(record: "Record", start_s: float | None, stop_s: float | None) -> "Still | None":
+    """Return the stretch at rest that was named, None where none was."""
+    import numpy as np
+
+    from undrift.errors import InputError
+    from undrift.session import Still
+
+    if start_s is None and stop_s is None:
+        return None
+    first, last = float(record.time[0]), float(record.time[-1])
+    if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
+        raise InputError(
+            f"--still-start-s, --still-stop-s: wanted both, within the recording's {first:.6g} to {last:.6g} s and in that order, "
+            f"got {_told(start_s)} and {_told(stop_s)}; name a stretch at rest by its start and end"
+        )
+    start, stop = np.searchsorted(record.time, (start_s, stop_s))
+    return Still(start=int(start), stop=max(int(stop), int(start) + 1))
+
+
+def _told(value: float | None) -> str:
+    return "none" if value is None else f"{value:g}"
 
 
 def _json(found: "Orientation") -> dict[str, object]:

@@ -163,7 +163,8 @@ def _first_still(record: Record) -> Still:
     if not found.stills:
         reason = found.reason.removeprefix("no still phase: ")
         raise InputError(
-            f"orient: wanted a still phase, got none: {reason}; name a stretch at rest, or record with a pause"
+            f"orient: wanted a still phase, got none: {reason}; name a stretch at rest (--still-start-s, --still-stop-s), or "
+            "record with a pause"
         )
     return found.stills[0]
 
