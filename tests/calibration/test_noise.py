@@ -54,7 +54,7 @@ def test_a_short_record_of_white_noise_says_what_it_does_not_show() -> None:
         assert axis.rate_random_walk.interval[0] == 0.0
         assert axis.rate_random_walk.interval[1] > 0.0
         assert "record longer" in axis.bias_instability.reason
-    assert "rate_random_walk not observable in 200 s" in " ".join(fit.verdict.reasons)
+    assert "gyro x, y, z: rate random walk not observable in 200 s" in " ".join(fit.verdict.reasons)
 
 
 def test_a_flat_floor_is_told_from_a_slope() -> None:

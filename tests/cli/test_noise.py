@@ -41,6 +41,10 @@ def test_the_allan_plot_is_written_in_the_format_of_its_name(undrift, tmp_path, 
     assert {path.name for path in tmp_path.iterdir()} == {"rest.csv", name}
     assert "angle random walk" in answer.out
     assert "(rad/s/sqrt(Hz))" in answer.out
+    assert "gyroscopes, in brackets the 95 % intervals" in answer.out
+    assert "angle random walk in deg/sqrt(h): x " in answer.out
+    assert "velocity random walk in ug/sqrt(Hz): x " in answer.out
+    assert "rate_random_walk" not in answer.out
     assert "verdict: " in answer.out
     assert str(tmp_path / name) in answer.out
 
@@ -49,7 +53,12 @@ def test_a_stretch_is_cut_out_and_known_noise_is_found(undrift, tmp_path):
     at_rest(tmp_path, "rest.csv")
     told = undrift.good("noise", tmp_path / "rest.csv", "--start-s", "10", "--stop-s", "110", "--json").json()
     assert told["duration_s"] == pytest.approx(100.0, abs=0.02)
+    assert told["accel"][0]["velocity_random_walk_ug_per_sqrt_hz"] == pytest.approx(
+        told["accel"][0]["angle_random_walk"]["value"] / 9.80665e-6
+    )
     for axis in told["gyro"]:
+        walk = axis["angle_random_walk"]["value"]  # 1 rad/sqrt(s) is 57.2958 deg in a 60th of a sqrt(h)
+        assert axis["angle_random_walk_deg_per_sqrt_h"] == pytest.approx(60.0 * np.degrees(walk))
         low, high = axis["angle_random_walk"]["interval"]
         # 1e-3 rad/s at 100 Hz is 1e-4 rad/s/sqrt(Hz); three intervals of 95 %, so a margin of a half-width
         assert low - (high - low) / 2.0 < 1e-4 < high + (high - low) / 2.0
@@ -75,6 +84,8 @@ def test_what_noise_refuses(undrift, bench, tmp_path):
     assert "wanted a device at rest" in refused(bench / "trial.parquet", "-o", tmp_path / "old.svg")
     assert "wanted a name ending in .svg, .png or .pdf" in refused(tmp_path / "rest.csv", "-o", tmp_path / "rest.csv")
     assert "make it first" in refused(tmp_path / "rest.csv", "-o", tmp_path / "none" / "a.svg")
-    assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "500")
+    beyond = refused(tmp_path / "rest.csv", "--start-s", "500")
+    assert "wanted a stretch of the recording, which goes from 0 to " in beyond
+    assert "got 500 to inf s; name times on its own clock" in beyond
     assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "50", "--stop-s", "40")
     assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "nan")

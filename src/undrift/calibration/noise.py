@@ -29,6 +29,18 @@ from undrift.segments.still import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
 from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
+SPOKEN = {  # what the coefficients are called: an accelerometer has other words for the same slopes
+    "gyro": {
+        "angle_random_walk": "angle random walk",
+        "bias_instability": "bias instability",
+        "rate_random_walk": "rate random walk",
+    },
+    "accel": {
+        "angle_random_walk": "velocity random walk",
+        "bias_instability": "bias instability",
+        "rate_random_walk": "acceleration random walk",
+    },
+}
 SIGNIFICANT = 2.0  # standard deviations above zero
 SHORTEST = 64  # samples
 _MODEL_ERRORS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # of the variance at each tau, tried in turn
@@ -98,6 +110,8 @@ class NoiseFit:
         Averaging times, s.
     gyro_adev, accel_adev : array, shape (M, 3)
         Overlapping Allan deviation; no columns where the record has no such triad.
+    gyro_limits, accel_limits : array, shape (2, M, 3)
+        Lower and upper limit of the deviations; no columns likewise.
     duration_s : float
         Length of the record, s.
     confidence : float
@@ -113,6 +127,8 @@ class NoiseFit:
     taus_s: FloatArray
     gyro_adev: FloatArray
     accel_adev: FloatArray
+    gyro_limits: FloatArray
+    accel_limits: FloatArray
     duration_s: float
     confidence: float
     verdict: Verdict
@@ -189,6 +205,8 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
         taus_s=curves[0].taus_s,
         gyro_adev=_columns(gyro_curves, curves[0]),
         accel_adev=_columns(accel_curves, curves[0]),
+        gyro_limits=_limits(gyro_curves, curves[0]),
+        accel_limits=_limits(accel_curves, curves[0]),
         duration_s=record.duration_s,
         confidence=confidence,
         verdict=_verdict(gyro, accel, record.duration_s),
@@ -253,6 +271,12 @@ def _wander(values: FloatArray, width: int) -> tuple[float, float]:
     means = tenths.reshape(count, -1, tenth, 3).mean(axis=2)
     white = float(np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth))
     return float(np.median(np.sqrt(means.var(axis=1).sum(axis=1)))), white
+
+
+def _limits(curves: list[AllanDeviation], like: AllanDeviation) -> FloatArray:
+    if not curves:
+        return np.empty((2, len(like.taus_s), 0))
+    return np.stack((np.column_stack([c.lower for c in curves]), np.column_stack([c.upper for c in curves])))
 
 
 def _columns(curves: list[AllanDeviation], like: AllanDeviation) -> FloatArray:
@@ -403,10 +427,10 @@ def _verdict(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration
     reasons: list[str] = []
     status: Status = "good"
     for what, axes in (("gyro", gyro), ("accel", accel)):
-        for name in ("angle_random_walk", "bias_instability", "rate_random_walk"):
+        for name, spoken in SPOKEN[what].items():
             lost = [a.axis for a in axes if getattr(a, name).reason]
             if lost:
-                reasons.append(f"{what} {', '.join(lost)}: {name} not observable in {duration_s:.0f} s")
+                reasons.append(f"{what} {', '.join(lost)}: {spoken} not observable in {duration_s:.0f} s")
                 status = "marginal" if name == "angle_random_walk" else status
         worst = max((a.model_error for a in axes), default=0.0)
         if worst >= 0.1:

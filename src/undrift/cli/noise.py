@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from undrift.cli.opening import Flag, Opening, calibrated_part, check_gravity
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.calibration.noise import AxisNoise, NoiseFit
+    from undrift.record import Record
 
 
 def noise(
@@ -49,7 +51,7 @@ def noise(
     int
         Exit code.
     """
-    from undrift.calibration.noise import fit_noise
+    from undrift.calibration.noise import SPOKEN, fit_noise
     from undrift.cli.output import console, show_verdict, waiting, write_json
     from undrift.cli.writing import checked_output
     from undrift.report.figures import PICTURES
@@ -60,9 +62,7 @@ def noise(
         readings, notes = opening.read(record), tuple[str, ...]()
         began = readings.time[0]
         if start_s is not None or stop_s is not None:
-            readings = readings.between(
-                readings.time[0] if start_s is None else start_s, float("inf") if stop_s is None else stop_s
-            )
+            readings = _between(readings, start_s, stop_s)
         if calibration is not None:
             from undrift.calibration.store import read_calibration
             from undrift.correct import correct_checked
@@ -79,14 +79,31 @@ def noise(
     if json:
         write_json(noise_json(found) | {"notes": notes})
         return 0
-    _show("gyroscopes", found.gyro, ("angle random walk", "bias instability", "rate random walk"))
-    _show("accelerometers", found.accel, ("velocity random walk", "bias instability", "acceleration random walk"))
+    brackets = f"in brackets the {100.0 * found.confidence:g} % intervals"
+    _show(f"gyroscopes, {brackets}", found.gyro, tuple(SPOKEN["gyro"].values()))
+    _show(f"accelerometers, {brackets}", found.accel, tuple(SPOKEN["accel"].values()))
     show_verdict(found.verdict)
     for note in notes:
         console().print(f"  note: {note}", markup=False)
     if figure is not None:
         console().print(f"Wrote {figure}", markup=False)
     return 0
+
+
+def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "Record":
+    """Return the stretch that was asked for, which must lie within the recording."""
+    import numpy as np
+
+    from undrift.errors import InputError
+
+    first, last = float(record.time[0]), float(record.time[-1])
+    start, stop = first if start_s is None else start_s, np.inf if stop_s is None else stop_s
+    if not (start < stop and start < last and stop > first):
+        raise InputError(
+            f"--start-s, --stop-s: wanted a stretch of the recording, which goes from {first:.6g} to {last:.6g} s, got {start:g} "
+            f"to {stop:g} s; name times on its own clock"
+        )
+    return record.between(start, stop)
 
 
 def noise_json(found: "NoiseFit") -> dict[str, object]:
@@ -117,12 +134,25 @@ def noise_json(found: "NoiseFit") -> dict[str, object]:
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     named = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
     held = {name: getattr(axis, name) for name in named}
-    return {"axis": axis.axis} | {
+    told: dict[str, object] = {"axis": axis.axis}
+    told |= {
         name: {"value": c.value, "interval": c.interval, "unit": c.unit, "reason": c.reason} for name, c in held.items()
     }
+    customary = _customary(axis)
+    return told if customary is None else told | {customary[1]: customary[0]}
 
 
-def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, str, str]) -> None:
+def _customary(axis: "AxisNoise") -> tuple[float, str, str] | None:
+    """Return the random walk as data sheets have it, with its name in JSON and its unit; None for counts and volts."""
+    walk = axis.angle_random_walk
+    if walk.unit == "rad/s/sqrt(Hz)":  # which is rad/sqrt(s): 60 sqrt(s) make a sqrt(h)
+        return 60.0 * walk.value / RADIAN_PER_DEGREE, "angle_random_walk_deg_per_sqrt_h", "deg/sqrt(h)"
+    if walk.unit == "m/s2/sqrt(Hz)":
+        return 1e6 * walk.value / STANDARD_GRAVITY, "velocity_random_walk_ug_per_sqrt_hz", "ug/sqrt(Hz)"
+    return None
+
+
+def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, ...]) -> None:
     from undrift.cli.output import console, table
 
     if not axes:
@@ -138,19 +168,14 @@ def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, str, str]
             cells.append(f"{coefficient.value:.3g} [{low:.3g}, {high:.3g}]" if seen else f"not seen, under {high:.2g}")
         shown.add_row(axis.axis, *cells)
     console().print(shown, markup=False)
+    walks = [(axis.axis, customary) for axis in axes if (customary := _customary(axis)) is not None]
+    if walks:
+        values = ", ".join(f"{axis} {value:.3g}" for axis, (value, _, _) in walks)
+        console().print(f"{names[0]} in {walks[0][1][2]}: {values}", markup=False)
 
 
 def _draw(found: "NoiseFit", path: Path, name: str) -> None:
-    from undrift.report.figures import draw_allan, save_figure
+    from undrift.report.allan import draw_allan
+    from undrift.report.figures import save_figure
 
-    gyro = bool(found.gyro)
-    save_figure(
-        draw_allan(
-            found.taus_s,
-            found.gyro_adev if gyro else found.accel_adev,
-            [f"{'gyro' if gyro else 'accel'} {axis.axis}" for axis in (found.gyro or found.accel)],
-            unit=found.gyro_unit if gyro else found.accel_unit,
-            title=f"{name}: overlapping Allan deviation",
-        ),
-        path,
-    )
+    save_figure(draw_allan(found, title=f"{name}: overlapping Allan deviation"), path)

@@ -213,38 +213,3 @@ def draw_agreement(
     axes.set_xlabel(f"mean of device and optics (deg), one point a {unit}")
     axes.set_ylabel("device - optics (deg)")
     return figure
-
-
-def draw_allan(taus_s: FloatArray, deviation: FloatArray, names: Sequence[str], *, unit: str, title: str) -> "Figure":
-    """Draw Allan deviation over averaging time, with the slopes of white noise and of a random walk as a guide.
-
-    Parameters
-    ----------
-    taus_s : array, shape (n,)
-        Averaging time, s.
-    deviation : array, shape (n, k)
-        One column a sensor; NaN where there is none.
-    names : sequence of str
-        One a column.
-    unit : str
-        Of the deviation.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    Figure
-        One panel, both axes logarithmic.
-    """
-    figure, (axes,) = new_figure(1, height=3.4)
-    for column, name, colour in zip(deviation.T, names, AXIS_COLOURS * 2, strict=False):
-        axes.loglog(taus_s, column, color=colour, marker="o", markersize=2.5, label=name)
-    anchor = float(np.nanmedian(deviation[0]))
-    axes.loglog(
-        taus_s, anchor * np.sqrt(taus_s[0] / taus_s), color=LIMIT, linestyle=":", label="white noise, slope -1/2"
-    )
-    axes.set_xlabel("averaging time (s)")
-    axes.set_ylabel(f"Allan deviation ({unit})")
-    axes.set_title(title, loc="left", fontsize=10)
-    axes.legend(loc="best", frameon=False)
-    return figure
