@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.calibration.limits import CASE, FACES, G_SENSITIVITY, NO_ACCEL, OTHER_RATES
+from undrift.calibration.fit.result import TriadFit
+from undrift.calibration.limits import CASE, FACES, G_SENSITIVITY, NO_ACCEL, OTHER_RATES, limits_of
+from undrift.calibration.model import Verdict
+from undrift.calibration.outcome import Outcome
 from undrift.calibration.procedure import calibrate
 from undrift.sim import random_device, simulate_session
 
@@ -39,10 +42,26 @@ def test_the_limits_alone_leave_a_verdict_good():
     assert len(verdict.reasons) == 3
 
 
-def test_a_rate_table_without_an_accelerometer_asks_for_one():
+def test_a_rate_table_without_an_accelerometer_asks_for_one_once():
     session = made("bench")
     numb = replace(session, records=tuple(replace(r, accel=None) for r in session.records), stills=())
-    assert NO_ACCEL in calibrate(numb).verdict.reasons
+    found = calibrate(numb)
+    assert (
+        sum("g-sensitivity" in reason for reason in found.verdict.reasons) == 1
+    )  # the fit saw its effect, and says so
+    fit = found.gyro
+    triad = TriadFit(
+        model=fit, residuals=np.zeros(3), verdict=Verdict(reasons=("which tells the g-sensitivity apart",))
+    )
+    gyro = Outcome(fit=triad, method="rate-table")
+    assert limits_of(Outcome(), gyro, 25.0, thermal=True).reasons == ()
+    quiet = replace(gyro, fit=replace(triad, verdict=Verdict()))
+    assert limits_of(Outcome(), quiet, 25.0, thermal=True).reasons == (NO_ACCEL,)
+
+
+def test_a_thermal_session_is_not_sent_to_record_one():
+    warm = replace(made("six_face"), kind="thermal")
+    assert not any("one temperature" in reason for reason in calibrate(warm).verdict.reasons)
 
 
 def test_one_temperature_is_told_with_its_figure_or_with_the_lack_of_one():

@@ -48,7 +48,7 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
     temp_c : float
         Mean temperature of what was used, degC; NaN where it is not known.
     thermal : bool
-        The session has other temperatures too, which was said already.
+        The session is a thermal one, or other temperatures were set aside, which was said.
 
     Returns
     -------
@@ -65,7 +65,8 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
     if gyro.fit is not None and gyro.method == "known-rotation":
         said.append(OTHER_RATES)
     if gyro.fit is not None and gyro.method == "rate-table" and accel.fit is None:
-        said.append(NO_ACCEL)
+        told = any("g-sensitivity" in reason for reason in gyro.fit.verdict.reasons)
+        said += [] if told else [NO_ACCEL]
     if not thermal:
         said.append(_temperature(temp_c))
     return Verdict(reasons=tuple(said))

@@ -87,7 +87,8 @@ def calibrate(
     reasons = said_once((*set_aside, *seen.reasons, *accel_outcome.reasons, *gyro_outcome.reasons, *ignored))
     if accel_outcome.fit is None and gyro_outcome.fit is None:
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that serve: {'; '.join(reasons)}")
-    limits = limits_of(accel_outcome, gyro_outcome, seen.mean_temperature(), thermal=bool(set_aside))
+    thermal = session.kind == "thermal" or bool(set_aside)
+    limits = limits_of(accel_outcome, gyro_outcome, seen.mean_temperature(), thermal=thermal)
     return Calibration(
         device=session.serial or session.records[0].device,
         reference_temp_c=seen.mean_temperature(),
