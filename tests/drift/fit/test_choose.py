@@ -48,7 +48,9 @@ def test_a_device_gets_the_tables_that_it_needs(name, changes):
         table = choice.alternatives
         show(f"{name}: left out, deg/s rms of {', '.join(ALTERNATIVES)}", np.round(table.left_out_rms_dps, 4))
         assert table.chosen == name
-        assert table.reason.startswith(f"{name}: it foretells 5 soaks and the rates")
+        assert table.reason.startswith(
+            f"{name}: it foretells 5 of 7 soaks (not the coldest and hottest) and the rates, left out in turn, "
+        )
         assert table.reason in choice.verdict.reasons
         assert (choice.scale_drift is not None) == ("scale" in name)
         assert (choice.dynamic_drift is not None) == ("dynamic" in name)
@@ -64,6 +66,17 @@ def test_two_soaks_are_judged_by_rates_alone_and_say_so():
     assert np.isnan(choice.alternatives.soak_rms_dps).all()
     assert choice.alternatives.chosen == "scale"
     assert any("the choice rests on the rates alone" in reason for reason in choice.verdict.reasons)
+    assert "it foretells the rates left out in turn (2 soaks, none between others)" in choice.alternatives.reason
+
+
+def test_soaks_of_one_set_point_are_counted_once_as_set_points():
+    # Each set-point twice, as axis by axis or on the way back: of three the middle one alone lies between others.
+    choice = chosen(device(0, rate_drift=None), temps=np.array([25.0, 35.0, 45.0, 45.3, 34.8, 25.1]))
+    assert "3 soaks" not in choice.alternatives.reason
+    assert "it foretells 2 of 6 soaks at 3 set-points (not the coldest and hottest)" in choice.alternatives.reason
+    two = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0, 45.3, 25.1]))
+    assert "the rates left out in turn (4 soaks at 2 set-points, none between others)" in two.alternatives.reason
+    assert any("soaks at two set-points" in reason for reason in two.verdict.reasons)
 
 
 def test_one_soak_is_refused_with_its_temperature():

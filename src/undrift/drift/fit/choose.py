@@ -27,6 +27,7 @@ from undrift.units import RADIAN_PER_DEGREE
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
 ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first
 _RATE_FOLDS = 4
+_SAME_C = 1.0  # between soaks, in the order of their temperature: further apart is another set-point
 _WORTH = 1.05  # a table more has to earn this factor of rms at least, however well it is known
 
 
@@ -41,7 +42,7 @@ class Alternatives:
     fitted_rms_dps : array, shape (4,)
         Root-mean-square residual of the fit to all steps, deg/s; NaN where it could not be fitted.
     soak_rms_dps : array, shape (4,)
-        Of the soaks that were left out; NaN with fewer than three soaks.
+        Of the soaks that were left out; NaN with fewer than three set-points.
     rate_rms_dps : array, shape (4,)
         Of the rates that were left out; NaN with fewer than three rates.
     left_out_rms_dps : array, shape (4,)
@@ -200,7 +201,7 @@ def choose_tables(
         scale=fits.scale,
         dynamic=fits.dynamic,
         both=fits.both,
-        verdict=_verdict(table, fits, soaks).also(data.steps.verdict),
+        verdict=_verdict(table, fits, int(_set_points(data.steps)[1].max()) + 1).also(data.steps.verdict),
     )
 
 
@@ -255,7 +256,7 @@ def _judged(data: _Data, fits: _Fits) -> Alternatives:
     soak, rate = squares[: len(by_soak)], squares[len(by_soak) :]
     judged = np.where(missing, np.nan, _mean(squares) if len(squares) else fitted)
     error = _standard_error(squares)
-    chosen, reason = _one_standard_error(judged, error, len(by_soak))
+    chosen, reason = _one_standard_error(judged, error, _left_out(steps))
     rms = np.sqrt(judged)
     return Alternatives(
         name=ALTERNATIVES,
@@ -270,10 +271,30 @@ def _judged(data: _Data, fits: _Fits) -> Alternatives:
 
 
 def _soak_folds(steps: Steps) -> list[BoolArray]:
-    """Return the rows of each soak but the coldest and the hottest: what lies beyond the data nobody can foretell."""
+    """Return the rows of each soak but those at the coldest and hottest set-point: what lies beyond nobody can foretell."""
+    numbers, point = _set_points(steps)
+    return [steps.soak == s for s in numbers[(point > 0) & (point < point.max())]]
+
+
+def _set_points(steps: Steps) -> tuple[IntArray, IntArray]:
+    """Return the soaks and which set-point each was at, from the coldest: soaks of one may be many, of each axis or each way."""
     numbers = np.unique(steps.soak)
     middle = np.array([steps.temp_c[steps.soak == s].mean() for s in numbers])
-    return [steps.soak == s for s in numbers[(middle > middle.min()) & (middle < middle.max())]]
+    order = np.argsort(middle, kind="stable")
+    point = np.zeros(len(numbers), np.int64)
+    point[order[1:]] = np.cumsum(np.diff(middle[order]) > _SAME_C)
+    return numbers, point
+
+
+def _left_out(steps: Steps) -> str:
+    """Return what was left out in turn, with how many soaks and set-points there were."""
+    soaks = len(_soak_folds(steps))
+    numbers, point = _set_points(steps)
+    points = int(point.max()) + 1
+    there = f"{len(numbers)} soaks" if points == len(numbers) else f"{len(numbers)} soaks at {points} set-points"
+    if not soaks:
+        return f"the rates left out in turn ({there}, none between others)"
+    return f"{soaks} of {there} (not the coldest and hottest) and the rates, left out in turn,"
 
 
 def _rate_folds(steps: Steps) -> list[BoolArray]:
@@ -310,33 +331,33 @@ def _standard_error(squares: FloatArray) -> FloatArray:
     return np.asarray(squares.std(axis=0, ddof=1) / np.sqrt(len(squares)))
 
 
-def _one_standard_error(judged: FloatArray, error: FloatArray, soaks: int) -> tuple[Alternative, str]:
+def _one_standard_error(judged: FloatArray, error: FloatArray, told: str) -> tuple[Alternative, str]:
     best = int(np.nanargmin(judged))
     limit = max(judged[best] + error[best], judged[best] * _WORTH**2)
     chosen = int(np.flatnonzero(judged <= limit)[0])
     dps = np.sqrt(judged) / RADIAN_PER_DEGREE
-    told = f"{soaks} soaks and the rates" if soaks else "the rates"
     if chosen == best:
         return ALTERNATIVES[chosen], (
-            f"{ALTERNATIVES[chosen]}: it foretells {told} that were left out best, {dps[best]:.4f} deg/s rms, and nothing simpler "
-            "comes within one standard error or 5 %"
+            f"{ALTERNATIVES[chosen]}: it foretells {told} best, to {dps[best]:.4f} deg/s rms, and nothing simpler comes within one "
+            "standard error or 5 %"
         )
     return ALTERNATIVES[chosen], (
-        f"{ALTERNATIVES[chosen]}: it foretells {told} that were left out to {dps[chosen]:.4f} deg/s rms, within one standard error "
-        f"or 5 % of the best ({ALTERNATIVES[best]}, {dps[best]:.4f} deg/s), and is simpler"
+        f"{ALTERNATIVES[chosen]}: it foretells {told} to {dps[chosen]:.4f} deg/s rms, within one standard error or 5 % of the best "
+        f"({ALTERNATIVES[best]}, {dps[best]:.4f} deg/s), and is simpler"
     )
 
 
-def _verdict(table: Alternatives, fits: _Fits, soaks: int) -> Verdict:
+def _verdict(table: Alternatives, fits: _Fits, points: int) -> Verdict:
     verdict = Verdict(reasons=(table.reason,))
     if table.chosen in ("scale", "scale + dynamic") and fits.scale is not None:
         verdict = verdict.also(fits.scale.verdict)
     dynamic = {"dynamic": fits.dynamic, "scale + dynamic": fits.both}.get(table.chosen)
     if dynamic is not None:
         verdict = verdict.also(dynamic.verdict)
-    if soaks < 3:
+    if points < 3:
         reason = (
-            "two soaks: no soak between others could be left out, and the choice rests on the rates alone; add a soak"
+            "soaks at two set-points: none between others could be left out, and the choice rests on the rates alone; add a soak "
+            "at a third"
         )
         verdict = verdict.also(Verdict(status="marginal", reasons=(reason,)))
     return verdict
