@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 from undrift.calibration.model import DynamicDrift
 from undrift.drift.fit.choose import Alternatives
@@ -93,23 +94,25 @@ def test_the_choice_says_what_was_chosen_and_what_could_not_be_fitted():
     assert rows[1][2] == "0.0100 +- 0.0010"
 
 
+def scales():
+    return ScaleSummary(
+        temp_c=NODES,
+        percent=np.zeros((len(NODES), 3)),
+        uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((len(NODES), 3), 0.1)),
+        extrapolated=NODES < 20.0,
+        soak_temp_c=np.array([20.0, 25.0, 30.0]),
+        soak_percent=np.where(np.arange(3) == 1, np.nan, np.zeros((3, 3))),
+        soak_uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((3, 3), 0.1)),
+    )
+
+
 DRAWN = {
     "offsets": lambda: draw_offsets(summary()),
     "offsets without blocks": lambda: draw_offsets(
         summary(block_temp_c=np.zeros(0), block_departure=np.zeros((0, 3)), block_cooling=np.zeros(0), against="zero")
     ),
     "change alone": lambda: draw_offsets(summary(unit="count", in_table=False, loop_kept=False)),
-    "scale": lambda: draw_scale(
-        ScaleSummary(
-            temp_c=NODES,
-            percent=np.zeros((len(NODES), 3)),
-            uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((len(NODES), 3), 0.1)),
-            extrapolated=NODES < 20.0,
-            soak_temp_c=np.array([20.0, 25.0, 30.0]),
-            soak_percent=np.where(np.arange(3) == 1, np.nan, np.zeros((3, 3))),
-            soak_uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((3, 3), 0.1)),
-        )
-    ),
+    "scale": lambda: draw_scale(scales()),
     "dynamic": lambda: draw_dynamic(
         DynamicDrift(
             temp_c=np.array([20.0, 30.0]),
@@ -136,3 +139,12 @@ def test_every_picture_names_what_it_shows_and_is_the_same_twice(name):
     for word in WORDS[name]:
         assert word in text, word
     assert text == svg_of(DRAWN[name]())
+
+
+def test_the_legend_s_soaks_have_the_colour_of_those_in_every_panel():
+    figure = draw_scale(scales())
+    drawn = {line.get_color() for axes in figure.axes for line in axes.lines if line.get_marker() == "o"}
+    legend = figure.legends[0]
+    named = dict(zip([text.get_text() for text in legend.get_texts()], legend.legend_handles, strict=True))
+    assert len(drawn) == 1
+    assert to_hex(named["soaks, 95 %"].get_color()[0]) in {to_hex(colour) for colour in drawn}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undrift.calibration.model import AXES
-from undrift.report.figures import AXIS_COLOURS, DEVICE, ERROR, LIMIT, new_figure
+from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
             yerr=NORMAL_95 * summary.soak_uncertainty[:, k],
             fmt="o",
             markersize=3.5,
-            color=AXIS_COLOURS[k],
+            color=DEVICE,
             linewidth=0.9,
             label="soaks, 95 %",
         )
