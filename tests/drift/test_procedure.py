@@ -109,7 +109,7 @@ def test_set_points_alone_make_tables_and_say_that_a_column_is_needed_in_use(ses
     stated = made(settings=replace(SOAKS, drop_temperature=True))
     told = fit_drift([stated], CALIBRATION)
     assert told.verdict.status == "marginal"
-    said = [reason for reason in told.verdict.reasons if "set-point" in reason]
+    said = [reason for reason in told.verdict.reasons if "chamber's set-points" in reason]
     assert len(said) == 1
     assert "what is to be corrected needs a temperature column" in said[0]
     assert not any("lag" in reason for reason in told.verdict.reasons)
@@ -300,3 +300,23 @@ def test_a_log_that_went_one_way_says_what_lag_and_power_on_would_make(fit):
     assert "the loop is unknown" in said[0]
     assert sum("after power-on may be in the table" in reason for reason in told.verdict.reasons) == 1
     assert not any("not in the stated" in reason or "may be in the table" in reason for reason in fit.verdict.reasons)
+
+
+def test_gravity_that_six_faces_show_becomes_part_of_a_calibration_that_does_not_know_it_and_counts_once():
+    own = preset("mpu6050")
+    true = true_calibration(own)
+    names = true.gyro.parameters[:12]
+    naive = replace(true.gyro, g_sensitivity=None, parameters=names, covariance=true.gyro.covariance[:12, :12])
+    six = replace(SOAKS, faces="six", set_points_c=(20.0, 35.0, 50.0), back=False)
+    session = made(settings=six, device=own)
+    fit = fit_drift([session], replace(true, gyro=naive))
+    off = np.abs(fit.calibration.gyro.g_sensitivity - true.gyro.g_sensitivity)
+    doubt = fit.calibration.gyro.standard_uncertainty[12:].reshape(3, 3)
+    show("g-sensitivity from rests: error, stated, (deg/s)/g", np.round(np.degrees([off.max(), doubt.max()]) * 9.81, 4))
+    assert (off < 4.0 * doubt).all()
+    assert np.degrees(doubt.max()) * 9.81 < 0.01
+    assert sum("the gyroscopes feel gravity, by up to 0.05" in reason for reason in fit.verdict.reasons) == 1
+    assert not any("from pose to pose" in reason for reason in fit.verdict.reasons)
+    again = fit_drift([session], fit.calibration)
+    np.testing.assert_array_equal(again.calibration.gyro.g_sensitivity, fit.calibration.gyro.g_sensitivity)
+    np.testing.assert_array_equal(again.static.table.gyro_offset, fit.static.table.gyro_offset)

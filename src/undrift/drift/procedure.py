@@ -26,6 +26,7 @@ from undrift.drift.fit.agree import check_sessions, check_turns, offsets_verdict
 from undrift.drift.fit.asymmetry import Asymmetry, scale_asymmetry
 from undrift.drift.fit.choose import Alternative, Choice, choose_tables
 from undrift.drift.fit.crop import cropped_choice, cropped_static, widened
+from undrift.drift.fit.gravity import with_felt_gravity
 from undrift.drift.fit.static import StaticFit, StaticSettings, fit_static
 from undrift.drift.observe.gather import ObserveSettings, observe_rests, observe_steps
 from undrift.drift.observe.observations import RateSteps, RestBlocks
@@ -39,6 +40,7 @@ from undrift.drift.observe.ready import (
     since_power_on,
 )
 from undrift.drift.provenance import drift_provenance
+from undrift.drift.set_points import with_set_points
 from undrift.drift.summary import ScaleSummary, TriadSummary, summarise_accel, summarise_gyro, summarise_scale
 from undrift.drift.temperature.lag import default_smooth_s, without_lag_smooth
 from undrift.drift.temperature.lag_fit import LagFit, estimate_lag
@@ -182,7 +184,7 @@ def fit_drift(
     trusted, together = _trusted(sessions, settings.temperature)
     say("gathering rests and turns", 0.15)
     lag, lag_s, rests, course = _without_lag(sessions, trusted, settings)
-    check_at_rest(rests, device)
+    device, felt = _rested(rests, device)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
     say("fitting offsets over temperature", 0.4)
     smooth_s = _smooth_s(lag_s, sessions, together)
@@ -196,10 +198,10 @@ def fit_drift(
     static, choice = cropped_static(wide, nodes), choice and cropped_choice(choice, nodes)
     say("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
-    told_of_tables = choice_verdict(choice, not_chosen), static_verdict(static, accel, len(np.unique(rests.pose)))
+    told_of_tables = choice_verdict(choice, not_chosen), _of_offsets((static, wide), accel, rests, device), felt
     gyro = summarise_gyro(static, rests, device, settings.static)
-    told_of_way = one_way_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
-    told_of_rest = told_of_way, poses_verdict(accel, device), accel_verdict(accel), lag_verdict(lag, lag_s)
+    of_poses = poses_verdict(accel, device), accel_verdict(accel)
+    told_of_rest = _of_way(gyro, rests, static), *of_poses, lag_verdict(lag, lag_s)
     verdict = reduce(Verdict.also, (agrees, temperature_verdict(together), *told_of_tables, *told_of_rest))
     return DriftFit(
         calibration=replace(
@@ -307,6 +309,23 @@ def _trusted(
 def _agrees(steps: RateSteps, device: Calibration, static: StaticFit) -> Verdict:
     check_sessions(static, device)
     return check_turns(steps, device, static).also(offsets_verdict(static, device))
+
+
+def _rested(rests: RestBlocks, device: Calibration) -> tuple[Calibration, Verdict]:
+    """Return the device with the g-sensitivity that its rests show, where it has none yet."""
+    check_at_rest(rests, device)
+    return with_felt_gravity(rests, device)
+
+
+def _of_offsets(
+    fits: tuple[StaticFit, StaticFit], accel: AccelDriftFit | None, rests: RestBlocks, device: Calibration
+) -> Verdict:
+    """Return what is to be said of the tables asked for, and of all that was seen."""
+    return with_set_points(static_verdict(fits[0], accel, len(np.unique(rests.pose))), fits[1], rests, device)
+
+
+def _of_way(gyro: TriadSummary | None, rests: RestBlocks, static: StaticFit) -> Verdict:
+    return one_way_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
 
 
 def _silent(what: str, share: float) -> None:

@@ -10,6 +10,11 @@ first-order processes of equal variance with time constants tau_j half a decade 
 and its size s2, before the curve is fitted, comes from second differences of neighbouring blocks, which no smooth ramp moves::
 
     mean (y_(k+1) - 2 y_k + y_(k-1))^2 = 6 v + s2 (6 - 8 rho(h) + 2 rho(2 h))
+
+where the temperature is smooth as well: a jump to the next set-point between two blocks is no wander. Where too few blocks follow
+each other, s2 comes from pairs of blocks of one rest, else of one cell and pose, the usual slope taken off:
+mean (y_j - y_i)^2 = 2 v + 2 s2 (1 - rho(t)).
+Poses and rests of one set-point that disagree by more than that are in ``rests.py``.
 """
 
 from dataclasses import dataclass
@@ -17,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.drift.fit.rests import RestMembers, RestScatter, rest_scatter, rests_of
 from undrift.drift.observe.observations import RestBlocks
 
 _TIME_CONSTANTS_S = 10.0 ** np.arange(1.0, 4.1, 0.5)
@@ -24,6 +30,9 @@ _FAR = 6.0  # robust standard deviations: a block further from its cell is left 
 _ROBUST = 1.4826
 _MOST_PAIRED = 30  # blocks of a cell that its correlation is taken from
 _LEAST_TRIPLES = 8
+_LEAST_PAIRS = 4
+_LEAST_JUDGED = 5  # blocks of a cell and pose: fewer do not tell which one is wrong
+_SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point lies between blocks
 _STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
 
 
@@ -68,7 +77,11 @@ class Cells:
     groups : array of int, shape (n,)
         Neighbours in temperature.
     scatter : array, shape (3,), or None
-        s2, raw unit squared; None where too few blocks follow each other.
+        s2, raw unit squared; None where too few blocks follow each other or share a cell and a pose.
+    pairs : int
+        Of blocks of one cell and pose that s2 rests on; 0 where it comes from blocks that follow each other, or is None.
+    between : RestScatter or None
+        How rests of one cell disagree; part of ``variance`` and of ``shared``. None where no cell has two.
     """
 
     session: IntArray
@@ -79,6 +92,8 @@ class Cells:
     correlation: FloatArray
     groups: IntArray
     scatter: FloatArray | None
+    pairs: int = 0
+    between: RestScatter | None = None
 
 
 def gather(
@@ -124,26 +139,33 @@ def gather(
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
         bins = walk(blocks.temp_c[rows], width)
         members.extend(rows[bins == b] for b in range(bins.max() + 1))
-    members = [rows[_good(value[rows])] for rows in members]
+    members = [rows[_good(value[rows], blocks.pose[rows])] for rows in members]
     temp_c = np.array([blocks.temp_c[rows].mean() for rows in members])
     group_width = max(1.5 * width, float(np.ptp(temp_c)) / settings.most_groups)
     order = np.argsort(temp_c, kind="stable")
     groups = np.empty(len(members), np.int64)
     groups[order] = walk(temp_c[order], group_width)
+    found = np.array(
+        [_variance(value[rows], variance[rows], None if step_error is None else step_error[rows]) for rows in members]
+    )
+    middle = np.array([value[rows].mean(axis=0) for rows in members])
+    level = value - _slope(temp_c, middle) * blocks.temp_c[:, None]
+    rests = rests_of(blocks, members)
+    scatter, pairs = wander(blocks, value, variance), 0
+    if scatter is None:
+        scatter, pairs = _from_pairs(blocks, rests, level, variance)
+    between = rest_scatter(rests, *_rest_means(blocks, rests, level, variance, scatter))
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
         temp_c=temp_c,
-        value=np.array([value[rows].mean(axis=0) for rows in members]),
-        variance=np.array(
-            [
-                _variance(value[rows], variance[rows], None if step_error is None else step_error[rows])
-                for rows in members
-            ]
-        ),
+        value=middle,
+        variance=found if between is None else found + between.own,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         correlation=_correlation(blocks, members),
         groups=groups,
-        scatter=wander(blocks, value, variance),
+        scatter=scatter,
+        pairs=pairs,
+        between=between,
     )
 
 
@@ -189,7 +211,8 @@ def wander(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> Float
     step = np.diff(blocks.time)
     usual = float(np.median(step)) if len(step) else 0.0
     follows = (np.abs(step - usual) < 0.2 * usual) & (np.diff(blocks.session) == 0) & (np.diff(blocks.pose) == 0)
-    middle = np.flatnonzero(follows[1:] & follows[:-1]) + 1
+    smooth = np.abs(np.diff(blocks.temp_c, 2)) < _SMOOTH_C if len(blocks) > 2 else np.zeros(0, bool)
+    middle = np.flatnonzero(follows[1:] & follows[:-1] & smooth) + 1
     if len(middle) < _LEAST_TRIPLES:
         return None
     second = (value[middle + 1] - 2.0 * value[middle] + value[middle - 1]) ** 2
@@ -199,6 +222,46 @@ def wander(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> Float
     error = noise * np.sqrt(4.0 / len(middle))  # neighbouring differences share blocks
     share = 6.0 - 8.0 * _rho(np.array(usual)) + 2.0 * _rho(np.array(2.0 * usual))
     return np.asarray(np.maximum(second.mean(axis=0) - noise, error) / share)
+
+
+def _slope(temp_c: FloatArray, value: FloatArray) -> FloatArray:
+    """Return the usual slope over temperature, shape (k,); 0 for one temperature."""
+    x = temp_c - temp_c.mean()
+    return np.asarray(x @ value / max(float(x @ x), 1e-9))
+
+
+def _from_pairs(
+    blocks: RestBlocks, rests: RestMembers, level: FloatArray, variance: FloatArray
+) -> tuple[FloatArray | None, int]:
+    """Return s2 from neighbouring blocks of one cell and pose, and how many pairs there are."""
+    one, two = _pairs(list(rests.rows))
+    if len(one) < _LEAST_PAIRS:  # what differs from rest to rest is taken for wander then
+        of_pose: dict[tuple[int, int], list[IntArray]] = {}
+        for rows, cell, pose in zip(rests.rows, rests.cell.tolist(), rests.pose.tolist(), strict=True):
+            of_pose.setdefault((cell, pose), []).append(rows)
+        one, two = _pairs([np.concatenate(parts) for parts in of_pose.values()])
+    if len(one) < _LEAST_PAIRS:
+        return None, 0
+    noise = (variance[one] + variance[two]).mean(axis=0)
+    square = ((level[two] - level[one]) ** 2).mean(axis=0) - noise
+    share = 2.0 * float(np.mean(1.0 - _rho(np.abs(blocks.time[two] - blocks.time[one]))))
+    return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share), len(one)
+
+
+def _pairs(rests: list[IntArray]) -> tuple[IntArray, IntArray]:
+    return np.concatenate([rows[:-1] for rows in rests]), np.concatenate([rows[1:] for rows in rests])
+
+
+def _rest_means(
+    blocks: RestBlocks, rests: RestMembers, level: FloatArray, variance: FloatArray, scatter: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of each rest and the covariance of these means by noise and wander."""
+    mean = np.array([level[rows].mean(axis=0) for rows in rests.rows])
+    own = np.array([variance[rows].mean(axis=0) / len(rows) for rows in rests.rows])
+    covariance = own.T[:, :, None] * np.eye(len(mean))
+    if scatter is not None:
+        covariance = covariance + scatter[:, None, None] * _correlation(blocks, list(rests.rows))
+    return mean, covariance
 
 
 def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
@@ -224,11 +287,16 @@ def _keys(blocks: RestBlocks, direction: FloatArray, chunk_s: float) -> IntArray
     return np.unique(np.column_stack((blocks.session, way, chunk)), axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _good(value: FloatArray) -> BoolArray:
-    off = np.abs(value - np.median(value, axis=0))
-    limit = _FAR * _ROBUST * np.median(off, axis=0)
-    good: BoolArray = np.asarray((off <= limit).all(axis=1))
-    return good if len(value) >= 5 and good.mean() > 0.5 else np.ones(len(value), bool)
+def _good(value: FloatArray, pose: IntArray) -> BoolArray:
+    """Tell which blocks of a cell are near the others of their pose: a whole pose that differs is no outlier."""
+    good = np.ones(len(value), bool)
+    for number in np.unique(pose):
+        own = np.flatnonzero(pose == number)
+        off = np.abs(value[own] - np.median(value[own], axis=0))
+        near = (off <= _FAR * _ROBUST * np.median(off, axis=0)).all(axis=1)
+        if len(own) >= _LEAST_JUDGED and near.mean() > 0.5:
+            good[own] = near
+    return good
 
 
 def _correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:

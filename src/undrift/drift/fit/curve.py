@@ -102,12 +102,16 @@ class OffsetCurve:
         joined = np.empty(len(order), np.int64)
         joined[order] = walk(cells.temp_c[order], 1.0)
         rows = [np.flatnonzero(joined == k) for k in range(joined.max() + 1)]
-        return not_a_knot(
+        found = not_a_knot(
             np.array([cells.temp_c[r].mean() for r in rows]),
             np.array([left[r].mean(axis=0) for r in rows]),
             np.array([own[r].sum(axis=0) / len(r) ** 2 for r in rows]),
             nodes,
         )
+        if cells.between is None:
+            return found
+        usual = np.diagonal(cells.between.shared, axis1=1, axis2=2).mean(axis=1)  # all set-points are of the same poses
+        return replace(found, covariance=found.covariance + usual[:, None, None])
 
 
 def fit_curve(offsets: Offsets, settings: CurveSettings = CurveSettings()) -> OffsetCurve:
@@ -222,9 +226,13 @@ def _fit(
         step_error=offsets.step_error,
         settings=chunked,
     )
-    turn_on = None
+    turn_on, smooth = None, settings.smooth
+    if cells.pairs:  # few pairs know the scatter less well than hundreds of blocks
+        smooth = replace(smooth, scatter_spread=float(np.hypot(smooth.scatter_spread, np.sqrt(2.0 / cells.pairs))))
     if len(np.unique(cells.session)) > 1:
-        turn_on = between_sessions(cells, cells.regressors, settings.smooth)
+        turn_on = between_sessions(cells, cells.regressors, smooth)
+    poses = None if cells.between is None else cells.between.shared
+    sessions = None if turn_on is None else turn_on.shared(cells.session)
     spline = fit_smooth(
         cells.temp_c,
         cells.value,
@@ -234,8 +242,8 @@ def _fit(
         wander=Wander(
             correlation=cells.correlation,
             scatter=cells.scatter,
-            shared=None if turn_on is None else turn_on.shared(cells.session),
+            shared=poses if sessions is None else sessions if poses is None else sessions + poses,
         ),
-        settings=settings.smooth,
+        settings=smooth,
     )
     return cells, spline, turn_on

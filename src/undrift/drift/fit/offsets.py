@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.model import Calibration
+from undrift.calibration.model import G_NAMES, Calibration, TriadModel
 from undrift.calibration.plausibility import check_gravity
 from undrift.drift.observe.observations import RestBlocks
 from undrift.earth import EARTH_RATE
@@ -75,7 +75,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
         return None
     blocks = blocks.taken(seen)
     model = None if calibration is None else calibration.gyro
-    force = _force(blocks, calibration)
+    force = specific_force(blocks, calibration)
     value, common, reasons = np.array(blocks.gyro), np.zeros(3), []
     if latitude_deg is not None and (model is None or force is None):
         raise InputError(
@@ -83,6 +83,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
         )
     if model is not None and model.g_sensitivity is not None and force is not None:
         value -= force @ (model.forward_matrix @ model.g_sensitivity).T
+        common += _of_gravity(model, force.mean(axis=0))
     else:
         reasons.append(
             "gyroscope offsets hold what gravity feigns in the pose recorded: no g-sensitivity is known; calibrate it with turns "
@@ -96,7 +97,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
     return Offsets(
         blocks=blocks,
         value=value,
-        variance=_known(blocks.gyro_variance),
+        variance=known_variance(blocks.gyro_variance),
         step_error=blocks.gyro_step_error,
         common_variance=common,
         reasons=tuple(reasons),
@@ -141,19 +142,55 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
     return Offsets(
         blocks=chosen,
         value=np.array(chosen.accel),
-        variance=_known(chosen.accel_variance),
+        variance=known_variance(chosen.accel_variance),
         step_error=chosen.accel_step_error,
         common_variance=np.zeros(3),
         reasons=tuple(reasons),
     )
 
 
-def _known(variance: FloatArray) -> FloatArray:
+def _of_gravity(model: TriadModel, force: FloatArray) -> FloatArray:
+    """Return the variance that the g-sensitivity's own makes of a mean specific force, shape (3,), raw unit squared."""
+    if G_NAMES[0] not in model.parameters:
+        return np.zeros(3)
+    start = model.parameters.index(G_NAMES[0])
+    own = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
+    k = model.forward_matrix
+    return np.asarray(np.einsum("ka,kb,i,j,aibj->k", k, k, force, force, own))
+
+
+def known_variance(variance: FloatArray) -> FloatArray:
+    """Return variances with the usual one where none is known.
+
+    Parameters
+    ----------
+    variance : array, shape (n, 3)
+        Raw unit squared; NaN where it is not known.
+
+    Returns
+    -------
+    array, shape (n, 3)
+        Zero where none is known at all.
+    """
     usual = np.nanmean(variance, axis=0) if np.isfinite(variance).any() else np.zeros(3)
     return np.where(np.isfinite(variance), variance, usual)
 
 
-def _force(blocks: RestBlocks, calibration: Calibration | None) -> FloatArray | None:
+def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> FloatArray | None:
+    """Return the corrected specific force of blocks.
+
+    Parameters
+    ----------
+    blocks : RestBlocks
+        n rows.
+    calibration : Calibration or None
+        With accelerometers.
+
+    Returns
+    -------
+    array, shape (n, 3), or None
+        m/s2, frame b; None without accelerometers, in the calibration or in any block.
+    """
     model = None if calibration is None else calibration.accel
     if model is None or not np.isfinite(blocks.accel).all():
         return None
@@ -162,7 +199,7 @@ def _force(blocks: RestBlocks, calibration: Calibration | None) -> FloatArray | 
 
 
 def _wrong_gravity(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> str:
-    force = _force(blocks, calibration)
+    force = specific_force(blocks, calibration)
     if force is None:
         if not is_physical(accel_unit):
             return ""
