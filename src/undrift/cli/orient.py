@@ -91,13 +91,12 @@ def orient(
     else:
         check_physical(readings, record)
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
-    still = _still(readings, still_start_s, still_stop_s)
-    found = find(readings, still, settings, accel_model=model)
+    found = find(readings, _still(readings, still_start_s, still_stop_s), settings, accel_model=model)
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
     if json:
         write_json(_json(found) | {"recording": str(record), "output": str(output), "notes": notes})
         return 0
-    start_s, stop_s = found.time[found.still.start], found.time[found.still.stop - 1]
+    start_s, stop_s = found.time[[found.still.start, found.still.stop - 1]]
     share = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
     if model is not None:
         share = "scatter and calibration"
