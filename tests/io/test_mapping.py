@@ -117,3 +117,10 @@ def test_rows_that_do_not_parse_are_left_out_of_own_names_on_request(tmp_path):
     with pytest.raises(FileFormatError, match=r"say drop_bad_rows = true in a map \(--map FILE\)"):
         read_record(tmp_path / "r.csv")
     assert len(read_record(tmp_path / "r.csv", settings=ReadSettings(drop_bad_rows=True))) == 2
+
+
+def test_a_repair_that_a_format_does_not_know_is_refused_rather_than_ignored(tmp_path):
+    np.savez(tmp_path / "r.npz", time_s=np.arange(5) / 100.0, **{f"gyro_{axis}_dps": np.arange(5.0) for axis in "xyz"})
+    assert len(read_record(tmp_path / "r.npz")) == 5
+    with pytest.raises(InputError, match=r"wanted a table of text or Parquet for repair_time .*, got npz"):
+        read_record(tmp_path / "r.npz", settings=ReadSettings(repair_time=True))

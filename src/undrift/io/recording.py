@@ -111,6 +111,11 @@ def read_built(path: str | Path, columns: ColumnMap | None = None, *, settings: 
     kind = detect(path)
     if kind in NOT_RECORDS and not (kind == "text" and columns is not None):
         raise FileFormatError(f"{path}: wanted a recording, got {NOT_RECORDS[kind]}")
+    if columns is None and kind not in ("csv", "parquet") and (settings.repair_time or settings.drop_bad_rows):
+        raise InputError(
+            f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {kind}; name the "
+            "columns in the map, or leave these keys out"
+        )
     if kind in ("npz", "mat"):
         arrays = npz_arrays(path) if kind == "npz" else mat_arrays(path)
         gaps = settings.gaps or "raise"
