@@ -24,9 +24,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 _CHANCE = 1e-3
 _LEAST_SEEN = 0.3  # of the best seen direction of gravity: a worse one is not told
-_TOLD = (
-    0.1  # singular value, in root rests of a pose: below, poses differ from gravity by what drifts in its reading alone
-)
+_TOLD = 0.1  # singular value, in root rests of a pose: below, poses differ by what drifts in gravity's reading alone
 _LEAST_SPARE = 1  # poses beyond those that H takes
 
 
