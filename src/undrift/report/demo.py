@@ -217,8 +217,8 @@ def rates_section(run: "BenchRun") -> Section:
     return Section(
         title="Rates that the encoder showed",
         text=(
-            "Calibration uses the achieved rates: the slope of the encoder's positions over each dwell. Standard uncertainties "
-            "behind +- come from the delays of the link, which weigh more the faster emulated time runs.",
+            "Calibration uses the achieved rates: the slope of the encoder's positions over each dwell, by the card's own clock. "
+            "Standard uncertainties behind +- come from the steps of the encoder and of that clock, 1/1024 s.",
         ),
         columns=("nominal (deg/s)", *(f"about {axis} (deg/s)" for axis in run.plan.bench.axes)),
         rows=rows,

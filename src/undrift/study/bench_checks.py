@@ -14,7 +14,7 @@ from undrift.study.figure3 import ROOM_TEMP_C
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial
 
-MATRIX_LIMIT = 3e-3  # half a bit of 12 is 1e-3 of gravity; the encoder against the host's clock as much at fifty times
+MATRIX_LIMIT = 3e-3  # half a bit of 12 is 1e-3 of gravity, and there are three axes
 WARM_MATRIX_LIMIT = 6e-3  # fewer and shorter turns at each set-point
 GYRO_LIMIT_DPS = (
     0.25  # hysteresis of this kind is up to 0.1, what is left of the warm-up 0.05, the wander of an hour the rest

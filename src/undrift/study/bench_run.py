@@ -5,9 +5,10 @@
     bench      faces and rates at room temperature            for the constant calibration
     thermal    rates, and in the longer plan faces, at set-points    for the tables
 
-All goes over TCP on the loopback through the drivers that drive hardware. Emulated time runs faster than the host's: rates are
-what positions of the encoder show against the host's clock, and that holds up to some fifty times. Hours of soaking would still be
-long, so that this chamber heats by 10 K a second and this board, with its thermometer in moving air, follows within seconds.
+All goes over TCP on the loopback through the drivers that drive hardware. Emulated time runs fifty times faster than the host's.
+Rates are what positions of the encoder show against the card's clock; a busy host delays answers, and does not blur them. Hours of
+soaking would still be long, so that this chamber heats by 10 K a second and this board, with its thermometer in moving air, follows
+within seconds.
 """
 
 import logging
