@@ -32,14 +32,14 @@ class GalilAxis:
         Hardware's or an emulator's.
     fastest : float
         Largest rate the axis is ever told, counts/s.
-    slack : float
-        How far a position may be off what that rate explains, counts.
+    place : GalilPlace
+        Where it is.
     """
 
-    def __init__(self, card: GalilCard, clock: Clock, fastest: float, slack: float) -> None:
+    def __init__(self, card: GalilCard, clock: Clock, fastest: float, place: GalilPlace) -> None:
         self.card = card
         self.deceleration = AXIS_DECELERATION
-        self.place = GalilPlace(card, clock, fastest, slack)
+        self.place = place
         self.refused: str | None = None
         self.enabled = False
         self.jogging = False

@@ -9,6 +9,7 @@ from undrift.rig.clock import Clock
 from undrift.rig.counts import SLEW, CountScale
 from undrift.rig.galil.axis import GalilAxis
 from undrift.rig.galil.card import GalilCard
+from undrift.rig.galil.place import GalilPlace
 from undrift.rig.galil.port import GalilPort
 from undrift.rig.galil.words import STOPS_THAT_ARE_FAULTS, Switches, stop_in_words
 from undrift.rig.rig import Limits, Position
@@ -69,7 +70,8 @@ class GalilReports:
         self._move_speed = SLEW.round(self._scale.counts(min(settings.move_turn_rate, settings.limits.turn_rate)))
         fastest = max(self._scale.counts(settings.limits.turn_rate), self._move_speed)
         self.card = GalilCard(port, settings.axis)
-        self._axis = GalilAxis(self.card, settings.clock, fastest, slack=self._scale.counts_per_turn / 36.0)
+        place = GalilPlace(self.card, settings.clock, fastest, slack=self._scale.counts_per_turn / 36.0)
+        self._axis = GalilAxis(self.card, settings.clock, fastest, place)
         self._closed = False
         self._home = 0
 
