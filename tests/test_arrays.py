@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import few, numbers
+from testkit.strategies import few, numbers
 from undrift.arrays import frozen
 from undrift.errors import InputError
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tuned import GAP, STEPS, N, device, record, tables
+from testkit.full_calibration import GAP, STEPS, N, device, record, tables
 from undrift.calibration.model import DriftTables, DynamicDrift, ScaleDrift, StaticDrift
 from undrift.calibration.procedure import calibrate
 from undrift.correct import correct, correct_checked

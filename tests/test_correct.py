@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import twins
-from tuned import GAP, ROUNDINGS, STEPS, WILD, N, device, record, tables
+from testkit import twins
+from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, N, device, record, tables
 from undrift.calibration.model import AdcModel
 from undrift.correct import DriftRangeWarning, correct, correct_checked
 from undrift.errors import DriftRangeError, InputError

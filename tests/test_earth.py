@@ -2,7 +2,7 @@
 
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.earth import EARTH_RATE, gravity_at
 from undrift.errors import InputError
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
+from undrift import filters as filters_module
 from undrift.errors import InputError
 from undrift.filters import TWO_PASSES, butterworth, lowpass
 from undrift.kernels.filter import biquad
@@ -93,7 +94,7 @@ def test_a_record_is_filtered_in_both_triads_and_keeps_the_rest():
 def test_two_threads_give_the_bits_of_one(monkeypatch):
     record = Record(time=np.arange(200) / RATE, gyro=readings(200), accel=readings(200, 2))
     one = lowpass(record, 11.1)
-    monkeypatch.setattr("undrift.filters.THREADS_FROM", 100)
+    monkeypatch.setattr(filters_module, "THREADS_FROM", 100)
     two = lowpass(record, 11.1)
     assert one.gyro.tobytes() == two.gyro.tobytes()
     assert one.accel.tobytes() == two.accel.tobytes()

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from made import few
+from testkit.strategies import few
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation
 
 quaternions = st.integers(1, 9).flatmap(lambda n: arrays(np.float64, (2, n, 4), elements=st.floats(0.1, 1.0)))

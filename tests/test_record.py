@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import assert_same, few, records, references
+from testkit.strategies import assert_same, few, records, references
 from undrift.errors import InputError
 from undrift.record import Record, Reference, check_time, sample_rate_of
 

@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.errors import InputError
 from undrift.record import Record
 from undrift.segments import StillSettings, find_still, find_turns, label_faces, sliding_moments, still_means

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tuned import ROUNDINGS, WILD, N, device, record, tables
+from testkit.full_calibration import ROUNDINGS, WILD, N, device, record, tables
 from undrift.correct import DriftRangeWarning, correct, correct_checked
 from undrift.errors import DriftRangeError, InputError
 from undrift.stream import Corrector, read_ahead

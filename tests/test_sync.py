@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from turning import Device, hidden, later, make_recording, upsampled
+from testkit.hand_turns import Device, hidden, later, make_recording, upsampled
 from undrift.errors import AlignmentError, InputError
 from undrift.record import Record, Reference
 from undrift.sync import LagSettings, find_axis_lag, find_lag, find_motion, native_poses, pose_rates

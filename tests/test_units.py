@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import few
+from testkit.strategies import few
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 

@@ -9,7 +9,7 @@ import gzip
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.calibration.allan import Estimator, allan_deviation
 from undrift.calibration.noise import fit_noise
 from undrift.record import Record

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.calibration.observed import CalibrateSettings, observe
 from undrift.calibration.procedure import calibrate
 from undrift.record import Record

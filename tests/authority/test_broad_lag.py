@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from authority.broad import FILES, trial
-from data import show
+from testkit.broad_trials import FILES, trial
+from testkit.data import show
 from undrift.sync import find_lag, native_poses
 
 # Per trial, from an earlier analysis of the same files with differentiated poses cut off at 20 Hz, ms.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.io.recording import read_record
 from undrift.io.reference import read_reference
 from undrift.report.validation import trial_figure

@@ -6,8 +6,8 @@ End total error, mean over the device's trials, degrees. Limits: a first prototy
 import numpy as np
 import pytest
 
-from authority.broad import DEVICES, trial
-from data import show
+from testkit.broad_trials import DEVICES, trial
+from testkit.data import show
 from undrift.calibration.fit.reference import ReferenceSettings
 from undrift.validation import TrialSettings, validate_leave_one_out, validate_trials
 

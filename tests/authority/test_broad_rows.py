@@ -6,8 +6,8 @@ End error: median over the first 3 s after the motion. Degrees.
 
 import pytest
 
-from authority.broad import FILES, trial
-from data import show
+from testkit.broad_trials import FILES, trial
+from testkit.data import show
 from undrift.validation import TrialSettings, validate_trial
 
 # (a) end total, inclination | (b) end total, inclination | (b) rms total, inclination | (c) end total, inclination

@@ -13,8 +13,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from authority.broad import DEVICES, trial
-from data import show
+from testkit.broad_trials import DEVICES, trial
+from testkit.data import show
 from undrift.twin import Prepared, Twin, TwinSettings, compare_held_out, fit_prepared, prepare_twin
 from undrift.twin.contributions import contributions
 from undrift.twin.endings import end_errors

@@ -10,7 +10,7 @@ import json
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.calibration.fit.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, fit_six_face
 from undrift.calibration.plausibility import face_vectors

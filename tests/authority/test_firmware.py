@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from authority.broad import trial
-from c_build import build, run_with_lag
-from data import data_path, show
-from tuned import device
+from testkit.broad_trials import trial
+from testkit.c_build import build, run_with_lag
+from testkit.data import data_path, show
+from testkit.full_calibration import device
 from undrift.calibration.model import AdcModel, DriftTables, StaticDrift
 from undrift.correct import correct_checked
 from undrift.export.c import export_c

@@ -6,7 +6,7 @@ Source of each figure: the SOURCE.md in the folder of the recording (origin, com
 import numpy as np
 import pytest
 
-from data import DATA, data_path, show
+from testkit.data import DATA, data_path, show
 from undrift.errors import FileFormatError, InputError
 from undrift.io.actigraph import read_actigraph
 from undrift.io.apdm import apdm_sensors, read_apdm

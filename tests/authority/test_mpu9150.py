@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.calibration.fit.multi_position import fit_multi_position
 from undrift.record import Record
 from undrift.units import STANDARD_GRAVITY

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.io.broad import read_broad
 from undrift.orientation.angles import inclination_of

@@ -8,7 +8,7 @@ description: C7 rises 0.468 m, trunk lean 0-43 deg, peak trunk pitch rate 136 de
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.frames import rotate
 from undrift.io.bodies import Body, device_on, find_body
 from undrift.io.c3d import read_c3d

@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from authority.broad import FILES, trial
-from data import show
+from testkit.broad_trials import FILES, trial
+from testkit.data import show
 from undrift.sim.motion.cutoff import RealRate, choose_cutoff
 from undrift.sim.motion.lowpass import ORDER, zero_phase
 from undrift.sim.motion.poses import PoseSettings, fit_pose_spline

@@ -16,7 +16,7 @@ import gzip
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.frames import rotate
 from undrift.sim.motion.library import draw_task
 from undrift.sim.motion.subject import Subject

@@ -7,7 +7,7 @@ sensitivity (30.5 instead of 35 mdeg/s a code): the fit must find it, and call i
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.calibration.fit.dwells import dwell_means
 from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.record import Record
 from undrift.sync import find_axis_lag
 

@@ -9,8 +9,8 @@ from functools import cache
 
 import pytest
 
-from authority.broad import DEVICES, FILES, trial
-from data import data_path, show
+from testkit.broad_trials import DEVICES, FILES, trial
+from testkit.data import data_path, show
 from undrift.io.bodies import device_on, find_body
 from undrift.io.c3d import read_c3d
 from undrift.io.trc import read_trc

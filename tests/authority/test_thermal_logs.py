@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.drift.fit.static import StaticSettings, fit_static
 from undrift.drift.observe.gather import observe_rests
 from undrift.record import Record

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.calibration.fit.multi_position import MultiPositionFit, MultiPositionSettings, fit_multi_position
 from undrift.calibration.fit.multi_position_accel import fit_poses
 from undrift.calibration.fit.still_variance import still_variance

@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.calibration.plausibility import (
     axis_vectors,
     check_faces,

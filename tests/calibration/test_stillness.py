@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import data_path
-from made import one_line
+from testkit.data import data_path
+from testkit.strategies import one_line
 from undrift.calibration.observed import CalibrateSettings, observe
 from undrift.calibration.procedure import calibrate
 from undrift.calibration.stillness import check_stills

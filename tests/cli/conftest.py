@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_bench import Undrift
+from testkit.command_line import Undrift
 from undrift.calibration.procedure import calibrate
 from undrift.calibration.store import write_calibration
 from undrift.correct import correct_checked

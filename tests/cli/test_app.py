@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from data import data_path
+from testkit.data import data_path
 from undrift import __version__
 from undrift.cli import app as program
 from undrift.errors import InputError, LimitError, NotObservable, RigFault

@@ -4,7 +4,7 @@ import gzip
 
 import pytest
 
-from cli_bench import at_rest, contents, lines_of, write_lines
+from testkit.command_line import at_rest, contents, lines_of, write_lines
 from undrift.io.recording import read_record, write_record
 
 COMMANDS = ("info", "calibrate", "correct", "orient", "validate", "noise")
@@ -211,7 +211,7 @@ def test_a_wrong_unit_is_refused_where_it_shows(undrift, bench, sound, tmp_path,
 
 @pytest.mark.parametrize(("channel", "unit"), [("gyro", "dps"), ("accel", "g")])
 def test_a_session_in_a_wrong_unit_is_not_calibrated(undrift, tmp_path, channel, unit):
-    from data import data_path
+    from testkit.data import data_path
 
     units = {"gyro": "rad/s", "accel": "m/s2"} | {channel: unit}
     (tmp_path / "session.toml").write_text(

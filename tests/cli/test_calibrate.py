@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from cli_bench import contents
-from data import data_path, show
+from testkit.command_line import contents
+from testkit.data import data_path, show
 from undrift.calibration.store import read_calibration
 
 KEYS = {

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cli_bench import contents
+from testkit.command_line import contents
 from undrift.calibration.model import DriftTables, StaticDrift, WarmUp
 from undrift.calibration.store import read_calibration, write_calibration
 from undrift.correct import correct

@@ -8,11 +8,17 @@ import threading
 import numpy as np
 import pytest
 
-from cli_bench import contents
+from testkit.command_line import contents
+from undrift.calibration import store as store_module
 from undrift.calibration.store import read_calibration
+from undrift.cli import study as study_module
 from undrift.errors import RigTimeout
 from undrift.io.protocol import read_protocol
 from undrift.io.session import read_session
+from undrift.report import demo as demo_module
+from undrift.study import bench_checks as bench_checks_module
+from undrift.study import bench_demo as bench_demo_module
+from undrift.study import bench_run as bench_run_module
 from undrift.study.bench_checks import Check
 from undrift.study.bench_run import bench_device, bench_plan, record_on_bench
 
@@ -134,12 +140,12 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     from undrift.cli import demo
 
     worst = (Check(name="never", value=2.0, limit=1.0),)
-    monkeypatch.setattr("undrift.study.bench_run.record_on_bench", lambda *_, **__: None)
-    monkeypatch.setattr("undrift.study.bench_demo.judge_levels", lambda *_: ())
-    monkeypatch.setattr("undrift.study.bench_checks.bench_checks", lambda *_: worst)
-    monkeypatch.setattr("undrift.report.demo.write_demo_report", lambda *_: None)
-    monkeypatch.setattr("undrift.calibration.store.calibration_json", lambda _: {})
-    monkeypatch.setattr("undrift.cli.study.study_summary", lambda _: {})
+    monkeypatch.setattr(bench_run_module, "record_on_bench", lambda *_, **__: None)
+    monkeypatch.setattr(bench_demo_module, "judge_levels", lambda *_: ())
+    monkeypatch.setattr(bench_checks_module, "bench_checks", lambda *_: worst)
+    monkeypatch.setattr(demo_module, "write_demo_report", lambda *_: None)
+    monkeypatch.setattr(store_module, "calibration_json", lambda _: {})
+    monkeypatch.setattr(study_module, "study_summary", lambda _: {})
     for name in ("_fitted", "_worn", "_correct", "_studied"):
         monkeypatch.setattr(demo, name, lambda *_: type("Any", (), {"drift": type("Any", (), {"calibration": None})})())
     answer = undrift("demo", "--quick", "--out", tmp_path / "d")

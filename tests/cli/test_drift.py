@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cli_bench import contents, lines_of, write_lines
-from data import data_path, show
+from testkit.command_line import contents, lines_of, write_lines
+from testkit.data import data_path, show
 from undrift.calibration.store import read_calibration, write_calibration
 from undrift.io.recording import write_record
 from undrift.io.session import write_session

@@ -6,8 +6,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from c_build import STRICT
-from cli_bench import contents
+from testkit.c_build import STRICT
+from testkit.command_line import contents
 from undrift.calibration.store import read_calibration
 
 NOMINAL = ["--gyro-dps-per-unit", "0.06", "--accel-g-per-unit", "0.0005"]

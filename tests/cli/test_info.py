@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from cli_bench import beyond_the_table, contents
-from data import DATA, data_path
+from testkit.command_line import beyond_the_table, contents
+from testkit.data import DATA, data_path
 from undrift.io.recording import write_record
 from undrift.record import Record
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cli_bench import at_rest, contents
-from data import data_path, show
+from testkit.command_line import at_rest, contents
+from testkit.data import data_path, show
 
 MAP = (
     'sample_rate_hz = 100\nskip_rows = 4\ncolumns = { gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"] }\n'

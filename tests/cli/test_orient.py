@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cli_bench import beyond_the_table, contents, warm_between
-from data import data_path, show
+from testkit.command_line import beyond_the_table, contents, warm_between
+from testkit.data import data_path, show
 from undrift.io.angles import COLUMNS
 from undrift.io.reference import read_reference
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_bench import contents
+from testkit.command_line import contents
 from undrift.cli.writing import name_of
 
 WRITERS = {  # the call, and the ending of what it writes

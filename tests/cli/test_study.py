@@ -8,8 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from cli_bench import contents
-from data import data_path
+from testkit.command_line import contents
+from testkit.data import data_path
+from undrift.study import outcome as outcome_module
 from undrift.study.rival_rows import compare_rivals
 
 TEXT = """
@@ -170,7 +171,7 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
         asked.append(words)
         return compare_rivals(**words | {"units": 1, "methods": ("data_sheet", "rate_table", "mocap")})
 
-    monkeypatch.setattr("undrift.study.outcome.compare_rivals", few)
+    monkeypatch.setattr(outcome_module, "compare_rivals", few)
     told = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
     assert asked == [{"kind": "enc03j_3031", "seed": 0, "tasks": ("sit_to_stand",)}]
     assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from data import data_path
+from testkit.data import data_path
 from undrift.cli.app import run
 from undrift.sim.device.store import read_device
 

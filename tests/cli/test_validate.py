@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cli_bench import beyond_the_table, contents, warm_between
-from data import data_path, show
-from trc_text import trc
+from testkit.command_line import beyond_the_table, contents, warm_between
+from testkit.data import data_path, show
+from testkit.trc_text import trc
 from undrift.calibration.store import read_calibration
 from undrift.correct import correct
 from undrift.io.recording import write_record

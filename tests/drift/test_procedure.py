@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.correct import correct, correct_checked
+from undrift.drift import procedure as procedure_module
 from undrift.drift.fit.curve import CurveSettings
 from undrift.drift.fit.static import StaticSettings
 from undrift.drift.procedure import DriftSettings, fit_drift
@@ -173,7 +174,7 @@ def test_tables_that_are_asked_for_are_taken_and_the_choice_is_told(session):
 
 def test_a_table_that_cannot_be_fitted_is_not_passed_over(session, fit, monkeypatch):
     partial = replace(fit.choice, scale=None)
-    monkeypatch.setattr("undrift.drift.procedure.choose_tables", lambda *_, **__: partial)
+    monkeypatch.setattr(procedure_module, "choose_tables", lambda *_, **__: partial)
     message = "wanted scale, got sessions that do not tell: scale cannot be fitted to these steps; turn about each axis"
     with pytest.raises(NotObservable, match=message):
         fit_drift([session], CALIBRATION, settings=DriftSettings(tables="scale"))

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
-from tuned import STEPS, device, tables
+from testkit.data import show
+from testkit.full_calibration import STEPS, device, tables
 from undrift.calibration.model import AdcModel, DriftTables, StaticDrift
 from undrift.errors import FileFormatError, InputError
 from undrift.export.ardupilot import export_ardupilot, import_ardupilot

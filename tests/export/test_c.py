@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from c_build import STRICT, bits_of, build, write
-from data import show
-from made import few
-from tuned import GAP, ROUNDINGS, STEPS, WILD, device, record, tables
+from testkit.c_build import STRICT, bits_of, build, write
+from testkit.data import show
+from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, device, record, tables
+from testkit.strategies import few
 from undrift.calibration.model import AdcModel, Provenance, StaticDrift, Verdict, WarmUp
 from undrift.correct import correct_checked
 from undrift.errors import InputError

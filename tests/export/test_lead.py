@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from c_build import LAG_MAIN, STRICT, run_with_lag, write
-from data import show
-from tuned import device, record, tables
+from testkit.c_build import LAG_MAIN, STRICT, run_with_lag, write
+from testkit.data import show
+from testkit.full_calibration import device, record, tables
 from undrift.correct import correct_checked
 from undrift.drift.temperature.lag import without_lag
 from undrift.errors import InputError

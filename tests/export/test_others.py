@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from c_build import STRICT
-from data import show
-from tuned import STEPS, device, record, tables
+from testkit.c_build import STRICT
+from testkit.data import show
+from testkit.full_calibration import STEPS, device, record, tables
 from undrift.calibration.model import NoiseModel
 from undrift.calibration.store import read_calibration, write_calibration
 from undrift.correct import correct

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from c_build import STRICT, TYPES, bits_of, write
-from data import show
-from tuned import ROUNDINGS, device, record, tables
+from testkit.c_build import STRICT, TYPES, bits_of, write
+from testkit.data import show
+from testkit.full_calibration import ROUNDINGS, device, record, tables
 from undrift.calibration.model import StaticDrift, WarmUp
 from undrift.correct import correct_checked
 from undrift.errors import InputError

@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from made import one_line
+from testkit.strategies import one_line
 from undrift.errors import InputError
 from undrift.io.angles import COLUMNS, write_orientation
 from undrift.io.reference import read_reference

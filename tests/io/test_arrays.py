@@ -6,7 +6,7 @@ import pytest
 import scipy.io
 from hypothesis import given
 
-from made import assert_same, few, one_line, records
+from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.arrays import mat_arrays, npz_arrays, read_mat, read_npz
 from undrift.io.columns import ColumnMap

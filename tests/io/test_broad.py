@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.errors import FileFormatError, InputError
 from undrift.io.broad import read_broad
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import few, one_line
+from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.io.c3d import is_c3d, read_c3d, read_c3d_analog
 

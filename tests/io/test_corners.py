@@ -6,8 +6,9 @@ import h5py
 import numpy as np
 import pytest
 
-from made import one_line
+from testkit.strategies import one_line
 from undrift.errors import FileFormatError, InputError
+from undrift.io import c3d as c3d_module
 from undrift.io.arrays import read_mat
 from undrift.io.broad import read_broad
 from undrift.io.build import two_rates
@@ -114,7 +115,7 @@ def test_a_c3d_file_without_a_frame_rate_is_refused(tmp_path, monkeypatch):
         "data": {"points": np.ones((4, 1, 3)), "meta_points": {"residuals": np.zeros((1, 1, 3))}},
         "header": {"points": {"frame_rate": 0.0, "first_frame": 0}},
     }
-    monkeypatch.setattr("undrift.io.c3d._load", lambda path: held)
+    monkeypatch.setattr(c3d_module, "_load", lambda path: held)
     with pytest.raises(FileFormatError, match="wanted a frame rate above 0, got 0 Hz"):
         read_c3d(tmp_path / "m.c3d")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from made import assert_same, few, one_line, records
+from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, Scale, TextLayout
 from undrift.io.csv import build_csv, read_csv, write_csv

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from trc_text import trc
+from testkit.trc_text import trc
 from undrift.errors import InputError
 from undrift.io.columns import ColumnMap, TextLayout
 from undrift.io.describe import describe, describe_record

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from made import few
+from testkit.strategies import few
 from undrift.errors import InputError
 from undrift.io.markers import Markers, fit_cluster, level_from, pose_from_cluster, unique_labels
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import assert_same, few, records
+from testkit.strategies import assert_same, few, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap
 from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import assert_same, few, one_line, records
-from trc_text import trc
+from testkit.strategies import assert_same, few, one_line, records
+from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, TextLayout
 from undrift.io.csv import native_columns

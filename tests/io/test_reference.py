@@ -6,9 +6,9 @@ import scipy.io
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data import data_path
-from made import few, references
-from trc_text import trc
+from testkit.data import data_path
+from testkit.strategies import few, references
+from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import quaternion_conjugate
 from undrift.io.broad import read_broad

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import assert_same, few, one_line, records
+from testkit.strategies import assert_same, few, one_line, records
 from undrift.earth import gravity_at
 from undrift.errors import FileFormatError, InputError
 from undrift.io.csv import write_csv

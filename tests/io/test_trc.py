@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import few, numbers, one_line
-from trc_text import trc
+from testkit.strategies import few, numbers, one_line
+from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.io.trc import read_trc
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from made import few, one_line
+from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.io.actigraph import read_actigraph
 from undrift.io.apdm import apdm_sensors, read_apdm

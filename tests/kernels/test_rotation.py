@@ -5,8 +5,8 @@ import os
 import numpy as np
 import pytest
 
-import twins
-from data import show
+from testkit import twins
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.orientation.strapdown import integrate_strapdown

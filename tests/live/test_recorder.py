@@ -8,9 +8,12 @@ import time
 import numpy as np
 import pytest
 
-from sender import Sender
+from testkit.byte_sender import Sender
+from testkit.waiting import eventually
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.io.parquet import read_parquet
+from undrift.live import pieces as pieces_module
+from undrift.live import writer as writer_module
 from undrift.live.address import source_at
 from undrift.live.description import StreamDescription
 from undrift.live.dwells import DwellReadings
@@ -18,7 +21,6 @@ from undrift.live.pieces import iter_pieces, next_connection, piece_path, read_p
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.timeline import Block
 from undrift.live.writer import PieceWriter
-from waiting import eventually
 
 TEN = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,mag_x,mag_y,mag_z,temp"
 THREE = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
@@ -80,8 +82,8 @@ def test_a_disk_slower_than_the_device_makes_the_sender_wait_and_loses_nothing(t
         time.sleep(0.02)
         slow(record, path)
 
-    monkeypatch.setattr("undrift.live.writer.write_synced", tardy)
-    monkeypatch.setattr("undrift.live.writer.QUEUE_BLOCKS", 2)
+    monkeypatch.setattr(writer_module, "write_synced", tardy)
+    monkeypatch.setattr(writer_module, "QUEUE_BLOCKS", 2)
     data = frames_of(np.random.default_rng(1).integers(-250, 250, (20_000, 10)))
     query = f"?format=frame&pack=<I10h&checksum=crc16&rate=2000&temp_scale=0.1&channels={TEN}"
     settings = RecorderSettings(piece_s=0.5)
@@ -217,7 +219,7 @@ def test_a_full_disk_is_told_and_the_reader_stops(tmp_path, monkeypatch):
     def full(record, path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("undrift.live.pieces.write_parquet", full)
+    monkeypatch.setattr(pieces_module, "write_parquet", full)
     with (
         Sender(paced(500)) as device,
         Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), tmp_path, QUICK) as recorder,
@@ -233,7 +235,7 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_once(tmp_path, monkeypatch)
     def full(record, path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("undrift.live.pieces.write_parquet", full)
+    monkeypatch.setattr(pieces_module, "write_parquet", full)
     with Sender(paced(20)) as device:
         recorder = Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), tmp_path)
         recorder.start()
@@ -278,8 +280,8 @@ def test_a_disk_that_hangs_is_told(tmp_path, monkeypatch):
         hangs.set()
         mended.wait(60.0)
 
-    monkeypatch.setattr("undrift.live.writer.write_synced", write)
-    monkeypatch.setattr("undrift.live.writer.QUEUE_BLOCKS", 1)
+    monkeypatch.setattr(writer_module, "write_synced", write)
+    monkeypatch.setattr(writer_module, "QUEUE_BLOCKS", 1)
     writer = PieceWriter(tmp_path, description(), 4)
     writer.put(block(0, 4), 60.0)
     assert hangs.wait(60.0)

@@ -11,14 +11,14 @@ import tty
 import numpy as np
 import pytest
 
-from sender import Sender
+from testkit.byte_sender import Sender
+from testkit.waiting import eventually
 from undrift.errors import LinkError, RigTimeout
 from undrift.live.address import open_source, source_at
 from undrift.live.ble import BlePort
 from undrift.live.description import StreamDescription
 from undrift.live.lsl import LslSource, stay_offline
 from undrift.live.source import ByteSource
-from waiting import eventually
 
 OPTIONS = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
 TEXT = b"".join(b"%d,1,2,3\n" % k for k in range(5))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.orientation.angles import heading_of, inclination_of, sagittal_pitch

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.calibration.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel
 from undrift.errors import InputError
 from undrift.frames import rotate

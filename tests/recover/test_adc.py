@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.calibration.adc import identify_adc
 from undrift.sim import random_device, simulate_trial
 from undrift.sim.device.adc import Rounding

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from data import show
-from soaks import GRAVITY, GRID, SOAKS, computed, reading, soaked, table_motion
+from testkit.data import show
+from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading, soaked, table_motion
 from undrift.calibration.model import Calibration, DriftTables, StaticDrift
 from undrift.calibration.procedure import calibrate
 from undrift.correct import correct_checked

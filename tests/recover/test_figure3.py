@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.calibration.model import Calibration, DriftTables
 from undrift.calibration.procedure import calibrate
 from undrift.drift.procedure import fit_drift

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recover.bound import DEVICES, Array, Tally, carried, information, jacobian, white_device
+from testkit.cramer_rao import DEVICES, Array, Tally, carried, information, jacobian, white_device
 from undrift.calibration.fit.known_rotation import (
     KnownRotationMode,
     KnownRotationSettings,

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recover.bound import DEVICES, Array, Tally, information, jacobian, white_device
+from testkit.cramer_rao import DEVICES, Array, Tally, information, jacobian, white_device
+from testkit.twins import rotation_matrices
 from undrift.calibration.fit.multi_position_accel import fit_poses
 from undrift.calibration.fit.multi_position_gyro import fit_gyro_between_stills
 from undrift.frames import quaternion_product
@@ -23,17 +24,6 @@ SETTINGS = BenchSettings(poses=24, still_s=1.0, first_still_s=1.0, move_s=1.0, s
 POSES = SETTINGS.poses
 UPPER = np.triu_indices(3)
 SEEN = [0, 1, 2, 4, 5, 8, 9, 10, 11]  # of m_xx .. m_zz, offset_x ..: those that the length of gravity shows
-
-
-def rotation_matrices(q: Array) -> Array:
-    """Return matrices (..., 3, 3) of quaternions w-x-y-z."""
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array([np.stack(row) for row in rows]), (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True)

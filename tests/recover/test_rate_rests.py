@@ -10,8 +10,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from data import show
-from recover.bound import COVERAGE_LIMITS, RMSE_LIMIT, Array, carried, information, jacobian, white_device
+from testkit.cramer_rao import COVERAGE_LIMITS, RMSE_LIMIT, Array, carried, information, jacobian, white_device
+from testkit.data import show
 from undrift.calibration.fit.dwells import DwellMeans, dwell_means, middles
 from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
 from undrift.calibration.fit.rate_table import RateTableFit, fit_rate_table

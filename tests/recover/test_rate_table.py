@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recover.bound import DEVICES, Array, Tally, carried, information, inverse_model, jacobian, white_device
+from testkit.cramer_rao import DEVICES, Array, Tally, carried, information, inverse_model, jacobian, white_device
 from undrift.calibration.fit.dwells import DwellMeans, dwell_means
 from undrift.calibration.fit.rate_table import RateTableMode, RateTableSettings, fit_rate_table
 from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device

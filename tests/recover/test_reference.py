@@ -7,9 +7,9 @@ but the first two is shared by two steps, so their covariance is tridiagonal; it
 import numpy as np
 import pytest
 
-from data import show
-from recover.bound import DEVICES, Array, Tally, carried, white_device
-from recover.test_multi_position import rotation_matrices
+from testkit.cramer_rao import DEVICES, Array, Tally, carried, white_device
+from testkit.data import show
+from testkit.twins import rotation_matrices
 from undrift.calibration.fit.reference import ReferenceSettings, Weights, fit_reference
 from undrift.calibration.model import TriadModel
 from undrift.sim import DeviceModel, OpticsSettings, draw_task, see, simulate_device

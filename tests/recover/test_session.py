@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.calibration.procedure import calibrate
 from undrift.correct import correct
 from undrift.orientation.orient import orient

@@ -5,8 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
-from recover.bound import DEVICES, RMSE_LIMIT, Array, Tally, carried, information, inverse_model, jacobian, white_device
+from testkit.cramer_rao import (
+    DEVICES,
+    RMSE_LIMIT,
+    Array,
+    Tally,
+    carried,
+    information,
+    inverse_model,
+    jacobian,
+    white_device,
+)
+from testkit.data import show
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceMode, SixFaceSettings, face_means, fit_six_face
 from undrift.calibration.model import TriadModel
 from undrift.session import FACES

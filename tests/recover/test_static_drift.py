@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
-from devices import motion_of
+from testkit.data import show
+from testkit.simulated_device import motion_of
 from undrift.drift.fit.curve import CurveSettings
 from undrift.drift.fit.static import StaticSettings, fit_static
 from undrift.drift.observe.gather import observe_rests

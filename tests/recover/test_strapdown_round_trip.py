@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.orientation.strapdown import integrate_strapdown
 from undrift.sim import draw_task

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.drift.observe.gather import observe_rests
 from undrift.drift.temperature.lag import default_smooth_s, without_lag, without_lag_smooth
 from undrift.drift.temperature.lag_fit import estimate_lag

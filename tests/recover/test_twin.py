@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.record import Record
 from undrift.sim import OpticsSettings, draw_task, see, simulate_device
 from undrift.sim.device.adc import Adc

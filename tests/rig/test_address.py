@@ -2,7 +2,7 @@
 
 import pytest
 
-from scripted import Card, Scripted
+from testkit.scripted_server import Card, Scripted
 from undrift.errors import InputError, LimitError, LinkError
 from undrift.rig.address import RigSettings, open_rig, parse_address
 from undrift.rig.clock import Clock

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scripted import Scripted
+from testkit.scripted_server import Scripted
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.chamber import ChamberSettings, ScpiChamber, SoakSettings, Steadiness, open_chamber
 from undrift.sim.rig.air import AirSettings

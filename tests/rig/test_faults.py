@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from data import show
-from run_bench import GAIN, OFFSET, Oven, at_rest, emulated, run, streaming
+from testkit.data import show
+from testkit.rig_bench import GAIN, OFFSET, Oven, at_rest, emulated, run, streaming
 from undrift.errors import RigError, UndriftError
 from undrift.io.session import read_session
 from undrift.live.address import source_at

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from run_bench import at_rest, emulated, opened
+from testkit.rig_bench import at_rest, emulated, opened
 from undrift.errors import LinkError, RigFault
 from undrift.protocol import Protocol
 from undrift.rig import guard as guard_file

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from scripted import Scripted
+from testkit.scripted_server import Scripted
+from testkit.waiting import eventually
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.rig.link import Link, LinkSettings
-from waiting import eventually
 
 LINK = LinkSettings(
     terminator="\r", reply_timeout_s=20.0, connect_timeout_s=20.0

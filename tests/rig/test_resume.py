@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import pytest
 
-from run_bench import SHORT, at_rest, emulated, run
+from testkit.rig_bench import SHORT, at_rest, emulated, run
 from undrift.errors import InputError
 from undrift.io.protocol import write_protocol
 from undrift.io.session import read_session

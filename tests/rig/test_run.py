@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from run_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_of, opened, run
+from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_of, opened, run
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.protocol import Protocol

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError, UndriftError
 from undrift.study.executor import MOST_LOSSES, Dask, Executor, InProcess, Pool
 from undrift.study.file import read_study

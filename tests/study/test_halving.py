@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError, NotObservable
 from undrift.protocol import Protocol
 from undrift.study.executor import InProcess

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data import show
-from turning import make_recording
+from testkit.data import show
+from testkit.hand_turns import make_recording
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.errors import InputError
 from undrift.record import Reference
 from undrift.sim.motion.poses import PoseSpline, fit_pose_spline

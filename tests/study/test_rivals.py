@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.device.presets import random_device_of
 from undrift.study.rival_rows import RivalRow, Spread, compare_rivals

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.study.anova import compare_conditions
 from undrift.study.mixed import compare_unbalanced

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from turning import make_recording
+from testkit.hand_turns import make_recording
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.record import Reference
 from undrift.twin import compare_held_out, fit_accel, fit_twin, match, prepare_twin

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from turning import Device, make_recording
+from testkit.hand_turns import Device, make_recording
 from undrift.errors import AlignmentError
 from undrift.record import Record, Reference
 from undrift.validation import align_rates

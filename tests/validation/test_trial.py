@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from turning import Device, hidden, later, make_recording
+from testkit.hand_turns import Device, hidden, later, make_recording
 from undrift.calibration.model import AdcModel, Calibration, TriadModel
 from undrift.errors import AlignmentError, InputError
 from undrift.record import Record

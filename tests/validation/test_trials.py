@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from turning import Device, make_recording
+from testkit.hand_turns import Device, make_recording
 from undrift.calibration.procedure_reference import device_adc
 from undrift.errors import InputError
 from undrift.validation import TrialSettings, validate_leave_one_out, validate_trials

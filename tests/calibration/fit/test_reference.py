@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from turning import Device, hidden, later, make_recording
+from testkit.hand_turns import Device, hidden, later, make_recording
 from undrift.calibration.fit.reference import ReferenceSettings, fit_reference, leave_one_out
 from undrift.calibration.fit.reference_windows import restored
 from undrift.calibration.model import AdcModel

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.calibration.fit.noise import noise_of_means
 from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, face_means, fit_six_face, polynomial_filter
 from undrift.calibration.fit.tilt import estimate_tilt, tilted_sigma

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 
-from data import show
+from testkit.data import show
 from undrift.calibration.fit.wandering import fit_wandering
 
 TIME = np.arange(40.0) * 5.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soaks import GRAVITY, reading
+from testkit.rate_steps import GRAVITY, reading
 from undrift.calibration.model import DriftTables, ScaleDrift, StaticDrift
 from undrift.drift.fit.accel import fit_accel_drift, with_accel
 from undrift.drift.fit.warm_poses import fit_joint, warm_poses

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soaks import GRAVITY, reading
+from testkit.rate_steps import GRAVITY, reading
 from undrift.drift.fit.accel import fit_accel_drift
 from undrift.drift.fit.agree import offsets_verdict, poses_verdict
 from undrift.drift.observe.observations import RestBlocks

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from soaks import SOAKS, computed
+from testkit.rate_steps import SOAKS, computed
 from undrift.drift.fit.asymmetry import scale_asymmetry
 from undrift.sim import true_calibration
 from undrift.sim.device.nonlinearity import Nonlinearity

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
-from soaks import GRID, SOAKS, computed
+from testkit.data import show
+from testkit.rate_steps import GRID, SOAKS, computed
 from undrift.drift.fit.choose import ALTERNATIVES, choose_tables
 from undrift.errors import NotObservable
 from undrift.sim import true_calibration

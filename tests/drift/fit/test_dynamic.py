@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soaks import GRAVITY, GRID, SOAKS, computed, reading
+from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading
 from undrift.drift.fit.dynamic import DynamicSettings, fit_dynamic
 from undrift.drift.fit.steps import measured_rate, rests_of, steps_of
 from undrift.drift.observe.observations import RestBlocks

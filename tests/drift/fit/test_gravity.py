@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
 from drift.fit.test_static import blocks
-from tuned import device
+from testkit.data import show
+from testkit.full_calibration import device
 from undrift.calibration.model import G_NAMES, DriftTables
 from undrift.correct import correct
 from undrift.drift.fit.gravity import with_felt_gravity

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
 from drift.fit.test_static import blocks
-from tuned import device
+from testkit.data import show
+from testkit.full_calibration import device
 from undrift.drift.fit.cells import wander
 from undrift.drift.fit.static import fit_static
 from undrift.drift.set_points import rests_verdict, set_points_of, set_points_verdict, with_set_points

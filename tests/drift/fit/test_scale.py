@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soaks import GRID, SOAKS, computed, reading
+from testkit.rate_steps import GRID, SOAKS, computed, reading
 from undrift.calibration.model import StaticDrift
 from undrift.drift.fit.scale import fit_scale, soak_matrices
 from undrift.drift.fit.steps import steps_of

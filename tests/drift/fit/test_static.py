@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tuned import device
+from testkit.full_calibration import device
 from undrift.calibration.model import TriadModel
 from undrift.drift.fit.cells import gather, walk, wander
 from undrift.drift.fit.hysteresis import both_ways, cooling

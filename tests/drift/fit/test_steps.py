@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from soaks import GRID, computed
+from testkit.rate_steps import GRID, computed
 from undrift.calibration.model import StaticDrift
 from undrift.drift.fit.steps import offset_at, steps_of
 from undrift.sim import true_calibration

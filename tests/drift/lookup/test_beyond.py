@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tuned import device, record
+from testkit.full_calibration import device, record
 from undrift.correct import correct
 from undrift.drift.lookup.beyond import MARGIN, find_beyond
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import twins
-from tuned import GAP, STEPS, WILD
+from testkit import twins
+from testkit.full_calibration import GAP, STEPS, WILD
 from undrift.drift.lookup.cells import even_nodes, grid_of, line_cells
 from undrift.kernels.correct import cell, warmed
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import twins
-from tuned import ROUNDINGS, STEPS, N, device, record, tables
+from testkit import twins
+from testkit.full_calibration import ROUNDINGS, STEPS, N, device, record, tables
 from undrift.calibration.model import DriftTables, StaticDrift, WarmUp
 from undrift.correct import correct_checked
 from undrift.drift.temperature.lag import without_lag

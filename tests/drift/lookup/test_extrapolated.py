@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import twins
-from tuned import GAP, STEPS, WILD, N, device, record, tables
+from testkit import twins
+from testkit.full_calibration import GAP, STEPS, WILD, N, device, record, tables
 from undrift.calibration.model import DriftTables, StaticDrift
 from undrift.correct import correct_checked
 from undrift.stream import Corrector

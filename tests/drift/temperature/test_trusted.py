@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import data_path, show
+from testkit.data import data_path, show
 from undrift.drift.temperature.course import step_of
 from undrift.drift.temperature.trusted import TemperatureSettings, check_span, trusted_temperature
 from undrift.errors import InputError, NotObservable

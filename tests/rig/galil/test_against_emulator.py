@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.waiting import eventually
 from undrift.errors import LinkError, RigError, RigTimeout
 from undrift.rig.address import RigSettings, open_rig
 from undrift.rig.galil.tuning import Gains, read_gains, set_gains
 from undrift.rig.rig import Limits
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
-from waiting import eventually
 
 DEGREE = math.pi / 180.0
 SPEED = 10.0

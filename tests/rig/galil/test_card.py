@@ -2,14 +2,14 @@
 
 import pytest
 
-from scripted import Card, Scripted, transcript
+from testkit.scripted_server import Card, Scripted, transcript
+from testkit.waiting import eventually
 from undrift.errors import LinkError, RigFault, RigTimeout
 from undrift.rig.galil.card import GalilCard
 from undrift.rig.galil.port import LinkPort, reply_end
 from undrift.rig.galil.tuning import Gains, read_gains, set_gains, set_sample_time
 from undrift.rig.galil.words import ERRORS, STOPS, Switches, error_in_words, stop_in_words
 from undrift.rig.link import LinkSettings
-from waiting import eventually
 
 PATIENT, IMPATIENT = LinkSettings(reply_timeout_s=20.0), LinkSettings(reply_timeout_s=0.5)
 

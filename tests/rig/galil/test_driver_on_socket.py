@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+from testkit.waiting import eventually
 from undrift.errors import RigFault
 from undrift.rig.address import RigSettings
 from undrift.rig.clock import Clock
@@ -18,7 +19,6 @@ from undrift.rig.link import LinkSettings
 from undrift.rig.rig import Limits
 from undrift.rig.status import read_status
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
-from waiting import eventually
 
 DEGREE = math.pi / 180.0
 SPEED = 10.0

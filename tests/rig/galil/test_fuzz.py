@@ -13,8 +13,8 @@ from collections import Counter
 
 import pytest
 
-from data import show
-from scripted import Card, Scripted
+from testkit.data import show
+from testkit.scripted_server import Card, Scripted
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.clock import Clock
 from undrift.rig.galil.port import LinkPort

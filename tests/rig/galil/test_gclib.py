@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from scripted import Card
+from testkit.scripted_server import Card
 from undrift.errors import LinkError, RigTimeout
 from undrift.rig.galil.gclib import GclibPort
 from undrift.rig.galil.rig import GalilRig

@@ -7,14 +7,15 @@ from typing import ClassVar
 
 import pytest
 
-from scripted import Card, Scripted
+from testkit.scripted_server import Card, Scripted
+from testkit.waiting import eventually
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.clock import Clock
+from undrift.rig.galil import axis as axis_module
 from undrift.rig.galil.port import LinkPort
 from undrift.rig.galil.rig import GalilRig, GalilSettings
 from undrift.rig.link import LinkSettings
 from undrift.rig.rig import Limits
-from waiting import eventually
 
 DEGREE = math.pi / 180.0
 PATIENT = LinkSettings(reply_timeout_s=30.0, connect_timeout_s=30.0)
@@ -294,7 +295,7 @@ def test_a_bad_answer_at_any_step_stops_the_table_and_says_so(bench, step, bad):
 
 
 def test_a_stop_that_does_not_stop_becomes_an_abort(bench, monkeypatch):
-    monkeypatch.setattr("undrift.rig.galil.axis.STOP_MARGIN_S", 0.0)
+    monkeypatch.setattr(axis_module, "STOP_MARGIN_S", 0.0)
     bench.card.polls = 10_000
     bench.rig.turn(1.0)
     bench.card.spoil("STX", *[b":"] * 5)

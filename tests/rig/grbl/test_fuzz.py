@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from scripted import Scripted
+from testkit.scripted_server import Scripted
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.clock import Clock
 from undrift.rig.grbl.reports import GrblSettings

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from scripted import Scripted
+from testkit.scripted_server import Scripted
+from testkit.waiting import eventually
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.clock import Clock
 from undrift.rig.grbl.reports import GrblSettings
@@ -16,7 +17,6 @@ from undrift.rig.grbl.rig import GrblRig
 from undrift.rig.grbl.words import ALARMS, ERRORS, alarm_in_words, error_in_words, parse_status, reply_end
 from undrift.rig.link import Link, LinkSettings
 from undrift.rig.rig import Limits
-from waiting import eventually
 
 DEGREE = math.pi / 180.0
 FAST = Clock(speed=50.0)

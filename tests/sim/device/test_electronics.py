@@ -8,8 +8,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lsim
 
-from data import show
-from devices import chain, device_of, motion_of, run, still_motion
+from testkit.data import show
+from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.errors import InputError
 from undrift.sim.device.adc import Adc, rounded
 from undrift.sim.device.amplifier import Amplifier

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from data import show
-from devices import chain, device_of, run, still_motion
+from testkit.data import show
+from testkit.simulated_device import chain, device_of, run, still_motion
 from undrift.calibration.allan import allan_deviation
 from undrift.sim.device.instability import BiasInstability
 from undrift.sim.device.low_pass import LowPass

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devices import motion_of
+from testkit.simulated_device import motion_of
 from undrift.correct import correct
 from undrift.errors import InputError
 from undrift.sim import simulate_device, true_calibration

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
-from devices import chain, device_of, motion_of, run, still_motion
+from testkit.data import show
+from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.correct import correct
 from undrift.errors import InputError
 from undrift.orientation.strapdown import integrate_strapdown

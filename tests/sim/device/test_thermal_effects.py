@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devices import chain, device_of, motion_of, run, still_motion
+from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.errors import InputError
 from undrift.sim.device.hysteresis import Hysteresis, play
 from undrift.sim.device.offset import Offset

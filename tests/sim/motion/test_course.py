@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.sim.motion.course import Burst, Part, Step, Sway, ViaPoint, Wave, course_at
 
 PARTS: dict[str, Part] = {

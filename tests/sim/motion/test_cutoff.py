@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.record import Reference

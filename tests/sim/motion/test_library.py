@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.frames import rotate
 from undrift.sim.motion.library import TaskName, draw_task
 from undrift.sim.motion.motion import Motion

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings, strategies
 from scipy.interpolate import BSpline
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.record import Reference

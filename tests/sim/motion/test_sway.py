@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.sim.motion.sway import BAND_HZ, GYRATION, Balance, draw_sway, sway_spectrum
 
 BALANCE = Balance(centre_height=0.9)

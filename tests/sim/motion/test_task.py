@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.orientation.strapdown import integrate_strapdown

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.rig.clock import HandClock, HostClock
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings, start_emulator

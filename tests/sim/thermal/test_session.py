@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.correct import correct
 from undrift.errors import InputError
 from undrift.io.session import read_session, write_session

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data import show
-from sim.rig.galil_bench import GalilBench
+from testkit.data import show
+from testkit.galil_bench import GalilBench
 from undrift.sim.rig.servo import ServoSettings
 
 

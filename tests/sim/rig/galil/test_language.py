@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from data import show
-from sim.rig.galil_bench import GalilBench
+from testkit.data import show
+from testkit.galil_bench import GalilBench
 
 # what is sent, what comes back; forms of the DMC-2x00, 1400 and 40x0 manuals as DOMAIN 3.1 gathers them
 TRANSCRIPT = [

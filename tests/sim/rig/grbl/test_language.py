@@ -6,7 +6,7 @@ import random
 import numpy as np
 import pytest
 
-from data import show
+from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.rig.clock import HandClock
 from undrift.sim.rig.grbl.board import GrblSettings

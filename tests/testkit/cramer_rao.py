@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data import show
+from testkit.data import show
 from undrift.sim import DeviceModel, random_device
 
 DEVICES = 1000

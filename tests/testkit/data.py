@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
+DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[2] / ".." / "shared" / "data")).resolve()
 
 
 def data_path(*parts: str) -> Path:

@@ -5,7 +5,7 @@ D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust iner
 
 from functools import cache
 
-from data import data_path
+from testkit.data import data_path
 from undrift.io.broad import read_broad
 from undrift.record import Record, Reference
 

@@ -1,0 +1,1 @@
+"""Helpers that tests share: made inputs, simulated benches, scripted servers, independent bounds."""
