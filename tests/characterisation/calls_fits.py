@@ -1,0 +1,232 @@
+"""Calibrations: six faces, known rotation, rate table, many poses, a reference, the converter; noise. Real and simulated."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from authority.broad import trial
+from authority.test_allan_goldens import nbs14
+from authority.test_bicycle_board import session as bicycle_session
+from authority.test_ferraris_goldens import annotated, example, pieces
+from authority.test_rate_table_jig import clock_lag, measured
+from authority.test_xsens_goldens import session as xsens_record
+from characterisation.shared import Result, call, new, text_file, undrift
+from data import data_path
+from undrift.calibration.adc import identify_adc, identify_record_adc, without_truncation
+from undrift.calibration.allan import allan_deviation
+from undrift.calibration.fit.multi_position import MultiPositionSettings, fit_multi_position
+from undrift.calibration.fit.rate_table import fit_rate_axis
+from undrift.calibration.procedure_reference import calibrate_to_references
+from undrift.calibration.store import calibration_json
+from undrift.io.session import write_session
+from undrift.record import Record, Reference
+from undrift.session import Session
+from undrift.sim.device.random import random_device
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.session import simulate_session
+
+MODES = ("paper", "affine", "levelled")
+TURNS = (0.5, 1.0, 1.5)
+
+
+def written(session: Session, name: str) -> Path:
+    """Return the folder of a session that was written."""
+    path = new(name)
+    write_session(session, path)
+    return path
+
+
+@cache
+def foot_sensor(name: str) -> Path:
+    """Six faces and three turns of a foot sensor."""
+    record, ranges = example() if name == "example" else annotated()
+    stills, turns = pieces(ranges, -360.0 if name == "example" else 360.0)
+    held = Session(
+        kind="calibration",
+        serial="foot",
+        gravity_m_s2=9.81,
+        records=(record,),
+        stills=tuple(stills),
+        turns=tuple(turns),
+    )
+    return written(held, f"foot_{name}")
+
+
+@call("foot_example_paper", "a foot sensor's public session by the paper's equations", "example", "paper")
+@call("foot_example_affine", "a foot sensor's public session by affine fits", "example", "affine")
+@call("foot_example_levelled", "a foot sensor's public session with levelled faces", "example", "levelled")
+@call("foot_annotated_paper", "a foot sensor's session in counts by the paper's equations", "annotated", "paper")
+@call("foot_annotated_affine", "a foot sensor's session in counts by affine fits", "annotated", "affine")
+def foot(name: str, mode: str) -> Result:
+    return undrift("calibrate", foot_sensor(name), "--mode", mode)
+
+
+@cache
+def bench(kind: str) -> Path:
+    """A simulated session of a consumer device."""
+    rng = np.random.default_rng(5)
+    settings = BenchSettings(tilt_sd=np.radians(0.05), turn_rates=TURNS, dwell_s=2.0)
+    return written(simulate_session(kind, random_device(rng), rng=rng, settings=settings), f"sim_{kind}")  # type: ignore[arg-type]
+
+
+@call("bench_paper", "a simulated bench of faces and rates by the paper's equations", "bench", "paper")
+@call("bench_affine", "a simulated bench of faces and rates by affine fits with rests", "bench", "affine")
+@call("bench_levelled", "a simulated bench of faces and rates with levelled faces", "bench", "levelled")
+@call("six_face_paper", "simulated six faces alone by the paper's equations", "six_face", "paper")
+@call("six_face_levelled", "simulated six faces alone with levelled faces", "six_face", "levelled")
+@call("rate_table_affine", "simulated rates alone by affine fits", "rate_table", "affine")
+@call("ferraris_affine", "a simulated Ferraris session by affine fits", "ferraris", "affine")
+def simulated(kind: str, mode: str) -> Result:
+    return undrift("calibrate", bench(kind), "--mode", mode)
+
+
+@call("bench_latitude", "a simulated bench with the Earth's rotation taken off")
+def bench_latitude() -> Result:
+    return undrift("calibrate", bench("bench"), "--latitude-deg", "45.4")
+
+
+@call("bench_found", "a simulated bench whose stills and turns are to be found")
+def bench_found() -> Result:
+    rng = np.random.default_rng(5)
+    settings = BenchSettings(turn_rates=TURNS, dwell_s=2.0)
+    session = simulate_session("six_face", random_device(rng), rng=rng, settings=settings, labelled=False)
+    return undrift("calibrate", written(session, "sim_found"))
+
+
+@call("rate_table_without_rests", "simulated rates whose rests were taken away")
+def without_rests() -> Result:
+    rng = np.random.default_rng(6)
+    settings = BenchSettings(turn_rates=TURNS, dwell_s=2.0)
+    session = simulate_session("rate_table", random_device(rng), rng=rng, settings=settings)
+    return undrift("calibrate", written(replace(session, stills=()), "sim_no_rests"))
+
+
+@call("hand_turned_simulated", "many simulated poses turned by hand")
+def hand_turned() -> Result:
+    return undrift("calibrate", bench("multi_position"))
+
+
+@call("xsens_calibrated", "the published multi-position set by the whole procedure")
+def xsens() -> Result:
+    path = new("xsens")
+    path.mkdir()
+    for name in ("xsens_acc.txt.gz", "xsens_gyro.txt.gz"):
+        (path / name).symlink_to(data_path("multipos_xsens", name))
+    (path / "session.toml").write_text(
+        '[session]\nkind = "calibration"\nserial = "MTi"\nlatitude_deg = 45.4\nheight_m = 12.0\n'
+        '[[recording]]\nfile = ["xsens_acc.txt.gz", "xsens_gyro.txt.gz"]\ndelimiter = " "\nheader = false\n'
+        "columns = [{ time = 0, accel = [1, 2, 3] }, { time = 0, gyro = [1, 2, 3] }]\n"
+        'units = { time = "s", accel = "count", gyro = "count" }\n'
+    )
+    return undrift("calibrate", path)
+
+
+@call("xsens_published_rule", "the published multi-position set by the published rule of thresholds")
+def published_rule() -> Result:
+    found = fit_multi_position(xsens_record(), gravity=9.81744, settings=MultiPositionSettings.published(rest_s=50.0))
+    return {
+        "trials": [[t.multiple, t.stills, t.cost] for t in found.trials],
+        "stills": [[s.start, s.stop] for s in found.stills],
+        "accel": {"matrix": found.accel.model.matrix, "offset": found.accel.model.offset},
+        "gyro": None if found.gyro is None else {"matrix": found.gyro.model.matrix, "offset": found.gyro.model.offset},
+    }
+
+
+@call("hand_turned_real", "a board turned by hand, by the whole procedure")
+def hand_turned_real() -> Result:
+    path = new("mpu9150")
+    path.mkdir()
+    (path / "imu1.log.gz").symlink_to(data_path("multipos_mpu9150", "imu1.log.gz"))
+    (path / "session.toml").write_text(
+        '[session]\nkind = "calibration"\nserial = "imu1"\ngravity_m_s2 = 9.81\n'
+        '[[recording]]\nfile = "imu1.log.gz"\ndelimiter = " "\nheader = false\nsample_rate_hz = 100.0\n'
+        'columns = { accel = [0, 1, 2], gyro = [3, 4, 5] }\nunits = { accel = "m/s2", gyro = "rad/s" }\n'
+    )
+    return undrift("calibrate", path)
+
+
+@call("bicycle_calibrated", "eleven still recordings of a bicycle's board")
+def bicycle() -> Result:
+    return undrift("calibrate", written(bicycle_session(), "bicycle"))
+
+
+@call("rate_table_jig", "one axis of a public stepper rate table: lag of the clocks, scale, linearity")
+def jig() -> Result:
+    found: Result = {}
+    for run in ("giro_test_filt", "giro_test_non_filt"):
+        dwells = measured(run, "bno")
+        fit = fit_rate_axis(dwells)
+        found[run] = {
+            "lag_s": clock_lag(run),
+            "scale_factor": fit.scale_factor,
+            "offset": fit.offset,
+            "covariance": fit.covariance,
+            "nonlinearity": fit.linearity.scale_factor_nonlinearity,
+            "status": fit.verdict.status,
+        }
+    return found
+
+
+def shortened(number: int, stop_s: float) -> tuple[Record, Reference]:
+    """Return the beginning of a BROAD trial."""
+    record, reference = trial(number)
+    keep = reference.time < stop_s
+    return record.between(0.0, stop_s), Reference(
+        time=reference.time[keep],
+        q_nb=reference.q_nb[keep],
+        position=None if reference.position is None else reference.position[keep],
+        moving=None if reference.moving is None else reference.moving[keep],
+    )
+
+
+@call("broad_reference_fit", "gyroscopes fitted to the poses of two real trials, two minutes of each")
+def reference_fit() -> Result:
+    pairs = [shortened(number, 120.0) for number in (3, 24)]
+    return calibration_json(calibrate_to_references([p[0] for p in pairs], [p[1] for p in pairs]))
+
+
+@call("adc_identified", "steps and rounding of converters, real and simulated, and codes put back")
+def adc() -> Result:
+    found: Result = {}
+    for number in (5, 32):
+        record, _ = trial(number)
+        model = identify_record_adc(record.between(0.0, 90.0))
+        found[f"broad_{number}"] = None if model is None else {
+            "gyro_lsb": model.gyro_lsb,
+            "gyro_rounding": model.gyro_rounding,
+            "accel_lsb": model.accel_lsb,
+            "accel_rounding": model.accel_rounding,
+        }  # fmt: skip
+    time, rng = np.arange(40_000)[:, None], np.random.default_rng(1)
+    swept = 600.0 * np.sin(time / np.array([30.0, 37.0, 41.0])) + rng.normal(0.0, 5.0, (40_000, 3))
+    for name, rounded in (("nearest", np.round(swept)), ("floor", np.floor(swept)), ("toward_zero", np.trunc(swept))):
+        made = identify_adc(0.061 * rounded)
+        found[name] = {"lsb": made.lsb, "rounding": made.rounding}
+        if made.lsb is not None and made.rounding is not None:
+            found[name]["put_back"] = without_truncation(0.061 * rounded, made.lsb, made.rounding)
+    return found
+
+
+STATIC_MAP = f"""columns = {{ accel = ["ax", "ay", "az"], gyro = ["gx", "gy", "gz"] }}
+units = {{ accel = "g", gyro = "dps" }}
+scale = {{ accel = {{ gain = {1 / 16384} }}, gyro = {{ gain = {1 / 131} }} }}
+sample_rate_hz = 100.0
+skip_rows = 4
+"""
+
+
+@call("noise_static", "noise of a real device at rest, seven minutes")
+def noise() -> Result:
+    source = data_path("static_mpu6050", "example_data_tinit_calc.csv.gz")
+    return undrift("noise", source, "--map", text_file("static.toml", STATIC_MAP))
+
+
+@call("allan_estimators", "six Allan estimators on the published thousand points")
+def allan() -> Result:
+    points, taus = nbs14(), [1.0, 3.0, 10.0, 30.0, 100.0]
+    return {
+        name: allan_deviation(points, 1.0, taus=taus, estimator=name).deviation  # type: ignore[arg-type]
+        for name in ("adev", "oadev", "mdev", "hdev", "ohdev", "totdev")
+    }
