@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from authority.test_bicycle_board import session as bicycle_session
 from characterisation.calls_fits import written
+from characterisation.recordings import bicycle as bicycle_session
 from characterisation.shared import Result, call, folder, text_file, undrift
-from data import data_path
-from undrift.calibration.store import write_calibration
+from testkit.data import data_path
+from undrift.calibration.store import calibration_json, write_calibration
 from undrift.drift.observe.gather import observe_rests
 from undrift.drift.procedure import fit_drift
 from undrift.drift.temperature.lag import default_smooth_s, without_lag, without_lag_smooth
@@ -46,7 +46,7 @@ CHAMBER = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=1
 BENCH = BenchSettings(
     sample_rate_hz=50.0, still_s=6.0, move_s=1.0, turn_rates=tuple(np.radians((30.0, 60.0, 90.0))), dwell_s=1.5
 )
-SOAKS = ThermalSettings(bench=BENCH, chamber=CHAMBER, set_points_c=(18.0, 33.0, 47.0, 61.0, 75.0), back=True)
+SOAKS = ThermalSettings(bench=BENCH, chamber=CHAMBER, set_points_c=(18.0, 33.0, 47.0, 61.0, 75.0))
 
 
 def fitted(*words: object) -> Result:
@@ -107,14 +107,16 @@ def true_file() -> Path:
 
 @cache
 def thermal(kind: str, faces: str = "one", seed: int = 1) -> Path:
+    """A simulated thermal session; with six faces its soaks go up and down again."""
     warm_up = WarmUpSettings(start_c=12.0, end_c=32.0, duration_s=1500.0)
     ramp = RampSettings(low_c=20.0, high_c=60.0, up_c_per_min=4.0, down_c_per_min=2.0, hold_s=120.0)
-    settings = replace(SOAKS, faces=faces, warm_up=warm_up, ramp=ramp)
+    bench = BENCH if kind in ("soak", "multi_position") else replace(BENCH, sample_rate_hz=20.0)
+    settings = replace(SOAKS, bench=bench, faces=faces, back=faces == "six", warm_up=warm_up, ramp=ramp)
     made = simulate_thermal_session(kind, DEVICE, rng=np.random.default_rng(seed), settings=settings)  # type: ignore[arg-type]
     return written(made, f"thermal_{kind}_{faces}_{seed}")
 
 
-@call("soaks", "simulated soaks up and down: the tables that are chosen")
+@call("soaks", "simulated soaks: the tables that are chosen")
 @call("soaks_dynamic", "the same with offsets and dynamic drift", "--tables", "dynamic", "--step", "1.0")
 @call(
     "soaks_both", "the same with scale and dynamic drift over a range", "--tables", "scale+dynamic", "--range", "18:75"
@@ -128,14 +130,11 @@ def thermal(kind: str, faces: str = "one", seed: int = 1) -> Path:
     "0",
     "--tables",
     "scale",
+    "--step",
+    "1.0",
 )
 def soaks(*more: object) -> Result:
     return fitted(thermal("soak"), "--calibration", true_file(), *more)
-
-
-@call("soaks_six_faces", "simulated soaks on six faces: accelerometer tables too")
-def six_faces() -> Result:
-    return fitted(thermal("soak", "six"), "--calibration", true_file())
 
 
 @call("ramp", "a simulated ramp")
@@ -223,12 +222,13 @@ def trusted_real() -> Result:
 
 @call(
     "soak_fit_details",
-    "what stands behind tables: curves with covariance, hysteresis, scale, dynamic drift, alternatives",
+    "soaks on six faces up and down, and what stands behind their tables",
 )
 def details() -> Result:
     fit = fit_drift([read_session(thermal("soak", "six"))], true_calibration(DEVICE))
     nodes = np.array([18.0, 30.0, 46.5, 75.0])
     found: Result = {"blocks": len(fit.rests), "steps": len(fit.steps), "status": fit.verdict.status}
+    found["calibration"] = calibration_json(fit.calibration)
     for name, triad in (("gyro", fit.static.gyro), ("accel", fit.static.accel)):
         assert triad is not None
         at, loop = triad.curve.spline.at(nodes), triad.curve.loop

@@ -6,14 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from authority.broad import trial
-from authority.test_allan_goldens import nbs14
-from authority.test_bicycle_board import session as bicycle_session
-from authority.test_ferraris_goldens import annotated, example, pieces
-from authority.test_rate_table_jig import clock_lag, measured
-from authority.test_xsens_goldens import session as xsens_record
+from characterisation.recordings import bicycle as bicycle_session
+from characterisation.recordings import (
+    broad,
+    broad_beginning,
+    foot_annotated,
+    foot_example,
+    foot_pieces,
+    jig_dwells,
+    jig_lag,
+    nist_points,
+)
+from characterisation.recordings import xsens as xsens_record
 from characterisation.shared import Result, call, new, text_file, undrift
-from data import data_path
+from testkit.data import data_path
 from undrift.calibration.adc import identify_adc, identify_record_adc, without_truncation
 from undrift.calibration.allan import allan_deviation
 from undrift.calibration.fit.multi_position import MultiPositionSettings, fit_multi_position
@@ -21,7 +27,6 @@ from undrift.calibration.fit.rate_table import fit_rate_axis
 from undrift.calibration.procedure_reference import calibrate_to_references
 from undrift.calibration.store import calibration_json
 from undrift.io.session import write_session
-from undrift.record import Record, Reference
 from undrift.session import Session
 from undrift.sim.device.random import random_device
 from undrift.sim.motion.bench import BenchSettings
@@ -41,15 +46,15 @@ def written(session: Session, name: str) -> Path:
 @cache
 def foot_sensor(name: str) -> Path:
     """Six faces and three turns of a foot sensor."""
-    record, ranges = example() if name == "example" else annotated()
-    stills, turns = pieces(ranges, -360.0 if name == "example" else 360.0)
+    record, ranges = foot_example() if name == "example" else foot_annotated()
+    stills, turns = foot_pieces(ranges, -360.0 if name == "example" else 360.0)
     held = Session(
         kind="calibration",
         serial="foot",
         gravity_m_s2=9.81,
         records=(record,),
-        stills=tuple(stills),
-        turns=tuple(turns),
+        stills=stills,
+        turns=turns,
     )
     return written(held, f"foot_{name}")
 
@@ -156,10 +161,11 @@ def bicycle() -> Result:
 def jig() -> Result:
     found: Result = {}
     for run in ("giro_test_filt", "giro_test_non_filt"):
-        dwells = measured(run, "bno")
+        lag = jig_lag(run)
+        dwells = jig_dwells(run, lag)
         fit = fit_rate_axis(dwells)
         found[run] = {
-            "lag_s": clock_lag(run),
+            "lag_s": lag,
             "scale_factor": fit.scale_factor,
             "offset": fit.offset,
             "covariance": fit.covariance,
@@ -169,21 +175,9 @@ def jig() -> Result:
     return found
 
 
-def shortened(number: int, stop_s: float) -> tuple[Record, Reference]:
-    """Return the beginning of a BROAD trial."""
-    record, reference = trial(number)
-    keep = reference.time < stop_s
-    return record.between(0.0, stop_s), Reference(
-        time=reference.time[keep],
-        q_nb=reference.q_nb[keep],
-        position=None if reference.position is None else reference.position[keep],
-        moving=None if reference.moving is None else reference.moving[keep],
-    )
-
-
 @call("broad_reference_fit", "gyroscopes fitted to the poses of two real trials, two minutes of each")
 def reference_fit() -> Result:
-    pairs = [shortened(number, 120.0) for number in (3, 24)]
+    pairs = [broad_beginning(number, 120.0) for number in (3, 24)]
     return calibration_json(calibrate_to_references([p[0] for p in pairs], [p[1] for p in pairs]))
 
 
@@ -191,7 +185,7 @@ def reference_fit() -> Result:
 def adc() -> Result:
     found: Result = {}
     for number in (5, 32):
-        record, _ = trial(number)
+        record, _ = broad(number)
         model = identify_record_adc(record.between(0.0, 90.0))
         found[f"broad_{number}"] = None if model is None else {
             "gyro_lsb": model.gyro_lsb,
@@ -225,7 +219,7 @@ def noise() -> Result:
 
 @call("allan_estimators", "six Allan estimators on the published thousand points")
 def allan() -> Result:
-    points, taus = nbs14(), [1.0, 3.0, 10.0, 30.0, 100.0]
+    points, taus = nist_points(), [1.0, 3.0, 10.0, 30.0, 100.0]
     return {
         name: allan_deviation(points, 1.0, taus=taus, estimator=name).deviation  # type: ignore[arg-type]
         for name in ("adev", "oadev", "mdev", "hdev", "ohdev", "totdev")

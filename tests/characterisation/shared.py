@@ -15,7 +15,7 @@ from typing import Any
 
 from characterisation.compare import flatten
 from undrift.cli.app import run
-from undrift.io.recording import read_record
+from undrift.io.recording import ReadSettings, read_record
 from undrift.record import Record
 
 Result = dict[str, Any]
@@ -82,7 +82,7 @@ def text_file(name: str, text: str) -> Path:
 
 def read_back(path: Path) -> Result:
     """Return the channels of a recording that was written."""
-    return channels(read_record(path))
+    return channels(read_record(path, settings=ReadSettings(gaps="keep")))
 
 
 def channels(record: Record) -> Result:

@@ -8,7 +8,7 @@ import pytest
 
 from characterisation import calls
 from characterisation.compare import RECORDED, compare, flatten, read_recorded, tolerance
-from data import DATA
+from testkit.data import DATA
 
 NAMES = sorted(calls.CALLS)
 
