@@ -67,6 +67,38 @@ def test_a_clock_that_drifts_is_followed_since_the_old_is_forgotten():
     assert clock.fit().count < 2100
 
 
+def test_a_backlog_that_drains_does_not_settle_the_clock_and_is_no_jitter():
+    clock = DeviceClock()
+    backlog = np.linspace(0.1, 10.0, 100)  # 10 s of readings, delivered within 2 s
+    for device in backlog:
+        clock.add(np.array([device]), np.array([10.0 + 0.2 * device]))
+        assert not clock.fit().settled
+    settled = []
+    for device in np.arange(12.0, 13.0, 0.03):  # prompt from now on, up to 10 ms late
+        late = 0.01 * (device * 1000.0 % 7.0) / 7.0
+        clock.add(np.array([device]), np.array([device + late]))
+        settled.append(clock.fit().settled)
+    assert settled.index(True) == 8  # 8 packets and 0.2 s after the first prompt one
+    assert all(settled[8:])
+    assert clock.fit().jitter_s < 0.01
+
+
+@pytest.mark.parametrize("rate_error", [-0.05, 0.0, 0.05])
+def test_packets_that_are_late_at_random_settle_a_clock_also_where_its_rate_is_stated_wrong(rate_error):
+    device, host = packets(count=200, rate_error=rate_error)
+    clock = DeviceClock()
+    clock.add(device, host)
+    assert clock.fit().settled
+
+
+def test_few_packets_or_a_short_while_do_not_settle_a_clock():
+    few, brief = DeviceClock(), DeviceClock()
+    few.add(np.arange(8) * 0.5, 5.0 + np.arange(8) * 0.5)
+    brief.add(np.arange(100) * 0.001, 5.0 + np.arange(100) * 0.001)
+    assert not few.fit().settled
+    assert not brief.fit().settled
+
+
 def test_a_clock_without_packets_says_so():
     with pytest.raises(InputError, match=r"clock: wanted one packet or more, got none; wait for the device"):
         DeviceClock().fit()

@@ -4,6 +4,9 @@ Packets come late, never early: the clock is the line below all points (device, 
 min sum(host - offset - rate device). Its solution is the edge of their lower convex hull that spans the mean device time [1]_, and
 the hull is kept up at a few operations a packet. Old points are forgotten, since a clock drifts with temperature.
 
+A backlog that drains shows a clock that is too late, until the first prompt packet. The clock is settled when several packets in
+turn, over a while, did not come earlier than the packets before them allow. A constant delay cannot be seen from one side.
+
 References
 ----------
 .. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay
@@ -21,6 +24,9 @@ from undrift.errors import InputError
 
 Point = tuple[float, float]
 KEPT_DELAYS = 2000
+SETTLED_PACKETS = 8  # in turn, none of which shows that all before it were late
+SETTLED_S = 0.2  # for so long, host s
+DRAINING = 0.1  # a stream this much faster than nominal is a backlog, not a clock in error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +65,9 @@ class ClockFit:
     rate_error : float
         Relative departure of the device's clock from nominal: positive for one that runs fast.
     jitter_s : float
-        95 of 100 packets come at most so much later than the promptest, host s.
+        95 of 100 packets come at most so much later than the promptest, host s; those of a backlog left out.
+    settled : bool
+        False while a backlog drains, and while too few packets have come to tell.
     count : int
         Packets that it rests on.
     """
@@ -69,6 +77,7 @@ class ClockFit:
     rate: float
     rate_error: float
     jitter_s: float
+    settled: bool
     count: int
 
     def host_time(self, device_time: float) -> float:
@@ -131,7 +140,8 @@ class DeviceClock:
         self._settings = settings
         self._blocks: deque[_Block] = deque(maxlen=2)
         self._recent: deque[Point] = deque(maxlen=KEPT_DELAYS)
-        self._zero: Point = (0.0, 0.0)
+        self._zero: Point | None = None
+        self._prompt: Point = (0.0, np.inf)  # shows that all packets before it were late; those are forgotten
 
     def add(self, device_time: FloatArray, host_time: FloatArray) -> None:
         """Take readings; of those that came at one moment only the last can have been prompt.
@@ -145,9 +155,14 @@ class DeviceClock:
         """
         last = np.flatnonzero(np.diff(host_time, append=np.inf) > 0.0)
         for point in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
-            if not self._blocks:
+            if self._zero is None:
                 self._zero = point
-            moved = (point[0] - self._zero[0], point[1] - self._zero[1])  # small numbers, to keep their digits
+            moved: Point = (point[0] - self._zero[0], point[1] - self._zero[1])  # small numbers, to keep their digits
+            earliest = self._prompt[1] + (1.0 - DRAINING) * self._nominal * (moved[0] - self._prompt[0])
+            if moved[1] < earliest:
+                self._prompt = moved
+                self._recent.clear()
+                self._blocks.clear()
             if not self._blocks or moved[0] - self._blocks[-1].start > self._settings.memory_s:
                 self._blocks.append(_Block(moved[0]))
             self._blocks[-1].add(moved)
@@ -166,7 +181,7 @@ class DeviceClock:
         InputError
             No packet has come.
         """
-        if not self._blocks:
+        if self._zero is None:
             raise InputError("clock: wanted one packet or more, got none; wait for the device")
         hull: list[Point] = []
         for block in self._blocks:
@@ -183,6 +198,7 @@ class DeviceClock:
             rate=slope,
             rate_error=self._nominal / slope - 1.0,
             jitter_s=float(np.quantile(y - offset - slope * x, 0.95)),
+            settled=len(y) > SETTLED_PACKETS and bool(y[-1] - self._prompt[1] >= SETTLED_S),
             count=count,
         )
 

@@ -1,4 +1,7 @@
-"""Dwells: the readings of one stretch after another, for a run that starts and stops them."""
+"""Dwells: the readings of one stretch after another, for a run that starts and stops them.
+
+A dwell holds no reading that the device took before ``start`` was called, however late readings come.
+"""
 
 from undrift.errors import InputError
 from undrift.live.recorder import Recorder
@@ -13,24 +16,25 @@ class DwellReadings:
     recorder : Recorder
         Started; ``close`` stops it.
     deadline_s : float
-        Longest wait for the last readings of a dwell, host s.
+        Longest wait for the first reading of a dwell, and for its last ones, host s.
     """
 
     def __init__(self, recorder: Recorder, deadline_s: float = 5.0) -> None:
         self.recorder = recorder
         self._deadline_s = deadline_s
-        self._start: float | None = None
+        self._start: tuple[float, float] | None = None  # the host's clock, and the device's
 
     def start(self) -> None:
-        """Begin a dwell now.
+        """Begin a dwell now; return when the device has certainly taken a reading since.
 
         Raises
         ------
         RigError
-            The device is lost.
+            The device is lost, or its readings still come too late to tell.
         """
         self.recorder.check()
-        self._start = self.recorder.now()
+        moment = self.recorder.now()
+        self._start = moment, self.recorder.begun(moment, self._deadline_s)
 
     def stop(self) -> Record:
         """Return what the device said since ``start``.
@@ -49,8 +53,8 @@ class DwellReadings:
         """
         if self._start is None:
             raise InputError("dwell: wanted one that was started, got none; start it first")
-        start, self._start = self._start, None
-        return self.recorder.between(start, self.recorder.now(), self._deadline_s)
+        (start, first), self._start = self._start, None
+        return self.recorder.between(start, self.recorder.now(), self._deadline_s, first=first)
 
     def latest(self) -> str:
         """Return the newest reading in words.

@@ -145,7 +145,45 @@ class Recent:
         """
         self._wait(lambda: bool(self._ring), deadline_s, "a first reading")
 
-    def between(self, start: float, stop: float, deadline_s: float) -> tuple[FloatArray, FloatArray]:
+    def begun(self, moment: float, deadline_s: float) -> float:
+        """Wait for a reading that was certainly taken after a moment, as ``Recorder.begun`` does.
+
+        Parameters
+        ----------
+        moment : float
+            The host's monotonic clock, s.
+        deadline_s : float
+            Longest wait, host s.
+
+        Returns
+        -------
+        float
+            Its device time, s.
+
+        Raises
+        ------
+        RigTimeout
+            None came, or the stream is still catching up.
+        """
+        found: list[float] = []
+
+        def later() -> bool:
+            if self._ring and self._ring[-1].time[-1] >= self._first_after(moment):
+                found.append(float(self._ring[-1].time[-1]))
+            return bool(found)
+
+        self._wait(later, deadline_s, "a reading that is certainly later than the start of a dwell")
+        return found[0]
+
+    def _first_after(self, moment: float) -> float:
+        """Return the device time that certainly lies after a moment; infinite while the clock is not settled."""
+        fit, description = self.timeline.clock(), self.timeline.description
+        period_s = 1.0 / (description.rate * description.clock_speed)  # a reading may be the mean since the one before
+        return fit.device_time(moment + fit.jitter_s + period_s) if fit.settled else np.inf
+
+    def between(
+        self, start: float, stop: float, deadline_s: float, first: float | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the readings of a stretch of the host's time, as ``Recorder.between`` does.
 
         Parameters
@@ -154,6 +192,8 @@ class Recent:
             The host's monotonic clock, s.
         deadline_s : float
             Longest wait beyond ``stop``, host s.
+        first : float or None
+            Device time from which readings are wanted, as ``begun`` returned it for ``start``, s.
 
         Returns
         -------
@@ -165,7 +205,7 @@ class Recent:
         Raises
         ------
         RigTimeout
-            Readings up to ``stop`` did not come.
+            Readings up to ``stop`` did not come, or with ``first`` fewer than two that are certainly later than ``start``.
         InputError
             The stretch is no longer kept, or holds fewer than two readings.
         """
@@ -173,12 +213,16 @@ class Recent:
             raise InputError(f"readings: wanted a start before the stop, got {start:.3f} and {stop:.3f} s; swap them")
 
         def complete() -> bool:
-            return bool(self._ring) and self.timeline.clock().host_time(float(self._ring[-1].time[-1])) >= stop
+            fit = self.timeline.clock() if self._ring else None
+            return fit is not None and fit.settled >= certain and fit.host_time(float(self._ring[-1].time[-1])) >= stop
+
+        certain = first is not None
 
         self._wait(complete, max(stop - time.monotonic(), 0.0) + deadline_s, "readings up to the end of a dwell")
         with self._news:
             fit = self.timeline.clock()
-            first, last = fit.device_time(start), fit.device_time(stop)
+            last = fit.device_time(stop)
+            first = fit.device_time(start) if first is None else max(first, self._first_after(start))
             if first < self._forgotten:
                 raise InputError(
                     f"readings: wanted those since {time.monotonic() - start:.1f} s ago, got a recorder that keeps "
@@ -190,6 +234,12 @@ class Recent:
         inside = (times >= first) & (times <= last)
         if inside.sum() < 2:
             count = int(inside.sum())
+            if certain:
+                raise RigTimeout(
+                    f"{self._name}: wanted two readings or more that are certainly later than the start of a dwell of "
+                    f"{stop - start:.3f} s, got {count}; the link is late: dwell longer",
+                    readings=count,
+                )
             raise InputError(f"readings: wanted two or more in {stop - start:.3f} s, got {count}; dwell longer")
         return times[inside], np.concatenate([block.values for block in blocks])[inside]
 
@@ -204,8 +254,10 @@ class Recent:
                 if self._ended:
                     raise LinkError(f"{self._name}: wanted {what}, got a recorder that was stopped; start another")
                 if left <= 0.0:
+                    behind = bool(self._ring) and not self.timeline.clock().settled
+                    got = "a backlog; wait, or check the stated rate" if behind else "none; check that the device sends"
                     raise RigTimeout(
-                        f"{self._name}: wanted {what} within {deadline_s:g} s, got none; check that the device sends",
+                        f"{self._name}: wanted {what} within {deadline_s:g} s, got {got}",
                         deadline_s=deadline_s,
                     )
                 self._news.wait(min(left, WAKE_S))

@@ -151,7 +151,34 @@ class Recorder:
             self.stop()
             raise
 
-    def between(self, start: float, stop: float, deadline_s: float = 5.0) -> Record:
+    def begun(self, moment: float, deadline_s: float = 5.0) -> float:
+        """Wait for a reading that was certainly taken after a moment, however late readings come.
+
+        A backlog is waited out until the device's clock is settled. The moment is then moved by the time that 95 of 100 packets
+        are late at most, and by one reading.
+
+        Parameters
+        ----------
+        moment : float
+            The host's monotonic clock, s.
+        deadline_s : float
+            Longest wait, host s.
+
+        Returns
+        -------
+        float
+            Its device time, s.
+
+        Raises
+        ------
+        RigTimeout
+            None came, or the stream is still catching up.
+        LinkError
+            The device is lost.
+        """
+        return self._recent.begun(moment, deadline_s)
+
+    def between(self, start: float, stop: float, deadline_s: float = 5.0, *, first: float | None = None) -> Record:
         """Return what the device said in a stretch of the host's time.
 
         Parameters
@@ -160,6 +187,9 @@ class Recorder:
             The host's monotonic clock, s; ``stop`` may lie a little ahead.
         deadline_s : float
             Longest wait for readings up to ``stop``, host s, beyond that moment.
+        first : float or None
+            Device time from which readings are wanted, as ``begun`` returned it for ``start``, s. What came since is used to
+            check it: readings that may be older than ``start`` are left out.
 
         Returns
         -------
@@ -169,13 +199,13 @@ class Recorder:
         Raises
         ------
         RigTimeout
-            Readings up to ``stop`` did not come.
+            Readings up to ``stop`` did not come, or with ``first`` fewer than two that are certainly later than ``start``.
         LinkError
             The device is lost.
         InputError
             The stretch is no longer kept, or holds fewer than two readings.
         """
-        times, values = self._recent.between(start, stop, deadline_s)
+        times, values = self._recent.between(start, stop, deadline_s, first)
         return self.source.description.record(times, values)
 
     def latest(self) -> FloatArray:

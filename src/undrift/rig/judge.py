@@ -77,6 +77,26 @@ def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
     return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
 
 
+def covers(record: Record, dwell_s: float, settings: RunSettings) -> bool:
+    """Tell whether readings span a dwell; readings that came too late to be certain are missing at its start.
+
+    Parameters
+    ----------
+    record : Record
+        Readings.
+    dwell_s : float
+        As asked for, s.
+    settings : RunSettings
+        Least part.
+
+    Returns
+    -------
+    bool
+        Whether the first and the last are far enough apart.
+    """
+    return record.duration_s + 1.0 / record.sample_rate_hz >= settings.least_part * dwell_s
+
+
 def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:
     """Refuse a dwell in which the table did not hold its rate all the time.
 

@@ -17,7 +17,7 @@ from undrift.rig.achieved import Achieved, achieved_turn_rate
 from undrift.rig.board import Board, mean_temp
 from undrift.rig.clock import Clock
 from undrift.rig.folder import Head, Piece, RunFolder
-from undrift.rig.judge import RunSettings, check_air, check_board, check_rate, check_readings, link_hides
+from undrift.rig.judge import RunSettings, check_air, check_board, check_rate, check_readings, covers, link_hides
 from undrift.rig.manual import ManualRig
 from undrift.rig.programme import Dwell, Mount, Programme, Soak, Step
 from undrift.rig.rig import Position, Rig
@@ -29,7 +29,7 @@ from undrift.session import Kind
 Phase = Literal["enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "resting", "writing", "closing"]
 POLLS = 20  # positions in a short dwell
 POLL_S = 0.1  # between two positions of a long one, s of the host
-READS = 3  # of a dwell whose positions come too late
+READS = 3  # of a dwell whose positions or readings come too late
 AIR_POLL_S = 2.0  # between two looks at the chamber, table s
 
 log = logging.getLogger(__name__)
@@ -306,11 +306,14 @@ class _Run:
         )
 
     def _read_seen(self, step: Dwell) -> tuple[Record, Achieved]:
-        """Read until the encoder tells how fast the table turned; a rest needs no times."""
+        """Read until the encoder tells how fast the table turned, and the readings span the dwell; a rest needs no times."""
         for _ in range(READS):
             record, achieved = self._read(step)
-            if step.turn_rate == 0.0 or not link_hides(achieved, self._settings):
+            hidden = step.turn_rate != 0.0 and link_hides(achieved, self._settings)
+            if not hidden and covers(record, step.dwell_s, self._settings):
                 return record, achieved
+        if not hidden:
+            return record, achieved  # for check_readings to refuse
         raise RigTimeout(
             f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
             f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {READS} times; look at the link and at what "

@@ -11,7 +11,7 @@ class Readings(Protocol):
     """The device's readings as they come."""
 
     def start(self) -> None:
-        """Begin to keep readings from now on; what came before is dropped."""
+        """Begin to keep readings that the device takes from now on; what it took before is dropped, also where it comes later."""
 
     def stop(self) -> Record:
         """Return the readings since ``start`` and keep no more.

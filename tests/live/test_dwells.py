@@ -1,0 +1,187 @@
+"""Dwells: no reading that the device took before the start enters, however late it comes. All times are scripted."""
+
+import queue
+from concurrent.futures import ThreadPoolExecutor, wait
+
+import numpy as np
+import pytest
+
+from undrift.errors import RigTimeout
+from undrift.live.chunk import Chunk
+from undrift.live.description import StreamDescription
+from undrift.live.dwells import DwellReadings
+from undrift.live.recorder import Recorder, RecorderSettings
+from waiting import LONG_S, eventually
+
+RATE = 100.0
+CONNECTED = 50.0  # host s
+
+
+class Scripted:
+    """A device that takes reading k, of value k, at k / RATE s of the host; the test says when readings arrive."""
+
+    name, errors = "scripted", 0
+    description = StreamDescription(channels=("count", "gyro_x", "gyro_y", "gyro_z"), rate=RATE)
+
+    def __init__(self):
+        self.host, self.sent = CONNECTED, 0.0
+        self.first = None
+        self._chunks = queue.Queue()
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+    def read(self, deadline_s):
+        try:
+            return self._chunks.get(timeout=deadline_s)
+        except queue.Empty:
+            raise RigTimeout("scripted: wanted a reading, got none") from None
+
+    def deliver(self, up_to, host):
+        """Let the readings taken up to a moment arrive at another."""
+        taken = np.arange(np.floor(self.sent * RATE) + 1.0, np.floor(up_to * RATE + 1e-9) + 1.0)
+        self.first = taken[0] if self.first is None else self.first
+        self.host, self.sent = host, taken[-1] / RATE
+        values = np.repeat(taken[:, None], 3, axis=1)
+        self._chunks.put(Chunk(host_time=np.full(len(taken), host), counter=taken, values=values))
+
+
+class Bench:
+    """A recorder whose clock is the script's, and dwells of it."""
+
+    def __init__(self, source, steps):
+        self.source, self.steps = source, iter(steps)
+        self.recorder = Recorder(source, settings=RecorderSettings(silence_s=LONG_S))
+        self.recorder.now = lambda: self.source.host
+        self.dwells = DwellReadings(self.recorder, deadline_s=LONG_S)
+
+    def __enter__(self):
+        self.step()
+        self.recorder.start()
+        return self
+
+    def __exit__(self, *failure):
+        self.recorder.stop()
+
+    def step(self):
+        self.source.deliver(*next(self.steps))
+
+    def up_to(self, host):
+        """Let all arrive that arrives up to a moment."""
+        while self.source.host < host:
+            self.step()
+        readings = self.source.sent * RATE - self.source.first + 1
+        eventually(lambda: self.recorder.tally().readings >= round(readings), "all that was sent")
+
+    def during(self, call):
+        """Call what may wait for readings; they arrive for as long as it does."""
+        with ThreadPoolExecutor(1) as pool:
+            waiting = pool.submit(call)
+            while not wait((waiting,), timeout=0.02).done:
+                self.step()
+            return waiting.result()
+
+    def dwell(self, start, length):
+        """Return when the readings of a dwell were taken, host s, and when start returned."""
+        self.up_to(start)
+        began = self.source.host
+        self.during(self.dwells.start)
+        returned = self.source.host
+        self.up_to(returned + length)
+        record = self.during(self.dwells.stop)
+        return record.gyro[:, 0] / RATE - began, returned - began
+
+
+def backlog(behind_s, speed, packet_s=0.02, jitter_s=0.004, latency_s=0.002):
+    """Deliver what the device kept from before the connection, then what it takes, each packet a little late."""
+    rng = np.random.default_rng(1)
+    host, taken = CONNECTED, CONNECTED - behind_s
+    while True:
+        host += packet_s
+        taken = min(taken + speed * packet_s, host)
+        late = latency_s + rng.exponential(jitter_s) if taken == host else 0.0
+        yield taken, host + late
+
+
+def test_a_backlog_from_before_the_start_does_not_enter_a_dwell():
+    with Bench(Scripted(), backlog(behind_s=3.0, speed=4.0)) as bench:  # drains for 1 s
+        taken, waited = bench.dwell(CONNECTED + 0.1, 0.5)  # over, by a clock of the first packets, while it drains
+        assert taken[0] >= 0.0
+        assert taken[-1] - taken[0] >= 0.5 - 0.05
+        assert 0.9 < waited < 1.5
+        taken, waited = bench.dwell(CONNECTED + 3.0, 0.5)
+        assert taken[0] >= 0.0
+        assert waited < 0.15
+        taken, waited = bench.dwell(CONNECTED + 6.0, 0.5)
+        assert taken[0] >= 0.0
+
+
+@pytest.mark.parametrize("late_s", [0.05, 0.3])
+def test_a_clock_known_from_late_packets_alone_does_not_open_a_dwell_early(late_s):
+    def steps():
+        rng = np.random.default_rng(2)
+        taken = arrived = CONNECTED
+        while True:
+            taken += 0.02
+            late = late_s * rng.uniform(0.2, 1.0) if taken < CONNECTED + 1.5 else 0.0
+            arrived = max(arrived + 1e-4, taken + late)
+            yield taken, arrived
+
+    with Bench(Scripted(), steps()) as bench:
+        taken, _ = bench.dwell(CONNECTED + 0.5, 0.5)
+        assert taken[0] >= 0.0
+        assert taken[-1] - taken[0] >= 0.4
+
+
+def test_what_comes_after_the_start_checks_it_again():
+    """All packets are late by 0.3 s, which nobody can see, until one in the middle of the dwell is prompt."""
+
+    def steps():
+        host = CONNECTED
+        while True:
+            host += 0.02
+            yield (host - 0.3 if host < CONNECTED + 1.5 else host), host
+
+    with Bench(Scripted(), steps()) as bench:
+        taken, _ = bench.dwell(CONNECTED + 1.0, 2.0)
+        assert taken[0] >= 0.0
+        assert taken[-1] > 1.8
+
+
+def test_a_stream_that_goes_on_catching_up_opens_no_dwell():
+    with Bench(Scripted(), backlog(behind_s=45.0, speed=1.5)) as bench:
+        bench.up_to(CONNECTED + 1.0)
+        bench.dwells = DwellReadings(bench.recorder, deadline_s=0.3)
+        with pytest.raises(
+            RigTimeout,
+            match=r"wanted a reading that is certainly later than the start of a dwell within 0.3 s, got a backlog",
+        ):
+            bench.during(bench.dwells.start)
+
+
+def test_a_dwell_that_is_shorter_than_the_delays_is_refused():
+    """All packets are late by 0.9 s for a while; then they come together, twice a second."""
+
+    def steps():
+        taken = arrived = CONNECTED
+        while True:
+            taken += 0.02
+            together = max(arrived + 1e-4, 0.5 * np.ceil(2.0 * taken))
+            arrived = taken if taken < CONNECTED + 1.5 else together
+            yield (taken - 0.9 if taken < CONNECTED + 1.5 else taken), arrived
+
+    with Bench(Scripted(), steps()) as bench:
+        bench.up_to(CONNECTED + 1.0)
+        bench.during(bench.dwells.start)
+        bench.up_to(CONNECTED + 1.3)
+        stop = bench.source.host
+        bench.recorder.now = lambda: stop
+        bench.up_to(CONNECTED + 4.0)
+        with pytest.raises(
+            RigTimeout,
+            match=r"scripted: wanted two readings or more that are certainly later than the start of a dwell",
+        ):
+            bench.dwells.stop()

@@ -1,0 +1,96 @@
+"""A device whose readings come late: what it took before a mounting was done is in no dwell of that face."""
+
+import bisect
+import time
+
+import numpy as np
+
+from run_bench import UP, Device, Hands, emulated, run
+from undrift.io.session import read_session
+from undrift.live.chunk import Chunk
+from undrift.live.description import StreamDescription
+from undrift.live.dwells import DwellReadings
+from undrift.live.recorder import Recorder, RecorderSettings
+from undrift.protocol import Protocol
+from undrift.units import STANDARD_GRAVITY
+from waiting import LONG_S
+
+SPEED = 50.0
+RATE = 100.0
+BEFORE = "-z"  # how the device lay before the first mounting
+FACES = Protocol(faces=("+x", "-x", "+z"), face_s=1.0)
+
+
+class TimedHands(Hands):
+    """Mount, and remember when."""
+
+    def __init__(self):
+        super().__init__()
+        self.since = []  # host s
+
+    def mount(self, up):
+        super().mount(up)
+        self.since.append(time.monotonic())
+
+    def up_at(self, host):
+        return (BEFORE, *self.mounted)[bisect.bisect(self.since, host)]
+
+
+class Late:
+    """Reads its pose RATE times a second; at the connection it is ``behind_s`` behind, then sends ``speed`` times as fast."""
+
+    name, errors = "late", 0
+
+    def __init__(self, hands, behind_s, speed):
+        channels = ("count", "accel_x", "accel_y", "accel_z")
+        self.description = StreamDescription(channels=channels, rate=RATE, clock_speed=SPEED, accel_unit="m/s2")
+        self.hands, self.behind_s, self.speed = hands, behind_s, speed
+        self.sent = 0
+
+    def open(self):
+        self.opened = time.monotonic()
+
+    def close(self):
+        pass
+
+    def read(self, deadline_s):
+        time.sleep(0.005)
+        now = time.monotonic()
+        begun = self.opened - self.behind_s
+        due = int(min(now - begun, self.speed * (now - self.opened)) * SPEED * RATE)
+        counts = np.arange(self.sent, due)
+        self.sent = due
+        values = [STANDARD_GRAVITY * UP[self.hands.up_at(begun + k / (SPEED * RATE))] for k in counts]
+        return Chunk(host_time=np.full(len(counts), time.monotonic()), counter=counts + 0.0, values=np.array(values))
+
+
+def test_a_backlog_of_the_pose_before_the_mounting_is_in_no_dwell(tmp_path, monkeypatch):
+    hands = TimedHands()
+    monkeypatch.setattr("run_bench.Hands", lambda: hands)
+    late = Late(
+        hands, behind_s=3.0, speed=4.0
+    )  # caught up 1 s after the connection; the first dwell would be over by then
+    with emulated(SPEED) as emulator, Recorder(late, settings=RecorderSettings(silence_s=LONG_S)) as recorder:
+        result, _ = run(emulator, tmp_path, FACES, readings=DwellReadings(recorder, deadline_s=LONG_S))
+    session = read_session(tmp_path)
+    assert [still.face for still in session.stills] == ["+x", "-x", "+z"] == hands.mounted
+    for still in session.stills:
+        accel = session.records[still.recording].accel[still.start : still.stop]
+        assert (accel == STANDARD_GRAVITY * UP[still.face]).all(), f"{still.face} holds readings of another pose"
+    assert min(piece.samples for piece in result.pieces) >= 100
+
+
+def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path, monkeypatch):
+    class LateOnce(Device):
+        stops = 0
+
+        def stop(self):
+            record = super().stop()
+            LateOnce.stops += 1
+            return record.part(len(record) // 2, len(record)) if LateOnce.stops == 1 else record
+
+    monkeypatch.setattr("run_bench.Device", LateOnce)
+    with emulated() as emulator:
+        result, _ = run(emulator, tmp_path, Protocol(faces=("+z",), face_s=2.0))
+    assert LateOnce.stops == 2
+    assert result.pieces[0].samples >= 200
