@@ -22,12 +22,17 @@ from characterisation.shared import Result, call, new, text_file, undrift
 from testkit.data import data_path
 from undrift.calibration.adc import identify_adc, identify_record_adc, without_truncation
 from undrift.calibration.allan import allan_deviation
+from undrift.calibration.fit.dwells import dwell_means
 from undrift.calibration.fit.multi_position import MultiPositionSettings, fit_multi_position
-from undrift.calibration.fit.rate_table import fit_rate_axis
+from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_axis, fit_rate_table
+from undrift.calibration.fit.reference import fit_reference
+from undrift.calibration.fit.result import TriadFit
+from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, fit_six_face
+from undrift.calibration.plausibility import face_vectors
 from undrift.calibration.procedure_reference import calibrate_to_references
 from undrift.calibration.store import calibration_json
-from undrift.io.session import write_session
-from undrift.session import Session
+from undrift.io.session import read_session, write_session
+from undrift.session import FACES, Session
 from undrift.sim.device.random import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.session import simulate_session
@@ -157,6 +162,53 @@ def bicycle() -> Result:
     return undrift("calibrate", written(bicycle_session(), "bicycle"))
 
 
+@call("fit_residuals", "residuals of faces and of dwells in every mode, tilt and linearity")
+def fit_residuals() -> Result:
+    forward = np.array([[1.02, 0.01, -0.008], [0.004, 0.97, 0.012], [-0.006, 0.009, 1.01]])
+    rng, up = np.random.default_rng(9), 9.81 * face_vectors(FACES)
+    reading = up @ forward.T + np.array([0.3, -0.2, 0.1]) + rng.normal(0.0, 0.01, (6, 3))
+    poses = FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 0.002))
+    found: Result = {}
+    for mode in MODES:
+        faces = fit_six_face(poses, gravity=9.81, settings=SixFaceSettings(mode=mode))  # type: ignore[arg-type]
+        found[f"faces_{mode}"] = triad(faces) | {"tilt": faces.tilt}
+    session = read_session(bench("rate_table"))
+    dwells = dwell_means(session.records, session.turns)
+    for mode in ("paper", "affine"):
+        rates = fit_rate_table(dwells, RateTableSettings(mode=mode, latitude_deg=45.0))  # type: ignore[arg-type]
+        found[f"rates_{mode}"] = triad(rates) | {
+            "turn_rate": rates.turn_rate,
+            "nonlinearity": [line.scale_factor_nonlinearity for line in rates.linearity],
+        }
+    return found
+
+
+def triad(fit: TriadFit) -> Result:
+    return {
+        "matrix": fit.model.matrix,
+        "offset": fit.model.offset,
+        "covariance": fit.model.covariance,
+        "condition": fit.model.condition,
+        "residuals": fit.residuals,
+        "status": fit.verdict.status,
+    }
+
+
+@call("broad_reference_windows", "what stands behind a fit to poses: lags, offsets at rest and in motion, windows")
+def reference_windows() -> Result:
+    pairs = [broad_beginning(number, 120.0) for number in (32, 35)]
+    fit = fit_reference([p[0] for p in pairs], [p[1] for p in pairs])
+    return triad(fit.triad) | {
+        "motion_offset": fit.motion_offset,
+        "rest_offsets": fit.rest_offsets,
+        "lags_s": fit.lags_s,
+        "lag_uncertainties_s": fit.lag_uncertainties_s,
+        "turn_rates_rms": fit.turn_rates_rms,
+        "window_s": fit.window_s,
+        "window_rms": fit.window_rms,
+    }
+
+
 @call("rate_table_jig", "one axis of a public stepper rate table: lag of the clocks, scale, linearity")
 def jig() -> Result:
     found: Result = {}
@@ -169,6 +221,7 @@ def jig() -> Result:
             "scale_factor": fit.scale_factor,
             "offset": fit.offset,
             "covariance": fit.covariance,
+            "residuals": fit.residuals,
             "nonlinearity": fit.linearity.scale_factor_nonlinearity,
             "status": fit.verdict.status,
         }

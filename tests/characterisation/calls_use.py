@@ -12,6 +12,7 @@ from characterisation.calls_fits import bench
 from characterisation.recordings import foot_example
 from characterisation.shared import (
     Result,
+    c_arrays,
     call,
     channels,
     code_hash,
@@ -297,8 +298,8 @@ def export_c(*more: str) -> Result:
     texts = [out.read_text(), out.with_suffix(".c").read_text()]
     return {
         "said": said,
-        "header": {"numbers": numbers_in(texts[0]), "code_sha256": code_hash(texts[0])},
-        "source": {"numbers": numbers_in(texts[1]), "code_sha256": code_hash(texts[1])},
+        "header": {**c_arrays(texts[0]), "code_sha256": code_hash(texts[0])},
+        "source": {**c_arrays(texts[1]), "code_sha256": code_hash(texts[1])},
     }
 
 
@@ -308,7 +309,7 @@ def export_c_constant() -> Result:
     out = folder() / "constant.h"
     said = undrift("export", folder() / "constant.json", "--target", "c", "-o", out)
     text = out.with_suffix(".c").read_text()
-    return {"said": said, "source": {"numbers": numbers_in(text), "code_sha256": code_hash(text)}}
+    return {"said": said, "source": {**c_arrays(text), "code_sha256": code_hash(text)}}
 
 
 @call("export_px4", "parameters of PX4", "px4", ".params")

@@ -42,8 +42,8 @@ RECORDED = Path(__file__).parent / "recorded"
 MACHINE = RECORDED / "machine.json"
 SAME_MACHINE, OTHER_MACHINE = 1e-12, 1e-6
 RESIDUE = 0.01  # of the tolerance, times the column's largest number
-WHOLE = 60  # numbers of a list that is kept whole; 200 of a covariance
-WHOLE_COVARIANCE = 200
+WHOLE = 60  # numbers of a list that is kept whole
+WHOLE_COVARIANCE = 450  # of 21 parameters
 COLUMNS = 12  # a list with a longer last dimension is one column
 ROWS = 21  # numbers kept of a long list, 5 rows at least
 

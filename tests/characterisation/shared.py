@@ -103,6 +103,16 @@ def numbers_in(text: str) -> list[float]:
     return [float(word) for word in re.findall(number, bare)]
 
 
+def c_arrays(text: str) -> Result:
+    """Return the numbers of C by the name of their array, numbered where a name comes again, and those outside arrays."""
+    found: Result = {}
+    opened = re.compile(r"(\w+)(?:\[[^\]]*\])+\s*=\s*\{(.*?)\}\s*;", re.S)
+    for name, body in opened.findall(text):
+        again = sum(key.partition("#")[0] == name for key in found)
+        found[f"{name}#{again + 1}" if again else name] = numbers_in(body)
+    return {"arrays": found, "others": numbers_in(opened.sub("", text))}
+
+
 def code_hash(text: str) -> str:
     """Return the hash of a text without its comments."""
     bare = re.sub(r"/\*.*?\*/|//[^\n]*", "", text, flags=re.S)
