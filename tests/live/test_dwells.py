@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import numpy as np
 import pytest
 
-from undrift.errors import RigTimeout
+from undrift.errors import InputError, RigTimeout
 from undrift.live.chunk import Chunk
 from undrift.live.description import StreamDescription
 from undrift.live.dwells import DwellReadings
@@ -184,4 +184,15 @@ def test_a_dwell_that_is_shorter_than_the_delays_is_refused():
             RigTimeout,
             match=r"scripted: wanted two readings or more that are certainly later than the start of a dwell",
         ):
+            bench.dwells.stop()
+
+
+def test_a_look_that_need_not_be_certain_waits_for_nothing():
+    with Bench(Scripted(), backlog(behind_s=45.0, speed=1.5)) as bench:
+        bench.up_to(CONNECTED + 0.1)
+        bench.dwells.start(certain=False)
+        bench.up_to(CONNECTED + 0.3)
+        record = bench.dwells.stop()
+        assert 2 <= len(record) < 100
+        with pytest.raises(InputError, match=r"dwell: wanted one that was started, got none; start it first"):
             bench.dwells.stop()

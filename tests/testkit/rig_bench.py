@@ -64,7 +64,7 @@ class Device:
         self.rng = np.random.default_rng(seed)
         self.began = None
 
-    def start(self):
+    def start(self, *, certain=True):
         self.began = self.emulator.now()
 
     def stop(self):

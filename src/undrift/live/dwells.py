@@ -1,6 +1,6 @@
 """Dwells: the readings of one stretch after another, for a run that starts and stops them.
 
-A dwell holds no reading that the device took before ``start`` was called, however late readings come.
+A dwell holds no reading that the device took before ``start`` was called, however late readings come, unless asked otherwise.
 """
 
 from undrift.errors import InputError
@@ -22,10 +22,17 @@ class DwellReadings:
     def __init__(self, recorder: Recorder, deadline_s: float = 5.0) -> None:
         self.recorder = recorder
         self._deadline_s = deadline_s
-        self._start: tuple[float, float] | None = None  # the host's clock, and the device's
+        self._start: float | None = None
+        self._first: float | None = None  # by the device's clock, where that is certain
 
-    def start(self) -> None:
-        """Begin a dwell now; return when the device has certainly taken a reading since.
+    def start(self, *, certain: bool = True) -> None:
+        """Begin a dwell now.
+
+        Parameters
+        ----------
+        certain : bool
+            Return when the device has certainly taken a reading since, and keep none that may be older; False does not wait, and
+            keeps what the clock as known by then puts into the dwell.
 
         Raises
         ------
@@ -33,8 +40,9 @@ class DwellReadings:
             The device is lost, or its readings still come too late to tell.
         """
         self.recorder.check()
-        moment = self.recorder.now()
-        self._start = moment, self.recorder.begun(moment, self._deadline_s)
+        start = self.recorder.now()
+        self._first = self.recorder.begun(start, self._deadline_s) if certain else None
+        self._start = start
 
     def stop(self) -> Record:
         """Return what the device said since ``start``.
@@ -53,8 +61,8 @@ class DwellReadings:
         """
         if self._start is None:
             raise InputError("dwell: wanted one that was started, got none; start it first")
-        (start, first), self._start = self._start, None
-        return self.recorder.between(start, self.recorder.now(), self._deadline_s, first=first)
+        start, self._start = self._start, None
+        return self.recorder.between(start, self.recorder.now(), self._deadline_s, first=self._first)
 
     def latest(self) -> str:
         """Return the newest reading in words.

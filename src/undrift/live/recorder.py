@@ -152,10 +152,7 @@ class Recorder:
             raise
 
     def begun(self, moment: float, deadline_s: float = 5.0) -> float:
-        """Wait for a reading that was certainly taken after a moment, however late readings come.
-
-        A backlog is waited out until the device's clock is settled. The moment is then moved by the time that 95 of 100 packets
-        are late at most, and by one reading.
+        """Wait for a reading that was certainly taken after a moment; return its device time, s. RigTimeout where none comes.
 
         Parameters
         ----------
@@ -163,18 +160,6 @@ class Recorder:
             The host's monotonic clock, s.
         deadline_s : float
             Longest wait, host s.
-
-        Returns
-        -------
-        float
-            Its device time, s.
-
-        Raises
-        ------
-        RigTimeout
-            None came, or the stream is still catching up.
-        LinkError
-            The device is lost.
         """
         return self._recent.begun(moment, deadline_s)
 
@@ -188,8 +173,7 @@ class Recorder:
         deadline_s : float
             Longest wait for readings up to ``stop``, host s, beyond that moment.
         first : float or None
-            Device time from which readings are wanted, as ``begun`` returned it for ``start``, s. What came since is used to
-            check it: readings that may be older than ``start`` are left out.
+            Device time from which readings are wanted, as ``begun`` returned it for ``start``; what came since checks it, s.
 
         Returns
         -------
@@ -209,12 +193,7 @@ class Recorder:
         return self.source.description.record(times, values)
 
     def latest(self) -> FloatArray:
-        """Return the newest reading, for show.
-
-        Returns
-        -------
-        array, shape (C,)
-            Raw, in the order of ``source.description.measured``.
+        """Return the newest reading for display: raw, shape (C,), in the order of ``source.description.measured``.
 
         Raises
         ------

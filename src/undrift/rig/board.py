@@ -43,7 +43,7 @@ class Board:
         self._known = False
         self._air_since: float | None = None
         self._since = clock.now()
-        readings.start()
+        readings.start(certain=False)  # a board changes slowly, and looks follow each other without a pause
 
     def __str__(self) -> str:
         return "" if self._temp_c is None else f", device {self._temp_c:.2f} degC"
@@ -79,7 +79,7 @@ class Board:
         if now - self._since < (self._window_s / LOOKS if self._known else FIRST_LOOK_S):
             return
         record = self._readings.stop()
-        self._readings.start()
+        self._readings.start(certain=False)
         middle, self._since, self._known = 0.5 * (self._since + now), now, True
         temp_c = mean_temp(record)
         if temp_c is not None:

@@ -10,8 +10,14 @@ from undrift.session import Face
 class Readings(Protocol):
     """The device's readings as they come."""
 
-    def start(self) -> None:
-        """Begin to keep readings that the device takes from now on; what it took before is dropped, also where it comes later."""
+    def start(self, *, certain: bool = True) -> None:
+        """Begin to keep readings that the device takes from now on.
+
+        Parameters
+        ----------
+        certain : bool
+            Readings that it took before are dropped also where they come late; False does not wait for that.
+        """
 
     def stop(self) -> Record:
         """Return the readings since ``start`` and keep no more.
