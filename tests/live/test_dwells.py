@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import numpy as np
 import pytest
 
+from testkit.waiting import LONG_S, eventually
 from undrift.errors import InputError, RigTimeout
 from undrift.live.chunk import Chunk
 from undrift.live.description import StreamDescription
 from undrift.live.dwells import DwellReadings
 from undrift.live.recorder import Recorder, RecorderSettings
-from waiting import LONG_S, eventually
 
 RATE = 100.0
 CONNECTED = 50.0  # host s

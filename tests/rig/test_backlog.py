@@ -5,7 +5,9 @@ import time
 
 import numpy as np
 
-from run_bench import UP, Device, Hands, emulated, run
+from testkit import rig_bench
+from testkit.rig_bench import UP, Device, Hands, emulated, run
+from testkit.waiting import LONG_S
 from undrift.io.session import read_session
 from undrift.live.chunk import Chunk
 from undrift.live.description import StreamDescription
@@ -13,7 +15,6 @@ from undrift.live.dwells import DwellReadings
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.protocol import Protocol
 from undrift.units import STANDARD_GRAVITY
-from waiting import LONG_S
 
 SPEED = 50.0
 RATE = 100.0
@@ -66,7 +67,7 @@ class Late:
 
 def test_a_backlog_of_the_pose_before_the_mounting_is_in_no_dwell(tmp_path, monkeypatch):
     hands = TimedHands()
-    monkeypatch.setattr("run_bench.Hands", lambda: hands)
+    monkeypatch.setattr(rig_bench, "Hands", lambda: hands)
     late = Late(
         hands, behind_s=3.0, speed=4.0
     )  # caught up 1 s after the connection; the first dwell would be over by then
@@ -89,7 +90,7 @@ def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path, monkeyp
             LateOnce.stops += 1
             return record.part(len(record) // 2, len(record)) if LateOnce.stops == 1 else record
 
-    monkeypatch.setattr("run_bench.Device", LateOnce)
+    monkeypatch.setattr(rig_bench, "Device", LateOnce)
     with emulated() as emulator:
         result, _ = run(emulator, tmp_path, Protocol(faces=("+z",), face_s=2.0))
     assert LateOnce.stops == 2

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit import rig_bench
 from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_of, opened, run
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
@@ -159,7 +160,7 @@ class Warm(Device):
 
 def heated(emulator, path, monkeypatch, device, chamber=None):
     made = []
-    monkeypatch.setattr("run_bench.Device", lambda *a: made.append(device(*a)) or made[-1])
+    monkeypatch.setattr(rig_bench, "Device", lambda *a: made.append(device(*a)) or made[-1])
 
     def report(progress):
         made[-1].phase = progress.phase
@@ -170,7 +171,7 @@ def heated(emulator, path, monkeypatch, device, chamber=None):
 def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mean_is_written(tmp_path, monkeypatch):
     with emulated(200.0) as emulator:
         devices = []
-        monkeypatch.setattr("run_bench.Device", lambda *a: devices.append(Warm(*a)) or devices[-1])
+        monkeypatch.setattr(rig_bench, "Device", lambda *a: devices.append(Warm(*a)) or devices[-1])
         piece = run(emulator, tmp_path, HEATED, chamber=Oven())[0].pieces[0]
         took_s = emulator.now() - devices[0].born
     assert took_s > 60.0 * np.log(10.0 / 0.1), "10 K at 60 s falls below 0.1 K/min after 4.6 time constants"
@@ -233,10 +234,10 @@ def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path, monkeypatch):
 
     still = Protocol(faces=("+z",), face_s=2.0)
     with emulated() as emulator:
-        monkeypatch.setattr("run_bench.Device", device(1))
+        monkeypatch.setattr(rig_bench, "Device", device(1))
         piece = run(emulator, tmp_path / "few", still)[0].pieces[0]
         assert 0.09 < piece.missing / piece.samples < 0.11
-        monkeypatch.setattr("run_bench.Device", device(3))
+        monkeypatch.setattr(rig_bench, "Device", device(3))
         with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 1 .*the others missing"):
             run(emulator, tmp_path / "many", still)
 
