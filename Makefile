@@ -6,7 +6,7 @@ INSTALLED = $(VENV)/.installed
 
 .PHONY: demo test test-all check benchmark clean
 
-demo: $(INSTALLED)
+demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
 
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
@@ -15,7 +15,7 @@ test: $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
 	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
 	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist worksteal --durations=12
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/test_correct.py tests/test_stream.py tests/test_filters.py tests/orientation
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
 
 check: $(INSTALLED)
 	$(BIN)/ruff check src tests benchmarks
@@ -38,11 +38,16 @@ test-all: test
 	  else echo "== Python $$version is not on this machine"; fi; \
 	done
 
-$(INSTALLED): pyproject.toml constraints.txt
+# What the demo needs, and no more; the other targets install the tools of development besides.
+$(VENV)/.base: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "undrift wants Python 3.11 or newer, got $$($(PYTHON) --version); say make PYTHON=python3.12"; exit 2; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV) || \
 	  { rm -rf $(VENV); $(PYTHON) -m pip install --quiet virtualenv && $(PYTHON) -m virtualenv --quiet $(VENV); }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+$(INSTALLED): $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.c_rival import compiled, pointer
 from benchmarks.figure import Figure, stopwatch
-from undrift.calibration.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
-from undrift.correct import correct_checked
+from undrift.correction.correct import correct_checked
+from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
 from undrift.record import Record
 
 N = 1_000_000
@@ -189,7 +189,7 @@ def _tables(record: Record) -> list[Figure]:
 
 
 def _c_tables(library: ctypes.CDLL, record: Record, c: Calibration, w: np.ndarray, a: np.ndarray):
-    from undrift.drift.lookup.cells import line_cells, plane_cells
+    from undrift.correction.plan import line_cells, plane_cells
 
     offsets = np.hstack((c.drift.static.gyro_offset, c.drift.static.accel_offset))
     _, line = line_cells(TEMPS, offsets)

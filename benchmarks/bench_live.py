@@ -9,8 +9,8 @@ import time
 import numpy as np
 
 from benchmarks.figure import Figure
-from undrift.live.address import source_at
 from undrift.live.recorder import Recorder
+from undrift.live.transports import source_at
 
 ROWS, RATE = 1_200_000, 2000
 CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,mag_x,mag_y,mag_z,temp"

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figure import Figure, stopwatch
-from undrift.calibration.fit.multi_position import MultiPositionSettings, fit_multi_position
-from undrift.calibration.fit.still_variance import still_variance
+from undrift.calibration.multi_position import MultiPositionSettings, fit_multi_position, still_variance
 from undrift.record import Record
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()

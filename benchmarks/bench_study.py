@@ -10,9 +10,9 @@ from pathlib import Path
 import psutil
 
 from benchmarks.figure import Figure
-from undrift.study.note import note_study
+from undrift.study.case import run_unit, units_of
+from undrift.study.plan import note_study
 from undrift.study.run import count_runs
-from undrift.study.unit import run_unit, units_of
 
 STUDY = "import sys; from undrift.cli.app import main; main(sys.argv[1:])"
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from testkit.full_calibration import GAP, STEPS, N, device, record, tables
-from undrift.calibration.model import DriftTables, DynamicDrift, ScaleDrift, StaticDrift
-from undrift.calibration.procedure import calibrate
-from undrift.correct import correct, correct_checked
+from undrift.calibration.calibrate import calibrate
+from undrift.correction.correct import correct, correct_checked
 from undrift.errors import InputError
-from undrift.session import Session
+from undrift.model import DriftTables, DynamicDrift, ScaleDrift, StaticDrift
+from undrift.record import Session
 
 REFERENCE_C = 30.0
 LAW = np.array([[120.0, -80.0, 45.0], [0.9, -1.6, 0.4], [0.010, 0.004, -0.012]])  # counts, per degC, per degC^2

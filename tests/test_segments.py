@@ -7,9 +7,8 @@ import pytest
 
 from testkit.data import data_path, show
 from undrift.errors import InputError
-from undrift.record import Record
+from undrift.record import Record, Still
 from undrift.segments import StillSettings, find_still, find_turns, label_faces, sliding_moments, still_means
-from undrift.session import Still
 
 FS = 100.0
 DPS = np.pi / 180.0

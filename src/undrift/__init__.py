@@ -2,65 +2,159 @@
 
 Data flows left to right, one stage a file or folder::
 
-    record -> segments -> calibration -> drift -> correct -> orientation -> validation -> report
+    record -> segments -> calibration -> drift -> correction -> orientation -> validation -> report
 
 Frames: s sensor axes, b device case, m optical body, n level (z up). ``q_nb`` is scalar first and maps b to n. At rest the
 accelerometer axis that points up reads +g. Inside the package values are rad/s, m/s2, s and degC; raw readings keep the
 device's unit, named beside them. Time is axis 0: (N,), (N, 3), (N, 4). NaN means a gap and nothing else.
 
-    corrected = matrix @ (raw - offset)            ``correct.py`` is the only place that says so in code
+    corrected = matrix @ (raw - offset)            ``correction/correct.py`` is the only place that says so in code
 """
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from undrift.calibration.calibrate import calibrate as calibrate
+    from undrift.calibration.calibrate import calibrate_to_references as calibrate_to_references
+    from undrift.calibration.noise import NoiseFit as NoiseFit
+    from undrift.calibration.noise import fit_noise as fit_noise
+    from undrift.calibration.observe import CalibrateSettings as CalibrateSettings
+    from undrift.correction.correct import Corrected as Corrected
+    from undrift.correction.correct import correct as correct
+    from undrift.correction.correct import correct_checked as correct_checked
+    from undrift.correction.stream import Corrector as Corrector
+    from undrift.drift.fit import DriftFit as DriftFit
+    from undrift.drift.fit import DriftSettings as DriftSettings
+    from undrift.drift.fit import fit_drift as fit_drift
+    from undrift.errors import AlignmentError as AlignmentError
+    from undrift.errors import CalibrationError as CalibrationError
+    from undrift.errors import DriftRangeError as DriftRangeError
+    from undrift.errors import FileFormatError as FileFormatError
+    from undrift.errors import Implausible as Implausible
+    from undrift.errors import InputError as InputError
+    from undrift.errors import LimitError as LimitError
+    from undrift.errors import LinkError as LinkError
+    from undrift.errors import NotObservable as NotObservable
+    from undrift.errors import PoorFit as PoorFit
+    from undrift.errors import RigError as RigError
+    from undrift.errors import RigFault as RigFault
+    from undrift.errors import RigTimeout as RigTimeout
+    from undrift.errors import UndriftError as UndriftError
+    from undrift.export.autopilots import export_ardupilot as export_ardupilot
+    from undrift.export.autopilots import export_px4 as export_px4
+    from undrift.export.c import export_c as export_c
+    from undrift.export.programs import export_fusion as export_fusion
+    from undrift.export.programs import export_imucal as export_imucal
+    from undrift.export.programs import export_ros as export_ros
+    from undrift.findings import Finding as Finding
+    from undrift.io.formats import read_record as read_record
+    from undrift.io.formats import write_record as write_record
+    from undrift.io.reference import read_reference as read_reference
+    from undrift.io.session import read_session as read_session
+    from undrift.io.session import write_session as write_session
+    from undrift.io.store import read_calibration as read_calibration
+    from undrift.io.store import write_calibration as write_calibration
+    from undrift.model import Calibration as Calibration
+    from undrift.model import Verdict as Verdict
+    from undrift.orientation import Orientation as Orientation
+    from undrift.orientation import integrate_strapdown as integrate_strapdown
+    from undrift.orientation import orient as orient
+    from undrift.record import Record as Record
+    from undrift.record import Reference as Reference
+    from undrift.record import Session as Session
+    from undrift.record import Still as Still
+    from undrift.record import Turn as Turn
+    from undrift.segments import StillSettings as StillSettings
+    from undrift.segments import find_still as find_still
+    from undrift.segments import find_turns as find_turns
+    from undrift.sim.device.presets import random_device as random_device
+    from undrift.sim.device.simulate import simulate_device as simulate_device
+    from undrift.sim.sessions import simulate_session as simulate_session
+    from undrift.sim.sessions import simulate_trial as simulate_trial
+    from undrift.sim.thermal import simulate_thermal_session as simulate_thermal_session
+    from undrift.twin.fit import Twin as Twin
+    from undrift.twin.fit import fit_twin as fit_twin
+    from undrift.validation.agreement import validate_leave_one_out as validate_leave_one_out
+    from undrift.validation.agreement import validate_trials as validate_trials
+    from undrift.validation.trial import compare_orientations as compare_orientations
+    from undrift.validation.trial import validate_trial as validate_trial
 
 __version__ = "0.1.0"
 
-# In flow order; each name is imported when it is first asked for, so that ``import undrift`` costs nothing.
+# In flow order. Each name is imported when it is first asked for, so that ``import undrift`` costs nothing.
 _HOME = {
-    "Record": "undrift.record",
-    "Reference": "undrift.record",
-    "Session": "undrift.session",
-    "read_record": "undrift.io.recording",
-    "read_reference": "undrift.io.reference",
-    "read_session": "undrift.io.session",
-    "find_still": "undrift.segments",
-    "find_turns": "undrift.segments",
-    "calibrate": "undrift.calibration.procedure",
-    "calibrate_to_references": "undrift.calibration.procedure_reference",
-    "fit_noise": "undrift.calibration.noise",
-    "Calibration": "undrift.calibration.model",
-    "read_calibration": "undrift.calibration.store",
-    "write_calibration": "undrift.calibration.store",
-    "integrate_strapdown": "undrift.orientation.strapdown",
-    "validate_trials": "undrift.validation",
-    "validate_leave_one_out": "undrift.validation",
-    "UndriftError": "undrift.errors",
+    "Record": "record",
+    "Reference": "record",
+    "Session": "record",
+    "Still": "record",
+    "Turn": "record",
+    "read_record": "io.formats",
+    "write_record": "io.formats",
+    "read_reference": "io.reference",
+    "read_session": "io.session",
+    "write_session": "io.session",
+    "find_still": "segments",
+    "find_turns": "segments",
+    "StillSettings": "segments",
+    "calibrate": "calibration.calibrate",
+    "calibrate_to_references": "calibration.calibrate",
+    "CalibrateSettings": "calibration.observe",
+    "Calibration": "model",
+    "Verdict": "model",
+    "Finding": "findings",
+    "read_calibration": "io.store",
+    "write_calibration": "io.store",
+    "fit_noise": "calibration.noise",
+    "NoiseFit": "calibration.noise",
+    "fit_drift": "drift.fit",
+    "DriftSettings": "drift.fit",
+    "DriftFit": "drift.fit",
+    "correct": "correction.correct",
+    "correct_checked": "correction.correct",
+    "Corrected": "correction.correct",
+    "Corrector": "correction.stream",
+    "orient": "orientation",
+    "Orientation": "orientation",
+    "integrate_strapdown": "orientation",
+    "compare_orientations": "validation.trial",
+    "validate_trial": "validation.trial",
+    "validate_trials": "validation.agreement",
+    "validate_leave_one_out": "validation.agreement",
+    "fit_twin": "twin.fit",
+    "Twin": "twin.fit",
+    "random_device": "sim.device.presets",
+    "simulate_device": "sim.device.simulate",
+    "simulate_session": "sim.sessions",
+    "simulate_trial": "sim.sessions",
+    "simulate_thermal_session": "sim.thermal",
+    "export_c": "export.c",
+    "export_px4": "export.autopilots",
+    "export_ardupilot": "export.autopilots",
+    "export_fusion": "export.programs",
+    "export_imucal": "export.programs",
+    "export_ros": "export.programs",
+    "UndriftError": "errors",
+    "InputError": "errors",
+    "FileFormatError": "errors",
+    "CalibrationError": "errors",
+    "NotObservable": "errors",
+    "PoorFit": "errors",
+    "Implausible": "errors",
+    "DriftRangeError": "errors",
+    "AlignmentError": "errors",
+    "RigError": "errors",
 }
-__all__ = [
-    "Calibration",
-    "Record",
-    "Reference",
-    "Session",
-    "UndriftError",
-    "__version__",
-    "calibrate",
-    "calibrate_to_references",
-    "find_still",
-    "find_turns",
-    "fit_noise",
-    "integrate_strapdown",
-    "read_calibration",
-    "read_record",
-    "read_reference",
-    "read_session",
-    "validate_leave_one_out",
-    "validate_trials",
-    "write_calibration",
-]
+__all__ = [*_HOME]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'undrift' has no attribute '{name}'")
+    if name not in _HOME:
+        raise AttributeError(f"module 'undrift' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"undrift.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*_HOME, "__version__"]

@@ -13,27 +13,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 
 def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray:
-    """Copy into a read-only float64 array of a stated shape.
-
-    Parameters
-    ----------
-    x : array_like
-        Anything numpy can read; the caller's array stays untouched.
-    shape : tuple of int or None
-        Wanted shape; None means any length.
-    name : str
-        What to call it in the error.
-
-    Returns
-    -------
-    array
-        C-ordered, float64, not writeable. NaN passes (a gap); infinity does not.
-
-    Raises
-    ------
-    InputError
-        Wrong shape, not numbers, or infinite values.
-    """
+    """Copy into a read-only float64 array of a stated shape."""
     try:
         array = np.array(x, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:

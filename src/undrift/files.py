@@ -1,27 +1,167 @@
 """Files appear whole or not at all: written beside their place, then moved into it."""
 
+import gzip
+import hashlib
 import os
+import re
 import tempfile
+import tomllib
+import zlib
 from pathlib import Path
+from typing import Any, TypeVar
 
-from undrift.errors import InputError
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from undrift.errors import FileFormatError, InputError
+
+# ---- Files as bytes: there or not, gzip or not, and their checksum.
+
+_GZIP = b"\x1f\x8b"
+_BLOCK = 1 << 20
+
+
+def checked_file(path: str | Path) -> Path:
+    """Return the path of a file that exists and is not empty."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: wanted a file, got a directory; name the file in it")
+        if not path.exists():
+            raise InputError(f"{path}: wanted a file, got nothing of that name; check the path")
+        if path.stat().st_size == 0:
+            raise FileFormatError(f"{path}: wanted a recording, got an empty file; record or copy it again")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}; check the path and its rights") from error
+    return path
+
+
+def is_gzip(path: str | Path) -> bool:
+    """Tell whether a file is gzip by its first bytes."""
+    with Path(path).open("rb") as handle:
+        return handle.read(2) == _GZIP
+
+
+def read_bytes(path: str | Path, limit: int = -1) -> bytes:
+    """Return the content of a file, unpacked where it is gzip."""
+    path = checked_file(path)
+    try:
+        if not is_gzip(path):
+            with path.open("rb") as handle:
+                return handle.read(limit)
+        with gzip.open(path, "rb") as packed:
+            content = packed.read(limit)
+    except EOFError as error:
+        raise FileFormatError(f"{path}: wanted a whole gzip file, got one that is cut off; copy it again") from error
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise FileFormatError(
+            f"{path}: wanted a sound gzip file, got a damaged one ({error}); copy it again"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}; check its rights") from error
+    if not content:
+        raise FileFormatError(f"{path}: wanted a recording, got an empty file inside the gzip; record or copy it again")
+    return content
+
+
+def sha256_of(path: str | Path) -> str:
+    """Return the SHA-256 of a file as stored (packed files are not unpacked)."""
+    digest = hashlib.sha256()
+    with checked_file(path).open("rb") as handle:
+        while block := handle.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+# ---- TOML files checked against a model; errors name the line and the entry.
+
+
+class Entry(BaseModel):
+    """A TOML table: unknown keys are an error, and nothing is converted on the quiet."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_toml(path: str | Path, model: type[Model]) -> Model:
+    """Read a TOML file into a model."""
+    path = Path(path)
+    try:
+        text = read_bytes(path).decode("utf-8")
+        held = tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        raise FileFormatError(
+            f"{path}: wanted UTF-8 text, got other bytes at {error.start}; save the file as UTF-8"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise FileFormatError(f"{path}: wanted TOML, got a line that is not: {error}") from error
+    try:
+        return model.model_validate(held)
+    except ValidationError as error:
+        raise FileFormatError(f"{path}: {_explained(error, text)}") from error
+
+
+def line_of(text: str, place: tuple[Any, ...]) -> int:
+    """Return the line of an entry in a TOML text."""
+    lines, start, keys = text.splitlines(), -1, [part for part in place if isinstance(part, str)]
+    if keys:
+        head = rf"^\s*\[+\s*{re.escape(keys[0])}\s*\]+"
+        hits = [number for number, line in enumerate(lines) if re.match(head, line)]
+        wanted = place[1] if len(place) > 1 and isinstance(place[1], int) else 0
+        if wanted < len(hits):
+            start, keys = hits[wanted], keys[1:]
+    for key in reversed(keys):
+        for number in range(start + 1, len(lines)):
+            if lines[number].lstrip().startswith("["):
+                break
+            if re.search(rf'(^|[\s{{,"]){re.escape(key)}"?\s*=', lines[number]):
+                return number + 1
+    return max(start, 0) + 1
+
+
+def entry_name(place: tuple[Any, ...]) -> str:
+    """Return an entry's name as a person says it."""
+    parts: list[str] = []
+    for k, part in enumerate(place):
+        if isinstance(part, int):
+            continue
+        follows = place[k + 1] if k + 1 < len(place) else None
+        number = f" {follows + 1}" if isinstance(follows, int) else ""
+        parts.append(
+            (f"[[{part}]]" if number and k == 0 else f"[{part}]" if k == 0 and len(place) > 1 else part) + number
+        )
+    return ", ".join(parts)
+
+
+def _explained(error: ValidationError, text: str) -> str:
+    """Say the first thing that is wrong: unknown keys first, they explain the rest."""
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    problem = problems[0]
+    place = tuple(part for part in problem["loc"] if not _is_branch(part))
+    what = {
+        "extra_forbidden": "wanted a known key, got this one; check its spelling",
+        "missing": "wanted this key, got none; add it",
+    }.get(problem["type"], f"{_plain(problem['msg'])}, got {problem['input']!r}")
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return f"line {line_of(text, place)}: {entry_name(place)}: {what}{more}"
+
+
+def _is_branch(part: Any) -> bool:
+    """Tell pydantic's names for the branches of a union from keys of the file."""
+    return isinstance(part, str) and (part in ("str", "int", "float", "bool") or "[" in part or part[:1].isupper())
+
+
+def _plain(message: str) -> str:
+    message = message.removeprefix("Value error, ")
+    return message.replace("Input should be ", "wanted ").splitlines()[0]
+
+
+# ---- files
 
 
 def write_whole(path: Path | str, content: bytes | str) -> None:
-    """Write a file whole or not at all; one of that name is replaced.
-
-    Parameters
-    ----------
-    path : Path or str
-        Where to; its folder must exist.
-    content : bytes or str
-        Text is written as UTF-8.
-
-    Raises
-    ------
-    InputError
-        A folder or name that cannot be written to; no file is left behind.
-    """
+    """Write a file whole or not at all; one of that name is replaced."""
     path = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
     try:

@@ -22,15 +22,7 @@ Frame = Literal["s", "b", "t", "m", "n"]
 def rotation(q: FloatArray) -> "Rotation":
     """Return scipy's Rotation of scalar-first quaternions.
 
-    Parameters
-    ----------
-    q : array, shape (N, 4) or (4,)
-        Quaternions w, x, y, z, no gaps.
-
-    Returns
-    -------
-    Rotation
-        The same rotations.
+    Arrays: q (N, 4).
     """
     from scipy.spatial.transform import Rotation
 
@@ -40,15 +32,7 @@ def rotation(q: FloatArray) -> "Rotation":
 def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
     """Return the Hamilton product p q, gaps (NaN) passing through.
 
-    Parameters
-    ----------
-    p, q : array, shape (..., 4)
-        Quaternions w, x, y, z; broadcast against each other.
-
-    Returns
-    -------
-    array, shape (..., 4)
-        p q: first q acts, then p.
+    Arrays: p (..., 4), q (..., 4) -> (..., 4).
     """
     pw, px, py, pz = np.moveaxis(p, -1, 0)
     qw, qx, qy, qz = np.moveaxis(q, -1, 0)
@@ -66,15 +50,7 @@ def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
 def quaternion_conjugate(q: FloatArray) -> FloatArray:
     """Return the inverse of unit quaternions.
 
-    Parameters
-    ----------
-    q : array, shape (..., 4)
-        Unit quaternions w, x, y, z.
-
-    Returns
-    -------
-    array, shape (..., 4)
-        w, -x, -y, -z.
+    Arrays: q (..., 4) -> (..., 4).
     """
     inverse: FloatArray = q * np.array([1.0, -1.0, -1.0, -1.0])
     return inverse
@@ -83,17 +59,7 @@ def quaternion_conjugate(q: FloatArray) -> FloatArray:
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Return vectors turned by unit quaternions, gaps (NaN) passing through.
 
-    Parameters
-    ----------
-    q : array, shape (..., 4)
-        q_nb: from b to n.
-    v : array, shape (..., 3)
-        Vectors in b.
-
-    Returns
-    -------
-    array, shape (..., 3)
-        The same vectors in n.
+    Arrays: q (..., 4), v (..., 3) -> (..., 3).
     """
     t = 2.0 * np.cross(q[..., 1:], v)
     turned: FloatArray = v + q[..., :1] * t + np.cross(q[..., 1:], t)
@@ -103,15 +69,7 @@ def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
 def rotation_vector(q: FloatArray) -> FloatArray:
     """Return the rotation vector of unit quaternions, gaps (NaN) passing through.
 
-    Parameters
-    ----------
-    q : array, shape (..., 4)
-        Unit quaternions w, x, y, z.
-
-    Returns
-    -------
-    array, shape (..., 3)
-        Axis times angle, rad, angle at most pi.
+    Arrays: q (..., 4) -> (..., 3) rad.
     """
     w, v = q[..., :1], q[..., 1:]
     sine = np.linalg.norm(v, axis=-1, keepdims=True)
@@ -124,15 +82,7 @@ def rotation_vector(q: FloatArray) -> FloatArray:
 def quaternion_of(vector: FloatArray) -> FloatArray:
     """Return the unit quaternion of rotation vectors, gaps (NaN) passing through.
 
-    Parameters
-    ----------
-    vector : array, shape (..., 3)
-        Axis times angle, rad.
-
-    Returns
-    -------
-    array, shape (..., 4)
-        w, x, y, z.
+    Arrays: vector (..., 3) rad -> (..., 4).
     """
     half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.concatenate((np.cos(half), 0.5 * np.sinc(half / np.pi) * vector), axis=-1)

@@ -10,6 +10,39 @@ from typing import Literal
 
 from undrift.errors import InputError
 
+# ---- The Earth as an inertial sensor feels it: local gravity and the rotation rate.
+
+EARTH_RATE = 7.292115e-5  # rad/s, WGS 84
+_LOWEST, _HIGHEST = -5000.0, 100e3  # m: the deepest mine; where aircraft and the series in height end
+
+
+def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
+    """Return local gravity on and near the ellipsoid.
+
+    Somigliana's formula with the free-air correction to second order in height, WGS 84 [1]_::
+
+        g0 = 9.7803253359 (1 + 0.00193185265241 s) / sqrt(1 - 0.00669437999014 s),   s = sin^2(latitude)
+        g  = g0 (1 - 2/a (1 + f + m - 2 f s) h + 3 h^2 / a^2)
+
+    References
+    ----------
+    .. [1] NIMA TR8350.2, "World Geodetic System 1984", 3rd ed., 2000, eqs. 4-1 and 4-3.
+    """
+    if not -90.0 <= latitude_deg <= 90.0:
+        raise InputError(f"latitude_deg: wanted -90 to 90 deg, got {latitude_deg:g}; south is negative")
+    if not _LOWEST <= height_m <= _HIGHEST:
+        raise InputError(
+            f"height_m: wanted {_LOWEST:.0f} to {_HIGHEST:.0f} m above the ellipsoid, got {height_m:g}; give it in metres"
+        )
+    a, f, m = 6378137.0, 1.0 / 298.257223563, 0.00344978650684
+    s = math.sin(math.radians(latitude_deg)) ** 2
+    g0 = 9.7803253359 * (1.0 + 0.00193185265241 * s) / math.sqrt(1.0 - 0.00669437999014 * s)
+    h = height_m
+    return g0 * (1.0 - 2.0 / a * (1.0 + f + m - 2.0 * f * s) * h + 3.0 * h * h / (a * a))
+
+
+# ---- units
+
 Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
 
 STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
@@ -46,25 +79,7 @@ SI_UNIT: dict[Quantity, str] = {
 
 
 def canonical_unit(unit: str, quantity: Quantity) -> str:
-    """Return the one spelling of a unit.
-
-    Parameters
-    ----------
-    unit : str
-        Unit as a file or a person wrote it: "deg/s", "m/s^2", "counts", ...
-    quantity : str
-        What is measured: rate, accel, temp, time, mag or length.
-
-    Returns
-    -------
-    str
-        "rad/s", "dps", "m/s2", "g", "mg", "count", "v", "degc", ...
-
-    Raises
-    ------
-    InputError
-        The unit is not one of that quantity.
-    """
+    """Return the one spelling of a unit."""
     name = unit.strip().lower()
     name = _SPELLINGS.get(name, name)
     if name in _TO_SI[quantity] or (name in DEVICE_UNITS and quantity in ("rate", "accel", "temp", "mag")):
@@ -74,25 +89,7 @@ def canonical_unit(unit: str, quantity: Quantity) -> str:
 
 
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Return the factor that turns a value in ``unit`` into SI (degC for temp, uT for mag).
-
-    Parameters
-    ----------
-    unit : str
-        Unit name, any known spelling.
-    quantity : str
-        What is measured.
-
-    Returns
-    -------
-    float
-        SI value = factor * value; for a temperature plus :func:`temp_offset`.
-
-    Raises
-    ------
-    InputError
-        Counts and volts have no SI value without a calibration.
-    """
+    """Return the factor that turns a value in ``unit`` into SI (degC for temp, uT for mag)."""
     name = canonical_unit(unit, quantity)
     if name in DEVICE_UNITS:
         raise InputError(
@@ -102,38 +99,11 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 
 
 def temp_offset(unit: str) -> float:
-    """Return what is added to a temperature in ``unit`` once its factor is applied.
-
-    Parameters
-    ----------
-    unit : str
-        Unit name, any known spelling.
-
-    Returns
-    -------
-    float
-        degC: temperature = si_factor * value + temp_offset.
-
-    Raises
-    ------
-    InputError
-        Counts and volts have no temperature without a scale.
-    """
+    """Return what is added to a temperature in ``unit`` once its factor is applied."""
     si_factor(unit, "temp")
     return _TEMP_OFFSET[canonical_unit(unit, "temp")]
 
 
 def is_physical(unit: str) -> bool:
-    """Tell whether a unit has an SI value by itself (counts and volts do not).
-
-    Parameters
-    ----------
-    unit : str
-        Canonical unit name.
-
-    Returns
-    -------
-    bool
-        False for "count" and "v".
-    """
+    """Tell whether a unit has an SI value by itself (counts and volts do not)."""
     return unit not in DEVICE_UNITS

@@ -3,11 +3,10 @@
 import numpy as np
 
 from testkit.data import data_path, show
-from undrift.calibration.observed import CalibrateSettings, observe
-from undrift.calibration.procedure import calibrate
-from undrift.record import Record
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.record import Record, Session
 from undrift.segments import still_means
-from undrift.session import Session
 from undrift.units import STANDARD_GRAVITY
 
 NAMES = (

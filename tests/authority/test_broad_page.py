@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.io.recording import read_record
+from undrift.io.formats import read_record
 from undrift.io.reference import read_reference
 from undrift.report.validation import trial_figure
-from undrift.validation import TrialSettings, validate_trial
+from undrift.validation.trial import TrialSettings, validate_trial
 
 
 @pytest.mark.parametrize("name", ["02_undisturbed_slow_rotation_B", "05_undisturbed_slow_rotation_with_breaks_B"])

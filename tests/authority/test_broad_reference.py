@@ -8,8 +8,9 @@ import pytest
 
 from testkit.broad_trials import DEVICES, trial
 from testkit.data import show
-from undrift.calibration.fit.reference import ReferenceSettings
-from undrift.validation import TrialSettings, validate_leave_one_out, validate_trials
+from undrift.calibration.reference import ReferenceSettings
+from undrift.validation.agreement import validate_leave_one_out, validate_trials
+from undrift.validation.trial import TrialSettings
 
 #         matrix and in-motion offset, codes as they are | codes given back
 LIMITS = {"B": (2.4, 1.4), "C": (1.3, 1.3), "D": (1.2, 1.2)}

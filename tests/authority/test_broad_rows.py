@@ -8,7 +8,7 @@ import pytest
 
 from testkit.broad_trials import FILES, trial
 from testkit.data import show
-from undrift.validation import TrialSettings, validate_trial
+from undrift.validation.trial import TrialSettings, validate_trial
 
 # (a) end total, inclination | (b) end total, inclination | (b) rms total, inclination | (c) end total, inclination
 ROWS = {

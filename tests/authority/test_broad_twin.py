@@ -15,9 +15,8 @@ import pytest
 
 from testkit.broad_trials import DEVICES, trial
 from testkit.data import show
-from undrift.twin import Prepared, Twin, TwinSettings, compare_held_out, fit_prepared, prepare_twin
-from undrift.twin.contributions import contributions
-from undrift.twin.endings import end_errors
+from undrift.twin.fit import Prepared, Twin, TwinSettings, fit_prepared, prepare_twin
+from undrift.twin.heldout import compare_held_out, contributions, end_errors
 
 SETTINGS = TwinSettings(gravity_m_s2=9.813)  # Berlin
 

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.fit.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
-from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, fit_six_face
-from undrift.calibration.plausibility import face_vectors
+from undrift.calibration.checks import face_vectors
+from undrift.calibration.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
+from undrift.calibration.six_face import FaceMeans, SixFaceSettings, fit_six_face
 from undrift.errors import Implausible
-from undrift.record import Record
-from undrift.session import Still, Turn
+from undrift.record import Record, Still, Turn
 
 G = 9.81
 TOLERANCE = 1e-9  # relative to the largest element; numbers that are printed to ten digits carry 5e-11 of rounding

@@ -1,4 +1,4 @@
-"""Exported C against correct.py on real recordings, and on the simulated device of the note with its true tables."""
+"""Exported C against correction/correct.py on real recordings, and on the simulated device of the note with its true tables."""
 
 from dataclasses import replace
 
@@ -9,14 +9,14 @@ from testkit.broad_trials import trial
 from testkit.c_build import build, run_with_lag
 from testkit.data import data_path, show
 from testkit.full_calibration import device
-from undrift.calibration.model import AdcModel, DriftTables, StaticDrift
-from undrift.correct import correct_checked
+from undrift.correction.correct import correct_checked
 from undrift.export.c import export_c
 from undrift.io.columns import ColumnMap, Scale
-from undrift.io.csv import read_csv
+from undrift.io.record import read_csv
+from undrift.model import AdcModel, DriftTables, StaticDrift
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
-from undrift.sim.session import simulate_trial
+from undrift.sim.sessions import simulate_trial
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 LSB = 2000.0 / 32768.0 * RADIAN_PER_DEGREE  # of the BROAD gyroscopes, which cut codes off

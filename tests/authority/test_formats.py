@@ -8,21 +8,15 @@ import pytest
 
 from testkit.data import DATA, data_path, show
 from undrift.errors import FileFormatError, InputError
-from undrift.io.actigraph import read_actigraph
-from undrift.io.apdm import apdm_sensors, read_apdm
 from undrift.io.arrays import read_npz
-from undrift.io.broad import read_broad
-from undrift.io.c3d import read_c3d, read_c3d_analog
 from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.csv import build_csv, read_csv
-from undrift.io.describe import describe
-from undrift.io.markers import fit_cluster
-from undrift.io.recording import ReadSettings, read_record
+from undrift.io.formats import ReadSettings, read_record
+from undrift.io.inspect import describe, find_symptoms
+from undrift.io.mocap import fit_cluster, read_broad, read_c3d, read_c3d_analog, read_trc
+from undrift.io.record import build_csv, read_csv
 from undrift.io.reference import ReferenceMap, read_reference
 from undrift.io.session import read_session
-from undrift.io.symptoms import find_symptoms
-from undrift.io.trc import read_trc
-from undrift.io.xio import read_ngimu, read_ximu, read_ximu3
+from undrift.io.wearables import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
 
 FACES = {"gyro": ("gyr_x", "gyr_y", "gyr_z"), "accel": ("acc_x", "acc_y", "acc_z")}
 BLANKS = TextLayout(delimiter=" ", header=False)

@@ -5,10 +5,9 @@ import pytest
 
 from testkit.data import data_path, show
 from undrift.frames import quaternion_conjugate, quaternion_product
-from undrift.io.broad import read_broad
-from undrift.orientation.angles import inclination_of
-from undrift.orientation.tilt import initial_tilt
-from undrift.session import Still
+from undrift.io.mocap import read_broad
+from undrift.orientation import inclination_of, initial_tilt
+from undrift.record import Still
 
 TRIALS = {
     "02_undisturbed_slow_rotation_B": 0.21,

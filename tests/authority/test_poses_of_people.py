@@ -10,10 +10,8 @@ import pytest
 
 from testkit.data import data_path, show
 from undrift.frames import rotate
-from undrift.io.bodies import Body, device_on, find_body
-from undrift.io.c3d import read_c3d
-from undrift.io.markers import Markers
-from undrift.io.trc import read_trc
+from undrift.io.mocap import Markers, read_c3d, read_trc
+from undrift.io.reference import Body, device_on, find_body
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.poses import PoseSettings, motion_from_poses

@@ -14,9 +14,7 @@ import pytest
 
 from testkit.broad_trials import FILES, trial
 from testkit.data import show
-from undrift.sim.motion.cutoff import RealRate, choose_cutoff
-from undrift.sim.motion.lowpass import ORDER, zero_phase
-from undrift.sim.motion.poses import PoseSettings, fit_pose_spline
+from undrift.sim.motion.poses import ORDER, PoseSettings, RealRate, choose_cutoff, fit_pose_spline, zero_phase
 from undrift.sync import find_lag, native_poses
 
 BERLIN = 9.813

@@ -18,9 +18,8 @@ import pytest
 
 from testkit.data import data_path, show
 from undrift.frames import rotate
-from undrift.sim.motion.library import draw_task
-from undrift.sim.motion.subject import Subject
-from undrift.sim.streams import draw_streams
+from undrift.sim.device.simulate import draw_streams
+from undrift.sim.motion.tasks import Subject, draw_task
 
 MASS, HEIGHT, AGE = 65.35, 1.75, 70.83
 STATED_CF = (54.0, 27.0, 12.2, 9.1, 51.2)  # acceleration AP, ML mm/s2; centre of pressure AP, ML mm; its speed mm/s

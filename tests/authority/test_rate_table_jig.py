@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.fit.dwells import dwell_means
-from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_axis, fit_rate_table
+from undrift.calibration.rate_table import RateTableSettings, dwell_means, fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable
-from undrift.record import Record
-from undrift.segments.still import runs
-from undrift.session import Turn
-from undrift.sync.lag import find_axis_lag
+from undrift.record import Record, Turn
+from undrift.segments import runs
+from undrift.sync import find_axis_lag
 
 RUNS = ("giro_test_filt", "giro_test_non_filt")
 # The stepper swings for about a second after each ramp: that second is left out for the BNO. On the LSM vibration of 10-50 deg/s

@@ -11,13 +11,21 @@ import pytest
 
 from testkit.broad_trials import DEVICES, FILES, trial
 from testkit.data import data_path, show
-from undrift.io.bodies import device_on, find_body
-from undrift.io.c3d import read_c3d
-from undrift.io.trc import read_trc
-from undrift.study.real import DeviceTrials, real_errors
-from undrift.study.real_motion import BesideRow, Capture, Captured, motion_rows
-from undrift.study.real_sway import Condition, Stance, read_stance, sway_rows
-from undrift.study.real_worn import worn_in
+from undrift.io.mocap import read_c3d, read_trc
+from undrift.io.reference import device_on, find_body
+from undrift.study.real import (
+    BesideRow,
+    Capture,
+    Captured,
+    Condition,
+    DeviceTrials,
+    Stance,
+    motion_rows,
+    read_stance,
+    real_errors,
+    sway_rows,
+    worn_in,
+)
 
 TRIALS: tuple[tuple[str, Captured, tuple[str, str]], ...] = (
     ("STS1", "sit_to_stand", ("mocap_sit_to_stand", "STS1.trc.gz")),

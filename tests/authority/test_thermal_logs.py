@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.drift.fit.static import StaticSettings, fit_static
-from undrift.drift.observe.gather import observe_rests
-from undrift.record import Record
-from undrift.session import Session, Still
+from undrift.drift.observe import observe_rests
+from undrift.drift.static import StaticSettings, fit_static
+from undrift.record import Record, Session, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 G_UNIT = StaticSettings(accel_unit="g")

@@ -11,13 +11,16 @@ from functools import cache
 import numpy as np
 
 from testkit.data import data_path, show
-from undrift.calibration.fit.multi_position import MultiPositionFit, MultiPositionSettings, fit_multi_position
-from undrift.calibration.fit.multi_position_accel import fit_poses
-from undrift.calibration.fit.still_variance import still_variance
-from undrift.calibration.model import TriadModel
-from undrift.calibration.procedure import calibrate
-from undrift.record import Record
-from undrift.session import Session
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.multi_position import (
+    MultiPositionFit,
+    MultiPositionSettings,
+    fit_multi_position,
+    fit_poses,
+    still_variance,
+)
+from undrift.model import TriadModel
+from undrift.record import Record, Session
 
 GRAVITY = 9.81744  # m/s2, as the demonstration states it
 FACTORY_ACCEL, FACTORY_GYRO = np.array([415.0, 413.0, 415.0]), np.array([4778.0, 4758.0, 4766.0])

@@ -5,12 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from undrift.calibration.axis_order import (
-    cause_by_gravity,
-    cause_by_turns,
-    check_axis_order,
-    nearest_signed_permutation,
-)
+from undrift.calibration.checks import cause_by_gravity, cause_by_turns, check_axis_order, nearest_signed_permutation
 from undrift.errors import Implausible
 
 SKEW = np.array([[1.0, 0.1, -0.05], [0.02, 0.9, 0.12], [-0.08, 0.03, 1.1]])

@@ -5,12 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.calibration.fit.result import TriadFit
-from undrift.calibration.limits import CASE, FACES, G_SENSITIVITY, NO_ACCEL, OTHER_RATES, limits_of
-from undrift.calibration.model import Verdict
-from undrift.calibration.outcome import Outcome
-from undrift.calibration.procedure import calibrate
-from undrift.sim import random_device, simulate_session
+from undrift.calibration.calibrate import (
+    CASE,
+    FACES,
+    G_SENSITIVITY,
+    NO_ACCEL,
+    OTHER_RATES,
+    Outcome,
+    calibrate,
+    limits_of,
+)
+from undrift.fit.least_squares import TriadFit
+from undrift.model import Verdict
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 DEVICE = random_device(np.random.default_rng(21))
 KINDS = (CASE, FACES, G_SENSITIVITY, OTHER_RATES, NO_ACCEL)
@@ -51,7 +59,7 @@ def test_a_rate_table_without_an_accelerometer_asks_for_one_once():
     )  # the fit saw its effect, and says so
     fit = found.gyro
     triad = TriadFit(
-        model=fit, residuals=np.zeros(3), verdict=Verdict(reasons=("which tells the g-sensitivity apart",))
+        model=fit, residuals=np.zeros(3), verdict=Verdict(remarks=("which tells the g-sensitivity apart",))
     )
     gyro = Outcome(fit=triad, method="rate-table")
     assert limits_of(Outcome(), gyro, 25.0, thermal=True).reasons == ()

@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from undrift.calibration.one_temperature import at_one_temperature
-from undrift.calibration.procedure import calibrate
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import at_one_temperature
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.session import simulate_session
-from undrift.sim.thermal.session import simulate_thermal_session
-from undrift.sim.thermal.settings import ThermalSettings
+from undrift.sim.sessions import simulate_session
+from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
 
 def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temperature() -> None:

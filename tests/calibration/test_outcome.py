@@ -1,6 +1,6 @@
 """Outcome: sentences are said once."""
 
-from undrift.calibration.outcome import said_once
+from undrift.calibration.calibrate import said_once
 
 LONG = "multi-position: wanted poses that change the length by 0.02 g or more, got less; add poses"
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.plausibility import (
+from undrift.calibration.checks import (
     axis_vectors,
     check_faces,
     check_gravity,
@@ -18,7 +18,7 @@ from undrift.calibration.plausibility import (
     missing_faces,
 )
 from undrift.errors import Implausible, NotObservable
-from undrift.session import FACES
+from undrift.record import FACES
 from undrift.units import STANDARD_GRAVITY
 
 FORWARD = np.array([[1.02, 0.01, -0.008], [0.004, 0.97, 0.012], [-0.006, 0.009, 1.01]])

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.calibration.observed import CalibrateSettings, observe
-from undrift.calibration.procedure import calibrate
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.errors import Implausible, InputError, NotObservable
-from undrift.record import Record
-from undrift.session import Session, Still, Turn
-from undrift.sim import random_device, simulate_session
+from undrift.record import Record, Session, Still, Turn
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 RNG = np.random.default_rng(21)
 DEVICE = random_device(RNG, grade="consumer")

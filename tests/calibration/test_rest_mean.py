@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.calibration.rest_mean import mean_of_rests
+from undrift.calibration.observe import mean_of_rests
 
 
 def covered(rng, count, between, *, correlated=0.0, length=2000, trials=300):

@@ -7,12 +7,10 @@ import pytest
 
 from testkit.data import data_path
 from testkit.strategies import one_line
-from undrift.calibration.observed import CalibrateSettings, observe
-from undrift.calibration.procedure import calibrate
-from undrift.calibration.stillness import check_stills
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings, check_stills, observe
 from undrift.errors import Implausible, InputError
-from undrift.record import Record
-from undrift.session import FACES, Session, Still, Turn
+from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
 RATE = 100.0

@@ -11,23 +11,19 @@ from characterisation.calls_fits import written
 from characterisation.recordings import bicycle as bicycle_session
 from characterisation.shared import Result, call, folder, text_file, undrift
 from testkit.data import data_path
-from undrift.calibration.store import calibration_json, write_calibration
-from undrift.drift.observe.gather import observe_rests
-from undrift.drift.procedure import fit_drift
-from undrift.drift.temperature.lag import default_smooth_s, without_lag, without_lag_smooth
-from undrift.drift.temperature.lag_fit import estimate_lag
-from undrift.drift.temperature.trusted import trusted_temperature
+from undrift.drift.fit import fit_drift
+from undrift.drift.observe import observe_rests
+from undrift.drift.temperature import trusted_temperature
+from undrift.drift.thermometer_lag import default_smooth_s, estimate_lag, without_lag, without_lag_smooth
 from undrift.io.session import read_session
-from undrift.record import Record
-from undrift.session import Session, Still
+from undrift.io.store import calibration_json, write_calibration
+from undrift.record import Record, Session, Still
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.motion import Motion
-from undrift.sim.thermal.chamber import ChamberSettings, RampSettings, WarmUpSettings
-from undrift.sim.thermal.session import simulate_thermal_session
-from undrift.sim.thermal.settings import ThermalSettings
+from undrift.sim.thermal import ChamberSettings, RampSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
 from undrift.units import STANDARD_GRAVITY
 
 WARM_UP_MAP = f"""columns = {{ time = "Time", gyro = ["Gx", "Gy", "Gz"], accel = ["Ax", "Ay", "Az"], temp = "dTemp" }}

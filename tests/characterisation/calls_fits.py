@@ -21,21 +21,20 @@ from characterisation.recordings import xsens as xsens_record
 from characterisation.shared import Result, call, new, text_file, undrift
 from testkit.data import data_path
 from undrift.calibration.adc import identify_adc, identify_record_adc, without_truncation
-from undrift.calibration.allan import allan_deviation
-from undrift.calibration.fit.dwells import dwell_means
-from undrift.calibration.fit.multi_position import MultiPositionSettings, fit_multi_position
-from undrift.calibration.fit.rate_table import RateTableSettings, fit_rate_axis, fit_rate_table
-from undrift.calibration.fit.reference import fit_reference
-from undrift.calibration.fit.result import TriadFit
-from undrift.calibration.fit.six_face import FaceMeans, SixFaceSettings, fit_six_face
-from undrift.calibration.plausibility import face_vectors
-from undrift.calibration.procedure_reference import calibrate_to_references
-from undrift.calibration.store import calibration_json
+from undrift.calibration.calibrate import calibrate_to_references
+from undrift.calibration.checks import face_vectors
+from undrift.calibration.multi_position import MultiPositionSettings, fit_multi_position
+from undrift.calibration.noise import allan_deviation
+from undrift.calibration.rate_table import RateTableSettings, dwell_means, fit_rate_axis, fit_rate_table
+from undrift.calibration.reference import fit_reference
+from undrift.calibration.six_face import FaceMeans, SixFaceSettings, fit_six_face
+from undrift.fit.least_squares import TriadFit
 from undrift.io.session import read_session, write_session
-from undrift.session import FACES, Session
-from undrift.sim.device.random import random_device
+from undrift.io.store import calibration_json
+from undrift.record import FACES, Session
+from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.session import simulate_session
+from undrift.sim.sessions import simulate_session
 
 MODES = ("paper", "affine", "levelled")
 TURNS = (0.5, 1.0, 1.5)

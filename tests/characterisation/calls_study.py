@@ -7,24 +7,33 @@ from pathlib import Path
 import numpy as np
 
 from characterisation.shared import Result, call, folder, text_file, undrift
-from undrift.protocol import Protocol
-from undrift.rig.achieved import achieved_turn_rate
-from undrift.rig.counts import ACCELERATION, JOG, JOG_BY_TWO, SLEW, CountScale
-from undrift.rig.programme import Dwell, Mount, ProgrammeSettings, Soak, programme_of
-from undrift.rig.rig import Position
-from undrift.rig.settle import dwell_time, settle_time, whole_turns_time
-from undrift.sim.rig.servo import ServoSettings, loop_margins, ramp_error_counts
-from undrift.study.anova import compare_conditions
-from undrift.study.design import optimal_rates, prediction_sd
-from undrift.study.executor import InProcess
+from undrift.rig.programme import (
+    Dwell,
+    Mount,
+    ProgrammeSettings,
+    Soak,
+    dwell_time,
+    programme_of,
+    settle_time,
+    whole_turns_time,
+)
+from undrift.rig.protocol import Protocol
+from undrift.rig.rig import ACCELERATION, JOG, JOG_BY_TWO, SLEW, CountScale, Position, achieved_turn_rate
+from undrift.sim.rig.axes import ServoSettings, loop_margins, ramp_error_counts
 from undrift.study.figure3 import figure3
-from undrift.study.halving import halve
-from undrift.study.mixed import compare_unbalanced
 from undrift.study.plan import Space, Study, StudyTask
-from undrift.study.posthoc import adjust_holm, compare_pairs
-from undrift.study.power import power_of_anova, stopping_of, subjects_needed
-from undrift.study.rivals import rate_table_minutes
-from undrift.study.sphericity import contrasts
+from undrift.study.rivals import optimal_rates, prediction_sd, rate_table_minutes
+from undrift.study.run import InProcess, halve
+from undrift.study.statistics import (
+    adjust_holm,
+    compare_conditions,
+    compare_pairs,
+    compare_unbalanced,
+    contrasts,
+    power_of_anova,
+    stopping_of,
+    subjects_needed,
+)
 
 DPS = np.pi / 180.0
 PLAN = """

@@ -26,27 +26,22 @@ from characterisation.shared import (
 )
 from testkit.data import DATA, data_path
 from testkit.full_calibration import WILD, device, record, tables
-from undrift.calibration.model import AdcModel
-from undrift.calibration.store import read_calibration, write_calibration
-from undrift.correct import correct_checked
-from undrift.io.bodies import device_on, find_body
-from undrift.io.recording import read_record, write_record
-from undrift.io.reference import read_reference, write_reference
-from undrift.io.trc import read_trc
-from undrift.orientation.orient import orient
-from undrift.segments.faces import label_faces, still_means
-from undrift.segments.still import find_still
-from undrift.segments.turns import find_turns
-from undrift.session import FACES
+from undrift.correction.correct import correct_checked
+from undrift.correction.stream import Corrector
+from undrift.io.formats import read_record, write_record
+from undrift.io.mocap import read_trc
+from undrift.io.reference import device_on, find_body, read_reference, write_reference
+from undrift.io.store import read_calibration, write_calibration
+from undrift.model import AdcModel
+from undrift.orientation import orient
+from undrift.record import FACES
+from undrift.segments import find_still, find_turns, label_faces, still_means
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import PoseSettings, motion_from_poses
-from undrift.sim.session import demo_session, simulate_trial
-from undrift.stream import Corrector
-from undrift.study.bench_demo import worn_trial
-from undrift.study.bench_run import bench_device
-from undrift.validation.errors import compare_orientations
-from undrift.validation.trial import TrialSettings, validate_trial
+from undrift.sim.sessions import demo_session, simulate_trial
+from undrift.study.virtual_bench import bench_device, worn_trial
+from undrift.validation.trial import TrialSettings, compare_orientations, validate_trial
 
 TABLES = {"step_and_gap": tables(), "searched": tables(static=WILD, scale=WILD), "dynamic_alone": tables(static=None)}
 ADC = AdcModel(gyro_lsb=[1.0] * 3, gyro_rounding="toward_zero", accel_lsb=[1.0] * 3, accel_rounding="floor")

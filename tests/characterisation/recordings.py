@@ -7,12 +7,11 @@ from functools import cache
 import numpy as np
 
 from testkit.data import data_path
-from undrift.calibration.fit.dwells import dwell_means
-from undrift.io.broad import read_broad
-from undrift.record import Record, Reference
-from undrift.segments.still import runs
-from undrift.session import Session, Still, Turn
-from undrift.sync.lag import find_axis_lag
+from undrift.calibration.rate_table import dwell_means
+from undrift.io.mocap import read_broad
+from undrift.record import Record, Reference, Session, Still, Turn
+from undrift.segments import runs
+from undrift.sync import find_axis_lag
 from undrift.units import STANDARD_GRAVITY
 
 BICYCLE = (

@@ -117,7 +117,7 @@ def test_a_table_is_whole_in_a_narrow_terminal_and_in_a_pipe():
 
     from rich.console import Console
 
-    from undrift.cli.output import table
+    from undrift.cli.common import table
 
     made = table("title", "recording", "inclination (deg)", "pitch (deg)", "end total (deg)", "lag (ms)")
     made.add_row("05_undisturbed_slow_rotation_with_breaks_B", "1.11", "0.71", "1.46", "4.17")
@@ -133,7 +133,7 @@ def test_a_table_is_whole_in_a_narrow_terminal_and_in_a_pipe():
 def test_json_knows_what_results_are_made_of():
     import numpy as np
 
-    from undrift.cli.output import plain
+    from undrift.cli.common import plain
 
     held = {
         "a": np.array([1.0, np.nan]),

@@ -5,7 +5,7 @@ import gzip
 import pytest
 
 from testkit.command_line import at_rest, contents, lines_of, write_lines
-from undrift.io.recording import read_record, write_record
+from undrift.io.formats import read_record, write_record
 
 COMMANDS = ("info", "calibrate", "correct", "orient", "validate", "noise")
 

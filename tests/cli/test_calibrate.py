@@ -7,7 +7,7 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
-from undrift.calibration.store import read_calibration
+from undrift.io.store import read_calibration
 
 KEYS = {
     "kind",
@@ -146,11 +146,11 @@ def test_a_way_that_the_session_does_not_allow_is_refused_in_one_line(undrift, b
 def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, monkeypatch):
     from dataclasses import replace
 
-    from undrift.calibration import procedure
-    from undrift.calibration.model import Verdict
+    from undrift.calibration import calibrate as procedure
+    from undrift.model import Verdict
 
     good = procedure.calibrate
-    bad = Verdict(status="bad", reasons=("the table slipped",))
+    bad = Verdict(status="bad", remarks=("the table slipped",))
     monkeypatch.setattr(procedure, "calibrate", lambda *a, **k: replace(good(*a, **k), verdict=bad))
     answer = undrift("calibrate", bench / "session", "-o", tmp_path / "c.json")
     assert (answer.code, answer.err) == (1, "")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from testkit.command_line import contents
-from undrift.calibration.model import DriftTables, StaticDrift, WarmUp
-from undrift.calibration.store import read_calibration, write_calibration
-from undrift.correct import correct
-from undrift.io.recording import read_record, write_record
+from undrift.correction.correct import correct
+from undrift.io.formats import read_record, write_record
+from undrift.io.store import read_calibration, write_calibration
+from undrift.model import DriftTables, StaticDrift, WarmUp
 
 
 @pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz"])

@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 
 from testkit.command_line import contents
-from undrift.calibration import store as store_module
-from undrift.calibration.store import read_calibration
 from undrift.cli import study as study_module
 from undrift.errors import RigTimeout
-from undrift.io.protocol import read_protocol
+from undrift.io import store as store_module
 from undrift.io.session import read_session
+from undrift.io.store import read_calibration
 from undrift.report import demo as demo_module
-from undrift.study import bench_checks as bench_checks_module
-from undrift.study import bench_demo as bench_demo_module
-from undrift.study import bench_run as bench_run_module
-from undrift.study.bench_checks import Check
-from undrift.study.bench_run import bench_device, bench_plan, record_on_bench
+from undrift.rig.protocol import read_protocol
+from undrift.study import virtual_bench as bench_checks_module
+from undrift.study import virtual_bench as bench_demo_module
+from undrift.study import virtual_bench as bench_run_module
+from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
 CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
 FILES = {"trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html", "summary.json"}

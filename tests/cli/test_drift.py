@@ -10,16 +10,14 @@ import pytest
 
 from testkit.command_line import contents, lines_of, write_lines
 from testkit.data import data_path, show
-from undrift.calibration.store import read_calibration, write_calibration
-from undrift.io.recording import write_record
+from undrift.io.formats import write_record
 from undrift.io.session import write_session
+from undrift.io.store import read_calibration, write_calibration
 from undrift.record import Record
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.thermal.chamber import ChamberSettings, WarmUpSettings
-from undrift.sim.thermal.session import simulate_thermal_session
-from undrift.sim.thermal.settings import ThermalSettings
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
 
 DEVICE = preset("enc03j_3031")
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=300.0)

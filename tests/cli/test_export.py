@@ -8,7 +8,7 @@ import pytest
 
 from testkit.c_build import STRICT
 from testkit.command_line import contents
-from undrift.calibration.store import read_calibration
+from undrift.io.store import read_calibration
 
 NOMINAL = ["--gyro-dps-per-unit", "0.06", "--accel-g-per-unit", "0.0005"]
 TARGETS = {"c": "a.h", "px4": "a.params", "ardupilot": "a.param", "fusion": "a.h", "imucal": "a.json", "ros": "a.yaml"}

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.command_line import beyond_the_table, contents
 from testkit.data import DATA, data_path
-from undrift.io.recording import write_record
+from undrift.io.formats import write_record
 from undrift.record import Record
 
 KEYS = {

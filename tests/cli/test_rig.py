@@ -8,9 +8,9 @@ import sys
 import numpy as np
 import pytest
 
-from undrift.calibration.store import read_calibration
 from undrift.cli.app import run
-from undrift.sim.device.store import read_device
+from undrift.io.store import read_calibration
+from undrift.sim.device.model import read_device
 from undrift.sim.device.truth import true_calibration
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"

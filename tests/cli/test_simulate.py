@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from undrift.cli.app import run
-from undrift.io.recording import read_record
+from undrift.io.formats import read_record
 from undrift.io.reference import read_reference, write_reference
 from undrift.io.session import read_session
-from undrift.sim import draw_task, see
+from undrift.sim.device.model import read_device, write_device
 from undrift.sim.device.presets import preset
-from undrift.sim.device.store import read_device, write_device
+from undrift.sim.motion.poses import see
+from undrift.sim.motion.tasks import draw_task
 
 
 def test_a_task_and_a_preset_make_a_recording_with_its_truth(

@@ -11,7 +11,7 @@ import pytest
 from testkit.command_line import contents
 from testkit.data import data_path
 from undrift.study import outcome as outcome_module
-from undrift.study.rival_rows import compare_rivals
+from undrift.study.rivals import compare_rivals
 
 TEXT = """
 [study]

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.data import data_path
 from undrift.cli.app import run
-from undrift.sim.device.store import read_device
+from undrift.sim.device.model import read_device
 
 KEYS = {"name", "value", "standard_error", "unit", "identifiable"}
 

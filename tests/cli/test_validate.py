@@ -9,11 +9,13 @@ import pytest
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
 from testkit.trc_text import trc
-from undrift.calibration.store import read_calibration
-from undrift.correct import correct
-from undrift.io.recording import write_record
+from undrift.correction.correct import correct
+from undrift.io.formats import write_record
 from undrift.io.reference import read_reference, write_reference
-from undrift.sim import random_device, simulate_trial, true_calibration
+from undrift.io.store import read_calibration
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.sessions import simulate_trial
 
 B = [
     "02_undisturbed_slow_rotation_B.hdf5", "05_undisturbed_slow_rotation_with_breaks_B.hdf5", "07_undisturbed_fast_rotation_B.hdf5",

@@ -6,19 +6,16 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.correct import correct, correct_checked
-from undrift.drift import procedure as procedure_module
-from undrift.drift.fit.curve import CurveSettings
-from undrift.drift.fit.static import StaticSettings
-from undrift.drift.procedure import DriftSettings, fit_drift
-from undrift.drift.verdict import static_verdict
+from undrift.correction.correct import correct, correct_checked
+from undrift.drift import fit as procedure_module
+from undrift.drift.checks import static_verdict
+from undrift.drift.fit import DriftSettings, fit_drift
+from undrift.drift.static import CurveSettings, StaticSettings
 from undrift.errors import InputError, NotObservable
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.thermal.chamber import ChamberSettings, WarmUpSettings
-from undrift.sim.thermal.session import simulate_thermal_session
-from undrift.sim.thermal.settings import ThermalSettings
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
 
 RATES = tuple(np.radians((30.0, 60.0, 90.0)))
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=300.0)

@@ -8,12 +8,18 @@ import pytest
 
 from testkit.data import show
 from testkit.full_calibration import STEPS, device, tables
-from undrift.calibration.model import AdcModel, DriftTables, StaticDrift
 from undrift.errors import FileFormatError, InputError
-from undrift.export.ardupilot import export_ardupilot, import_ardupilot
-from undrift.export.cubic import AutopilotSettings, Cubic, fit_cubic
-from undrift.export.parameters import read_parameters
-from undrift.export.px4 import export_px4, import_px4
+from undrift.export.autopilots import (
+    AutopilotSettings,
+    Cubic,
+    export_ardupilot,
+    export_px4,
+    fit_cubic,
+    import_ardupilot,
+    import_px4,
+    read_parameters,
+)
+from undrift.model import AdcModel, DriftTables, StaticDrift
 
 DEG = np.pi / 180.0
 

@@ -1,4 +1,5 @@
-"""The exported C source against correct.py: three arithmetics, every step of the model, extreme inputs, and what is refused."""
+"""The exported C source against correction/correct.py: three arithmetics, every step of the model, extreme inputs, and what
+is refused."""
 
 import re
 import subprocess
@@ -13,12 +14,11 @@ from testkit.c_build import STRICT, bits_of, build, write
 from testkit.data import show
 from testkit.full_calibration import GAP, ROUNDINGS, STEPS, WILD, device, record, tables
 from testkit.strategies import few
-from undrift.calibration.model import AdcModel, Provenance, StaticDrift, Verdict, WarmUp
-from undrift.correct import correct_checked
+from undrift.correction.correct import correct_checked
 from undrift.errors import InputError
-from undrift.export.c import CSettings, export_c
-from undrift.export.c_text import literal
-from undrift.export.fixed import FULL_FORCE, FULL_RATE
+from undrift.export.c import CSettings, export_c, literal
+from undrift.export.firmware import FULL_FORCE, FULL_RATE
+from undrift.model import AdcModel, Provenance, StaticDrift, Verdict, WarmUp
 
 KINDS = {
     "constant": {"drift": None},

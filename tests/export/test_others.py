@@ -11,13 +11,11 @@ import pytest
 from testkit.c_build import STRICT
 from testkit.data import show
 from testkit.full_calibration import STEPS, device, record, tables
-from undrift.calibration.model import NoiseModel
-from undrift.calibration.store import read_calibration, write_calibration
-from undrift.correct import correct
+from undrift.correction.correct import correct
 from undrift.errors import FileFormatError, InputError
-from undrift.export.fusion import decompose, export_fusion
-from undrift.export.imucal import export_imucal, import_imucal
-from undrift.export.ros import export_ros, number
+from undrift.export.programs import decompose, export_fusion, export_imucal, export_ros, import_imucal, number
+from undrift.io.store import read_calibration, write_calibration
+from undrift.model import NoiseModel
 
 DEG = np.pi / 180.0
 # what Fusion declares, in a few lines of our own

@@ -1,4 +1,5 @@
-"""The exported warm-up against correct.py told the time since power-on, and the stated bytes of a source with all parts."""
+"""The exported warm-up against correction/correct.py told the time since power-on, and the stated bytes of a source with all
+parts."""
 
 import re
 import subprocess
@@ -10,11 +11,11 @@ import pytest
 from testkit.c_build import STRICT, TYPES, bits_of, write
 from testkit.data import show
 from testkit.full_calibration import ROUNDINGS, device, record, tables
-from undrift.calibration.model import StaticDrift, WarmUp
-from undrift.correct import correct_checked
+from undrift.correction.correct import correct_checked
 from undrift.errors import InputError
 from undrift.export.c import export_c
 from undrift.export.losses import losses
+from undrift.model import StaticDrift, WarmUp
 
 EXTRA = [[400.0, -300.0, 200.0], [150.0, -90.0, 70.0], [30.0, -20.0, 10.0], [4.0, -9.0, 3.0], [0.0, 0.0, 0.0]]
 NODES = {"even": [0.0, 60.0, 120.0, 180.0, 600.0], "searched": [0.0, 7.3, 61.11, 200.7, 901.3]}

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from undrift.cli.app import COMMANDS, run
-from undrift.cli.opening import Opening
+from undrift.cli.common import Opening
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"numpy", "scipy", "pandas", "numba", "matplotlib", "pyarrow", "h5py", "ezc3d", "jinja2"}

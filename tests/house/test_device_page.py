@@ -4,9 +4,8 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-from undrift.sim.device.chain import SensorChain
-from undrift.sim.device.presets import PRESETS
-from undrift.sim.device.sheets import SHEETS
+from undrift.sim.device.effects import SensorChain
+from undrift.sim.device.presets import PRESETS, SHEETS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "device-model.md").read_text()
 

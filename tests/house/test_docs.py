@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from undrift.calibration.store import calibration_schema
+from undrift.io.store import calibration_schema
 
 ROOT = Path(__file__).parents[2]
 

@@ -10,7 +10,7 @@ from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.arrays import mat_arrays, npz_arrays, read_mat, read_npz
 from undrift.io.columns import ColumnMap
-from undrift.io.csv import native_columns
+from undrift.io.record import native_columns
 
 MAP = ColumnMap(time="t", time_unit="s", gyro=("w",), gyro_unit="rad/s", accel=("a",), accel_unit="m/s2")
 

@@ -3,8 +3,8 @@ import pytest
 
 from undrift.errors import InputError
 from undrift.frames import quaternion_of, rotate, rotation_vector
-from undrift.io.bodies import L5_OFFSET, device_on, find_body, find_label
-from undrift.io.markers import Markers
+from undrift.io.mocap import Markers
+from undrift.io.reference import L5_OFFSET, device_on, find_body, find_label
 
 # Spines of a pelvis and markers of a thorax, standing: x forward, y left, z up, m.
 STANDING = {

@@ -6,7 +6,7 @@ import pytest
 
 from testkit.data import data_path, show
 from undrift.errors import FileFormatError, InputError
-from undrift.io.broad import read_broad
+from undrift.io.mocap import read_broad
 
 
 def write_trial(path, n=20, *, rate=100.0, leave_out=(), change=None):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
-from undrift.io.c3d import is_c3d, read_c3d, read_c3d_analog
+from undrift.io.mocap import is_c3d, read_c3d, read_c3d_analog
 
 
 def write(path, points, labels, *, rate=100.0, unit="mm", screen="+Z", analog=None):

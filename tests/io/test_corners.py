@@ -8,17 +8,14 @@ import pytest
 
 from testkit.strategies import one_line
 from undrift.errors import FileFormatError, InputError
-from undrift.io import c3d as c3d_module
+from undrift.files import read_bytes
+from undrift.io import mocap as c3d_module
 from undrift.io.arrays import read_mat
-from undrift.io.broad import read_broad
-from undrift.io.build import two_rates
-from undrift.io.c3d import read_c3d
 from undrift.io.columns import ColumnMap
-from undrift.io.csv import read_csv, write_csv
-from undrift.io.describe import describe
-from undrift.io.detect import detect
-from undrift.io.files import read_bytes
-from undrift.io.recording import ReadSettings, read_record
+from undrift.io.formats import ReadSettings, detect, read_record
+from undrift.io.inspect import describe
+from undrift.io.mocap import read_broad, read_c3d
+from undrift.io.record import read_csv, two_rates, write_csv
 from undrift.record import Record
 
 XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")

@@ -9,7 +9,7 @@ from hypothesis import given
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.csv import build_csv, read_csv, write_csv
+from undrift.io.record import build_csv, read_csv, write_csv
 from undrift.record import Record
 
 XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")

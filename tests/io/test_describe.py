@@ -8,12 +8,11 @@ import pytest
 from testkit.trc_text import trc
 from undrift.errors import InputError
 from undrift.io.columns import ColumnMap, TextLayout
-from undrift.io.describe import describe, describe_record
-from undrift.io.parquet import write_parquet
+from undrift.io.inspect import describe, describe_record
 from undrift.io.reference import write_reference
 from undrift.io.session import write_session
-from undrift.record import Record, Reference
-from undrift.session import Session, Still
+from undrift.io.store import write_parquet
+from undrift.record import Record, Reference, Session, Still
 
 CALIBRATION = json.dumps({"kind": "undrift.calibration", "format": 1, "device": "A1"})
 MAP = 'sample_rate_hz = 1\ncolumns = { gyro = [0, 1, 2] }\nunits = { gyro = "dps" }'

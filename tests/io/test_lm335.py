@@ -6,7 +6,7 @@ import pytest
 
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, Trim
-from undrift.io.recording import read_record
+from undrift.io.formats import read_record
 from undrift.io.session import read_session
 from undrift.units import canonical_unit, temp_offset
 

@@ -6,10 +6,10 @@ import pytest
 from pyarrow import csv, parquet
 
 from undrift.errors import FileFormatError, InputError
+from undrift.files import entry_name, line_of
 from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.mapping import read_column_map, read_map_settings
-from undrift.io.recording import ReadSettings, iter_record, read_record
-from undrift.io.toml import entry_name, line_of
+from undrift.io.formats import ReadSettings, iter_record, read_record
+from undrift.io.session import read_column_map, read_map_settings
 
 TEXT = """sample_rate_hz = 50
 columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from testkit.strategies import few
 from undrift.errors import InputError
-from undrift.io.markers import Markers, fit_cluster, level_from, pose_from_cluster, unique_labels
+from undrift.io.mocap import Markers, fit_cluster, level_from, pose_from_cluster, unique_labels
 
 SHAPE = np.array([[0.0, 0.0, 0.0], [0.12, 0.0, 0.01], [0.03, 0.09, -0.02], [-0.05, 0.04, 0.06]])
 LABELS = ("A", "B", "C", "D")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from testkit.strategies import assert_same, few, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap
-from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet
+from undrift.io.store import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet
 from undrift.record import Record
 
 

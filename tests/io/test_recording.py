@@ -12,9 +12,8 @@ from testkit.strategies import assert_same, few, one_line, records
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, TextLayout
-from undrift.io.csv import native_columns
-from undrift.io.detect import detect
-from undrift.io.recording import ReadSettings, iter_record, read_built, read_record, write_record
+from undrift.io.formats import ReadSettings, detect, iter_record, read_built, read_record, write_record
+from undrift.io.record import native_columns
 from undrift.record import Record
 
 

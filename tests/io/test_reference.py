@@ -11,7 +11,7 @@ from testkit.strategies import few, references
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import quaternion_conjugate
-from undrift.io.broad import read_broad
+from undrift.io.mocap import read_broad
 from undrift.io.reference import ReferenceMap, read_markers, read_reference, write_reference
 
 

@@ -6,13 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from testkit.strategies import assert_same, few, one_line, records
-from undrift.earth import gravity_at
 from undrift.errors import FileFormatError, InputError
-from undrift.io.csv import write_csv
-from undrift.io.files import sha256_of
+from undrift.files import sha256_of
+from undrift.io.record import write_csv
 from undrift.io.session import read_session, write_session
-from undrift.record import Record
-from undrift.session import Session, Still, Turn
+from undrift.record import Record, Session, Still, Turn
+from undrift.units import gravity_at
 
 HEAD = '[session]\nkind = "calibration"\nserial = "MTi-1"\ngravity_m_s2 = 9.81\n'
 FULL = """[session]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.io.symptoms import find_symptoms, gaps_of
+from undrift.io.inspect import find_symptoms, gaps_of
 from undrift.record import Record
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from testkit.strategies import few, numbers, one_line
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
-from undrift.io.trc import read_trc
+from undrift.io.mocap import read_trc
 
 
 @few

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from undrift.kernels.lag import lead
+from undrift.kernels.calibrate import lead
 
 
 def twin(temp, time, lag, smooth):

@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from undrift.kernels import servo as k
-from undrift.sim.rig.axis import Axis
-from undrift.sim.rig.servo import ServoSettings, resting_coefficients
+from undrift.kernels import device as k
+from undrift.sim.rig.axes import Axis, ServoSettings, resting_coefficients
 
 
 def twin(servo: ServoSettings, target: float, samples: int) -> np.ndarray:

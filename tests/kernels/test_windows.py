@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from undrift.kernels.windows import accumulate
+from undrift.kernels.rotation import accumulate
 
 
 def twin(rate, regressors, time, at):

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.live.clock import ClockSettings, DeviceClock
-from undrift.live.counter import Arrivals, Counter
-from undrift.live.gaps import GapMarker
+from undrift.live.clock import ClockSettings, DeviceClock, GapMarker
+from undrift.live.decoder import Arrivals, Counter
 
 
 def packets(count=20_000, period=0.01, rate_error=50e-6, latency=0.003, seed=1):

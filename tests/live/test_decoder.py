@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.live.checksums import CHECKSUMS
-from undrift.live.decoder import FrameDecoder, LineDecoder, decoder_for
-from undrift.live.description import StreamDescription
+from undrift.live.decoder import CHECKSUMS, FrameDecoder, LineDecoder, StreamDescription, decoder_for
 
 CHANNELS = ("count", "gyro_x", "gyro_y", "gyro_z")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import FileFormatError, InputError
-from undrift.live.address import open_source, parse_address, source_at
-from undrift.live.description import StreamDescription, read_description
+from undrift.live.decoder import StreamDescription, read_description
+from undrift.live.transports import open_source, parse_address, source_at
 
 SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 

@@ -8,10 +8,8 @@ import pytest
 
 from testkit.waiting import LONG_S, eventually
 from undrift.errors import InputError, RigTimeout
-from undrift.live.chunk import Chunk
-from undrift.live.description import StreamDescription
-from undrift.live.dwells import DwellReadings
-from undrift.live.recorder import Recorder, RecorderSettings
+from undrift.live.decoder import Chunk, StreamDescription
+from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 
 RATE = 100.0
 CONNECTED = 50.0  # host s

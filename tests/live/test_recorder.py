@@ -11,16 +11,23 @@ import pytest
 from testkit.byte_sender import Sender
 from testkit.waiting import eventually
 from undrift.errors import InputError, LinkError, RigTimeout
-from undrift.io.parquet import read_parquet
-from undrift.live import pieces as pieces_module
-from undrift.live import writer as writer_module
-from undrift.live.address import source_at
-from undrift.live.description import StreamDescription
-from undrift.live.dwells import DwellReadings
-from undrift.live.pieces import iter_pieces, next_connection, piece_path, read_pieces, write_synced
-from undrift.live.recorder import Recorder, RecorderSettings
-from undrift.live.timeline import Block
-from undrift.live.writer import PieceWriter
+from undrift.io.store import read_parquet
+from undrift.live import recorder as pieces_module
+from undrift.live import recorder as writer_module
+from undrift.live.clock import Block
+from undrift.live.decoder import StreamDescription
+from undrift.live.recorder import (
+    DwellReadings,
+    PieceWriter,
+    Recorder,
+    RecorderSettings,
+    iter_pieces,
+    next_connection,
+    piece_path,
+    read_pieces,
+    write_synced,
+)
+from undrift.live.transports import source_at
 
 TEN = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,mag_x,mag_y,mag_z,temp"
 THREE = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"

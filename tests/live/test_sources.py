@@ -14,11 +14,8 @@ import pytest
 from testkit.byte_sender import Sender
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigTimeout
-from undrift.live.address import open_source, source_at
-from undrift.live.ble import BlePort
-from undrift.live.description import StreamDescription
-from undrift.live.lsl import LslSource, stay_offline
-from undrift.live.source import ByteSource
+from undrift.live.decoder import StreamDescription
+from undrift.live.transports import BlePort, ByteSource, LslSource, open_source, source_at, stay_offline
 
 OPTIONS = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
 TEXT = b"".join(b"%d,1,2,3\n" % k for k in range(5))

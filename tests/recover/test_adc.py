@@ -7,8 +7,9 @@ import pytest
 
 from testkit.data import show
 from undrift.calibration.adc import identify_adc
-from undrift.sim import random_device, simulate_trial
-from undrift.sim.device.adc import Rounding
+from undrift.sim.device.effects import Rounding
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_trial
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -11,23 +11,23 @@ import numpy as np
 
 from testkit.data import show
 from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading, soaked, table_motion
-from undrift.calibration.model import Calibration, DriftTables, StaticDrift
-from undrift.calibration.procedure import calibrate
-from undrift.correct import correct_checked
-from undrift.drift.fit.choose import choose_tables
-from undrift.drift.fit.dynamic import DynamicFit, fit_dynamic
-from undrift.drift.fit.scale import fit_scale
-from undrift.drift.fit.spline import not_a_knot
-from undrift.drift.observe.observations import RestBlocks
-from undrift.sim import BenchSettings, DeviceModel, simulate_session, true_calibration
-from undrift.sim.device.chain import SensorChain
+from undrift.calibration.calibrate import calibrate
+from undrift.correction.correct import correct_checked
+from undrift.drift.dynamic import DynamicFit, fit_dynamic
+from undrift.drift.observe import RestBlocks
+from undrift.drift.scale import fit_scale
+from undrift.drift.select import choose_tables
+from undrift.fit.smooth import not_a_knot
+from undrift.model import Calibration, DriftTables, StaticDrift
+from undrift.sim.device.effects import Scale, SensorChain, Thermometer
+from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
-from undrift.sim.device.scale import Scale
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.device.thermometer import Thermometer
-from undrift.sim.device.truth import true_tables
-from undrift.sim.motion.library import draw_task
+from undrift.sim.device.truth import true_calibration, true_tables
+from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.tasks import draw_task
+from undrift.sim.sessions import simulate_session
 
 NODES = np.arange(18.0, 75.01, 0.5)
 BOTH_WAYS = np.concatenate((-GRID[::-1], [0.0], GRID))

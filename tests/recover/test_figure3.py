@@ -15,17 +15,18 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.calibration.model import Calibration, DriftTables
-from undrift.calibration.procedure import calibrate
-from undrift.drift.procedure import fit_drift
-from undrift.record import Record, Reference
-from undrift.session import Session
-from undrift.sim import BenchSettings, bench_motion, draw_task, see, simulate_device
+from undrift.calibration.calibrate import calibrate
+from undrift.drift.fit import fit_drift
+from undrift.model import Calibration, DriftTables
+from undrift.record import Record, Reference, Session
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_tables
-from undrift.sim.thermal.session import simulate_thermal_session
-from undrift.sim.thermal.settings import ThermalSettings
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.poses import see
+from undrift.sim.motion.tasks import draw_task
+from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.trial import TRIAL_SETTINGS, Trial, validate_trial
 

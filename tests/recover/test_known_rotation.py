@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import DEVICES, Array, Tally, carried, information, jacobian, white_device
-from undrift.calibration.fit.known_rotation import (
+from undrift.calibration.known_rotation import (
     KnownRotationMode,
     KnownRotationSettings,
     fit_known_rotation,
     rotation_data,
 )
-from undrift.calibration.model import TriadModel
-from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
-from undrift.sim.motion.script import unit_vector
+from undrift.model import TriadModel
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
 BENCH = BenchSettings(sample_rate_hz=50.0, still_s=2.0, move_s=1.0)

@@ -11,13 +11,14 @@ import numpy as np
 
 from testkit.cramer_rao import DEVICES, Array, Tally, information, jacobian, white_device
 from testkit.twins import rotation_matrices
-from undrift.calibration.fit.multi_position_accel import fit_poses
-from undrift.calibration.fit.multi_position_gyro import fit_gyro_between_stills
+from undrift.calibration.multi_position import fit_poses
+from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
 from undrift.frames import quaternion_product
 from undrift.record import Record
-from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
-from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.script import turn_quaternion
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.motion import Motion, turn_quaternion
 from undrift.units import STANDARD_GRAVITY
 
 SETTINGS = BenchSettings(poses=24, still_s=1.0, first_still_s=1.0, move_s=1.0, sample_rate_hz=50.0)

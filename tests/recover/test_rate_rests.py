@@ -12,14 +12,23 @@ import pytest
 
 from testkit.cramer_rao import COVERAGE_LIMITS, RMSE_LIMIT, Array, carried, information, jacobian, white_device
 from testkit.data import show
-from undrift.calibration.fit.dwells import DwellMeans, dwell_means, middles
-from undrift.calibration.fit.rate_rests import RestMeans, fit_with_rests
-from undrift.calibration.fit.rate_table import RateTableFit, fit_rate_table
-from undrift.calibration.procedure import calibrate
-from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device, simulate_session, true_calibration
-from undrift.sim.device.noise import RandomWalk
-from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.script import unit_vector
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.rate_table import (
+    DwellMeans,
+    RateTableFit,
+    RestMeans,
+    dwell_means,
+    fit_rate_table,
+    fit_with_rests,
+    middles,
+)
+from undrift.sim.device.effects import RandomWalk
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.motion import Motion, unit_vector
+from undrift.sim.sessions import simulate_session
 from undrift.units import STANDARD_GRAVITY
 
 BENCH = BenchSettings(turn_rates=(0.3, 0.6, 0.9, 1.2, 1.5), dwell_s=3.0, still_s=6.0)

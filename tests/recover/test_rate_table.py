@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import DEVICES, Array, Tally, carried, information, inverse_model, jacobian, white_device
-from undrift.calibration.fit.dwells import DwellMeans, dwell_means
-from undrift.calibration.fit.rate_table import RateTableMode, RateTableSettings, fit_rate_table
-from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
-from undrift.sim.motion.script import unit_vector
+from undrift.calibration.rate_table import DwellMeans, RateTableMode, RateTableSettings, dwell_means, fit_rate_table
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.motion import unit_vector
 
 BENCH = BenchSettings(
     sample_rate_hz=20.0,

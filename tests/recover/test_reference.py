@@ -10,10 +10,13 @@ import pytest
 from testkit.cramer_rao import DEVICES, Array, Tally, carried, white_device
 from testkit.data import show
 from testkit.twins import rotation_matrices
-from undrift.calibration.fit.reference import ReferenceSettings, Weights, fit_reference
-from undrift.calibration.model import TriadModel
-from undrift.sim import DeviceModel, OpticsSettings, draw_task, see, simulate_device
+from undrift.calibration.reference import ReferenceSettings, Weights, fit_reference
+from undrift.model import TriadModel
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.poses import OpticsSettings, see
+from undrift.sim.motion.tasks import draw_task
 from undrift.units import STANDARD_GRAVITY
 
 SAMPLE_RATE_HZ, STRIDE_S = 50.0, 0.5

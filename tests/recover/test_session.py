@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.calibration.procedure import calibrate
-from undrift.correct import correct
-from undrift.orientation.orient import orient
-from undrift.sim import BenchSettings, random_device, simulate_session, simulate_trial, true_calibration
-from undrift.sim.motion.bench import BenchKind
+from undrift.calibration.calibrate import calibrate
+from undrift.correction.correct import correct
+from undrift.orientation import orient
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchKind, BenchSettings
+from undrift.sim.sessions import simulate_session, simulate_trial
 from undrift.units import RADIAN_PER_DEGREE
-from undrift.validation.errors import compare_orientations
+from undrift.validation.trial import compare_orientations
 
 SETTINGS = BenchSettings(tilt_sd=0.05 * RADIAN_PER_DEGREE, turn_rates=(0.5, 1.0, 1.5), dwell_s=2.0)
 

@@ -17,11 +17,13 @@ from testkit.cramer_rao import (
     white_device,
 )
 from testkit.data import show
-from undrift.calibration.fit.six_face import FaceMeans, SixFaceMode, SixFaceSettings, face_means, fit_six_face
-from undrift.calibration.model import TriadModel
-from undrift.session import FACES
-from undrift.sim import BenchSettings, DeviceModel, bench_motion, simulate_device
-from undrift.sim.motion.script import unit_vector
+from undrift.calibration.six_face import FaceMeans, SixFaceMode, SixFaceSettings, face_means, fit_six_face
+from undrift.model import TriadModel
+from undrift.record import FACES
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.motion import unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 BENCH = BenchSettings(sample_rate_hz=50.0, still_s=6.0, move_s=0.2)

@@ -7,11 +7,9 @@ import pytest
 
 from testkit.data import show
 from testkit.simulated_device import motion_of
-from undrift.drift.fit.curve import CurveSettings
-from undrift.drift.fit.static import StaticSettings, fit_static
-from undrift.drift.observe.gather import observe_rests
-from undrift.record import Record
-from undrift.session import Session, Still
+from undrift.drift.observe import observe_rests
+from undrift.drift.static import CurveSettings, StaticSettings, fit_static
+from undrift.record import Record, Session, Still
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration

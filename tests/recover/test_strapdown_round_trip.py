@@ -5,8 +5,8 @@ import pytest
 
 from testkit.data import show
 from undrift.frames import quaternion_conjugate, quaternion_product
-from undrift.orientation.strapdown import integrate_strapdown
-from undrift.sim import draw_task
+from undrift.orientation import integrate_strapdown
+from undrift.sim.motion.tasks import draw_task
 
 
 def end_to_end_deg(q, truth):

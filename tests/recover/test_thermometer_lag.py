@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.drift.observe.gather import observe_rests
-from undrift.drift.temperature.lag import default_smooth_s, without_lag, without_lag_smooth
-from undrift.drift.temperature.lag_fit import estimate_lag
-from undrift.drift.temperature.trusted import trusted_temperature
-from undrift.session import Session, Still
-from undrift.sim import simulate_device
+from undrift.drift.observe import observe_rests
+from undrift.drift.temperature import trusted_temperature
+from undrift.drift.thermometer_lag import default_smooth_s, estimate_lag, without_lag, without_lag_smooth
+from undrift.record import Session, Still
 from undrift.sim.device.presets import preset
+from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.units import STANDARD_GRAVITY
 

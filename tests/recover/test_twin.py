@@ -8,19 +8,13 @@ import pytest
 
 from testkit.data import show
 from undrift.record import Record
-from undrift.sim import OpticsSettings, draw_task, see, simulate_device
-from undrift.sim.device.adc import Adc
-from undrift.sim.device.chain import SensorChain
-from undrift.sim.device.lever_arm import LeverArm
+from undrift.sim.device.effects import Adc, LeverArm, Offset, Sampling, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.noise import WhiteNoise
-from undrift.sim.device.offset import Offset
-from undrift.sim.device.sampling import Sampling
-from undrift.sim.device.scale import Scale
-from undrift.sim.motion.task import Task
-from undrift.twin import Prepared, Twin, compare_held_out, device_of, fit_prepared, prepare_twin
-from undrift.twin.contributions import contributions
-from undrift.twin.endings import end_errors
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.poses import OpticsSettings, see
+from undrift.sim.motion.tasks import Task, draw_task
+from undrift.twin.fit import Prepared, Twin, fit_prepared, prepare_twin
+from undrift.twin.heldout import compare_held_out, contributions, device_of, end_errors
 from undrift.units import STANDARD_GRAVITY
 
 RATE_HZ, STEP_DPS = 200.0, 0.12

@@ -7,8 +7,7 @@ import pytest
 
 from undrift.calibration.noise import fit_noise
 from undrift.record import Record
-from undrift.report.allan import draw_allan
-from undrift.report.figures import svg_of
+from undrift.report.figures import draw_allan, svg_of
 
 RNG = np.random.default_rng(5)
 TIME = np.arange(4000) / 100.0

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from undrift import calibrate
-from undrift.report.calibration import calibration_sections, concise, triad_heads, triad_notes, triad_rows
-from undrift.sim import random_device, simulate_session
+from undrift.report.page import calibration_sections, concise, triad_heads, triad_notes, triad_rows
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 
 @pytest.mark.parametrize(

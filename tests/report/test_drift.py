@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from undrift.calibration.model import DynamicDrift
-from undrift.drift.fit.choose import Alternatives
-from undrift.drift.summary import ScaleSummary, TriadSummary
-from undrift.report.drift import choice_rows, offset_heads, offset_rows, offset_title, plus_minus
-from undrift.report.drift_figures import draw_alternatives, draw_dynamic, draw_offsets, draw_scale, shown_unit
+from undrift.drift.checks import ScaleSummary, TriadSummary
+from undrift.drift.select import Alternatives
+from undrift.model import DynamicDrift
+from undrift.report.drift import (
+    choice_rows,
+    draw_alternatives,
+    draw_dynamic,
+    draw_offsets,
+    draw_scale,
+    offset_heads,
+    offset_rows,
+    offset_title,
+    plus_minus,
+    shown_unit,
+)
 from undrift.report.figures import svg_of
 
 NODES = np.arange(18.0, 30.1, 0.5)

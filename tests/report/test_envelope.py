@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.report.envelope import envelope
+from undrift.report.figures import envelope
 
 
 def test_a_peak_of_one_sample_is_drawn_at_its_time():

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.report.figures import (
-    draw_agreement,
-    draw_comparison,
-    new_figure,
-    save_figure,
-    svg_of,
-)
+from undrift.report.figures import draw_agreement, draw_comparison, new_figure, save_figure, svg_of
 
 rng = np.random.default_rng(3)
 

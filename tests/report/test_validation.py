@@ -5,19 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.calibration.model import AdcModel, Verdict
-from undrift.correct import correct
+from undrift.correction.correct import correct
+from undrift.model import AdcModel, Verdict
 from undrift.report.validation import (
     COLUMNS,
+    Method,
+    method_section,
+    recordings_section,
     trial_figure,
     trials_section,
     validation_sections,
     write_validation_report,
 )
-from undrift.report.validation_method import Method, method_section, recordings_section
-from undrift.sim import random_device, simulate_trial, true_calibration
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.sessions import simulate_trial
 from undrift.sync import LagSettings
-from undrift.validation import TrialSettings, validate_trials
+from undrift.validation.agreement import validate_trials
+from undrift.validation.trial import TrialSettings
 
 METHOD = Method(
     recordings=("a.csv", "b.csv", "c.csv"),
@@ -93,7 +98,7 @@ def test_the_page_says_which_calibration_judged_and_what_its_verdict_was():
     assert said(METHOD)["calibration"] == "none: readings as they come, in the unit of their file"
     assert "its verdict" not in said(METHOD)
     read = replace(
-        METHOD, calibration=MADE, source="mine.json", verdict=Verdict(status="marginal", reasons=("why so",))
+        METHOD, calibration=MADE, source="mine.json", verdict=Verdict(status="marginal", remarks=("why so",))
     )
     assert said(read)["calibration"].startswith(f"mine.json of {MADE.device}: gyroscope by ")
     assert method_section(read).rows[1:3] == (("its verdict", "marginal"), ("", "why so"))

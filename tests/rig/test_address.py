@@ -4,11 +4,10 @@ import pytest
 
 from testkit.scripted_server import Card, Scripted
 from undrift.errors import InputError, LimitError, LinkError
-from undrift.rig.address import RigSettings, open_rig, parse_address
-from undrift.rig.clock import Clock
-from undrift.rig.galil.rig import GalilRig
+from undrift.rig.galil import GalilRig
+from undrift.rig.link import Clock
 from undrift.rig.manual import ManualRig
-from undrift.rig.rig import Limits
+from undrift.rig.rig import Limits, RigSettings, open_rig, parse_address
 
 
 def test_an_address_names_the_rig_its_link_and_its_options():

@@ -9,11 +9,9 @@ from testkit import rig_bench
 from testkit.rig_bench import UP, Device, Hands, emulated, run
 from testkit.waiting import LONG_S
 from undrift.io.session import read_session
-from undrift.live.chunk import Chunk
-from undrift.live.description import StreamDescription
-from undrift.live.dwells import DwellReadings
-from undrift.live.recorder import Recorder, RecorderSettings
-from undrift.protocol import Protocol
+from undrift.live.decoder import Chunk, StreamDescription
+from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+from undrift.rig.protocol import Protocol
 from undrift.units import STANDARD_GRAVITY
 
 SPEED = 50.0

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from undrift.errors import InputError, LimitError
-from undrift.rig.counts import ACCELERATION, JOG, JOG_BY_TWO, MOVE, SLEW, CountScale
+from undrift.rig.rig import ACCELERATION, JOG, JOG_BY_TWO, MOVE, SLEW, CountScale
 
 DEGREE = math.pi / 180.0
 NOTE = CountScale.from_lines(10_000)

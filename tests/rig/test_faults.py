@@ -10,12 +10,11 @@ from testkit.data import show
 from testkit.rig_bench import GAIN, OFFSET, Oven, at_rest, emulated, run, streaming
 from undrift.errors import RigError, UndriftError
 from undrift.io.session import read_session
-from undrift.live.address import source_at
-from undrift.live.dwells import DwellReadings
-from undrift.live.recorder import Recorder, RecorderSettings
-from undrift.protocol import Protocol
-from undrift.rig.journal import read_journal
-from undrift.rig.judge import RunSettings
+from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+from undrift.live.transports import source_at
+from undrift.rig.folder import read_journal
+from undrift.rig.protocol import Protocol
+from undrift.rig.run import RunSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 50.0

@@ -10,14 +10,12 @@ import pytest
 
 from testkit.rig_bench import at_rest, emulated, opened
 from undrift.errors import LinkError, RigFault
-from undrift.protocol import Protocol
 from undrift.rig import guard as guard_file
-from undrift.rig.address import open_rig
-from undrift.rig.guard import Guard, watch
+from undrift.rig.guard import Guard, StopWatch, mark_stop, watch
 from undrift.rig.programme import programme_of
-from undrift.rig.run import Progress
-from undrift.rig.stops import StopWatch, mark_stop
-from undrift.rig.watch import Watch
+from undrift.rig.protocol import Protocol
+from undrift.rig.rig import open_rig
+from undrift.rig.run import Progress, Watch
 from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench
 from undrift.units import RADIAN_PER_DEGREE as DPS
 

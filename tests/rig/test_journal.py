@@ -6,7 +6,7 @@ import os
 import pytest
 
 from undrift.errors import FileFormatError
-from undrift.rig.journal import Journal, line_of, read_journal
+from undrift.rig.folder import Journal, line_of, read_journal
 
 ENTRIES = ({"a": 1, "text": "née +x"}, {"b": [1.5, None]}, {"c": "last"})
 

@@ -5,9 +5,8 @@ import math
 import pytest
 
 from undrift.errors import InputError, LimitError, LinkError, RigFault
-from undrift.rig.address import RigSettings, open_rig
 from undrift.rig.manual import FACES, ManualRig
-from undrift.rig.rig import Limits
+from undrift.rig.rig import Limits, RigSettings, open_rig
 
 DEGREE = math.pi / 180.0
 

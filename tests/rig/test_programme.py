@@ -6,11 +6,19 @@ from dataclasses import replace
 import pytest
 
 from undrift.errors import InputError
-from undrift.protocol import Protocol
-from undrift.rig.programme import Dwell, Mount, Programme, ProgrammeSettings, Soak, programme_of
-from undrift.rig.rig import Limits
-from undrift.rig.safety import check_programme
-from undrift.rig.settle import dwell_time, settle_time, whole_turns_time
+from undrift.rig.programme import (
+    Dwell,
+    Mount,
+    Programme,
+    ProgrammeSettings,
+    Soak,
+    dwell_time,
+    programme_of,
+    settle_time,
+    whole_turns_time,
+)
+from undrift.rig.protocol import Protocol
+from undrift.rig.rig import Limits, check_programme
 
 DPS = math.pi / 180.0
 SIT_TO_STAND = Protocol(

@@ -15,12 +15,10 @@ import pytest
 
 from testkit.rig_bench import SHORT, at_rest, emulated, run
 from undrift.errors import InputError
-from undrift.io.protocol import write_protocol
 from undrift.io.session import read_session
-from undrift.protocol import Protocol
 from undrift.rig import folder as folder_file
-from undrift.rig.folder import JOURNAL, RunFolder
-from undrift.rig.journal import read_journal
+from undrift.rig.folder import JOURNAL, RunFolder, read_journal
+from undrift.rig.protocol import Protocol, write_protocol
 from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench
 from undrift.sim.rig.emulator import EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS

@@ -9,10 +9,10 @@ from testkit import rig_bench
 from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_of, opened, run
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
-from undrift.protocol import Protocol
-from undrift.rig.hands import AskedHands
-from undrift.rig.judge import RunSettings
-from undrift.rig.status import read_status
+from undrift.rig.galil import read_status
+from undrift.rig.manual import AskedHands
+from undrift.rig.protocol import Protocol
+from undrift.rig.run import RunSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 

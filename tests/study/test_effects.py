@@ -7,15 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from undrift.protocol import Protocol
 from undrift.report.study import write_study_report
-from undrift.study.effects import ParameterEffect, effects_at
-from undrift.study.executor import InProcess
+from undrift.rig.protocol import Protocol
+from undrift.study.case import UnitRuns, units_of
+from undrift.study.judge import ParameterEffect, effects_at
 from undrift.study.outcome import TaskOutcome, judge_study
 from undrift.study.plan import Space, Study, StudyTask
-from undrift.study.run import TaskSurface, read_surfaces, run_study, without_lost
-from undrift.study.store import RunStore
-from undrift.study.unit import UnitRuns, units_of
+from undrift.study.run import InProcess, RunStore, TaskSurface, read_surfaces, run_study, without_lost
 
 DPS = np.pi / 180.0
 TASK = StudyTask(

@@ -15,11 +15,9 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError, UndriftError
-from undrift.study.executor import MOST_LOSSES, Dask, Executor, InProcess, Pool
-from undrift.study.file import read_study
-from undrift.study.plan import Study
-from undrift.study.run import run_study
-from undrift.study.unit import Unit, run_unit, units_of
+from undrift.study.case import Unit, run_unit, units_of
+from undrift.study.plan import Study, read_study
+from undrift.study.run import MOST_LOSSES, Dask, Executor, InProcess, Pool, run_study
 
 TEXT = """
 [study]

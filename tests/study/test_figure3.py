@@ -6,8 +6,7 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.device.presets import preset
-from undrift.study.actual import HIDDEN, actual_device, study_model
-from undrift.study.figure3 import LEVELS, Figure3, effect_table, figure3
+from undrift.study.figure3 import HIDDEN, LEVELS, Figure3, actual_device, effect_table, figure3, study_model
 
 NOTE_DIFFERENCE_DEG, NOTE_DECREASE_DEG = 0.15, 3.2
 

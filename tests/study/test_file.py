@@ -13,15 +13,12 @@ from testkit.data import data_path, show
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
+from undrift.sim.device.model import write_device
 from undrift.sim.device.presets import preset
-from undrift.sim.device.store import write_device
-from undrift.sim.motion.library import draw_task
-from undrift.study.case import device_of, make_case
-from undrift.study.executor import InProcess
-from undrift.study.file import ProtocolEntry, StudyFile, read_study
-from undrift.study.motion import read_motion
-from undrift.study.note import note_study
-from undrift.study.run import run_study
+from undrift.sim.motion.tasks import draw_task
+from undrift.study.case import device_of, make_case, read_motion
+from undrift.study.plan import ProtocolEntry, StudyFile, note_study, read_study
+from undrift.study.run import InProcess, run_study
 
 DPS = np.pi / 180.0
 TEXT = """

@@ -9,11 +9,10 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError, NotObservable
-from undrift.protocol import Protocol
-from undrift.study.executor import InProcess
-from undrift.study.halving import HalvingSettings, halve
+from undrift.rig.protocol import Protocol
+from undrift.study.case import Unit, UnitRuns
 from undrift.study.plan import Space, Study, StudyTask
-from undrift.study.unit import Unit, UnitRuns
+from undrift.study.run import HalvingSettings, InProcess, halve
 
 DPS = np.pi / 180.0
 TASK = StudyTask(

@@ -10,12 +10,22 @@ from testkit.hand_turns import make_recording
 from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
-from undrift.sim.motion.library import draw_task
-from undrift.study.real import agreement_of, real_errors
-from undrift.study.real_motion import REPETITION, BesideRow, Capture, motion_rows, repetitions
-from undrift.study.real_plan import read_real
-from undrift.study.real_sway import MEASURES, Stance, read_stance, sway_figures
-from undrift.study.real_worn import worn_in
+from undrift.sim.motion.tasks import draw_task
+from undrift.study.real import (
+    MEASURES,
+    REPETITION,
+    BesideRow,
+    Capture,
+    Stance,
+    agreement_of,
+    motion_rows,
+    read_real,
+    read_stance,
+    real_errors,
+    repetitions,
+    sway_figures,
+    worn_in,
+)
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 

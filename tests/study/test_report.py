@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 
 from undrift.report.study import write_study_report
-from undrift.study.beside import compare_with_note
 from undrift.study.case import device_of
-from undrift.study.design_rows import design_rows, task_rates
-from undrift.study.executor import InProcess
-from undrift.study.forecast import forecast
-from undrift.study.note import TABLE_1, note_study
-from undrift.study.optimise import find_optimum
-from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, judge_study
-from undrift.study.plan import Space, ends_of
-from undrift.study.run import TaskSurface, run_study
-from undrift.study.testing import other_study
+from undrift.study.judge import compare_with_note, find_optimum, other_study
+from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, forecast, judge_study
+from undrift.study.plan import TABLE_1, Space, ends_of, note_study
+from undrift.study.rivals import design_rows, task_rates
+from undrift.study.run import InProcess, TaskSurface, run_study
 
 ROW = TABLE_1["sit_to_stand"]
 

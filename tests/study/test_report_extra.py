@@ -2,15 +2,12 @@
 
 import numpy as np
 
-from undrift.report.study_extra import design_sections, real_sections, rival_sections
-from undrift.study.note import note_study
+from undrift.report.study_rivals import design_sections, real_sections, rival_sections
+from undrift.study.judge import cohort_of, other_study
 from undrift.study.outcome import StudyOutcome
-from undrift.study.real import RealErrors, agreement_of
-from undrift.study.real_motion import BesideRow
-from undrift.study.real_plan import RealData, RealOutcome, judge_real
-from undrift.study.real_worn import Worn
-from undrift.study.rival_rows import RivalRow, Spread
-from undrift.study.testing import cohort_of, other_study
+from undrift.study.plan import note_study
+from undrift.study.real import BesideRow, RealData, RealErrors, RealOutcome, Worn, agreement_of, judge_real
+from undrift.study.rivals import RivalRow, Spread
 
 NONE = Spread(median=np.nan, least=np.nan, greatest=np.nan)
 

@@ -6,8 +6,7 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.device.presets import random_device_of
-from undrift.study.rival_rows import RivalRow, Spread, compare_rivals
-from undrift.study.rivals import METHODS, calibrate_by, rate_table_minutes
+from undrift.study.rivals import METHODS, RivalRow, Spread, calibrate_by, compare_rivals, rate_table_minutes
 
 UNITS = 3
 

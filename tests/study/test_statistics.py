@@ -5,11 +5,16 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.study.anova import compare_conditions
-from undrift.study.mixed import compare_unbalanced
-from undrift.study.posthoc import adjust_holm, compare_pairs
-from undrift.study.power import power_of_anova, stopping_of, subjects_needed
-from undrift.study.sphericity import contrasts
+from undrift.study.statistics import (
+    adjust_holm,
+    compare_conditions,
+    compare_pairs,
+    compare_unbalanced,
+    contrasts,
+    power_of_anova,
+    stopping_of,
+    subjects_needed,
+)
 
 # A. Field, Discovering statistics: eight people, seconds until they retch at four foods.
 FOODS = np.array(

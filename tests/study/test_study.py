@@ -10,14 +10,11 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError, NotObservable
-from undrift.protocol import Protocol
-from undrift.study.executor import InProcess, Pool, choose_executor
-from undrift.study.note import TABLE_1, note_study
-from undrift.study.optimise import find_optimum, pareto_front
-from undrift.study.plan import Space, Study, StudyTask
-from undrift.study.run import TaskSurface, count_runs, run_study
-from undrift.study.session import impose
-from undrift.study.unit import run_unit, units_of
+from undrift.rig.protocol import Protocol
+from undrift.study.case import impose, run_unit, units_of
+from undrift.study.judge import find_optimum, pareto_front
+from undrift.study.plan import TABLE_1, Space, Study, StudyTask, note_study
+from undrift.study.run import InProcess, Pool, TaskSurface, choose_executor, count_runs, run_study
 
 DPS = np.pi / 180.0
 TASK = StudyTask(

@@ -6,7 +6,7 @@ D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust iner
 from functools import cache
 
 from testkit.data import data_path
-from undrift.io.broad import read_broad
+from undrift.io.mocap import read_broad
 from undrift.record import Record, Reference
 
 FILES = {

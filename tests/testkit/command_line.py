@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from undrift.calibration.model import DriftTables, StaticDrift
-from undrift.calibration.store import read_calibration, write_calibration
 from undrift.cli.app import run
-from undrift.io.recording import read_record, write_record
+from undrift.io.formats import read_record, write_record
+from undrift.io.store import read_calibration, write_calibration
+from undrift.model import DriftTables, StaticDrift
 from undrift.record import Record
 
 

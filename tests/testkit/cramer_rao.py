@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testkit.data import show
-from undrift.sim import DeviceModel, random_device
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import random_device
 
 DEVICES = 1000
 RMSE_LIMIT = 1.05  # times the bound

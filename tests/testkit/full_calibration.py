@@ -2,15 +2,7 @@
 
 import numpy as np
 
-from undrift.calibration.model import (
-    AdcModel,
-    Calibration,
-    DriftTables,
-    DynamicDrift,
-    ScaleDrift,
-    StaticDrift,
-    TriadModel,
-)
+from undrift.model import AdcModel, Calibration, DriftTables, DynamicDrift, ScaleDrift, StaticDrift, TriadModel
 from undrift.record import Record
 
 N = 203  # odd, so that no vector width divides it; small, so that the tests also run without the compiler

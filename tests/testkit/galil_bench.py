@@ -2,10 +2,9 @@
 
 import math
 
-from undrift.sim.rig.clock import HandClock
-from undrift.sim.rig.galil.card import CardSettings
-from undrift.sim.rig.galil.session import GalilMachine
-from undrift.sim.rig.servo import ServoSettings
+from undrift.sim.rig.axes import HandClock, ServoSettings
+from undrift.sim.rig.galil_card import CardSettings
+from undrift.sim.rig.galil_language import GalilMachine
 
 
 class GalilBench:

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from undrift.drift.observe.observations import RateSteps, RestBlocks
-from undrift.sim.device.chain import SensorChain
+from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.sim.device.effects import SensorChain, bent
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.nonlinearity import bent
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.motion import Motion

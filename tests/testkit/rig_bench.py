@@ -6,21 +6,16 @@ import time
 
 import numpy as np
 
-from undrift.protocol import Protocol
 from undrift.record import Record
-from undrift.rig.address import RigSettings, open_rig
 from undrift.rig.chamber import SoakSettings
-from undrift.rig.clock import Clock
 from undrift.rig.folder import RunFolder
-from undrift.rig.judge import RunSettings
+from undrift.rig.link import Clock
 from undrift.rig.programme import programme_of
-from undrift.rig.rig import Limits
-from undrift.rig.run import Bench, run_programme
-from undrift.sim.device.chain import SensorChain
+from undrift.rig.protocol import Protocol
+from undrift.rig.rig import Limits, RigSettings, open_rig
+from undrift.rig.run import Bench, RunSettings, run_programme
+from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.noise import WhiteNoise
-from undrift.sim.device.offset import Offset
-from undrift.sim.device.scale import Scale
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from undrift.sim.device.chain import SensorChain
+from undrift.sim.device.effects import Sampling, Scale, SensorChain
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.sampling import Sampling
-from undrift.sim.device.scale import Scale
 from undrift.sim.device.simulate import Simulated, simulate_device
 from undrift.sim.motion.motion import Motion
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.calibration.model import Calibration, TriadModel
+from undrift.model import Calibration, TriadModel
 from undrift.units import si_factor
 
 

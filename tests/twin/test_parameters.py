@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from undrift.twin.parameters import g_sensitivity_parameters, mean_with_error, polar_rotation, spread_of
+from undrift.twin.fit import g_sensitivity_parameters, mean_with_error, polar_rotation, spread_of
 
 
 def test_the_polar_rotation_is_the_mounting_and_its_slope_the_antisymmetric_part():

@@ -8,8 +8,10 @@ import pytest
 from testkit.hand_turns import make_recording
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.record import Reference
-from undrift.twin import compare_held_out, fit_accel, fit_twin, match, prepare_twin
-from undrift.twin.accel import lever_matrix, prepare_accel
+from undrift.twin import accel as match
+from undrift.twin.accel import fit_accel, lever_matrix, prepare_accel
+from undrift.twin.fit import fit_twin, prepare_twin
+from undrift.twin.heldout import compare_held_out
 from undrift.units import STANDARD_GRAVITY
 
 

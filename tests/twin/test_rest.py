@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from undrift.record import Record
-from undrift.twin.rest import rest_noise
+from undrift.twin.fit import rest_noise
 
 RATE_HZ = 400.0
 

@@ -5,7 +5,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.validation import bland_altman, intraclass_correlation
+from undrift.validation.agreement import bland_altman, intraclass_correlation
 
 # P. E. Shrout, J. L. Fleiss, 1979, table 2: six targets, four judges; table 4 prints the coefficients.
 JUDGES = np.array([[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]], dtype=float)

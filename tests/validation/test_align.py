@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from testkit.hand_turns import Device, make_recording
 from undrift.errors import AlignmentError
 from undrift.record import Record, Reference
-from undrift.validation import align_rates
+from undrift.validation.trial import align_rates
 
 
 def test_any_mounting_is_found():

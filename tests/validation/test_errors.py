@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from undrift.validation.errors import compare_orientations, median, rms, slope, wrapped
+from undrift.validation.trial import compare_orientations, median, rms, slope, wrapped
 
 
 def quaternions(r):

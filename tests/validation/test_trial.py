@@ -7,13 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from testkit.hand_turns import Device, hidden, later, make_recording
-from undrift.calibration.model import AdcModel, Calibration, TriadModel
 from undrift.errors import AlignmentError, InputError
+from undrift.model import AdcModel, Calibration, TriadModel
 from undrift.record import Record
-from undrift.sim import random_device, simulate_trial
-from undrift.validation import TrialSettings, validate_trial
-from undrift.validation.track import Track
-from undrift.validation.trial import nominal_calibration
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_trial
+from undrift.validation.trial import Track, TrialSettings, nominal_calibration, validate_trial
 
 FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
 

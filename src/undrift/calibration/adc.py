@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.model import AdcModel, Rounding
+from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
 _MOST_CODES = 200_000  # distinct readings looked at when the step is sought
@@ -29,41 +29,19 @@ _SURE = 4.0  # standard deviations by which the other ratio must be excluded
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdcFinding:
-    """What the codes of one triad say.
+    """What the codes of one triad say."""
 
-    Parameters
-    ----------
-    lsb : array, shape (3,), or None
-        Step of each axis, unit of the readings; None where the readings lie on no grid.
-    rounding : str or None
-        toward_zero; nearest (which stands for floor too); None where it cannot be told.
-    ratio : array, shape (3,)
-        Count at code 0 over the expected one; NaN where too few samples are near zero.
-    ratio_uncertainty : array, shape (3,)
-        Scatter that ``ratio`` would have if it were 1.
-    reason : str
-        How it was told, or why not.
-    """
-
-    lsb: FloatArray | None
-    rounding: Rounding | None
-    ratio: FloatArray
-    ratio_uncertainty: FloatArray
-    reason: str
+    lsb: FloatArray | None  # (3,), step of each axis, unit of the readings; None where the readings lie on no grid
+    rounding: Rounding | None  # toward_zero; nearest (which stands for floor too); None where it cannot be told
+    ratio: FloatArray  # (3,), count at code 0 over the expected one; NaN where too few samples are near zero
+    ratio_uncertainty: FloatArray  # (3,), scatter that ``ratio`` would have if it were 1
+    reason: str  # How it was told, or why not
 
 
 def identify_adc(values: FloatArray) -> AdcFinding:
     """Find the step and the rounding of a triad.
 
-    Parameters
-    ----------
-    values : array, shape (N, 3)
-        Uncorrected readings: codes, or codes times a scale factor. Gaps are left out.
-
-    Returns
-    -------
-    AdcFinding
-        With evidence; "unknown" is an answer.
+    Arrays: values (N, 3).
     """
     grids = [code_grid(column) for column in values.T]
     steps, phases = np.array([g[0] for g in grids]), np.array([g[1] for g in grids])
@@ -83,36 +61,14 @@ def identify_adc(values: FloatArray) -> AdcFinding:
 
 
 def identify_record_adc(record: Record) -> AdcModel | None:
-    """Find the ADC of both triads of a raw record.
-
-    Parameters
-    ----------
-    record : Record
-        Uncorrected.
-
-    Returns
-    -------
-    AdcModel or None
-        Triads whose rounding was told; None where neither was.
-    """
+    """Find the ADC of both triads of a raw record."""
     gyro = None if record.gyro is None else identify_adc(record.gyro)
     accel = None if record.accel is None else identify_adc(record.accel)
     return adc_model(gyro, accel)
 
 
 def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | None:
-    """Keep what was told for certain.
-
-    Parameters
-    ----------
-    gyro, accel : AdcFinding or None
-        Findings.
-
-    Returns
-    -------
-    AdcModel or None
-        A triad whose rounding is unknown has no step; None where neither triad is known.
-    """
+    """Keep what was told for certain."""
     known_gyro = gyro if gyro is not None and gyro.rounding is not None else None
     known_accel = accel if accel is not None and accel.rounding is not None else None
     if known_gyro is None and known_accel is None:
@@ -128,17 +84,7 @@ def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | N
 def code_grid(column: FloatArray) -> tuple[float, float]:
     """Return the step between neighbouring codes of one axis, and where the grid lies.
 
-    Parameters
-    ----------
-    column : array, shape (N,)
-        Readings.
-
-    Returns
-    -------
-    step : float
-        Same unit; NaN where the readings lie on no grid.
-    phase : float
-        Reading of the code nearest zero, in steps, -0.5..0.5; 0 where readings are codes times a factor.
+    Arrays: column (N,).
     """
     distinct = np.unique(column[np.isfinite(column)])
     if not 4 <= len(distinct) <= _MOST_CODES:
@@ -209,20 +155,7 @@ def _judge(ratio: float, sigma: float, obstacle: str) -> tuple[Rounding | None, 
 def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) -> FloatArray:
     """Return readings with the half step that the rounding took away put back.
 
-    Parameters
-    ----------
-    values : array, shape (N, 3)
-        Codes, or codes times a scale factor.
-    lsb : array, shape (3,)
-        Step of each axis, same unit.
-    rounding : str
-        nearest (nothing to do), floor, or toward_zero.
-
-    Returns
-    -------
-    array, shape (N, 3)
-        u + lsb / 2 * sign(u) for toward_zero, u + lsb / 2 for floor. Code 0 stays 0, also where a change of axes or unit has
-        left dust on it: below half a step there is no other code.
+    Arrays: values (N, 3), lsb (3,) -> (N, 3).
     """
     if rounding == "nearest":
         return values

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag
+from undrift.cli.common import Flag
 
 if TYPE_CHECKING:
-    from undrift.calibration.model import Calibration, TriadModel
+    from undrift.model import Calibration, TriadModel
 
 
 def calibrate(
@@ -46,12 +46,11 @@ def calibrate(
     int
         0, or 1 when the verdict is bad.
     """
-    from undrift.calibration.observed import CalibrateSettings
-    from undrift.calibration.procedure import calibrate as fit
-    from undrift.calibration.store import calibration_json, write_calibration
-    from undrift.cli.output import waiting, write_json
-    from undrift.cli.writing import checked_output
+    from undrift.calibration.calibrate import calibrate as fit
+    from undrift.calibration.observe import CalibrateSettings
+    from undrift.cli.common import checked_output, waiting, write_json
     from undrift.io.session import read_session
+    from undrift.io.store import calibration_json, write_calibration
 
     if output is not None:
         checked_output(output, endings=(".json",), reads=())  # no recording ends so
@@ -84,7 +83,7 @@ def show_calibration(calibration: "Calibration") -> None:
     """
     import math
 
-    from undrift.cli.output import console, show_verdict
+    from undrift.cli.common import console, show_verdict
 
     out = console()
     where = "" if math.isnan(calibration.reference_temp_c) else f" at {calibration.reference_temp_c:.1f} degC"
@@ -108,8 +107,8 @@ def show_calibration(calibration: "Calibration") -> None:
 
 
 def _show_triad(name: str, triad: "TriadModel") -> None:
-    from undrift.cli.output import console, table
-    from undrift.report.calibration import triad_heads, triad_notes, triad_rows
+    from undrift.cli.common import console, table
+    from undrift.report.page import triad_heads, triad_notes, triad_rows
 
     title = f"{name} ({triad.method}): corrected = matrix @ (raw - offset), {triad.unit_out} per {triad.unit_in}"
     shown = table(title, *triad_heads(triad))
@@ -122,7 +121,7 @@ def _show_triad(name: str, triad: "TriadModel") -> None:
 
 
 def _say_next(session: Path, output: Path | None) -> None:
-    from undrift.cli.output import console
+    from undrift.cli.common import console
 
     if output is None:
         console().print(

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening, calibrated_part
-from undrift.cli.writing import checked_folder, checked_output, name_of
+from undrift.cli.common import Flag, Opening, calibrated_part, checked_folder, checked_output, name_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,10 +16,10 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress
 
-    from undrift.calibration.model import Calibration
-    from undrift.drift.lookup.beyond import Beyond
+    from undrift.correction.coverage import Beyond
+    from undrift.correction.stream import Corrector, CorrectorState
+    from undrift.model import Calibration
     from undrift.record import Record
-    from undrift.stream import Corrector, CorrectorState
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 or 1000 times; likewise 1 / 3 below
@@ -63,9 +62,9 @@ def correct(
     int
         Exit code.
     """
-    from undrift.calibration.store import read_calibration
-    from undrift.cli.output import console, write_json
-    from undrift.stream import Corrector
+    from undrift.cli.common import console, write_json
+    from undrift.correction.stream import Corrector
+    from undrift.io.store import read_calibration
 
     if not records:
         raise InputError("correct: wanted one recording or more, got none; name them before --calibration")
@@ -133,7 +132,7 @@ def _correct_all(
     scheduler: str | None,
 ) -> list[tuple[Path, Path, "CorrectorState", "Said"]]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
-    from undrift.cli.output import progress
+    from undrift.cli.common import progress
 
     done = []
     with tempfile.TemporaryDirectory(dir=targets[0].parent, prefix=".undrift-") as held, progress() as shown:
@@ -173,7 +172,7 @@ def _on_workers(
     scheduler: str,
     shown: "Progress",
 ) -> list[tuple["CorrectorState", "Said"]]:
-    from undrift.study.executor import Dask
+    from undrift.study.run import Dask
 
     jobs = [_Job(record.resolve(), part.resolve(), correct_one) for record, part in zip(records, parts, strict=True)]
     task, done = shown.add_task("recordings", total=len(jobs)), {}
@@ -234,10 +233,10 @@ def _correct_one(
     opening: Opening,
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", Said]:
-    from undrift.drift.lookup.beyond import find_beyond
-    from undrift.io.parquet import ParquetWriter
-    from undrift.io.recording import iter_record, write_record
-    from undrift.stream import read_ahead
+    from undrift.correction.coverage import find_beyond
+    from undrift.correction.stream import read_ahead
+    from undrift.io.formats import iter_record, write_record
+    from undrift.io.store import ParquetWriter
 
     stream, doubts, notes = corrector(), list[str](), dict[str, None]()
     if not part.name.endswith(".parquet"):
@@ -270,7 +269,7 @@ def _said(doubts: list[str], warnings: "Iterable[str]", notes: "Iterable[str]", 
 
 def _check_unit(done: "Record", path: Path, unit: str) -> None:
     """Refuse specific forces that no motion explains: the file's unit is another, and the result would be wrong by a factor."""
-    from undrift.io.symptoms import median_accel_g
+    from undrift.io.inspect import median_accel_g
 
     median = median_accel_g(done)
     if median > MOST_G or median < 1.0 / MOST_G:
@@ -285,7 +284,7 @@ def _check_unit(done: "Record", path: Path, unit: str) -> None:
 
 def _doubts(done: "Record", model: "Calibration") -> list[str]:
     """Return what makes one doubt that the right columns were read in the right unit."""
-    from undrift.io.symptoms import GRAVITY_RANGE, median_accel_g
+    from undrift.io.inspect import GRAVITY_RANGE, median_accel_g
 
     named = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
     doubts = [
@@ -302,7 +301,7 @@ def _doubts(done: "Record", model: "Calibration") -> list[str]:
 
 
 def _rows(record: Path) -> int | None:
-    from undrift.io.detect import detect
-    from undrift.io.parquet import parquet_rows
+    from undrift.io.formats import detect
+    from undrift.io.store import parquet_rows
 
     return parquet_rows(record) if detect(record) == "parquet" else None

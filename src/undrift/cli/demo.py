@@ -10,16 +10,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.opening import Flag
+from undrift.cli.common import Flag
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.sim.device.model import DeviceModel
-    from undrift.study.bench_checks import Check
-    from undrift.study.bench_demo import BenchFit, WornTrial
     from undrift.study.outcome import StudyOutcome
     from undrift.study.plan import Study
-    from undrift.validation import Trial
+    from undrift.study.virtual_bench import BenchFit, Check, WornTrial
+    from undrift.validation.trial import Trial
 
 SEED = 2007
 RUNS = ("bench", "thermal", "study")  # folders of an earlier demo
@@ -46,14 +45,12 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     int
         0, or 1 when a check fails.
     """
-    from undrift.calibration.store import calibration_json
-    from undrift.cli.output import plain, write_json
+    from undrift.cli.common import plain, write_json
     from undrift.cli.study import study_summary
     from undrift.files import write_whole
+    from undrift.io.store import calibration_json
     from undrift.report.demo import write_demo_report
-    from undrift.study.bench_checks import bench_checks
-    from undrift.study.bench_demo import judge_levels
-    from undrift.study.bench_run import bench_device, bench_plan, record_on_bench
+    from undrift.study.virtual_bench import bench_checks, bench_device, bench_plan, judge_levels, record_on_bench
 
     _check_fresh(out)
     device, plan = bench_device(), bench_plan(quick=quick)
@@ -88,7 +85,7 @@ def _check_fresh(out: Path) -> None:
     """Refuse a folder that holds somebody's own files; take away the runs of an earlier demo."""
     import shutil
 
-    from undrift.cli.writing import checked_folder
+    from undrift.cli.common import checked_folder
 
     checked_folder(out)
     if out.is_dir() and any(out.iterdir()) and not _is_demo(out):
@@ -111,9 +108,9 @@ def _is_demo(out: Path) -> bool:
 
 
 def _fitted(out: Path) -> "BenchFit":
-    from undrift.calibration.store import write_calibration
     from undrift.io.session import read_session
-    from undrift.study.bench_demo import fit_bench
+    from undrift.io.store import write_calibration
+    from undrift.study.virtual_bench import fit_bench
 
     fit = fit_bench(read_session(out / "bench"), read_session(out / "thermal"))
     write_calibration(fit.drift.calibration, out / "calibration.json")
@@ -122,9 +119,9 @@ def _fitted(out: Path) -> "BenchFit":
 
 def _worn(device: "DeviceModel", out: Path) -> "WornTrial":
     """Simulate the trial; what is judged is read from the disk."""
-    from undrift.io.recording import read_record, write_record
+    from undrift.io.formats import read_record, write_record
     from undrift.io.reference import read_reference, write_reference
-    from undrift.study.bench_demo import WornTrial, worn_trial
+    from undrift.study.virtual_bench import WornTrial, worn_trial
 
     made = worn_trial(device, seed=SEED)
     write_record(made.record, out / "trial.parquet")
@@ -133,9 +130,9 @@ def _worn(device: "DeviceModel", out: Path) -> "WornTrial":
 
 
 def _correct(out: Path) -> None:
-    from undrift.calibration.store import read_calibration
-    from undrift.correct import correct_checked
-    from undrift.io.recording import read_record, write_record
+    from undrift.correction.correct import correct_checked
+    from undrift.io.formats import read_record, write_record
+    from undrift.io.store import read_calibration
 
     calibration = read_calibration(out / "calibration.json")
     write_record(correct_checked(read_record(out / "trial.parquet"), calibration).record, out / "corrected.parquet")
@@ -145,15 +142,15 @@ def _study(quick: bool) -> "Study":
     """Return the note's study, reduced: a sit-to-stand brings Figure 3 with it, which the quick demo leaves out."""
     from dataclasses import replace
 
-    from undrift.study.note import note_study
+    from undrift.study.plan import note_study
 
     whole = note_study(subjects=4 if quick else 8, seed=SEED, quick=True)
     return replace(whole, tasks=whole.tasks[1:2]) if quick else whole
 
 
 def _studied(quick: bool, out: Path, shown: "_Shown") -> "StudyOutcome":
-    from undrift.study.executor import InProcess, choose_executor
     from undrift.study.outcome import judge_study
+    from undrift.study.run import InProcess, choose_executor
 
     def advance(done: int, total: int) -> None:
         left_s = (1.0 - 0.5 * done / total) * STUDY_HOST_S[quick] + 0.5 * REST_HOST_S[quick]
@@ -165,7 +162,7 @@ def _studied(quick: bool, out: Path, shown: "_Shown") -> "StudyOutcome":
 
 
 def _tell(out: Path, trials: tuple["Trial", ...], checks: tuple["Check", ...]) -> None:
-    from undrift.cli.output import console
+    from undrift.cli.common import console
 
     shown = console()
     for check in checks:

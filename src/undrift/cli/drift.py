@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening
+from undrift.cli.common import Flag, Opening
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from undrift.calibration.model import Calibration
-    from undrift.drift.procedure import DriftFit, DriftSettings, TableChoice
-    from undrift.session import Session
+    from undrift.drift.fit import DriftFit, DriftSettings, TableChoice
+    from undrift.model import Calibration
+    from undrift.record import Session
 
 TABLES: "dict[str, TableChoice]" = {
     "auto": "auto",
@@ -75,10 +75,10 @@ def drift(
     int
         0, or 1 when the verdict is bad.
     """
-    from undrift.calibration.store import calibration_json, read_calibration, write_calibration
-    from undrift.cli.output import progress, write_json
-    from undrift.drift.observe.once import check_once
-    from undrift.drift.procedure import fit_drift
+    from undrift.cli.common import progress, write_json
+    from undrift.drift.fit import fit_drift
+    from undrift.drift.sessions import check_once
+    from undrift.io.store import calibration_json, read_calibration, write_calibration
 
     if not sessions:
         raise InputError("drift: wanted a session or recording, or more, got none; name them first")
@@ -112,9 +112,8 @@ def drift(
 def _settings(
     span: str | None, step: float, spline: str, tables: str, lag_s: float | None, warm_up: bool
 ) -> "DriftSettings":
-    from undrift.drift.fit.curve import CurveSettings
-    from undrift.drift.fit.static import StaticSettings
-    from undrift.drift.procedure import DriftSettings
+    from undrift.drift.fit import DriftSettings
+    from undrift.drift.static import CurveSettings, StaticSettings
 
     if not 0.0 < step < float("inf"):
         raise InputError(f"step: wanted more than 0 K, got {step:g}; 0.5 is the note's")
@@ -146,7 +145,7 @@ def _check_outputs(
     figure: Path | None,
 ) -> None:
     """Refuse what cannot be written; the calibration that was read may be written over, as it appears whole."""
-    from undrift.cli.writing import checked_output
+    from undrift.cli.common import checked_output
     from undrift.report.figures import PICTURES
 
     if output is not None:
@@ -163,11 +162,10 @@ def _that_exist(paths: tuple[Path, ...]) -> tuple[Path, ...]:
 
 def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
     """Read a session; a recording by itself is a session of one."""
-    from undrift.io.detect import detect
-    from undrift.io.files import sha256_of
-    from undrift.io.recording import read_record
+    from undrift.files import sha256_of
+    from undrift.io.formats import detect, read_record
     from undrift.io.session import read_session
-    from undrift.session import Session
+    from undrift.record import Session
     from undrift.units import STANDARD_GRAVITY
 
     if detect(path) == "session":
@@ -184,8 +182,8 @@ def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session
 
 def _by_power_on(paths: tuple[Path, ...], held: "list[Session]") -> "list[Session]":
     """Return the sessions as they are, and recordings by themselves together where their clock runs on."""
-    from undrift.drift.observe.once import one_power_on
-    from undrift.io.detect import detect
+    from undrift.drift.sessions import one_power_on
+    from undrift.io.formats import detect
 
     bare = [detect(path) != "session" for path in paths]
     whole = [session for session, alone in zip(held, bare, strict=True) if not alone]
@@ -193,8 +191,7 @@ def _by_power_on(paths: tuple[Path, ...], held: "list[Session]") -> "list[Sessio
 
 
 def _write_pictures(fit: "DriftFit", page: Path | None, figure: Path | None) -> None:
-    from undrift.report.drift import write_drift_report
-    from undrift.report.drift_figures import draw_offsets
+    from undrift.report.drift import draw_offsets, write_drift_report
     from undrift.report.figures import save_figure
 
     if figure is not None:
@@ -206,8 +203,8 @@ def _write_pictures(fit: "DriftFit", page: Path | None, figure: Path | None) -> 
 
 
 def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> None:
-    from undrift.cli.output import console, show_verdict, table
-    from undrift.drift.verdict import verdict_before
+    from undrift.cli.common import console, show_verdict, table
+    from undrift.drift.checks import verdict_before
     from undrift.report.drift import (
         CHOICE_HEADS,
         SCALE_HEADS,
@@ -246,7 +243,7 @@ def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> No
 
 
 def _say_next(fit: "DriftFit", output: Path | None, page: Path | None, figure: Path | None) -> None:
-    from undrift.cli.output import console
+    from undrift.cli.common import console
 
     out = console()
     for path in (figure, page):

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag
+from undrift.cli.common import Flag
 from undrift.errors import FileFormatError, InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.calibration.model import Calibration
     from undrift.export.c import ExportedC
+    from undrift.model import Calibration
 
 Target = Literal["c", "px4", "ardupilot", "fusion", "imucal", "ros", "undrift"]
 ENDINGS: dict[str, tuple[str, ...]] = {
@@ -100,10 +100,9 @@ def export(
     int
         0, or 1 when the calibration's own verdict is bad.
     """
-    from undrift.calibration.store import write_calibration
-    from undrift.cli.output import write_json
-    from undrift.cli.writing import checked_output
+    from undrift.cli.common import checked_output, write_json
     from undrift.files import write_whole
+    from undrift.io.store import write_calibration
 
     if choices.fixed and choices.double:
         raise InputError("export: wanted --fixed or --double, got both; the source holds both, name the default")
@@ -145,8 +144,8 @@ def read_any(path: Path) -> "Calibration":
     FileFormatError
         Neither of the two.
     """
-    from undrift.calibration.store import read_calibration
-    from undrift.export.imucal import import_imucal
+    from undrift.export.programs import import_imucal
+    from undrift.io.store import read_calibration
 
     try:
         text = path.read_text(encoding="utf-8")
@@ -167,9 +166,7 @@ def _export(
     if target == "c":
         return _export_c(model, choices, name)
     if target in ("px4", "ardupilot"):
-        from undrift.export.ardupilot import export_ardupilot
-        from undrift.export.cubic import AutopilotSettings
-        from undrift.export.px4 import export_px4
+        from undrift.export.autopilots import AutopilotSettings, export_ardupilot, export_px4
 
         gyro, accel = choices.gyro_dps_per_unit, choices.accel_g_per_unit
         settings = AutopilotSettings(
@@ -180,9 +177,7 @@ def _export(
         )
         made = export_px4(model, settings) if target == "px4" else export_ardupilot(model, settings)
     else:
-        from undrift.export.fusion import export_fusion
-        from undrift.export.imucal import export_imucal
-        from undrift.export.ros import export_ros
+        from undrift.export.programs import export_fusion, export_imucal, export_ros
 
         to = export_fusion if target == "fusion" else export_imucal if target == "imucal" else export_ros
         made = to(model, temp_c=choices.temp_c)
@@ -232,7 +227,7 @@ def _c_figures(made: "ExportedC") -> dict[str, object]:
 
 
 def _show(told: "dict[str, object]", model: "Calibration") -> None:
-    from undrift.cli.output import console, show_verdict, table
+    from undrift.cli.common import console, show_verdict, table
 
     out = console()
     builds, bound = told.get("builds"), told.get("fixed_point_bound")

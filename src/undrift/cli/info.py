@@ -1,14 +1,194 @@
 """``undrift info``: what a file holds."""
 
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from undrift.cli.opening import Flag, Opening
+from undrift.cli.common import Flag, Opening
+from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.io.describe import Description
-    from undrift.record import Record
-    from undrift.session import Still
+    from undrift.arrays import FloatArray
+    from undrift.io.inspect import Description
+    from undrift.model import Calibration, DriftTables
+    from undrift.record import Record, Still
+
+# ---- What a calibration holds, for ``undrift info``.
+
+
+def contents_of(path: Path, found: "Description") -> "tuple[Description, dict[str, list[str]]]":
+    """Return what a calibration holds.
+
+    Parameters
+    ----------
+    path : Path
+        calibration.json.
+    found : Description
+        What is known of it.
+
+    Returns
+    -------
+    found : Description
+        With the span of all its tables, degC.
+    lines : dict
+        What there is to say of each part.
+    """
+    from undrift.io.store import read_calibration
+
+    held = read_calibration(path)
+    lines = _triads(held)
+    tables, spans = _tables(held.drift)
+    if tables:
+        lines["tables"] = tables
+    lines["verdict"] = [held.verdict.status, *held.verdict.reasons]
+    span = (max(s[0] for s in spans), min(s[-1] for s in spans)) if spans else None
+    return replace(found, temp_c=None if span is None else (float(span[0]), float(span[1]))), lines
+
+
+def _triads(held: "Calibration") -> dict[str, list[str]]:
+    lines: dict[str, list[str]] = {}
+    for name, model in (("gyro", held.gyro), ("accel", held.accel)):
+        if model is None:
+            lines[name] = ["no model"]
+            continue
+        lines[name] = [f"{model.method}, {model.unit_in} to {model.unit_out}"]
+        if model.g_sensitivity is not None:
+            lines[name].append("g-sensitivity")
+    known = held.reference_temp_c == held.reference_temp_c
+    lines["reference temperature"] = [f"{held.reference_temp_c:.2f} degC" if known else "not known"]
+    return lines
+
+
+def _tables(drift: "DriftTables | None") -> "tuple[list[str], list[FloatArray]]":
+    """A sentence each, and the temperatures of their nodes."""
+    said: list[str] = []
+    spans: list[FloatArray] = []
+    if drift is None:
+        return said, spans
+    static, scale, dynamic = drift.static, drift.scale, drift.dynamic
+    parts = []
+    if static is not None:
+        parts += [
+            ("offset of the gyro", static.temp_c, static.gyro_offset, static.gyro_extrapolated),
+            ("offset of the accel", static.temp_c, static.accel_offset, static.accel_extrapolated),
+        ]
+    if scale is not None:
+        parts += [
+            ("matrix of the gyro", scale.temp_c, scale.gyro_matrix, scale.gyro_extrapolated),
+            ("matrix of the accel", scale.temp_c, scale.accel_matrix, scale.accel_extrapolated),
+        ]
+    if dynamic is not None:
+        low, high = dynamic.turn_rate[0] / RADIAN_PER_DEGREE, dynamic.turn_rate[-1] / RADIAN_PER_DEGREE
+        what = f"error of the gyro over {low:.0f} to {high:.0f} deg/s"
+        parts.append((what, dynamic.temp_c, dynamic.error, dynamic.extrapolated))
+    for what, temp_c, values, marks in parts:
+        if values is not None:
+            far = 0 if marks is None else int(marks.sum())
+            count = values.shape[0] if marks is None else marks.size
+            said.append(f"{what} {temp_c[0]:g} to {temp_c[-1]:g} degC ({count} nodes, {far} extrapolated)")
+            spans.append(temp_c)
+    if static is not None and static.warm_up is not None:
+        said.append(f"warm-up over {static.warm_up.power_on_s[-1]:g} s")
+    if drift.lag_s > 0.0:
+        said.append(f"thermometer lag {drift.lag_s:g} s")
+    return said, spans
+
+
+# ---- What ``undrift info`` says of a folder that is neither a session nor a recording: one line for each file in it.
+
+
+def is_plain_folder(path: Path) -> bool:
+    """Tell a folder of files from one that is a session or a recording.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+
+    Returns
+    -------
+    bool
+        True for a folder without session.toml or the files of a known device.
+    """
+    from undrift.io.formats import detect
+
+    if not path.is_dir():
+        return False
+    try:
+        detect(path)
+    except InputError:
+        return True
+    return False
+
+
+def list_folder(path: Path) -> list[tuple[str, str, str]]:
+    """Describe what lies directly in a folder.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+
+    Returns
+    -------
+    list of (str, str, str)
+        Name, kind and summary of each file or folder; kind "damaged" where it cannot be read, with the reason.
+
+    Raises
+    ------
+    InputError
+        An empty folder.
+    """
+    held = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
+    if not held:
+        raise InputError(f"{path}: wanted a recording or a folder of recordings, got an empty folder; check the path")
+    return [(entry.name, *_described(entry)) for entry in held]
+
+
+def _described(path: Path) -> tuple[str, str]:
+    from undrift.io.inspect import describe
+
+    if is_plain_folder(path):
+        return "folder", "not looked into"
+    try:
+        found = describe(path)
+    except InputError as error:
+        return "damaged", str(error)
+    return found.kind, found.summary
+
+
+def show_folder(path: Path, *, json: bool) -> None:
+    """Say what lies in a folder, for a person or as JSON.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    json : bool
+        One JSON object with the keys of ``undrift info``, and files.
+    """
+    from undrift.cli.common import console, write_json
+
+    found = list_folder(path)
+    kinds = Counter(kind for _, kind, _ in found)
+    summary = f"{len(found)} entries: " + ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    if json:
+        head = {"kind": "folder", "format": "folder", "rows": None, "sample_rate_hz": None, "duration_s": None}
+        rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": []}
+        problems = [text for _, kind, text in found if kind == "damaged"]
+        files = [{"name": name, "kind": kind, "summary": text} for name, kind, text in found]
+        write_json(head | rest | {"problems": problems, "summary": summary, "files": files})
+        return
+    out = console()
+    out.print(f"{path}: folder, {summary}", markup=False)
+    for name, kind, text in found:
+        out.print(f"  {name}: {kind}, {text}", markup=False)
+    out.print("  name one of them to see more", markup=False)
+
+
+# ---- info
 
 
 def info(
@@ -32,9 +212,8 @@ def info(
     int
         Exit code.
     """
-    from undrift.cli.listing import is_plain_folder, show_folder
-    from undrift.cli.output import write_json
-    from undrift.io.describe import describe
+    from undrift.cli.common import write_json
+    from undrift.io.inspect import describe
 
     if is_plain_folder(file):
         show_folder(file, json=json)
@@ -43,8 +222,6 @@ def info(
     stills, reason = _stills(file, found, opening)
     effects = _effects(file) if found.kind == "device" else {}
     if found.kind == "calibration":
-        from undrift.cli.contents import contents_of
-
         found, effects = contents_of(file, found)
     if json:
         write_json(
@@ -81,8 +258,8 @@ def info(
 
 def _effects(file: Path) -> dict[str, list[str]]:
     """Return what a device model holds: the effects of each triad that are switched on, the thermometer, the source."""
-    from undrift.sim.device.chain import effects_of
-    from undrift.sim.device.store import read_device
+    from undrift.sim.device.effects import effects_of
+    from undrift.sim.device.model import read_device
 
     device = read_device(file)
     return {
@@ -93,14 +270,14 @@ def _effects(file: Path) -> dict[str, list[str]]:
 
 
 def _line(text: str) -> None:
-    from undrift.cli.output import console
+    from undrift.cli.common import console
 
     console().print(text, markup=False)
 
 
 def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[list[float]], str]:
     """Return [start_s, stop_s] of every still phase, and why there is none."""
-    from undrift.io.recording import read_record
+    from undrift.io.formats import read_record
     from undrift.io.session import read_session
 
     if found.kind == "session":
@@ -129,7 +306,7 @@ def _search(record: "Record", recording: int = 0) -> "tuple[tuple[Still, ...], s
 
 
 def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
-    from undrift.cli.output import console
+    from undrift.cli.common import console
 
     out = console()
     out.print(f"{found.path}: {found.kind} ({found.format})", markup=False)

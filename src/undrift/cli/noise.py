@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening, calibrated_part, check_gravity
+from undrift.cli.common import Flag, Opening, calibrated_part, check_gravity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -52,8 +52,7 @@ def noise(
         Exit code.
     """
     from undrift.calibration.noise import SPOKEN, fit_noise
-    from undrift.cli.output import console, show_verdict, waiting, write_json
-    from undrift.cli.writing import checked_output
+    from undrift.cli.common import checked_output, console, show_verdict, waiting, write_json
     from undrift.report.figures import PICTURES
 
     if figure is not None:
@@ -64,8 +63,8 @@ def noise(
         if start_s is not None or stop_s is not None:
             readings = _between(readings, start_s, stop_s)
         if calibration is not None:
-            from undrift.calibration.store import read_calibration
-            from undrift.correct import correct_checked
+            from undrift.correction.correct import correct_checked
+            from undrift.io.store import read_calibration
 
             since = None if power_on_s is None else float(power_on_s + readings.time[0] - began)
             model = read_calibration(calibration)
@@ -153,7 +152,7 @@ def _customary(axis: "AxisNoise") -> tuple[float, str, str] | None:
 
 
 def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, ...]) -> None:
-    from undrift.cli.output import console, table
+    from undrift.cli.common import console, table
 
     if not axes:
         return
@@ -175,7 +174,6 @@ def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, ...]) -> 
 
 
 def _draw(found: "NoiseFit", path: Path, name: str) -> None:
-    from undrift.report.allan import draw_allan
-    from undrift.report.figures import save_figure
+    from undrift.report.figures import draw_allan, save_figure
 
     save_figure(draw_allan(found, title=f"{name}: overlapping Allan deviation"), path)

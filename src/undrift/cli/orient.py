@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening, check_physical
+from undrift.cli.common import Flag, Opening, check_physical
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
-    from undrift.orientation.orient import Orientation
-    from undrift.record import Record
-    from undrift.session import Still
+    from undrift.orientation import Orientation
+    from undrift.record import Record, Still
 
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 
@@ -71,18 +70,17 @@ def orient(
     int
         Exit code.
     """
-    from undrift.cli.output import console, write_json
-    from undrift.cli.writing import checked_output
-    from undrift.io.angles import write_orientation
-    from undrift.orientation.orient import OrientSettings
-    from undrift.orientation.orient import orient as find
+    from undrift.cli.common import checked_output, console, write_json
+    from undrift.io.store import write_orientation
+    from undrift.orientation import OrientSettings
+    from undrift.orientation import orient as find
 
     checked_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
     readings, model, notes = opening.read(record), None, tuple[str, ...]()
     if calibration is not None:
-        from undrift.calibration.store import read_calibration
-        from undrift.correct import correct_checked
-        from undrift.drift.lookup.beyond import find_beyond
+        from undrift.correction.correct import correct_checked
+        from undrift.correction.coverage import find_beyond
+        from undrift.io.store import read_calibration
 
         held = read_calibration(calibration)
         done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
@@ -120,7 +118,7 @@ def _still(record: "Record", start_s: float | None, stop_s: float | None) -> "St
     import numpy as np
 
     from undrift.errors import InputError
-    from undrift.session import Still
+    from undrift.record import Still
 
     if start_s is None and stop_s is None:
         return None

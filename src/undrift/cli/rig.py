@@ -12,13 +12,11 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from contextlib import ExitStack
 
-    from undrift.rig.address import RigSettings
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard
-    from undrift.rig.judge import RunSettings
     from undrift.rig.programme import Programme
-    from undrift.rig.run import Bench, Progress, RunResult
-    from undrift.rig.watch import Watch
+    from undrift.rig.rig import RigSettings
+    from undrift.rig.run import Bench, Progress, RunResult, RunSettings, Watch
     from undrift.sim.device.model import DeviceModel
 
 rig = App(
@@ -93,16 +91,12 @@ def run(
     """
     from contextlib import ExitStack
 
-    from undrift.io.protocol import read_protocol
-    from undrift.rig.address import RigSettings, parse_address
     from undrift.rig.folder import RunFolder
-    from undrift.rig.judge import RunSettings
+    from undrift.rig.guard import StopWatch, stopping_on_signals
     from undrift.rig.programme import ProgrammeSettings, programme_of
-    from undrift.rig.rig import Limits
-    from undrift.rig.safety import check_programme
-    from undrift.rig.signals import stopping_on_signals
-    from undrift.rig.stops import StopWatch
-    from undrift.rig.watch import Watch
+    from undrift.rig.protocol import read_protocol
+    from undrift.rig.rig import Limits, RigSettings, check_programme, parse_address
+    from undrift.rig.run import RunSettings, Watch
 
     asked = read_protocol(protocol)
     limits = Limits(
@@ -180,10 +174,9 @@ def emulate(
     int
         Exit code.
     """
-    from undrift.rig.signals import stopping_on_signals
-    from undrift.sim.device.store import write_device
-    from undrift.sim.rig.air import AirSettings
-    from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench
+    from undrift.rig.guard import stopping_on_signals
+    from undrift.sim.device.model import write_device
+    from undrift.sim.rig.bench import AirSettings, EmulatedBenchSettings, start_bench
     from undrift.sim.rig.emulator import EmulatorSettings
     from undrift.sim.rig.stream import StreamSettings
 
@@ -231,9 +224,8 @@ def stop(*, rig: str, json: bool = False) -> int:
     int
         Exit code.
     """
-    from undrift.cli.output import console, write_json
-    from undrift.rig.guard import stop_rig
-    from undrift.rig.stops import mark_stop
+    from undrift.cli.common import console, write_json
+    from undrift.rig.guard import mark_stop, stop_rig
 
     mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
     stop_rig(rig)
@@ -260,8 +252,8 @@ def status(*, rig: str, json: bool = False) -> int:
     int
         Exit code.
     """
-    from undrift.cli.output import console, write_json
-    from undrift.rig.status import read_status
+    from undrift.cli.common import console, write_json
+    from undrift.rig.galil import read_status
 
     found = read_status(rig)
     if json:
@@ -302,14 +294,13 @@ def _bench(
     programme: "Programme",
 ) -> "tuple[Bench, str]":
     """Connect device, chamber, hands and, last, the table; return them and what the device is called."""
-    from undrift.live.address import source_at
-    from undrift.live.dwells import DwellReadings
-    from undrift.live.recorder import Recorder, RecorderSettings
-    from undrift.rig.address import open_rig, parse_address
+    from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+    from undrift.live.transports import source_at
     from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
-    from undrift.rig.clock import Clock
-    from undrift.rig.hands import AskedHands
+    from undrift.rig.link import Clock
+    from undrift.rig.manual import AskedHands
     from undrift.rig.programme import Soak
+    from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import Bench
     from undrift.sim.rig.bench import BenchHands
 
@@ -337,8 +328,8 @@ def _bench(
 def _device(name: str, seed: int) -> "DeviceModel | None":
     import numpy as np
 
+    from undrift.sim.device.model import read_device
     from undrift.sim.device.presets import PRESETS, random_device_of
-    from undrift.sim.device.store import read_device
 
     if not name:
         return None
@@ -421,7 +412,7 @@ class _Shown:
 
 
 def _result(result: "RunResult", folder: Path, json: bool) -> None:
-    from undrift.cli.output import console, write_json
+    from undrift.cli.common import console, write_json
 
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     missing = sum(piece.missing for piece in result.pieces)
@@ -457,7 +448,7 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
 
 
 def _announce(addresses: dict[str, str], json: bool) -> None:
-    from undrift.cli.output import write_json
+    from undrift.cli.common import write_json
 
     if json:
         write_json(addresses)

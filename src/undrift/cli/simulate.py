@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from undrift.sim.device.model import DeviceModel
     from undrift.sim.device.simulate import Simulated, Triad
     from undrift.sim.motion.motion import Motion
-    from undrift.sim.thermal.settings import ThermalKind
+    from undrift.sim.thermal import ThermalKind
 
 THERMAL = "thermal_"  # before the kind of a thermal session
 
@@ -80,10 +80,10 @@ def simulate(
     """
     import numpy as np
 
-    from undrift.cli.output import console, waiting, write_json
-    from undrift.io.recording import write_record
+    from undrift.cli.common import console, waiting, write_json
+    from undrift.io.formats import write_record
+    from undrift.sim.device.model import write_device
     from undrift.sim.device.simulate import simulate_device
-    from undrift.sim.device.store import write_device
 
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
@@ -125,7 +125,7 @@ def _write_truth(moved: "Motion", where: "FloatArray | None", path: Path) -> Non
 
 
 def _thermal_kind(motion: str, **unused: object) -> "ThermalKind":
-    from undrift.sim.thermal.settings import ThermalKind
+    from undrift.sim.thermal import ThermalKind
 
     kind = next((k for k in get_args(ThermalKind) if motion == THERMAL + k), None)
     if kind is None:
@@ -149,11 +149,9 @@ def _thermal(
     """Write a thermal session and return what it holds."""
     from dataclasses import replace
 
-    from undrift.cli.output import waiting
-    from undrift.cli.writing import checked_folder
+    from undrift.cli.common import checked_folder, waiting
     from undrift.io.session import write_session
-    from undrift.sim.thermal.session import simulate_thermal_session
-    from undrift.sim.thermal.settings import ThermalSettings
+    from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
     checked_folder(output)
     sample_rate_hz, power_on_s, gravity_m_s2 = given
@@ -191,8 +189,8 @@ def _in_words(motion: str, output: Path, said: dict[str, object]) -> str:
 
 
 def _device(name: str, draw: bool, rng: "np.random.Generator") -> "DeviceModel":
+    from undrift.sim.device.model import read_device
     from undrift.sim.device.presets import PRESETS, preset, random_device_of
-    from undrift.sim.device.store import read_device
 
     if name not in PRESETS and not Path(name).exists():
         raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
@@ -215,8 +213,8 @@ def _motion(
     import numpy as np
 
     from undrift.io.reference import read_reference
-    from undrift.sim.motion.library import TaskName, draw_task
     from undrift.sim.motion.poses import fit_pose_spline, motion_from_poses
+    from undrift.sim.motion.tasks import TaskName, draw_task
 
     for task in get_args(TaskName):
         if name == task:
@@ -263,7 +261,7 @@ def _show(made: "Simulated", model: "DeviceModel") -> None:
     """Show the size of each effect."""
     import numpy as np
 
-    from undrift.cli.output import console, table
+    from undrift.cli.common import console, table
     from undrift.units import RADIAN_PER_DEGREE
 
     shown = table(f"{model.name} {model.serial}: what each effect adds (rms)", "effect", "x", "y", "z")

@@ -1,22 +1,153 @@
 """``undrift study``: which calibration protocol is enough for a task, found by simulation, tested on other subjects."""
 
 import json as text_json
+import sys
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag
+from undrift.cli.common import Flag
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.study.effects import ParameterEffect
-    from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
+    from undrift.study.judge import Cohort, ParameterEffect, Tested
+    from undrift.study.outcome import EffectPower, Stage, StageName, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
-    from undrift.study.real_motion import BesideRow
-    from undrift.study.real_plan import RealData, RealOutcome
-    from undrift.study.testing import Cohort, Tested
+    from undrift.study.real import BesideRow, RealData, RealOutcome
+
+# ---- What ``undrift study`` says before and while it runs: what is not tried, how long each stage takes, where it is.
+
+SHOWN_EVERY_S = 10.0  # where stderr is not a terminal
+
+
+def announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json: bool) -> None:
+    """Say how many runs there are, about how long all stages take, and which values no protocol has.
+
+    Parameters
+    ----------
+    planned : Study
+        What will be done.
+    stages : tuple of Stage
+        Forecast.
+    workers : int
+        That share the calibration sessions.
+    json : bool
+        Stdout is for JSON: stderr is used.
+    """
+    from rich.console import Console
+
+    from undrift.cli.common import console
+    from undrift.report.study import untried_words
+    from undrift.study.run import count_runs
+
+    out = Console(stderr=True, highlight=False, soft_wrap=True) if json else console()
+    tasks = ", ".join(task.name for task in planned.tasks)
+    most = sorted(stages, key=lambda stage: -stage.seconds)[:3]
+    parts = ", ".join(f"{stage.name} {duration(stage.seconds)}" for stage in stages if stage in most)
+    out.print(
+        f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects) on {workers} "
+        f"worker{'s' * (workers > 1)}, in all about {duration(sum(stage.seconds for stage in stages))} ({parts})",
+        markup=False,
+    )
+    for task in planned.tasks:
+        if words := untried_words(task.space.untried()):
+            out.print(f"{task.name}: {words}", markup=False)
+
+
+class StudyProgress:
+    """A bar on a terminal; elsewhere a line on stderr for each stage, and now and then one within the first.
+
+    Parameters
+    ----------
+    name : str
+        Of the study.
+    stages : tuple of Stage
+        Forecast.
+    """
+
+    def __init__(self, name: str, stages: "tuple[Stage, ...]") -> None:
+        from undrift.cli.common import progress
+
+        self._name, self._stages = name, stages
+        self._live = sys.stderr.isatty()
+        self._shown = progress()
+        self._bar = self._shown.add_task(name, total=None)
+        self._next_s = 0.0
+
+    def __enter__(self) -> Self:
+        self._shown.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._shown.stop()
+
+    def say(self, stage: "StageName") -> None:
+        """Tell that a stage begins.
+
+        Parameters
+        ----------
+        stage : str
+            Which.
+        """
+        names = [each.name for each in self._stages]
+        left = self._stages[names.index(stage) :] if stage in names else ()
+        if not left:  # not forecast, since there is nothing to do
+            return
+        text = f"{stage}, about {duration(left[0].seconds)}"
+        if len(left) > 1:
+            text += f"; {duration(sum(each.seconds for each in left))} left in all"
+        self._tell(text)
+
+    def advance(self, done: int, total: int) -> None:
+        """Tell how many units of work are done.
+
+        Parameters
+        ----------
+        done, total : int
+            Of the first stage.
+        """
+        self._shown.update(self._bar, completed=done, total=total)
+        now_s = time.monotonic()
+        if self._live or done == 0:
+            self._next_s = now_s + SHOWN_EVERY_S
+        elif done == total or now_s >= self._next_s:
+            self._next_s = now_s + SHOWN_EVERY_S
+            self._tell(f"calibration sessions: {done} of {total} units of work")
+
+    def _tell(self, text: str) -> None:
+        if self._live:  # a stage of its own bar: only the first counts units
+            self._shown.remove_task(self._bar)
+            self._bar = self._shown.add_task(f"{self._name}: {text}", total=None)
+        else:
+            sys.stderr.write(f"{self._name}: {text}\n")
+            sys.stderr.flush()
+
+
+def duration(seconds: float) -> str:
+    """Return a time for people.
+
+    Parameters
+    ----------
+    seconds : float
+        s.
+
+    Returns
+    -------
+    str
+        In s, min or h.
+    """
+    if seconds < 90.0:
+        return f"{max(seconds, 1.0):.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+# ---- study
 
 QUICK_SUBJECTS = 8
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
@@ -70,13 +201,11 @@ def study(
     int
         Exit code.
     """
-    from undrift.cli.output import plain, write_json
-    from undrift.cli.study_progress import StudyProgress, announce
+    from undrift.cli.common import plain, write_json
     from undrift.files import write_whole
     from undrift.report.study import write_study_report
-    from undrift.study.executor import choose_executor
-    from undrift.study.forecast import forecast
-    from undrift.study.outcome import judge_study
+    from undrift.study.outcome import forecast, judge_study
+    from undrift.study.run import choose_executor
 
     planned = _planned(plan, preset, quick, subjects, seed)
     held = None if real is None else _read_real(real)
@@ -100,9 +229,7 @@ def study(
 def _planned(plan: Path | None, preset: str | None, quick: bool, subjects: int | None, seed: int | None) -> "Study":
     from dataclasses import replace
 
-    from undrift.study.file import read_study
-    from undrift.study.note import note_study
-    from undrift.study.plan import ends_of
+    from undrift.study.plan import ends_of, note_study, read_study
 
     if (plan is None) == (preset is None):
         both = "neither" if plan is None else "both"
@@ -118,8 +245,8 @@ def _planned(plan: Path | None, preset: str | None, quick: bool, subjects: int |
 
 def _check_folder(output: Path, planned: "Study") -> None:
     """Refuse a folder of another study, or one with somebody's own files, before anything is computed."""
-    from undrift.cli.writing import checked_folder
-    from undrift.study.store import HEAD, RunStore
+    from undrift.cli.common import checked_folder
+    from undrift.study.run import HEAD, RunStore
 
     checked_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
@@ -130,8 +257,8 @@ def _check_folder(output: Path, planned: "Study") -> None:
 
 
 def _read_real(path: Path) -> "RealData":
-    from undrift.cli.output import waiting
-    from undrift.study.real_plan import read_real
+    from undrift.cli.common import waiting
+    from undrift.study.real import read_real
 
     with waiting("reading real recordings"):
         return read_real(path)
@@ -213,7 +340,7 @@ def _real_summary(real: "RealOutcome") -> dict[str, object]:
 
 
 def _protocol(task: "TaskOutcome", place: int) -> dict[str, object]:
-    from undrift.study.effects import PARAMETERS
+    from undrift.study.judge import PARAMETERS
 
     return {name: round(float(getattr(task.surface, name)[place]), 9) for name in PARAMETERS}
 
@@ -333,9 +460,9 @@ def _cohort_summary(cohort: "Cohort") -> dict[str, object]:
 
 
 def _show(outcome: "StudyOutcome", output: Path) -> None:
-    from undrift.cli.output import console, table
-    from undrift.report.study_answer import missing_words, untried_words
-    from undrift.report.study_pictures import NAMES
+    from undrift.cli.common import console, table
+    from undrift.report.figures import NAMES
+    from undrift.report.study import missing_words, untried_words
     from undrift.study.outcome import TOO_LONG
 
     out = console()

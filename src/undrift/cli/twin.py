@@ -5,15 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Opening
+from undrift.cli.common import Opening
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
-    from undrift.twin import HeldOutTrial, Prepared, Twin
-    from undrift.twin.contributions import Part
-    from undrift.twin.endings import Ending
+    from undrift.twin.fit import Prepared, Twin
+    from undrift.twin.heldout import Ending, HeldOutTrial, Part
 
 
 def twin(
@@ -60,11 +59,9 @@ def twin(
     """
     import numpy as np
 
-    from undrift.cli.output import waiting, write_json
-    from undrift.cli.pairs import read_pairs
-    from undrift.twin import TwinSettings, compare_held_out, fit_prepared, prepare_twin
-    from undrift.twin.contributions import contributions
-    from undrift.twin.endings import end_errors
+    from undrift.cli.common import read_pairs, waiting, write_json
+    from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
+    from undrift.twin.heldout import compare_held_out, contributions, end_errors
 
     if not records:
         raise InputError("twin: wanted one recording or more, got none; name them first")
@@ -185,15 +182,15 @@ def spread(values: "FloatArray") -> dict[str, float]:
 
 
 def _write(fitted: "Twin", prepared: "Prepared", path: Path) -> None:
-    from undrift.sim.device.store import write_device
-    from undrift.twin import device_of
+    from undrift.sim.device.model import write_device
+    from undrift.twin.heldout import device_of
 
     record = prepared.records[0]
     write_device(device_of(fitted, sample_rate_hz=record.sample_rate_hz, serial=record.device), path)
 
 
 def _say(text: str) -> None:
-    from undrift.cli.output import console
+    from undrift.cli.common import console
 
     console().print(text, markup=False)
 
@@ -205,7 +202,7 @@ def _show(
     parts: "tuple[Part, ...]",
     names: list[str],
 ) -> None:
-    from undrift.cli.output import console, table
+    from undrift.cli.common import console, table
 
     out, deg = console(), 1.0 / RADIAN_PER_DEGREE
     shown = table("parameters of the device", "name", "value", "standard error", "unit")
@@ -241,7 +238,7 @@ def _show(
 def _show_held(
     held: "tuple[HeldOutTrial, ...]", endings: "tuple[Ending, ...]", parts: "tuple[Part, ...]", names: list[str]
 ) -> None:
-    from undrift.cli.output import console, table
+    from undrift.cli.common import console, table
 
     out, deg = console(), 1.0 / RADIAN_PER_DEGREE
     title = "held out: largest pitch difference between simulated and real device in a window, deg"

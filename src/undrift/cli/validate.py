@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from undrift.cli.opening import Flag, Opening, check_gravity, check_physical
-from undrift.cli.writing import checked_folder, name_of
+from undrift.cli.common import Flag, Opening, check_gravity, check_physical, checked_folder, name_of
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from undrift.calibration.model import Calibration
+    from undrift.model import Calibration
     from undrift.record import Record, Reference
-    from undrift.report.validation_method import Method
-    from undrift.validation import Trial, TrialSettings, Validation
+    from undrift.report.validation import Method
+    from undrift.validation.agreement import Validation
+    from undrift.validation.trial import Trial, TrialSettings
 
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 SHOWN = (
@@ -94,10 +94,9 @@ def validate(
     int
         Exit code.
     """
-    from undrift.cli.output import waiting, write_json
-    from undrift.cli.pairs import read_pairs
+    from undrift.cli.common import read_pairs, waiting, write_json
     from undrift.sync import LagSettings
-    from undrift.validation import TrialSettings
+    from undrift.validation.trial import TrialSettings
 
     _check_asked(records, calibration, calibrate_from, leave_one_out, longest_lag_s)
     if output is not None:
@@ -211,9 +210,9 @@ def _judged(
     fit: bool,
 ) -> tuple["Validation", "Calibration | None"]:
     """Return the validation, and the calibration: as read, or as fitted to all recordings, or None."""
-    from undrift.calibration.procedure_reference import calibrate_to_references
-    from undrift.calibration.store import read_calibration
-    from undrift.validation import validate_leave_one_out, validate_trials
+    from undrift.calibration.calibrate import calibrate_to_references
+    from undrift.io.store import read_calibration
+    from undrift.validation.agreement import validate_leave_one_out, validate_trials
 
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     fitted = calibrate_to_references(records, references, adc=settings.adc, lag_settings=settings.lag) if fit else None
@@ -236,8 +235,8 @@ def _method(
     settings: "TrialSettings",
 ) -> "Method":
     """Return what was asked for, with the verdict of what judged: in leave-one-out that of all fits to the others."""
-    from undrift.calibration.model import Verdict
-    from undrift.report.validation_method import Method
+    from undrift.model import Verdict
+    from undrift.report.validation import Method
 
     verdict = Verdict() if model is None or result.held_out else model.verdict
     for held in result.held_out:
@@ -256,9 +255,9 @@ def _method(
 def _write(folder: Path, result: "Validation", told: dict[str, object], method: "Method") -> None:
     import json
 
-    from undrift.calibration.store import write_calibration
-    from undrift.cli.output import plain
+    from undrift.cli.common import plain
     from undrift.files import write_whole
+    from undrift.io.store import write_calibration
     from undrift.report.validation import write_validation_report
 
     folder.mkdir(exist_ok=True)
@@ -269,7 +268,7 @@ def _write(folder: Path, result: "Validation", told: dict[str, object], method: 
 
 
 def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: bool) -> None:
-    from undrift.cli.output import console, table
+    from undrift.cli.common import console, table
     from undrift.report.validation import OPTICS_SEEN, PITCH_DEFINED
 
     title = f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})"

@@ -1,26 +1,131 @@
 """A C99 header and source that correct readings on a microcontroller, in float, double or fixed point.
 
-The source evaluates the model of ``correct.py`` in its order: rounding, static table and warm-up, matrix or scale table,
+The source evaluates the model of ``correction/correct.py`` in its order: rounding, static table and warm-up, matrix or scale table,
 g-sensitivity, dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table
 up in a time that does not depend on the data. A thermometer's lag is taken off by a function of its own, whose state the caller
-owns (export/lead.py); the warm-up by a second entry, to which the caller gives the time since power-on. One source makes three
+owns (export/firmware.py); the warm-up by a second entry, to which the caller gives the time since power-on. One source makes three
 builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
 """
 
 import re
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
-from undrift.arrays import FloatArray
-from undrift.calibration.model import Calibration
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
-from undrift.export.c_text import Printer, comment_text, literal, wrapped
-from undrift.export.cost import ASSUMPTION, Arithmetic, Cost, cost_of
-from undrift.export.firmware import Table, Triad, nominal_triad, triads_of
-from undrift.export.fixed import FULL_FORCE, FULL_RATE, FixedTable, FixedTriad, fixed_triad
-from undrift.export.lead import Lead, lead_of
+from undrift.export.firmware import (
+    ASSUMPTION,
+    FULL_FORCE,
+    FULL_RATE,
+    Arithmetic,
+    Axis,
+    Cost,
+    FixedAxis,
+    FixedTable,
+    FixedTriad,
+    Lead,
+    Table,
+    Triad,
+    cost_of,
+    fixed_triad,
+    lead_of,
+    nominal_triad,
+    triads_of,
+)
 from undrift.export.losses import Part, losses
+from undrift.model import Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+# ---- C text: literals, arrays, lookups in a table, and comments that nothing can break out of.
+
+WIDTH = 116
+SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
+
+
+class Printer:
+    """Prints arrays and lookups, and counts the bytes of the arrays."""
+
+    def __init__(self, prefix: str) -> None:
+        self.prefix, self.upper = prefix, prefix.upper()
+        self.sizes = {"float": 0, "double": 0, "fixed": 0}
+
+    def ints(self, kind: str, name: str, values: IntArray) -> str:
+        """Return the definition of an array of integers."""
+        flat = [str(int(v)) for v in np.ravel(values)]
+        self.sizes["fixed"] += len(flat) * (2 if kind == "int16_t" else 4)
+        return self._array(kind, name, flat)
+
+    def reals(self, name: str, values: FloatArray) -> str:
+        """Return the definition of an array of floats or doubles, as the build has it."""
+        flat = [f"{self.upper}_C({literal(float(v))})" for v in np.ravel(values)]
+        self.sizes["float"] += 4 * len(flat)
+        self.sizes["double"] += 8 * len(flat)
+        return self._array(f"{self.prefix}_t", name, flat)
+
+    def _array(self, kind: str, name: str, cells: list[str]) -> str:
+        lines, line = [], "   "
+        for cell in cells:
+            if len(line) + len(cell) + 2 > WIDTH:
+                lines.append(line)
+                line = "   "
+            line += f" {cell},"
+        lines.append(line.rstrip(","))
+        return f"static const {kind} {self.prefix}_{name}[{len(cells)}] = {{\n" + "\n".join(lines) + "\n};\n"
+
+    def fixed_cell(
+        self, triad: str, table: str, axis: FixedAxis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
+    ) -> str:
+        """Return the lines that find a cell and a position in it, and mark what lies outside."""
+        start, stop, name = int(axis.nodes[0]), int(axis.nodes[-1]), f"{self.prefix}_{triad}_{table}_{place}"
+        pad = "\n" + " " * (4 if cell == "cell" else 8)
+        held = f"status |= {x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0;{pad}" if what else ""
+        if axis.axis.even:
+            inner = f"{x}, {start}, {stop}, {int(axis.inverse[0])}u, {axis.shift}, {axis.axis.cells}, &{fraction}"
+            return f"{held}{cell} = {self.prefix}_cell({inner});"
+        inner = f"{x}, {name}, {name}_inverse, {axis.shift}, {axis.axis.cells}, {axis.axis.stride}, &{fraction}"
+        return f"{held}{cell} = {self.prefix}_search({inner});"
+
+    def real_cell(
+        self, triad: str, table: str, axis: Axis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
+    ) -> str:
+        """Return the lines that find a cell and a position in it, and mark what lies outside."""
+        c, name = f"{self.upper}_C", f"{self.prefix}_{triad}_{table}_{place}"
+        start, stop = literal(axis.start), literal(axis.stop)
+        pad = "\n" + " " * (4 if cell == "cell" else 8)
+        held = (
+            f"status |= {x} >= {c}({start}) && {x} <= {c}({stop}) ? 0 : {self.upper}_{what}_HELD;{pad}" if what else ""
+        )
+        if axis.even:
+            inner = f"{x}, {c}({start}), {c}({literal(float(axis.inverse[0]))}), {axis.cells}, &{fraction}"
+            return f"{held}{cell} = {self.prefix}_cell({inner});"
+        inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {axis.stride}, &{fraction}"
+        return f"{held}{cell} = {self.prefix}_search({inner});"
+
+
+def literal(x: float) -> str:
+    """Return a C literal that reads back to the last bit as a double, and that a float can be."""
+    if abs(x) > LARGEST:
+        raise InputError(f"export c: wanted numbers that float holds, got {x:g}; mend the calibration")
+    text = repr(x if abs(x) >= SMALLEST else 0.0)
+    return text if "." in text or "e" in text else text + ".0"
+
+
+def comment_text(text: str) -> str:
+    """Return text that cannot end a comment, continue a line or form a trigraph."""
+    plain = re.sub(r"[^ -~]", "?", text).replace("\\", "/")
+    plain = re.sub(r"\?{2,}", "?", plain)
+    return plain.replace("*/", "* /").replace("/*", "/ *")
+
+
+def wrapped(line: str) -> list[str]:
+    """Return a line of a comment as lines that are not too long."""
+    return textwrap.wrap(line, WIDTH + 6, subsequent_indent="    ") or [""]
+
+
+# ---- c
 
 CARRIED: frozenset[Part] = frozenset(
     ("lag", "warm-up", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross")
@@ -29,59 +134,34 @@ CARRIED: frozenset[Part] = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CSettings:
-    """How the source is written.
+    """How the source is written."""
 
-    Parameters
-    ----------
-    default : str
-        Arithmetic of a build that defines none: float, double or fixed.
-    prefix : str
-        Begins every name, so that two devices fit into one program: a C identifier in lower case.
-    header_name : str
-        File name that the source includes.
-    gyro_raw_bits, accel_raw_bits : int or None
-        Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets tell of large codes.
-    gyro_unit, accel_unit : str or None
-        Physical unit of the readings of a triad that has no model; None for rad/s and m/s2.
-    date : str
-        When it was exported; written into the comment.
-    """
-
-    default: Arithmetic = "float"
+    default: Arithmetic = "float"  # Arithmetic of a build that defines none: float, double or fixed
+    # Begins every name, so that two devices fit into one program: a C identifier in lower case
     prefix: str = "undrift"
-    header_name: str = "undrift.h"
+    header_name: str = "undrift.h"  # File name that the source includes
+    # Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets tell of large codes
     gyro_raw_bits: int | None = None
+    # Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets tell of large codes
     accel_raw_bits: int | None = None
+    # Physical unit of the readings of a triad that has no model; None for rad/s and m/s2
     gyro_unit: str | None = None
+    # Physical unit of the readings of a triad that has no model; None for rad/s and m/s2
     accel_unit: str | None = None
-    date: str = ""
+    date: str = ""  # When it was exported; written into the comment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExportedC:
-    """A C99 header and source, and what they cost.
+    """A C99 header and source, and what they cost."""
 
-    Parameters
-    ----------
-    header, source : str
-        The files.
-    not_carried : tuple of str
-        What the calibration holds and the source does not.
-    notes : tuple of str
-        What the firmware must know or do.
-    costs : tuple of Cost
-        Of the float, double and fixed builds.
-    gyro_bound, accel_bound : array, shape (3,)
-        Fixed point: worst error against exact arithmetic, rad/s and m/s2.
-    """
-
-    header: str
-    source: str
-    not_carried: tuple[str, ...]
-    notes: tuple[str, ...]
-    costs: tuple[Cost, ...]
-    gyro_bound: FloatArray
-    accel_bound: FloatArray
+    header: str  # The files
+    source: str  # The files
+    not_carried: tuple[str, ...]  # What the calibration holds and the source does not
+    notes: tuple[str, ...]  # What the firmware must know or do
+    costs: tuple[Cost, ...]  # Of the float, double and fixed builds
+    gyro_bound: FloatArray  # (3,), fixed point: worst error against exact arithmetic, rad/s and m/s2
+    accel_bound: FloatArray  # (3,), fixed point: worst error against exact arithmetic, rad/s and m/s2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

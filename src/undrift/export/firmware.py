@@ -3,33 +3,52 @@
 A table whose nodes are whole multiples of one step is put on the even grid that holds them all (``even_nodes``), where the
 cell is found by one multiplication; one that would more than double its memory that way keeps its nodes, and the cell is
 found by bisection in a number of steps that depends on the table alone. Either way a lookup takes constant time.
+
+Fixed point: every number of a triad as integers, and what that costs in accuracy.
+
+Readings, temperatures and results are int32 with 16 bits behind the point (Q16.16); readings with fewer where their codes need
+the room. A table holds int16 values q of a value y, one base and scale for each column::
+
+    y = (base + q scale / 2^shift) / 2^bits        positions in a table have 16 bits behind the point too
+
+Products are int64, sums are rounded to nearest, results saturate. Where nothing saturates and the result lies within
+``FULL_RATE`` and ``FULL_FORCE`` on every axis, the error against exact arithmetic on the same inputs is at most ``bound``: the
+sum of what each rounding can do at worst.
+
+What a build costs on a small controller, estimated: bytes of flash, and cycles of one sample.
+
+Tables are counted byte by byte. Instructions are estimates for a Cortex-M4F at -O2 with tables in flash without wait states:
+float uses its floating-point unit, double is done in software, fixed point uses the 32 by 32 bit multiplier. A sample costs the
+sum of its steps, each step being so many loads, products, comparisons and so on, counted by hand from the generated source.
+
+The lead that takes a thermometer's lag off, as firmware evaluates it: the same filter as drift/thermometer_lag.py, rewritten.
+
+With d = x - z, how far the reading x is from its low-passed z, a = dt / smooth, and g = lag / smooth::
+
+    d = e^-a d + m (x - x_before)     m = (1 - e^-a) / a          y = x + (g - 1) d
+
+so that two numbers are carried, and d is small where the temperature is steady: float loses little.
 """
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray
-from undrift.calibration.model import Calibration, TriadModel
-from undrift.drift.lookup.cells import even_nodes
+from undrift.arrays import FloatArray, IntArray
+from undrift.correction.plan import even_nodes
 from undrift.errors import InputError
-from undrift.units import Quantity, canonical_unit, is_physical, si_factor
+from undrift.model import Calibration, TriadModel
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, canonical_unit, is_physical, si_factor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Axis:
-    """One axis of a table.
+    """One axis of a table."""
 
-    Parameters
-    ----------
-    nodes : array, shape (n,)
-        Increasing.
-    even : bool
-        True where the nodes are evenly spaced.
-    """
-
-    nodes: FloatArray
-    even: bool
+    nodes: FloatArray  # (n,), increasing
+    even: bool  # True where the nodes are evenly spaced
 
     @property
     def cells(self) -> int:
@@ -60,56 +79,28 @@ class Axis:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
-    """Values over temperature, or over temperature and rate.
+    """Values over temperature, or over temperature and rate."""
 
-    Parameters
-    ----------
-    temp : Axis
-        Temperatures, degC.
-    turn_rate : Axis or None
-        Rates, rad/s; None for a table over temperature alone.
-    values : array, shape (n, c) or (n, k, c)
-        c values at each node.
-    """
-
-    temp: Axis
-    turn_rate: Axis | None = None
-    values: FloatArray
+    temp: Axis  # Temperatures, degC
+    turn_rate: Axis | None = None  # Rates, rad/s; None for a table over temperature alone
+    values: FloatArray  # (n, c), c values at each node
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Triad:
-    """One triad as firmware evaluates it.
+    """One triad as firmware evaluates it."""
 
-    Parameters
-    ----------
-    name : str
-        gyro or accel.
-    unit_in : str
-        Unit of the reading.
-    matrix : array, shape (3, 3)
-        SI per raw unit.
-    offset : array, shape (3,)
-        Raw unit; half a step is taken off where codes are rounded down.
-    half_step : array, shape (3,), or None
-        Raw unit; None unless codes are cut off toward zero.
-    g_sensitivity : array, shape (3, 3), or None
-        rad/s per m/s2.
-    offset_table, matrix_table, error_table : Table or None
-        In the same units.
-    warm_up_table : Table or None
-        Extra offset over the time since power-on, s, in the place of the temperature; zero at its last node and after it.
-    """
-
-    name: str
-    unit_in: str
-    matrix: FloatArray
-    offset: FloatArray
-    half_step: FloatArray | None
-    g_sensitivity: FloatArray | None
-    offset_table: Table | None
-    matrix_table: Table | None
-    error_table: Table | None
+    name: str  # gyro or accel
+    unit_in: str  # Unit of the reading
+    matrix: FloatArray  # (3, 3), SI per raw unit
+    offset: FloatArray  # (3,), raw unit; half a step is taken off where codes are rounded down
+    half_step: FloatArray | None  # (3,), raw unit; None unless codes are cut off toward zero
+    g_sensitivity: FloatArray | None  # (3, 3), rad/s per m/s2
+    offset_table: Table | None  # In the same units
+    matrix_table: Table | None  # In the same units
+    error_table: Table | None  # In the same units
+    # Extra offset over the time since power-on, s, in the place of the temperature; zero at its last node and after
+    # it
     warm_up_table: Table | None = None
 
     @property
@@ -141,23 +132,7 @@ class Triad:
 
 
 def triads_of(calibration: Calibration) -> tuple[Triad | None, Triad | None]:
-    """Return gyroscopes and accelerometers as firmware evaluates them.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        The device's model.
-
-    Returns
-    -------
-    tuple of two Triad or None
-        None where the calibration has no model.
-
-    Raises
-    ------
-    InputError
-        Neither triad has a model, or a number of the model is NaN.
-    """
+    """Return gyroscopes and accelerometers as firmware evaluates them."""
     if calibration.gyro is None and calibration.accel is None:
         raise InputError("export: wanted a model of gyroscopes or accelerometers, got neither; calibrate first")
     gyro = None if calibration.gyro is None else _triad(calibration, calibration.gyro, "rate")
@@ -193,27 +168,7 @@ def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> T
 
 
 def nominal_triad(name: str, quantity: Quantity, unit: str) -> Triad:
-    """Return the triad of a device without a model: readings in a physical unit, made SI and left alone otherwise.
-
-    Parameters
-    ----------
-    name : str
-        gyro or accel.
-    quantity : str
-        rate or accel.
-    unit : str
-        Of the readings, any known spelling.
-
-    Returns
-    -------
-    Triad
-        The factor to SI on the diagonal, no offset, no table.
-
-    Raises
-    ------
-    InputError
-        Counts or volts, or a unit that is not known.
-    """
+    """Return the triad of a device without a model: readings in a physical unit, made SI and left alone otherwise."""
     if not is_physical(canonical_unit(unit, quantity)):
         raise InputError(
             f"export: wanted a physical unit of the {name}, which has no model, got {unit}; calibrate it, or name the unit that "
@@ -235,19 +190,7 @@ def nominal_triad(name: str, quantity: Quantity, unit: str) -> Triad:
 def rounding_of(calibration: Calibration, *, is_gyro: bool) -> tuple[FloatArray | None, FloatArray]:
     """Return what gives back the half step that the rounding of the codes took.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        The device's model.
-    is_gyro : bool
-        Gyroscopes, not accelerometers.
-
-    Returns
-    -------
-    half_step : array, shape (3,), or None
-        To add with the sign of the code, raw unit.
-    shift : array, shape (3,)
-        To add always, raw unit.
+    Arrays:  -> (3,), (3,).
     """
     adc, zero = calibration.adc, np.zeros(3)
     lsb = None if adc is None else adc.gyro_lsb if is_gyro else adc.accel_lsb
@@ -294,3 +237,365 @@ def _check_finite(triad: Triad) -> None:
             f"export: wanted numbers throughout the model of the {triad.name}, got {missing} NaN; calibrate what is missing",
             missing=missing,
         )
+
+
+# ---- Fixed point: every number of a triad as integers, and what that costs in accuracy.
+
+OUT_BITS = 16
+FULL_RATE = 2000.0 * RADIAN_PER_DEGREE  # rad/s: the range that the error bound is stated for
+FULL_FORCE = 16.0 * STANDARD_GRAVITY  # m/s2
+MATRIX_BITS = 28  # of the largest element: three products with a reading less its offset, 33 bits, stay below 2^62
+MOST_SHIFT = 60
+HALF = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FixedAxis:
+    """One axis of a table in integers."""
+
+    axis: Axis  # The same in real numbers
+    nodes: IntArray  # All nodes, Q16.16; of an even axis the first and the last
+    inverse: IntArray  # round(2^shift / width), of each cell or of all
+    shift: int  # Of ``inverse``
+
+    @property
+    def position_error(self) -> tuple[float, float]:
+        """Worst error of a position: in units of the axis, from rounded nodes, and in cells, from the arithmetic."""
+        reach = (self.axis.stop - self.axis.start) if self.axis.even else float(np.diff(self.axis.nodes).max())
+        return HALF / 2**16, 1.0 / 2**16 + HALF * (reach + 2.0**-16) / 2**self.shift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FixedTable:
+    """A table in integers."""
+
+    temp: FixedAxis  # Temperatures
+    turn_rate: FixedAxis | None  # Rates
+    values: IntArray  # int16
+    base: IntArray  # (c,), middle of each column
+    scale: IntArray  # (c,), of each column
+    shift: int  # Of ``scale``
+    error: FloatArray  # (c,), worst error of a value looked up, in its own unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FixedTriad:
+    """A triad in integers."""
+
+    raw_bits: int  # Bits behind the point of a reading
+    matrix: IntArray  # Constants; unused where there is a table
+    offset: IntArray  # Constants; unused where there is a table
+    matrix_bits: int  # Bits behind the point of the matrix
+    half_step: IntArray | None  # As in ``Triad``
+    g_sensitivity: IntArray | None  # As in ``Triad``
+    g_bits: int  # Bits behind the point of the g-sensitivity
+    offset_table: FixedTable | None  # As in ``Triad``
+    matrix_table: FixedTable | None  # As in ``Triad``
+    error_table: FixedTable | None  # As in ``Triad``
+    warm_up_table: FixedTable | None  # As in ``Triad``
+    bound: FloatArray  # (3,), worst error of a result, SI
+
+    @property
+    def out_shift(self) -> int:
+        """From the product of matrix and reading to the result."""
+        return self.raw_bits + self.matrix_bits - OUT_BITS
+
+
+def fixed_triad(
+    triad: Triad, *, raw_bits: int | None, full: float, accel_bound: FloatArray | None = None, accel_full: float = 0.0
+) -> FixedTriad:
+    """Return a triad in integers with its error bound.
+
+    Arrays: accel_bound (3,) m/s2.
+    """
+    raw = _raw_bits(triad) if raw_bits is None else raw_bits
+    bits = min(_bits_of(triad.matrices), MOST_SHIFT + OUT_BITS - raw)
+    if raw + bits - OUT_BITS < 1:
+        largest = float(np.abs(triad.matrices).max())
+        raise InputError(
+            f"fixed point, {triad.name}: wanted gains that 32 bits hold, got {largest:.3g} SI per {triad.unit_in}; use float"
+        )
+    half = 0.0 if triad.half_step is None else float(np.abs(triad.half_step).max())
+    largest = max(half, triad.largest_offset)
+    if largest * 2.0**raw >= 2.0**30:
+        raise InputError(
+            f"fixed point, {triad.name}: wanted offsets that leave room in 32 bits with {raw} bits behind the point, got "
+            f"{largest:.6g} {triad.unit_in}; use fewer raw bits",
+            raw_bits=raw,
+        )
+    g_bits = 1 if triad.g_sensitivity is None else max(1, min(_bits_of(triad.g_sensitivity[None]), MOST_SHIFT))
+    offset_table = None if triad.offset_table is None else fixed_table(triad.offset_table, raw)
+    matrix_table = None if triad.matrix_table is None else fixed_table(triad.matrix_table, bits)
+    error_table = None if triad.error_table is None else fixed_table(triad.error_table, OUT_BITS)
+    warm_up = None if triad.warm_up_table is None else fixed_table(triad.warm_up_table, raw)
+    tables = offset_table, matrix_table, error_table, warm_up
+    return FixedTriad(
+        raw_bits=raw,
+        matrix=_rounded(triad.matrix.ravel(), bits),
+        offset=_rounded(triad.offset, raw),
+        matrix_bits=bits,
+        half_step=None if triad.half_step is None else _rounded(triad.half_step, raw),
+        g_sensitivity=None if triad.g_sensitivity is None else _rounded(triad.g_sensitivity.ravel(), g_bits),
+        g_bits=g_bits,
+        offset_table=offset_table,
+        matrix_table=matrix_table,
+        error_table=error_table,
+        warm_up_table=warm_up,
+        bound=_bound(triad, tables, (raw, bits, g_bits), full, (accel_bound, accel_full)),
+    )
+
+
+def fixed_table(table: Table, bits: int) -> FixedTable:
+    """Return a table in integers."""
+    flat = table.values.reshape(-1, table.values.shape[-1])
+    middle, half = (flat.max(axis=0) + flat.min(axis=0)) / 2.0, np.ptp(flat, axis=0) / 2.0
+    step = half / 32767.0
+    q = np.round((flat - middle) / np.where(step > 0.0, step, 1.0)).astype(np.int64)
+    fine = step * 2.0**bits / 2.0**16  # of one unit of a position-weighted value
+    largest = float(fine.max())
+    shift = 1 if largest == 0.0 else max(1, min(MOST_SHIFT, 30 - math.frexp(largest)[1]))
+    if largest * 2.0**shift >= 2.0**30:
+        raise InputError("fixed point: wanted a table whose values 32 bits hold, got more; use float")
+    temp = _fixed_axis(table.temp)
+    rate = None if table.turn_rate is None else _fixed_axis(table.turn_rate)
+    error = step / 2.0 + (HALF + HALF + 2.0**31 * HALF / 2.0**shift) / 2.0**bits
+    for place, axis in enumerate((temp, rate)):
+        if axis is not None:
+            error = error + _slope_error(axis, table.values, place, step)
+    if rate is not None:
+        error = error + step * HALF / 2**16
+    return FixedTable(
+        temp=temp,
+        turn_rate=rate,
+        values=q.reshape(table.values.shape),
+        base=_rounded(middle, bits),
+        scale=np.round(fine * 2.0**shift).astype(np.int64),
+        shift=shift,
+        error=error,
+    )
+
+
+def _slope_error(axis: FixedAxis, values: FloatArray, place: int, step: FloatArray) -> FloatArray:
+    """What a wrong position does to a value, columns apart."""
+    moved = np.abs(np.diff(values, axis=place))
+    width = np.diff(axis.axis.nodes).reshape(-1, *([1] * (moved.ndim - 1 - place)))
+    others = tuple(range(moved.ndim - 1))
+    per_cell, per_unit = moved.max(axis=others) + step, (moved / width).max(axis=others)
+    of_nodes, of_cells = axis.position_error
+    worst: FloatArray = of_nodes * per_unit + of_cells * per_cell
+    return worst
+
+
+def _fixed_axis(axis: Axis) -> FixedAxis:
+    nodes = _rounded(np.array([axis.start, axis.stop]) if axis.even else axis.nodes, 16)
+    if int(np.abs(nodes).max()) >= 2**31 or not (np.diff(nodes) > 0).all():
+        raise InputError(
+            "fixed point: wanted nodes within 32767 and more than 1/65536 apart, got others; use float, or fewer nodes"
+        )
+    inverse = axis.inverse
+    shift = max(1, min(34, 31 - math.frexp(float(inverse.max()))[1]))
+    return FixedAxis(axis=axis, nodes=nodes, inverse=np.round(inverse * 2.0**shift).astype(np.int64), shift=shift)
+
+
+def _raw_bits(triad: Triad) -> int:
+    """Bits behind the point: 16, or what leaves codes of twice the largest offset room."""
+    largest, bits = 2.0 * triad.largest_offset, 16
+    while bits > 0 and largest * 2.0**bits >= 2.0**31:
+        bits -= 1
+    return bits
+
+
+def _bits_of(matrices: FloatArray) -> int:
+    largest = float(np.abs(matrices).max())
+    return MATRIX_BITS if largest == 0.0 else MATRIX_BITS - math.frexp(largest)[1]
+
+
+def _rounded(x: FloatArray, bits: int) -> IntArray:
+    return np.round(x * 2.0**bits).astype(np.int64)
+
+
+def _bound(
+    triad: Triad,
+    tables: tuple[FixedTable | None, FixedTable | None, FixedTable | None, FixedTable | None],
+    bits: tuple[int, int, int],
+    full: float,
+    accel: tuple[FloatArray | None, float],
+) -> FloatArray:
+    """Sum of the worst cases, step by step."""
+    of_offset, of_matrix, of_error, of_warm_up = tables
+    raw, matrix, g = (2.0**-b for b in bits)
+    out, gain = 2.0**-OUT_BITS, np.abs(triad.matrices).max(axis=0)
+    g_sensitivity = np.zeros((3, 3)) if triad.g_sensitivity is None else np.abs(triad.g_sensitivity)
+    e = np.zeros(3) if triad.error_table is None else np.abs(triad.error_table.values).max(axis=(0, 1))
+    measured = full + e + g_sensitivity.sum(axis=1) * accel[1]  # before steps 4 and 5
+    reading = np.abs(np.linalg.inv(triad.matrices)).max(axis=0) @ measured
+    u = (HALF * raw if of_offset is None else of_offset.error) + (0.0 if triad.half_step is None else HALF * raw)
+    u = u if of_warm_up is None else u + of_warm_up.error
+    m = np.full((3, 3), HALF * matrix) if of_matrix is None else of_matrix.error.reshape(3, 3)
+    worst = gain @ np.broadcast_to(u, 3) + m @ (reading + u) + HALF * out
+    if triad.g_sensitivity is not None:
+        of_accel = np.zeros(3) if accel[0] is None else accel[0]
+        worst = worst + g_sensitivity @ of_accel + HALF * g * (3.0 * accel[1] + of_accel.sum()) + HALF * out
+    if of_error is not None and triad.error_table is not None and triad.error_table.turn_rate is not None:
+        width = np.diff(triad.error_table.turn_rate.nodes)[None, :, None]
+        slope = np.abs(np.diff(triad.error_table.values, axis=1) / width).max(axis=(0, 1))
+        worst = worst * (1.0 + slope) + of_error.error
+    bound: FloatArray = worst * (1.0 + 1e-6)  # and the rounding of these sums themselves
+    return bound
+
+
+# ---- What a build costs on a small controller, estimated: bytes of flash, and cycles of one sample.
+
+Arithmetic = Literal["float", "double", "fixed"]
+ASSUMPTION = "Cortex-M4F, -O2, no wait states, double in software"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Steps:
+    """Cycles and bytes of one step of the correction in one arithmetic."""
+
+    call: int  # Entering, copying in and out
+    place: int  # A cell and a position on an even grid
+    stride: int  # One comparison of a bisection
+    between: int  # A value between two nodes
+    both: int  # A value between four nodes, without its place on the rate axis
+    row: int  # Three products of a matrix with a vector, summed
+    less: int  # Half a step and offset of one axis
+    # One call of the function that takes the thermometer's lag off, with a step of time of at most half the smoothing
+    lead: int
+    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
+    # the lead
+    code_base: int
+    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
+    # the lead
+    code_triad: int
+    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
+    # the lead
+    code_table: int
+    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
+    # the lead
+    code_warm_up: int
+    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
+    # the lead
+    code_lead: int
+
+
+FLOAT = Steps(
+    call=40, place=24, stride=9, between=12, both=36, row=17, less=8, lead=320,
+    code_base=300, code_triad=140, code_table=120, code_warm_up=200, code_lead=260,
+)  # fmt: skip
+DOUBLE = Steps(
+    call=55, place=290, stride=40, between=190, both=560, row=330, less=90, lead=4900,
+    code_base=520, code_triad=260, code_table=260, code_warm_up=400, code_lead=520,
+)  # fmt: skip
+FIXED = Steps(
+    call=40, place=20, stride=8, between=24, both=52, row=44, less=16, lead=1700,
+    code_base=430, code_triad=170, code_table=150, code_warm_up=250, code_lead=460,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """What one build costs."""
+
+    arithmetic: Arithmetic  # float, double or fixed
+    table_bytes: int  # Constants, exact
+    code_bytes: int  # Instructions, estimated
+    cycles: int  # One call of the correction, with the warm-up where there is one, estimated
+    lead_cycles: int = 0  # One call that takes the thermometer's lag off, estimated; 0 where there is none
+
+    @property
+    def flash_bytes(self) -> int:
+        """Constants and instructions."""
+        return self.table_bytes + self.code_bytes
+
+
+def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int, *, lead: bool = False) -> Cost:
+    """Return what a build costs."""
+    steps = FLOAT if arithmetic == "float" else DOUBLE if arithmetic == "double" else FIXED
+    cycles, code = steps.call, steps.code_base
+    for triad in triads:
+        code += steps.code_triad + steps.code_table * len(triad.tables)
+        cycles += 3 * (steps.less + steps.row)
+        if triad.g_sensitivity is not None:
+            cycles += 3 * (steps.row + 2)
+        for table in triad.tables:
+            cycles += _place(table.temp, steps)
+            if table.turn_rate is None:
+                cycles += table.values.shape[-1] * steps.between
+            else:
+                cycles += 3 * (_place(table.turn_rate, steps) + steps.both)
+        if triad.warm_up_table is not None:
+            code += steps.code_warm_up
+            cycles += _place(triad.warm_up_table.temp, steps) + 3 * (steps.between + steps.less)
+    return Cost(
+        arithmetic=arithmetic,
+        table_bytes=table_bytes,
+        code_bytes=code + steps.code_lead * lead,
+        cycles=cycles,
+        lead_cycles=steps.lead * lead,
+    )
+
+
+def _place(axis: Axis, steps: Steps) -> int:
+    return steps.place if axis.even else steps.place + axis.stride.bit_length() * steps.stride
+
+
+# ---- The lead that takes a thermometer's lag off, as firmware evaluates it: the same filter as drift/thermometer_lag.py,
+# rewritten.
+
+STEP_BITS = 20  # behind the point of a step of time: 1 us, up to 2047 s
+SHORTEST_S, LONGEST_S = 1e-3, 1e5  # smoothing that 32 bits hold with their accuracy
+MOST_GAIN = 2.0**15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lead:
+    """Constants of the lead."""
+
+    lag_s: float  # The thermometer's time constant and what is left of it, s
+    smooth_s: float  # The thermometer's time constant and what is left of it, s
+
+    @property
+    def gain(self) -> float:
+        """g - 1."""
+        return self.lag_s / self.smooth_s - 1.0
+
+    @property
+    def rate(self) -> float:
+        """One over the smoothing, 1/s."""
+        return 1.0 / self.smooth_s
+
+    @property
+    def fixed_gain(self) -> int:
+        """g - 1 with 16 bits behind the point."""
+        return round(self.gain * 2**16)
+
+    @property
+    def rate_bits(self) -> int:
+        """Bits behind the point of ``fixed_rate``."""
+        return 30 - math.frexp(self.rate)[1]
+
+    @property
+    def fixed_rate(self) -> int:
+        """One over the smoothing with ``rate_bits`` behind the point: 30 significant bits."""
+        return round(self.rate * 2.0**self.rate_bits)
+
+    @property
+    def rate_shift(self) -> int:
+        """How far the product of a step and ``fixed_rate`` is moved down to have 31 bits behind the point."""
+        return self.rate_bits + STEP_BITS - 31
+
+
+def lead_of(calibration: Calibration) -> Lead | None:
+    """Return the lead that a calibration asks for."""
+    drift = calibration.drift
+    if drift is None or not drift.lag_s > 0.0 or (drift.static, drift.scale, drift.dynamic) == (None, None, None):
+        return None
+    smooth = drift.lag_smooth_s
+    if not (SHORTEST_S <= smooth <= LONGEST_S and drift.lag_s / smooth <= MOST_GAIN):
+        raise InputError(
+            f"export c: wanted a lag smoothed over {SHORTEST_S:g} to {LONGEST_S:g} s, of at most {MOST_GAIN:g} times that, got "
+            f"{drift.lag_s:g} s over {smooth:g} s; fit the lag again"
+        )
+    return Lead(lag_s=drift.lag_s, smooth_s=smooth)

@@ -1,11 +1,36 @@
 """What a target cannot carry, in sentences with figures: the parts of a calibration, and those that a target has a place for."""
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from undrift.calibration.model import Calibration, DriftTables, TriadModel
+from undrift.model import Calibration, DriftTables, TriadModel
 from undrift.units import RADIAN_PER_DEGREE, Quantity, si_factor
+
+# ---- Exported: a text for another program, and what that program cannot do with the calibration.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """A file for another program.
+
+    Parameters
+    ----------
+    text : str
+        The file.
+    not_carried : tuple of str
+        What the calibration holds and the file does not, one sentence each, with its size where it has one.
+    notes : tuple of str
+        What the reader of the file must know or do.
+    """
+
+    text: str
+    not_carried: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+# ---- losses
 
 Part = Literal[
     "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross", "hysteresis", "warm-up",
@@ -14,20 +39,7 @@ Part = Literal[
 
 
 def losses(calibration: Calibration, carried: frozenset[Part]) -> tuple[str, ...]:
-    """Return what a target that carries some parts leaves out of this calibration.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        The device's model.
-    carried : frozenset of str
-        Parts that the target has a place for.
-
-    Returns
-    -------
-    tuple of str
-        One sentence for each part that the calibration has and the target has not.
-    """
+    """Return what a target that carries some parts leaves out of this calibration."""
     found: list[tuple[Part, str]] = [*_of_matrix(calibration), *_of_tables(calibration.drift or DriftTables())]
     adc = calibration.adc
     if adc is not None and "toward_zero" in (

@@ -6,18 +6,59 @@ struct are ``struct.field``. Arrays of other lengths (a second clock, settings) 
 
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.io.build import build_record
+from undrift.files import checked_file
 from undrift.io.columns import Column, ColumnMap, Gaps, native_map
-from undrift.io.files import checked_file
+from undrift.io.record import build_record
 from undrift.io.table import Table
 from undrift.record import Record
+
+# ---- HDF5 files, opened with one clear line when they cannot be.
+
+
+@contextmanager
+def open_hdf5(path: str | Path) -> Iterator[Any]:
+    """Open an HDF5 file for reading."""
+    path = checked_file(path)
+    try:
+        import h5py
+    except ImportError as error:  # pragma: no cover - the io extra is installed where the tests run
+        raise InputError(f"{path}: HDF5 needs h5py; install undrift[io]") from error
+    try:
+        handle = h5py.File(path, "r")
+    except OSError as error:
+        raise FileFormatError(
+            f"{path}: wanted an HDF5 file, got something else or a cut one; {_first(error)}"
+        ) from error
+    with handle:
+        yield handle
+
+
+def read_array(handle: Any, name: str, path: Path) -> FloatArray:
+    """Return one dataset as float64."""
+    if name not in handle:
+        held = ", ".join(sorted(handle.keys())) or "nothing"
+        raise FileFormatError(f"{path}: wanted dataset {name}, got {held}; check that this is the right kind of file")
+    try:
+        return np.asarray(handle[name][()], dtype=np.float64)
+    except (OSError, TypeError, ValueError, AttributeError) as error:
+        raise FileFormatError(f"{path}: {name}: wanted readable numbers, got an error: {_first(error)}") from error
+
+
+def _first(error: BaseException) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+# ---- arrays
 
 Arrays = tuple[tuple[str, NDArray[Any]], ...]
 
@@ -25,83 +66,19 @@ Arrays = tuple[tuple[str, NDArray[Any]], ...]
 def read_npz(
     path: str | Path, columns: ColumnMap | None = None, *, sample_rate_hz: float | None = None, gaps: Gaps = "raise"
 ) -> Record:
-    """Read a record from a numpy .npz file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    columns : ColumnMap or None
-        Array names; a channel of shape (N, 3) is one name: gyro=("gyro_raw",). None for undrift's own names.
-    sample_rate_hz : float or None
-        Hz, for undrift's own names without time_s.
-    gaps : str
-        For undrift's own names: "raise" or "keep".
-
-    Returns
-    -------
-    Record
-        Readings.
-
-    Raises
-    ------
-    InputError
-        No such file or array, arrays of different lengths, NaN, time that goes back.
-    FileFormatError
-        Not an npz file, a damaged one, or one that holds Python objects.
-    """
+    """Read a record from a numpy .npz file."""
     return record_of_arrays(npz_arrays(path), Path(path), columns, sample_rate_hz=sample_rate_hz, gaps=gaps)
 
 
 def read_mat(
     path: str | Path, columns: ColumnMap | None = None, *, sample_rate_hz: float | None = None, gaps: Gaps = "raise"
 ) -> Record:
-    """Read a record from a MATLAB .mat file, version 5 to 7.3.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    columns : ColumnMap or None
-        Variable names; fields of a struct as "struct.field". None for undrift's own names.
-    sample_rate_hz : float or None
-        Hz, for undrift's own names without time_s.
-    gaps : str
-        For undrift's own names: "raise" or "keep".
-
-    Returns
-    -------
-    Record
-        Readings.
-
-    Raises
-    ------
-    InputError
-        No such file or variable, variables of different lengths, NaN, time that goes back.
-    FileFormatError
-        Not a MAT file, or a damaged one.
-    """
+    """Read a record from a MATLAB .mat file, version 5 to 7.3."""
     return record_of_arrays(mat_arrays(path), Path(path), columns, sample_rate_hz=sample_rate_hz, gaps=gaps)
 
 
 def npz_arrays(path: str | Path) -> Arrays:
-    """Return the arrays of an npz file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    tuple of (str, array)
-        Name and array, as stored.
-
-    Raises
-    ------
-    FileFormatError
-        Not an npz file, a damaged one, or one that holds Python objects.
-    """
+    """Return the arrays of an npz file."""
     path = checked_file(path)
     try:
         with path.open("rb") as raw:
@@ -114,25 +91,7 @@ def npz_arrays(path: str | Path) -> Arrays:
 
 
 def mat_arrays(path: str | Path) -> Arrays:
-    """Return the numeric arrays of a MAT file, structs laid flat.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    tuple of (str, array)
-        Name and array; vectors as (N,).
-
-    Raises
-    ------
-    InputError
-        The reader is not installed.
-    FileFormatError
-        Not a MAT file, or a damaged one.
-    """
+    """Return the numeric arrays of a MAT file, structs laid flat."""
     path = checked_file(path)
     try:
         from pymatreader import read_mat as load
@@ -150,31 +109,7 @@ def mat_arrays(path: str | Path) -> Arrays:
 def record_of_arrays(
     arrays: Arrays, path: Path, columns: ColumnMap | None, *, sample_rate_hz: float | None = None, gaps: Gaps = "raise"
 ) -> Record:
-    """Return the record that named arrays hold.
-
-    Parameters
-    ----------
-    arrays : tuple of (str, array)
-        From :func:`npz_arrays` or :func:`mat_arrays`.
-    path : Path
-        For the errors.
-    columns : ColumnMap or None
-        None for undrift's own names.
-    sample_rate_hz : float or None
-        Hz.
-    gaps : str
-        "raise" or "keep", for undrift's own names.
-
-    Returns
-    -------
-    Record
-        Readings.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_npz`.
-    """
+    """Return the record that named arrays hold."""
     from dataclasses import replace
 
     if columns is None:
@@ -187,27 +122,7 @@ def record_of_arrays(
 
 
 def table_of_arrays(arrays: Arrays, path: Path, wanted: tuple[Column, ...]) -> Table:
-    """Return the arrays that are as long as the first wanted one, as a table.
-
-    Parameters
-    ----------
-    arrays : tuple of (str, array)
-        Named arrays.
-    path : Path
-        For the errors.
-    wanted : tuple of str or int
-        Column or array names; positions have no meaning here.
-
-    Returns
-    -------
-    Table
-        Columns of one length.
-
-    Raises
-    ------
-    InputError
-        No such array, or wanted arrays of different lengths.
-    """
+    """Return the arrays that are as long as the first wanted one, as a table."""
     lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
     lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
     held = ", ".join(f"{name} {array.shape}" for name, array in arrays[:16]) or "no arrays"
@@ -247,7 +162,3 @@ def _flat(prefix: str, value: Any) -> list[tuple[str, NDArray[Any]]]:
     if array.dtype.kind not in "fiub":
         return []
     return [(prefix, np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else array))]
-
-
-def _first(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

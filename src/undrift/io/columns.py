@@ -32,18 +32,11 @@ TEMP_SUFFIX = {"degc": "c", "lm335_v": "lm335_v", "count": "count", "v": "v"}
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """A linear conversion of one channel: value = gain * cell + offset.
+    """A linear conversion of one channel: value = gain * cell + offset."""
 
-    Parameters
-    ----------
-    gain : float or tuple of three floats
-        Unit of the channel per unit of the file; three for axes that differ in scale or sign.
-    offset : float or tuple of three floats
-        Added afterwards, in the unit of the channel.
-    """
-
+    # Unit of the channel per unit of the file; three for axes that differ in scale or sign
     gain: float | tuple[float, float, float] = 1.0
-    offset: float | tuple[float, float, float] = 0.0
+    offset: float | tuple[float, float, float] = 0.0  # Added afterwards, in the unit of the channel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,17 +45,10 @@ class Trim:
 
     The part's output is a line through 0 K, so that one point sets its slope: T = T_said (true + 273.15) / (reads + 273.15),
     all in K. The potentiometer at the part's third pin does the same.
-
-    Parameters
-    ----------
-    reads_c : float
-        Temperature that its voltage says, degC.
-    true_c : float
-        Temperature that it had, degC.
     """
 
-    reads_c: float
-    true_c: float
+    reads_c: float  # Temperature that its voltage says, degC
+    true_c: float  # Temperature that it had, degC
 
     def __post_init__(self) -> None:
         for name in ("reads_c", "true_c"):
@@ -86,26 +72,13 @@ class Trim:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextLayout:
-    """How the text of a table is laid out.
+    """How the text of a table is laid out."""
 
-    Parameters
-    ----------
-    delimiter : str
-        One character; " " means one or more blanks or tabs.
-    header : bool
-        True when the first line after the skipped ones names the columns.
-    skip_rows : int
-        Lines before the header, or before the first row where there is none.
-    decimal : str
-        "." or ",".
-    drop_bad_rows : bool
-        Leave out rows with another number of columns, or with text where a number is wanted. They are counted.
-    """
-
-    delimiter: str = ","
-    header: bool = True
-    skip_rows: int = 0
-    decimal: str = "."
+    delimiter: str = ","  # One character; " " means one or more blanks or tabs
+    header: bool = True  # True when the first line after the skipped ones names the columns
+    skip_rows: int = 0  # Lines before the header, or before the first row where there is none
+    decimal: str = "."  # "." or ","
+    # Leave out rows with another number of columns, or with text where a number is wanted. They are counted
     drop_bad_rows: bool = False
 
     def __post_init__(self) -> None:
@@ -121,65 +94,30 @@ class TextLayout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnMap:
-    """Where the channels are in a file, and in which units.
+    """Where the channels are in a file, and in which units."""
 
-    A column is its name in the header or its position from 0. A channel of three axes is three columns, or one name of a
-    two-dimensional array in files that have such (npz, mat). A mapped channel needs its unit.
-
-    Parameters
-    ----------
-    time : str, int or None
-        Time column; without it ``sample_rate_hz`` is required.
-    gyro, accel : tuple of str or int, or None
-        Three columns x, y, z.
-    temp : str, int or None
-        Temperature column.
-    mag : tuple of str or int, or None
-        Three columns x, y, z.
-    time_unit, gyro_unit, accel_unit, temp_unit, mag_unit : str
-        Unit after the scale is applied; any spelling of :mod:`undrift.units`.
-    gyro_scale, accel_scale, temp_scale, mag_scale : Scale or None
-        Conversion from the file's numbers to that unit.
-    temp_trim : Trim or None
-        Of an LM335, where ``temp_unit`` is "lm335_v".
-    sample_rate_hz : float or None
-        Hz. Never defaulted; beside a time column it is checked against it.
-    layout : TextLayout
-        For text files.
-    gaps : str
-        "raise" refuses empty cells and NaN, "keep" keeps them as gaps.
-    repair_time : bool
-        Leave out rows whose time does not go forward. They are counted.
-    frame : str
-        "s" or "b".
-    state : str
-        "raw" or "corrected".
-    device : str
-        Serial number or name.
-    """
-
-    time: Column | None = None
-    gyro: tuple[Column, ...] | None = None
-    accel: tuple[Column, ...] | None = None
-    temp: Column | None = None
-    mag: tuple[Column, ...] | None = None
-    time_unit: str = ""
-    gyro_unit: str = ""
-    accel_unit: str = ""
-    temp_unit: str = ""
-    mag_unit: str = ""
-    gyro_scale: Scale | None = None
-    accel_scale: Scale | None = None
-    temp_scale: Scale | None = None
-    mag_scale: Scale | None = None
-    temp_trim: Trim | None = None
-    sample_rate_hz: float | None = None
-    layout: TextLayout = field(default_factory=TextLayout)
-    gaps: Gaps = "raise"
-    repair_time: bool = False
-    frame: Frame = "s"
-    state: State = "raw"
-    device: str = ""
+    time: Column | None = None  # Time column; without it ``sample_rate_hz`` is required
+    gyro: tuple[Column, ...] | None = None  # Three columns x, y, z
+    accel: tuple[Column, ...] | None = None  # Three columns x, y, z
+    temp: Column | None = None  # Temperature column
+    mag: tuple[Column, ...] | None = None  # Three columns x, y, z
+    time_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
+    gyro_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
+    accel_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
+    temp_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
+    mag_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
+    gyro_scale: Scale | None = None  # Conversion from the file's numbers to that unit
+    accel_scale: Scale | None = None  # Conversion from the file's numbers to that unit
+    temp_scale: Scale | None = None  # Conversion from the file's numbers to that unit
+    mag_scale: Scale | None = None  # Conversion from the file's numbers to that unit
+    temp_trim: Trim | None = None  # Of an LM335, where ``temp_unit`` is "lm335_v"
+    sample_rate_hz: float | None = None  # Hz. Never defaulted; beside a time column it is checked against it
+    layout: TextLayout = field(default_factory=TextLayout)  # For text files
+    gaps: Gaps = "raise"  # "raise" refuses empty cells and NaN, "keep" keeps them as gaps
+    repair_time: bool = False  # Leave out rows whose time does not go forward. They are counted
+    frame: Frame = "s"  # "s" or "b"
+    state: State = "raw"  # "raw" or "corrected"
+    device: str = ""  # Serial number or name
 
     def __post_init__(self) -> None:
         if self.gyro is None and self.accel is None:
@@ -199,60 +137,21 @@ class ColumnMap:
             raise InputError(f"gaps: wanted 'raise' or 'keep', got {self.gaps!r}")
 
     def columns_of(self, channel: Channel) -> tuple[Column, ...]:
-        """Return the columns of a channel, none where it is not mapped.
-
-        Parameters
-        ----------
-        channel : str
-            time, gyro, accel, temp or mag.
-
-        Returns
-        -------
-        tuple of str or int
-            One for time and temp; three, or one array name, for the others.
-        """
+        """Return the columns of a channel, none where it is not mapped."""
         value = getattr(self, channel)
         return () if value is None else value if isinstance(value, tuple) else (value,)
 
     def unit_of(self, channel: Channel) -> str:
-        """Return the unit of a mapped channel in its one spelling.
-
-        Parameters
-        ----------
-        channel : str
-            time, gyro, accel, temp or mag.
-
-        Returns
-        -------
-        str
-            Canonical unit.
-        """
+        """Return the unit of a mapped channel in its one spelling."""
         return canonical_unit(getattr(self, f"{channel}_unit"), QUANTITY[channel])
 
     def scale_of(self, channel: Channel) -> Scale | None:
-        """Return the scale of a channel.
-
-        Parameters
-        ----------
-        channel : str
-            time, gyro, accel, temp or mag.
-
-        Returns
-        -------
-        Scale or None
-            None where the file's numbers are in the unit already.
-        """
+        """Return the scale of a channel."""
         scale: Scale | None = None if channel == "time" else getattr(self, f"{channel}_scale")
         return scale
 
     def mapped(self) -> tuple[Channel, ...]:
-        """Return the channels that have columns.
-
-        Returns
-        -------
-        tuple of str
-            In the order time, gyro, accel, temp, mag.
-        """
+        """Return the channels that have columns."""
         return tuple(channel for channel in CHANNELS if self.columns_of(channel))
 
     def _check_channel(self, channel: Channel) -> None:
@@ -277,31 +176,7 @@ class ColumnMap:
 def native_map(
     names: tuple[str, ...] | list[str], *, sample_rate_hz: float | None = None, layout: TextLayout | None = None
 ) -> ColumnMap:
-    """Return the map of a file that uses undrift's own column names.
-
-    Recognised: time_s; gyro_x_rad_s, _dps, _count, _v; accel_x_m_s2, _g, _mg, _count, _v; temp_c, temp_lm335_v;
-    mag_x_ut (and y, z). Any other name is left unread.
-
-    Parameters
-    ----------
-    names : tuple of str
-        The file's column names.
-    sample_rate_hz : float or None
-        Hz, where there is no time_s.
-    layout : TextLayout or None
-        How the text is laid out; None for commas and a header.
-
-    Returns
-    -------
-    ColumnMap
-        Channels found by name.
-
-    Raises
-    ------
-    InputError
-        No such names, an axis missing, one channel in two units, a temperature in counts or volts, or neither time_s nor
-        a rate.
-    """
+    """Return the map of a file that uses undrift's own column names."""
     gyro, gyro_unit = _native_triple(names, "gyro", GYRO_SUFFIX)
     accel, accel_unit = _native_triple(names, "accel", ACCEL_SUFFIX)
     mag, mag_unit = _native_triple(names, "mag", {"ut": "ut"})
@@ -330,18 +205,7 @@ def native_map(
 
 
 def is_native(names: tuple[str, ...] | list[str]) -> bool:
-    """Tell whether a file uses undrift's own names for a gyroscope or an accelerometer.
-
-    Parameters
-    ----------
-    names : tuple of str
-        The file's column names.
-
-    Returns
-    -------
-    bool
-        True where :func:`native_map` has something to map.
-    """
+    """Tell whether a file uses undrift's own names for a gyroscope or an accelerometer."""
     return any(
         f"{channel}_{axis}_{suffix}" in names
         for channel, suffixes in (("gyro", GYRO_SUFFIX), ("accel", ACCEL_SUFFIX))

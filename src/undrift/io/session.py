@@ -12,28 +12,191 @@ columns = [{ time = 0, accel = [1, 2, 3] }, { time = 0, gyro = [1, 2, 3] }]
 units = { time = "s", accel = "count", gyro = "count" }
 [[still]]                           # start_s, stop_s on the recording's own clock; optional face, temp_c
 [[turn]]                            # likewise; optional axis, turn_rate_dps or angle_deg, temp_c
+
+Column maps as TOML: the keys of a ``[[recording]]`` without its file, and the same in a file of their own.
+
+sample_rate_hz = 102.4
+columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }     # names, or positions from 0
+units = { time = "s", gyro = "dps", accel = "m/s2", temp = "degC" }
+scale = { temp = { gain = 0.00294117647, offset = 36.53 } }     # value = gain * cell + offset
+temp_trim = { reads_c = 26.1, true_c = 25.0 }     # of an LM335, units.temp = "lm335_v"
+delimiter = ","      # " " for any number of blanks          header = true     skip_rows = 0     decimal = "."
+gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
 """
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from undrift.arrays import FloatArray
-from undrift.earth import gravity_at
 from undrift.errors import FileFormatError, InputError
-from undrift.io.build import join_records
-from undrift.io.columns import ColumnMap
-from undrift.io.files import checked_file, sha256_of
-from undrift.io.mapping import BESIDE_OWN_NAMES, MapEntry
-from undrift.io.parquet import write_parquet
-from undrift.io.recording import ReadSettings, read_record
-from undrift.io.toml import Entry, entry_name, line_of, read_toml
-from undrift.record import Record
-from undrift.session import Axis, Face, Kind, Session, Still, Turn
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, sha256_of
+from undrift.io.columns import Column, ColumnMap, Gaps, Scale, TextLayout, Trim
+from undrift.io.formats import ReadSettings, read_record
+from undrift.io.record import join_records
+from undrift.io.store import write_parquet
+from undrift.record import Axis, Face, Kind, Record, Session, Still, Turn
+from undrift.units import RADIAN_PER_DEGREE, gravity_at
+
+# ---- Column maps as TOML: the keys of a ``[[recording]]`` without its file, and the same in a file of their own.
+
+BESIDE_OWN_NAMES = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"}
+
+
+class ColumnsEntry(Entry):
+    """Which column is which channel: a name in the header, or a position from 0."""
+
+    time: str | int | None = None  # Time column
+    gyro: list[str | int] | str | None = None  # Columns x, y, z, or one array name (npz, mat)
+    accel: list[str | int] | str | None = None  # Columns x, y, z, or one array name (npz, mat)
+    temp: str | int | None = None  # Temperature column
+    mag: list[str | int] | str | None = None  # Columns x, y, z
+
+
+class UnitsEntry(Entry):
+    """The unit of each mapped channel; needed for each that is mapped."""
+
+    time: str = ""  # Any spelling of :mod:`undrift.units`
+    gyro: str = ""  # Any spelling of :mod:`undrift.units`
+    accel: str = ""  # Any spelling of :mod:`undrift.units`
+    temp: str = ""  # Any spelling of :mod:`undrift.units`
+    mag: str = ""  # Any spelling of :mod:`undrift.units`
+
+
+class LinearEntry(Entry):
+    """A linear conversion: value = gain * cell + offset."""
+
+    gain: float | list[float] = 1.0  # Unit of the channel per unit of the file
+    offset: float | list[float] = 0.0  # In the unit of the channel
+
+
+class ScaleEntry(Entry):
+    """Conversions by channel."""
+
+    gyro: LinearEntry | None = None  # From the file's numbers to the unit stated
+    accel: LinearEntry | None = None  # From the file's numbers to the unit stated
+    temp: LinearEntry | None = None  # From the file's numbers to the unit stated
+    mag: LinearEntry | None = None  # From the file's numbers to the unit stated
+
+
+class TrimEntry(Entry):
+    """One-point trim of an LM335."""
+
+    reads_c: float  # What its voltage says, degC
+    true_c: float  # What was true, degC
+
+
+class MapEntry(Entry):
+    """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`."""
+
+    sample_rate_hz: float | None = None  # Hz; required when there is no time column
+    columns: ColumnsEntry | list[ColumnsEntry] | None = None  # One table; or one for each file of files side by side
+    units: UnitsEntry = UnitsEntry()  # Units of the mapped channels
+    scale: ScaleEntry = ScaleEntry()  # Conversions, where the file's numbers are not in those units
+    temp_trim: TrimEntry | None = None  # Of an LM335
+    delimiter: str = ","  # One character; " " for any number of blanks or tabs
+    header: bool = True  # Whether a line names the columns
+    skip_rows: int = 0  # Lines before the header or the first row
+    decimal: str = "."  # "." or ","
+    drop_bad_rows: bool = False  # Leave out rows that do not parse
+    gaps: Gaps = "raise"  # "raise" or "keep"
+    repair_time: bool = False  # Leave out rows whose time does not go forward
+    frame: Literal["s", "b"] = "s"  # "s" or "b"
+    device: str = ""  # Serial number or name
+
+    def maps(self) -> tuple[ColumnMap, ...]:
+        """Return one column map for each table of columns."""
+        if self.columns is None:
+            return ()
+        entries = self.columns if isinstance(self.columns, list) else [self.columns]
+        return tuple(self._map(entry) for entry in entries)
+
+    def _map(self, columns: ColumnsEntry) -> ColumnMap:
+        return ColumnMap(
+            time=columns.time,
+            gyro=_columns(columns.gyro),
+            accel=_columns(columns.accel),
+            temp=columns.temp,
+            mag=_columns(columns.mag),
+            time_unit=self.units.time,
+            gyro_unit=self.units.gyro,
+            accel_unit=self.units.accel,
+            temp_unit=self.units.temp,
+            mag_unit=self.units.mag,
+            gyro_scale=_scale(self.scale.gyro, "gyro"),
+            accel_scale=_scale(self.scale.accel, "accel"),
+            temp_scale=_scale(self.scale.temp, "temp"),
+            mag_scale=_scale(self.scale.mag, "mag"),
+            temp_trim=None
+            if self.temp_trim is None
+            else Trim(reads_c=self.temp_trim.reads_c, true_c=self.temp_trim.true_c),
+            sample_rate_hz=self.sample_rate_hz,
+            layout=TextLayout(
+                delimiter=self.delimiter,
+                header=self.header,
+                skip_rows=self.skip_rows,
+                decimal=self.decimal,
+                drop_bad_rows=self.drop_bad_rows,
+            ),
+            gaps=self.gaps,
+            repair_time=self.repair_time,
+            frame=self.frame,
+            device=self.device,
+        )
+
+
+def read_column_map(path: str | Path) -> ColumnMap:
+    """Read a column map from a TOML file."""
+    maps = read_toml(path, MapEntry).maps()
+    if len(maps) != 1:
+        raise InputError(f"{path}: wanted one table of columns, got {len(maps)}; add columns = {{ ... }}")
+    return maps[0]
+
+
+def read_map_settings(path: str | Path) -> ReadSettings | None:
+    """Read a map without columns: what a file with undrift's own names may need beside them."""
+    entry = read_toml(path, MapEntry)
+    if entry.columns is not None:
+        return None
+    given = entry.model_fields_set
+    if not given or given - BESIDE_OWN_NAMES:
+        got = ", ".join(sorted(given - BESIDE_OWN_NAMES)) or "no key"
+        raise InputError(
+            f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
+            f"names only {', '.join(sorted(BESIDE_OWN_NAMES))}"
+        )
+    return ReadSettings(
+        sample_rate_hz=entry.sample_rate_hz,
+        gaps=entry.gaps if "gaps" in given else None,
+        repair_time=entry.repair_time,
+        drop_bad_rows=entry.drop_bad_rows,
+    )
+
+
+def _columns(entry: list[str | int] | str | None) -> tuple[Column, ...] | None:
+    if entry is None:
+        return None
+    return (entry,) if isinstance(entry, str) else tuple(entry)
+
+
+def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
+    if entry is None:
+        return None
+    return Scale(gain=_one_or_three(entry.gain, channel), offset=_one_or_three(entry.offset, channel))
+
+
+def _one_or_three(value: float | list[float], channel: str) -> float | tuple[float, float, float]:
+    if not isinstance(value, list):
+        return float(value)
+    if len(value) != 3 or channel == "temp":
+        raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
+    return (float(value[0]), float(value[1]), float(value[2]))
+
+
+# ---- session
 
 NAME = "session.toml"
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -44,110 +207,52 @@ _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its s
 
 
 class HeadEntry(Entry):
-    """[session].
+    """[session]."""
 
-    Parameters
-    ----------
-    kind : str
-        calibration, thermal or static.
-    serial : str
-        Device serial number.
-    gravity_m_s2 : float or None
-        Local gravity, m/s2; or the next two.
-    latitude_deg, height_m : float or None
-        Where it was recorded, deg and m.
-    """
-
-    kind: Kind
-    serial: str
-    gravity_m_s2: Finite | None = None
-    latitude_deg: Finite | None = None
-    height_m: Finite | None = None
+    kind: Kind  # calibration, thermal or static
+    serial: str  # Device serial number
+    gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two
+    latitude_deg: Finite | None = None  # Where it was recorded, deg and m
+    height_m: Finite | None = None  # Where it was recorded, deg and m
 
 
 class RecordingEntry(MapEntry):
-    """[[recording]]: these keys and those of a map.
+    """[[recording]]: these keys and those of a map."""
 
-    Parameters
-    ----------
-    file : str or list of str
-        Beside session.toml; several files are joined side by side.
-    sensor : str or None
-        Which sensor, in a file of several (APDM).
-    """
-
-    file: str | list[str]
-    sensor: str | None = None
+    file: str | list[str]  # Beside session.toml; several files are joined side by side
+    sensor: str | None = None  # Which sensor, in a file of several (APDM)
 
 
 class PieceEntry(Entry):
-    """What [[still]] and [[turn]] share.
+    """What [[still]] and [[turn]] share."""
 
-    Parameters
-    ----------
-    start_s, stop_s : float
-        s, on the recording's own clock; the stop is left out.
-    recording : int
-        Which [[recording]], from 0.
-    temp_c : float or None
-        Chamber set-point, degC.
-    """
-
-    start_s: Finite
-    stop_s: Finite
-    recording: int = 0
-    temp_c: Celsius | None = None
+    start_s: Finite  # s, on the recording's own clock; the stop is left out
+    stop_s: Finite  # s, on the recording's own clock; the stop is left out
+    recording: int = 0  # Which [[recording]], from 0
+    temp_c: Celsius | None = None  # Chamber set-point, degC
 
 
 class StillEntry(PieceEntry):
-    """[[still]].
+    """[[still]]."""
 
-    Parameters
-    ----------
-    face : str or None
-        Sensor axis that points up: "+x" ... "-z"; none for a free pose.
-    """
-
-    face: Face | None = None
+    face: Face | None = None  # Sensor axis that points up: "+x" ... "-z"; none for a free pose
 
 
 class TurnEntry(PieceEntry):
-    """[[turn]].
+    """[[turn]]."""
 
-    Parameters
-    ----------
-    axis : str or None
-        "x", "y" or "z"; none for a free rotation.
-    turn_rate_dps : float or None
-        Achieved steady rate about +axis, deg/s.
-    angle_deg : float or None
-        Angle turned about +axis, deg.
-    """
-
-    axis: Axis | None = None
-    turn_rate_dps: Finite | None = None
-    angle_deg: Finite | None = None
+    axis: Axis | None = None  # "x", "y" or "z"; none for a free rotation
+    turn_rate_dps: Finite | None = None  # Achieved steady rate about +axis, deg/s
+    angle_deg: Finite | None = None  # Angle turned about +axis, deg
 
 
 class SessionFile(Entry):
-    """The whole file.
+    """The whole file."""
 
-    Parameters
-    ----------
-    session : HeadEntry
-        Of which device, and where.
-    recording : list of RecordingEntry
-        One or more.
-    still : list of StillEntry
-        May be left out.
-    turn : list of TurnEntry
-        May be left out.
-    """
-
-    session: HeadEntry
-    recording: list[RecordingEntry] = Field(min_length=1)
-    still: list[StillEntry] = Field(default_factory=list)
-    turn: list[TurnEntry] = Field(default_factory=list)
+    session: HeadEntry  # Of which device, and where
+    recording: list[RecordingEntry] = Field(min_length=1)  # One or more
+    still: list[StillEntry] = Field(default_factory=list)  # May be left out
+    turn: list[TurnEntry] = Field(default_factory=list)  # May be left out
 
 
 def read_session(folder: str | Path) -> Session:
@@ -210,20 +315,7 @@ def read_session(folder: str | Path) -> Session:
 
 
 def write_session(session: Session, folder: str | Path) -> None:
-    """Write a session: session.toml and one Parquet file for each record. It reads back as it was.
-
-    Parameters
-    ----------
-    session : Session
-        Records with what was done in them.
-    folder : str or Path
-        Made where it is missing.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written.
-    """
+    """Write a session: session.toml and one Parquet file for each record. It reads back as it was."""
     folder = Path(folder)
     lines = ["[session]", f'kind = "{session.kind}"', f"serial = {_quoted(session.serial)}"]
     lines += [f"gravity_m_s2 = {_number(session.gravity_m_s2)}"]

@@ -29,11 +29,7 @@ class Grid(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Cell coefficients of one triad's tables, flat; an empty array where there is no such table.
-
-    offset (cells, 3, 2): value and slope. matrix (cells, 9, 2). error
-    (temperature cells, rate cells, 3, 4): value, slope over temperature, slope over rate, product term. Slopes are per cell.
-    """
+    """Cell coefficients of one triad's tables, flat; an empty array where there is no such table."""
 
     offset: FloatArray
     offset_temp: Grid

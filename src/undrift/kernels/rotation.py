@@ -1,6 +1,11 @@
 """Rotation kernels: integrate rates into quaternions.
 
 Shapes and units: gyro flat (3 N,) rad/s, time (N,) s, q (4,) w-x-y-z, out flat (4 N,).
+
+Rotation and its sensitivity to the parameters of a triad, both read off at given times.
+
+Shapes and units: rate flat (3 N,) rad/s, regressors flat (C N,), time (N,) s, at (L,) s increasing within the record,
+q_out flat (4 L,) w-x-y-z, sum_out flat (9 C L,): [a, b, c] holds the sum of R_mid[a, b] regressor_c dt from the start on.
 """
 
 import math
@@ -9,6 +14,91 @@ import numpy as np
 from numba import njit
 
 from undrift.arrays import FloatArray
+
+# ---- Rotation and its sensitivity to the parameters of a triad, both read off at given times.
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def _turned(
+    qw: float, qx: float, qy: float, qz: float, hx: float, hy: float, hz: float
+) -> tuple[float, float, float, float]:
+    # q exp(2 h): h is half the rotation vector, rad.
+    square = hx * hx + hy * hy + hz * hz
+    if square < 0.01:
+        s = 1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0)))
+        c = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)))
+    else:
+        angle = math.sqrt(square)
+        s = math.sin(angle) / angle
+        c = math.cos(angle)
+    hx, hy, hz = s * hx, s * hy, s * hz
+    return (
+        qw * c - qx * hx - qy * hy - qz * hz,
+        qw * hx + qx * c + qy * hz - qz * hy,
+        qw * hy - qx * hz + qy * c + qz * hx,
+        qw * hz + qx * hy - qy * hx + qz * c,
+    )
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def accumulate(
+    rate: FloatArray,
+    regressors: FloatArray,
+    time: FloatArray,
+    at: FloatArray,
+    q_out: FloatArray,
+    sum_out: FloatArray,
+) -> None:
+    # The rate of sample k holds on (t_(k-1), t_k]; the rotation at the middle of each step carries the sensitivity.
+    n, points = time.size, at.size
+    channels = regressors.size // n
+    width = 9 * channels
+    total = np.zeros(width)
+    part = np.empty(width)
+    r = np.empty(9)
+    qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
+    p = 0
+    while p < points and at[p] <= time[0]:
+        q_out[4 * p] = 1.0
+        p += 1
+    for k in range(1, n):
+        if p == points:
+            break
+        dt = time[k] - time[k - 1]
+        wx, wy, wz = rate[3 * k], rate[3 * k + 1], rate[3 * k + 2]
+        quarter = 0.25 * dt
+        mw, mx, my, mz = _turned(qw, qx, qy, qz, wx * quarter, wy * quarter, wz * quarter)
+        r[0] = 1.0 - 2.0 * (my * my + mz * mz)
+        r[1] = 2.0 * (mx * my - mw * mz)
+        r[2] = 2.0 * (mx * mz + mw * my)
+        r[3] = 2.0 * (mx * my + mw * mz)
+        r[4] = 1.0 - 2.0 * (mx * mx + mz * mz)
+        r[5] = 2.0 * (my * mz - mw * mx)
+        r[6] = 2.0 * (mx * mz - mw * my)
+        r[7] = 2.0 * (my * mz + mw * mx)
+        r[8] = 1.0 - 2.0 * (mx * mx + my * my)
+        for e in range(9):
+            turned = r[e] * dt
+            for c in range(channels):
+                part[e * channels + c] = turned * regressors[k * channels + c]
+        while p < points and at[p] <= time[k]:
+            x = (at[p] - time[k - 1]) / dt
+            half = 0.5 * x * dt
+            q_out[4 * p], q_out[4 * p + 1], q_out[4 * p + 2], q_out[4 * p + 3] = _turned(
+                qw, qx, qy, qz, wx * half, wy * half, wz * half
+            )
+            for e in range(width):
+                sum_out[p * width + e] = total[e] + x * part[e]
+            p += 1
+        half = 0.5 * dt
+        qw, qx, qy, qz = _turned(qw, qx, qy, qz, wx * half, wy * half, wz * half)
+        scale = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)
+        qw, qx, qy, qz = qw * scale, qx * scale, qy * scale, qz * scale
+        for e in range(width):
+            total[e] += part[e]
+
+
+# ---- rotation
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 BLOCK = 32  # samples whose increments are made together; the series below runs on vector units, the product cannot

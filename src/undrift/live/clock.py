@@ -11,6 +11,10 @@ References
 ----------
 .. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay
    measurements", IEEE INFOCOM 1999.
+
+Gaps: readings that never came are counted and marked with rows of NaN, which means a gap everywhere in undrift.
+
+A step of device time of m + 1 periods lacks m readings. A gap longer than a stated span is marked by one row only.
 """
 
 from collections import deque
@@ -21,6 +25,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
+from undrift.live.decoder import Arrivals, Chunk, Counter, StreamDescription
 
 Point = tuple[float, float]
 KEPT_DELAYS = 2000
@@ -31,17 +36,10 @@ DRAINING = 0.1  # a stream this much faster than nominal is a backlog, not a clo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockSettings:
-    """How the clock is found.
+    """How the clock is found."""
 
-    Parameters
-    ----------
-    memory_s : float
-        Device time after which a point may be forgotten, s; at most twice as much is used.
-    rate_tolerance : float
-        Largest relative error of a device's clock; holds the line before there is much to go by.
-    """
-
-    memory_s: float = 300.0
+    memory_s: float = 300.0  # Device time after which a point may be forgotten, s; at most twice as much is used
+    # Largest relative error of a device's clock; holds the line before there is much to go by
     rate_tolerance: float = 0.02
 
     def __post_init__(self) -> None:
@@ -54,60 +52,23 @@ class ClockSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockFit:
-    """A line between two clocks.
+    """A line between two clocks."""
 
-    Parameters
-    ----------
-    device_zero, host_zero : float
-        A point on it, s and s.
-    rate : float
-        Host seconds per device second.
-    rate_error : float
-        Relative departure of the device's clock from nominal: positive for one that runs fast.
-    jitter_s : float
-        95 of 100 packets come at most so much later than the promptest, host s; those of a backlog left out.
-    settled : bool
-        False while a backlog drains, and while too few packets have come to tell.
-    count : int
-        Packets that it rests on.
-    """
-
-    device_zero: float
-    host_zero: float
-    rate: float
-    rate_error: float
+    device_zero: float  # A point on it, s and s
+    host_zero: float  # A point on it, s and s
+    rate: float  # Host seconds per device second
+    rate_error: float  # Relative departure of the device's clock from nominal: positive for one that runs fast
+    # 95 of 100 packets come at most so much later than the promptest, host s; those of a backlog left out
     jitter_s: float
-    settled: bool
-    count: int
+    settled: bool  # False while a backlog drains, and while too few packets have come to tell
+    count: int  # Packets that it rests on
 
     def host_time(self, device_time: float) -> float:
-        """Return the host's time of a device time, as the promptest packet would come.
-
-        Parameters
-        ----------
-        device_time : float
-            s.
-
-        Returns
-        -------
-        float
-            s.
-        """
+        """Return the host's time of a device time, as the promptest packet would come."""
         return self.host_zero + self.rate * (device_time - self.device_zero)
 
     def device_time(self, host_time: float) -> float:
-        """Return the device time of a host time.
-
-        Parameters
-        ----------
-        host_time : float
-            s.
-
-        Returns
-        -------
-        float
-            s.
-        """
+        """Return the device time of a host time."""
         return self.device_zero + (host_time - self.host_zero) / self.rate
 
 
@@ -125,15 +86,7 @@ class _Block:
 
 
 class DeviceClock:
-    """Follows a device's clock, packet by packet.
-
-    Parameters
-    ----------
-    clock_speed : float
-        Nominal device seconds per host second.
-    settings : ClockSettings
-        How the clock is found.
-    """
+    """Follows a device's clock, packet by packet."""
 
     def __init__(self, clock_speed: float = 1.0, settings: ClockSettings = ClockSettings()) -> None:
         self._nominal = 1.0 / clock_speed
@@ -146,12 +99,7 @@ class DeviceClock:
     def add(self, device_time: FloatArray, host_time: FloatArray) -> None:
         """Take readings; of those that came at one moment only the last can have been prompt.
 
-        Parameters
-        ----------
-        device_time : array, shape (N,)
-            s, not falling.
-        host_time : array, shape (N,)
-            s, not falling.
+        Arrays: device_time (N,) s, host_time (N,) s.
         """
         last = np.flatnonzero(np.diff(host_time, append=np.inf) > 0.0)
         for point in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
@@ -169,18 +117,7 @@ class DeviceClock:
             self._recent.append(moved)
 
     def fit(self) -> ClockFit:
-        """Return the line as it is known by now.
-
-        Returns
-        -------
-        ClockFit
-            Nominal in its rate as long as one packet has come.
-
-        Raises
-        ------
-        InputError
-            No packet has come.
-        """
+        """Return the line as it is known by now."""
         if self._zero is None:
             raise InputError("clock: wanted one packet or more, got none; wait for the device")
         hull: list[Point] = []
@@ -227,3 +164,96 @@ def _slope_at(hull: list[Point], x: float, nominal: float) -> float:
         if x <= x1:
             return (y1 - y0) / (x1 - x0)
     return nominal
+
+
+# ---- Gaps: readings that never came are counted and marked with rows of NaN, which means a gap everywhere in undrift.
+
+
+class GapMarker:
+    """Marks what is missing, chunk by chunk."""
+
+    def __init__(self, period_s: float, longest_fill_s: float = 1.0) -> None:
+        self._period = period_s
+        self._longest = longest_fill_s
+        self._last: float | None = None
+        self.gaps = 0
+        self.missing = 0
+
+    def mark(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return readings with rows of NaN where some are missing.
+
+        Arrays: time (N,) s, values (N, C) -> (M,) s, (M, C).
+        """
+        if not len(time):
+            return time, values
+        before = np.concatenate(([time[0] - self._period if self._last is None else self._last], time[:-1]))
+        self._last = float(time[-1])
+        lacking = np.maximum(np.rint((time - before) / self._period).astype(int) - 1, 0)
+        if not lacking.any():
+            return time, values
+        self.gaps += int((lacking > 0).sum())
+        self.missing += int(lacking.sum())
+        rows = np.where(lacking * self._period > self._longest, 1, lacking)
+        at = np.repeat(np.arange(len(time)), rows)
+        step = np.where(rows < lacking, self._period, (time - before) / (lacking + 1))
+        nth = np.arange(len(at)) - np.repeat(np.cumsum(rows) - rows, rows) + 1
+        gone = before[at] + nth * step[at]
+        return np.insert(time, at, gone), np.insert(values, at, np.nan, axis=0)
+
+
+# ---- Timeline: chunks as they came in become readings on the device's own clock, gaps marked, the host's clock beside it.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Readings on the device's clock."""
+
+    time: FloatArray  # (N,), device time, s, strictly increasing, 0 at the first reading
+    values: FloatArray  # (N, C), raw, NaN where a reading is missing
+
+
+class Timeline:
+    """Puts the readings of one connection in order."""
+
+    def __init__(self, description: StreamDescription, clock: ClockSettings = ClockSettings()) -> None:
+        self.description = description
+        self.readings = 0
+        self._counter = Counter(description.counter_bits, description.tick_s, description.clock_speed)
+        self._arrivals = Arrivals(description.rate, description.clock_speed)
+        self._clock = DeviceClock(description.clock_speed, clock)
+        self._marker = GapMarker(1.0 / description.rate)
+
+    @property
+    def missing(self) -> int:
+        """Readings that never came."""
+        return self._marker.missing
+
+    @property
+    def gaps(self) -> int:
+        """Stretches of such."""
+        return self._marker.gaps
+
+    @property
+    def late(self) -> int:
+        """Readings that came late or twice and were left out."""
+        return self._counter.late
+
+    @property
+    def restarts(self) -> int:
+        """Times that the device began to count anew."""
+        return self._counter.restarts
+
+    def add(self, chunk: Chunk) -> Block:
+        """Take a chunk."""
+        if chunk.counter is None:
+            count, kept = self._arrivals.count(chunk.host_time), np.ones(len(chunk), dtype=bool)
+        else:
+            count, kept = self._counter.unwrap(chunk.counter, chunk.host_time)
+        time = count[kept] * self.description.tick_s
+        self.readings += len(time)
+        self._clock.add(time, chunk.host_time[kept])
+        return Block(*self._marker.mark(time, chunk.values[kept]))
+
+    def clock(self) -> ClockFit:
+        """Return how the device's clock stands to the host's."""
+        return self._clock.fit()

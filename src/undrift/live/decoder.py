@@ -1,14 +1,324 @@
-"""Decoders: bytes in, rows of numbers out. What is garbled is counted and left out; it is never fatal here."""
+"""Decoders: bytes in, rows of numbers out. What is garbled is counted and left out; it is never fatal here.
 
+StreamDescription: what a device sends: which channels in which order, in which units, how it is framed.
+
+Written in an address, ``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp&rate=100&gyro_unit=count``,
+or under ``[stream]`` in a TOML file with the same keys, which an address names as ``description=FILE``.
+
+Counters: what the device counted, made to go on for ever.
+
+A counter of b bits wraps at 2^b. Steps are taken modulo that; whole turns that went by in a silence are told from the host's
+clock. A step back by a little is a reading that came late or twice: it is left out. A step that disagrees with the host's
+clock by more than ``RESTART_S`` is a device that started anew: its count goes on from where the host's clock says it would be.
+
+Checksums that devices put behind their readings.
+
+``xor`` is that of NMEA 0183, ``sum`` the low byte of the sum, ``crc16`` CRC-16/CCITT-FALSE (0x1021 from 0xFFFF), ``crc32`` that of
+Ethernet. Of the nine digits "123456789" they make 0x31, 0xDD, 0x29B1 and 0xCBF43926.
+"""
+
+import binascii
 import re
-from typing import Protocol
+import tomllib
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import reduce
+from operator import xor
+from pathlib import Path
+from typing import Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 
-from undrift.arrays import FloatArray
-from undrift.errors import InputError
-from undrift.live.checksums import CHECKSUMS
-from undrift.live.description import StreamDescription
+from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.errors import FileFormatError, InputError
+from undrift.record import Record
+from undrift.units import canonical_unit
+
+# ---- Checksums that devices put behind their readings.
+
+
+class Checksum(NamedTuple):
+    """How a checksum is made."""
+
+    of: Callable[[bytes], int]  # Bytes to number
+    size: int  # Bytes that hold it
+
+
+CHECKSUMS = {
+    "none": Checksum(lambda data: 0, 0),
+    "xor": Checksum(lambda data: reduce(xor, data, 0), 1),
+    "sum": Checksum(lambda data: sum(data) & 0xFF, 1),
+    "crc16": Checksum(lambda data: binascii.crc_hqx(data, 0xFFFF), 2),
+    "crc32": Checksum(zlib.crc32, 4),
+}
+
+
+# ---- StreamDescription: what a device sends: which channels in which order, in which units, how it is framed.
+
+Framing = Literal["line", "frame"]
+COUNTER, IGNORED = "count", "-"
+TRIADS = ("gyro", "accel", "mag")
+MEASURED = (*(f"{triad}_{axis}" for triad in TRIADS for axis in "xyz"), "temp")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamDescription:
+    """What a device sends."""
+
+    # In order: gyro_x .. accel_z, mag_x (uT), temp; ``count`` for the device's own counter, ``-`` for what is left
+    # out
+    channels: tuple[str, ...] = (COUNTER, *MEASURED[:6])
+    rate: float = 0.0  # Nominal readings per second of the device
+    gyro_unit: str = "count"  # Units as sent: rad/s, dps, m/s2, g, mg, count or v
+    accel_unit: str = "count"  # Units as sent: rad/s, dps, m/s2, g, mg, count or v
+    temp_scale: float = 1.0  # degC = temp_scale * sent + temp_zero
+    temp_zero: float = 0.0  # degC = temp_scale * sent + temp_zero
+    tick: float = 0.0  # Device seconds a step of the counter; 0 for a counter of readings
+    counter_bits: int = 0  # Width of the counter; 0 for one that never wraps
+    format: Framing = "line"  # line (text) or frame (binary)
+    separator: str = ","  # Between the numbers of a line
+    checksum: str = "none"  # none, xor, sum, crc16 or crc32: behind a line as ``*hex``, behind a frame as bytes
+    sync: str = "aa55"  # First bytes of a frame, hex
+    # Fields of a frame as Python's struct writes them, one for each channel, little (<) or big (>) end first
+    pack: str = ""
+    clock_speed: float = 1.0  # Device seconds per host second: 1 for hardware, an emulator's speed otherwise
+    device: str = ""  # Serial number or name
+
+    def __post_init__(self) -> None:
+        self._check_channels()
+        for name in ("rate", "clock_speed"):
+            if not 0.0 < getattr(self, name) < float("inf"):
+                raise InputError(f"stream: wanted {name} above 0, got {getattr(self, name)}; there is no default")
+        object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
+        object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
+        if self.format not in get_args(Framing):
+            raise InputError(f"stream: wanted format line or frame, got '{self.format}'; name one of them")
+        if self.checksum not in CHECKSUMS:
+            raise InputError(f"stream: wanted checksum {', '.join(CHECKSUMS)}, got '{self.checksum}'; name one of them")
+        if not 0 <= self.counter_bits <= 53 or self.tick < 0.0:
+            raise InputError(
+                f"stream: wanted counter_bits 0 to 53 and a tick of 0 or more, got {self.counter_bits} and {self.tick:g}; "
+                "look into the device's manual"
+            )
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Channels that are kept, in the order of a chunk's values."""
+        return tuple(name for name in self.channels if name not in (COUNTER, IGNORED))
+
+    @property
+    def has_counter(self) -> bool:
+        """Whether the device counts for itself."""
+        return COUNTER in self.channels
+
+    @property
+    def tick_s(self) -> float:
+        """Device seconds a step of the counter."""
+        return self.tick if self.has_counter and self.tick > 0.0 else 1.0 / self.rate
+
+    def record(self, time: FloatArray, values: FloatArray) -> Record:
+        """Return readings as a record.
+
+        Arrays: time (N,) s, values (N, C).
+        """
+        place = {name: column for column, name in enumerate(self.measured)}
+
+        def triad(name: str) -> FloatArray | None:
+            names = [f"{name}_{axis}" for axis in "xyz"]
+            return values[:, [place[each] for each in names]] if names[0] in place else None
+
+        temp = values[:, place["temp"]] * self.temp_scale + self.temp_zero if "temp" in place else None
+        return Record(
+            time=time,
+            gyro=triad("gyro"),
+            accel=triad("accel"),
+            mag_ut=triad("mag"),
+            temp_c=temp,
+            gyro_unit=self.gyro_unit,
+            accel_unit=self.accel_unit,
+            device=self.device,
+        )
+
+    def split(self, rows: FloatArray) -> tuple[FloatArray | None, FloatArray]:
+        """Take decoded rows apart.
+
+        Arrays: rows (N, K) -> (N,), (N, C).
+        """
+        kept = [column for column, name in enumerate(self.channels) if name not in (COUNTER, IGNORED)]
+        counter = rows[:, self.channels.index(COUNTER)] if self.has_counter else None
+        return counter, np.ascontiguousarray(rows[:, kept])
+
+    def _check_channels(self) -> None:
+        names = [name for name in self.channels if name != IGNORED]
+        known = (COUNTER, IGNORED, *MEASURED)
+        wrong = [name for name in names if name not in known]
+        if wrong or len(set(names)) < len(names):
+            what = wrong[0] if wrong else next(name for name in names if names.count(name) > 1)
+            raise InputError(
+                f"stream: wanted channels out of {', '.join(known)}, each once, got '{what}'; mend the list"
+            )
+        for triad in TRIADS:
+            held = sum(name.startswith(triad) for name in names)
+            if held not in (0, 3):
+                raise InputError(f"stream: wanted all three axes of {triad}, got {held}; name x, y and z")
+        if not any(name.startswith(("gyro", "accel")) for name in names):
+            raise InputError("stream: wanted channels of gyro or accel, got neither; say what the device sends")
+
+
+def described(base: StreamDescription | None, options: tuple[tuple[str, str], ...]) -> StreamDescription:
+    """Return a description with options of an address in it."""
+    kinds = {field.name: type(field.default) for field in fields(StreamDescription)}
+    given: dict[str, object] = {}
+    for name, text in options:
+        if name not in kinds:
+            raise InputError(f"stream: wanted options out of {', '.join(kinds)}, got '{name}'; mend the address")
+        try:
+            given[name] = _read(text, kinds[name])
+        except ValueError as error:
+            raise InputError(f"stream: wanted a number for {name}, got '{text}'; mend the address") from error
+    return _made(base, given)
+
+
+def read_description(path: str | Path) -> StreamDescription:
+    """Read a description from a TOML file."""
+    try:
+        held = tomllib.loads(Path(path).read_text(encoding="utf-8")).get("stream")
+    except (OSError, ValueError) as error:
+        raise FileFormatError(f"{path}: wanted a stream description, got '{error}'; check the file") from error
+    kinds = {field.name: type(field.default) for field in fields(StreamDescription)}
+    if not isinstance(held, dict) or not held.keys() <= kinds.keys():
+        raise FileFormatError(f"{path}: wanted [stream] with keys out of {', '.join(kinds)}, got others; mend the file")
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in held.items()}
+    for name, value in given.items():
+        number = isinstance(value, int) and not isinstance(value, bool) and kinds[name] is float
+        if not number and type(value) is not kinds[name]:
+            raise FileFormatError(f"{path}: wanted {kinds[name].__name__} for {name}, got {value!r}; mend the file")
+    try:
+        return _made(None, given)
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def _read(text: str, kind: type) -> object:
+    if kind is tuple:
+        return tuple(text.split(","))
+    return int(text) if kind is int else float(text) if kind is float else text
+
+
+def _made(base: StreamDescription | None, given: dict[str, object]) -> StreamDescription:
+    if base is None:
+        return StreamDescription(**given)  # type: ignore[arg-type]
+    return replace(base, **given)  # type: ignore[arg-type]
+
+
+# ---- Counters: what the device counted, made to go on for ever.
+
+RESTART_S = 2.0
+SILENCE_S = 0.25
+
+
+class Counter:
+    """Unwraps the device's counter."""
+
+    def __init__(self, bits: int, tick_s: float, clock_speed: float = 1.0) -> None:
+        self._modulus = 2.0**bits if bits else 0.0
+        self._tick = tick_s
+        self._speed = clock_speed
+        self._raw = self._host = self._total = 0.0
+        self._begun = False
+        self.late = 0
+        self.restarts = 0
+
+    def unwrap(self, raw: FloatArray, host_time: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return counts that only rise.
+
+        Arrays: raw (N,), host_time (N,) s -> (N,), (N,).
+        """
+        if not self._begun and len(raw):
+            self._raw, self._host, self._begun = float(raw[0]) - 1.0, float(host_time[0]), True
+            self._total = -1.0
+        step = np.diff(raw, prepend=self._raw)
+        if self._modulus:
+            step %= self._modulus
+        ordinary = (
+            (step > 0.0)
+            & (step * self._tick < RESTART_S / 2.0)
+            & (np.diff(host_time, prepend=self._host) < RESTART_S / 2.0)
+        )
+        if ordinary.all():
+            count: FloatArray = self._total + np.cumsum(step)
+            if len(raw):
+                self._raw, self._host, self._total = float(raw[-1]), float(host_time[-1]), float(count[-1])
+            return count, ordinary
+        pairs = [self._next(r, h) for r, h in zip(raw.tolist(), host_time.tolist(), strict=True)]
+        return np.array([total for total, _ in pairs]), np.array([kept for _, kept in pairs], dtype=bool)
+
+    def _next(self, raw: float, host: float) -> tuple[float, bool]:
+        step = raw - self._raw
+        expected = (host - self._host) * self._speed / self._tick
+        if self._modulus:
+            step = (step + self._modulus / 2.0) % self._modulus - self._modulus / 2.0
+            step += max(round((expected - step) / self._modulus), 0) * self._modulus
+        if step <= 0.0 and -step * self._tick < RESTART_S:
+            self.late += 1
+            return self._total, False
+        slack = RESTART_S * max(self._speed, 1.0) / self._tick + 0.1 * abs(expected)
+        if abs(step - expected) > slack:
+            self.restarts += 1
+            step = max(round(expected), 1.0)
+        self._raw, self._host, self._total = raw, host, self._total + step
+        return self._total, True
+
+
+class Arrivals:
+    """Counts for a device that does not: one a reading, and what a silence says was lost."""
+
+    def __init__(self, rate: float, clock_speed: float = 1.0) -> None:
+        self._per_host_s = rate * clock_speed
+        self._total = -1.0
+        self._host: float | None = None
+
+    def count(self, host_time: FloatArray) -> FloatArray:
+        """Return counts.
+
+        Arrays: host_time (N,) s -> (N,).
+        """
+        n = len(host_time)
+        if not n:
+            return np.empty(0)
+        silent = 0.0 if self._host is None else float(host_time[0]) - self._host
+        due = silent * self._per_host_s
+        lost = round(due - n) if silent > SILENCE_S and n < due / 2.0 else 0
+        self._host = float(host_time[-1])
+        found: FloatArray = self._total + lost + np.arange(1.0, n + 1.0)
+        self._total = float(found[-1])
+        return found
+
+
+# ---- Chunk: readings as they came in, with the host's time of arrival; nothing is interpreted yet.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Chunk:
+    """Readings that came together, N of them."""
+
+    host_time: FloatArray  # (N,), when each came, s, the host's monotonic clock
+    counter: FloatArray | None  # (N,), what the device's own counter said, ticks; None for a device that sends none
+    values: FloatArray  # (N, C), raw readings in the order of ``StreamDescription.measured``, the device's units
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "host_time", frozen(self.host_time, (None,), "host_time"))
+        if self.counter is not None:
+            set_(self, "counter", frozen(self.counter, (len(self.host_time),), "counter"))
+        set_(self, "values", frozen(self.values, (len(self.host_time), None), "values"))
+
+    def __len__(self) -> int:
+        return len(self.host_time)
+
+
+# ---- decoder
 
 LONGEST_LINE = 4096
 
@@ -19,27 +329,11 @@ class Decoder(Protocol):
     errors: int
 
     def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
-        """Take bytes, return what they complete.
-
-        Parameters
-        ----------
-        data : bytes
-            The next of the stream.
-        whole : bool
-            True where nothing of a reading may come later: a datagram.
-        """
+        """Take bytes, return what they complete."""
 
 
 class LineDecoder:
-    """Lines of numbers, ``12,0.5,-3`` or ``$12,0.5,-3*5C`` with a checksum of what stands between $ and *.
-
-    The line that is under way when the link opens is left out without a word, as it is never whole.
-
-    Parameters
-    ----------
-    description : StreamDescription
-        Channels, separator, checksum.
-    """
+    """Lines of numbers, ``12,0.5,-3`` or ``$12,0.5,-3*5C`` with a checksum of what stands between $ and *."""
 
     def __init__(self, description: StreamDescription) -> None:
         self.errors = 0
@@ -54,17 +348,7 @@ class LineDecoder:
     def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
         """Take bytes, return what they complete.
 
-        Parameters
-        ----------
-        data : bytes
-            The next of the stream.
-        whole : bool
-            True where the last line ends with the data.
-
-        Returns
-        -------
-        array, shape (N, K)
-            A row for each sound line.
+        Arrays:  -> (N, K).
         """
         *lines, self._rest = (self._rest + data).split(b"\n")
         if whole:
@@ -107,18 +391,7 @@ class LineDecoder:
 
 
 class FrameDecoder:
-    """Frames: sync bytes, fields of fixed width, checksum of the fields. After a bad one the next sync bytes are looked for.
-
-    Parameters
-    ----------
-    description : StreamDescription
-        Sync bytes, fields, checksum.
-
-    Raises
-    ------
-    InputError
-        Sync bytes or fields that cannot be.
-    """
+    """Frames: sync bytes, fields of fixed width, checksum of the fields. After a bad one the next sync bytes are looked for."""
 
     def __init__(self, description: StreamDescription) -> None:
         self.errors = 0
@@ -137,17 +410,7 @@ class FrameDecoder:
     def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
         """Take bytes, return what they complete.
 
-        Parameters
-        ----------
-        data : bytes
-            The next of the stream.
-        whole : bool
-            True where the last frame ends with the data.
-
-        Returns
-        -------
-        array, shape (N, K)
-            A row for each sound frame.
+        Arrays:  -> (N, K).
         """
         held = self._rest + data
         head, body, tail = len(self._sync), self._fields.itemsize, self._checksum.size
@@ -182,25 +445,7 @@ class FrameDecoder:
 
 
 def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:
-    """Return the fields of a frame.
-
-    Parameters
-    ----------
-    pack : str
-        < or > and codes out of bBhHiIqQfd, each with a count before it where wanted: "<H6hf".
-    channels : int
-        Fields that there are to be.
-
-    Returns
-    -------
-    dtype
-        Packed, a field for each channel.
-
-    Raises
-    ------
-    InputError
-        Not such a text, or another number of fields.
-    """
+    """Return the fields of a frame."""
     if not re.fullmatch(r"[<>](\d{0,3}[bBhHiIqQfd])+", pack):
         raise InputError(f"stream: wanted pack as < or > and codes out of bBhHiIqQfd, got '{pack}'; as in <H6h")
     codes = "".join(code * int(count or 1) for count, code in re.findall(r"(\d*)([a-zA-Z])", pack))
@@ -217,31 +462,12 @@ def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:
 def finite(rows: FloatArray) -> FloatArray:
     """Return the rows without infinity, which no device means.
 
-    Parameters
-    ----------
-    rows : array, shape (N, K)
-        As decoded; NaN is a gap and stays.
-
-    Returns
-    -------
-    array, shape (M, K)
-        The sound ones.
+    Arrays: rows (N, K) -> (M, K).
     """
     sound: FloatArray = rows[~np.isinf(rows).any(axis=1)]
     return sound
 
 
 def decoder_for(description: StreamDescription) -> Decoder:
-    """Return the decoder of a stream.
-
-    Parameters
-    ----------
-    description : StreamDescription
-        What is sent.
-
-    Returns
-    -------
-    Decoder
-        Fresh.
-    """
+    """Return the decoder of a stream."""
     return LineDecoder(description) if description.format == "line" else FrameDecoder(description)

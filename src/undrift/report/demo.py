@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undrift.report.calibration import calibration_sections
 from undrift.report.drift import drift_sections, plus_minus
-from undrift.report.envelope import envelope
-from undrift.report.figures import DEVICE, ERROR, LIMIT, OPTICS, new_figure, svg_of
-from undrift.report.page import Section, write_page
+from undrift.report.figures import DEVICE, ERROR, LIMIT, OPTICS, envelope, new_figure, svg_of
+from undrift.report.page import Section, calibration_sections, write_page
 from undrift.report.study import NOTE, study_sections
 from undrift.report.validation import trials_section
 from undrift.units import RADIAN_PER_DEGREE
@@ -19,11 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.rig.folder import Piece
-    from undrift.study.bench_checks import Check
-    from undrift.study.bench_demo import BenchFit
-    from undrift.study.bench_run import BenchRun
     from undrift.study.outcome import StudyOutcome
-    from undrift.validation import Trial
+    from undrift.study.virtual_bench import BenchFit, BenchRun, Check
+    from undrift.validation.trial import Trial
 
 LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
 
@@ -34,19 +30,7 @@ def write_demo_report(
     checks: tuple["Check", ...],
     study: "StudyOutcome",
 ) -> None:
-    """Write the page of the demo.
-
-    Parameters
-    ----------
-    path : Path
-        The .html file.
-    made : (BenchRun, BenchFit, tuple of Trial)
-        What was recorded, what it gave, and the worn trial at each level of correction.
-    checks : tuple of Check
-        Against the truth.
-    study : StudyOutcome
-        The reduced study.
-    """
+    """Write the page of the demo."""
     run, fit, trials = made
     none, _, full = (trial.figures.max_abs_pitch_deg for trial in trials)
     write_page(
@@ -71,18 +55,7 @@ def write_demo_report(
 
 
 def check_section(checks: tuple["Check", ...]) -> Section:
-    """Return the table of checks.
-
-    Parameters
-    ----------
-    checks : tuple of Check
-        Figures and limits.
-
-    Returns
-    -------
-    Section
-        Kept or not.
-    """
+    """Return the table of checks."""
     failed = sum(not check.passed for check in checks)
     count = len(checks)
     text = f"All {count} are kept." if not failed else f"{failed} of {count} are NOT kept."
@@ -97,19 +70,8 @@ def check_section(checks: tuple["Check", ...]) -> Section:
 
 
 def worn_section(trials: tuple["Trial", ...]) -> Section:
-    """Return the worn trial: pitch, and its error at each level of correction.
-
-    Parameters
-    ----------
-    trials : tuple of Trial
-        One a level.
-
-    Returns
-    -------
-    Section
-        With a picture.
-    """
-    from undrift.study.bench_demo import EXCURSION_K
+    """Return the worn trial: pitch, and its error at each level of correction."""
+    from undrift.study.virtual_bench import EXCURSION_K
 
     largest = [trial.figures.max_abs_pitch_deg for trial in trials]
     notes = tuple(dict.fromkeys(note for trial in trials for note in trial.notes))
@@ -127,18 +89,7 @@ def worn_section(trials: tuple["Trial", ...]) -> Section:
 
 
 def draw_levels(trials: tuple["Trial", ...]) -> "Figure":
-    """Draw the pitch as the optics saw it, and the error at each level of correction.
-
-    Parameters
-    ----------
-    trials : tuple of Trial
-        One a level, of one recording.
-
-    Returns
-    -------
-    Figure
-        Two panels.
-    """
+    """Draw the pitch as the optics saw it, and the error at each level of correction."""
     figure, (angle, error) = new_figure(2)
     angle.plot(*envelope(trials[0].time, trials[0].reference_pitch / RADIAN_PER_DEGREE), color=OPTICS)
     angle.set_ylabel("pitch (deg)")
@@ -154,18 +105,7 @@ def draw_levels(trials: tuple["Trial", ...]) -> "Figure":
 
 
 def bench_section(run: "BenchRun") -> Section:
-    """Return what was emulated, and how it differs from a bench of metal.
-
-    Parameters
-    ----------
-    run : BenchRun
-        What was recorded.
-
-    Returns
-    -------
-    Section
-        A row for each run folder.
-    """
+    """Return what was emulated, and how it differs from a bench of metal."""
     plan = run.plan
     rows = tuple(
         (
@@ -196,18 +136,7 @@ def bench_section(run: "BenchRun") -> Section:
 
 
 def rates_section(run: "BenchRun") -> Section:
-    """Return nominal against achieved rates of the bench run.
-
-    Parameters
-    ----------
-    run : BenchRun
-        What was recorded.
-
-    Returns
-    -------
-    Section
-        A row a rate.
-    """
+    """Return nominal against achieved rates of the bench run."""
     turns = [piece for piece in run.bench.pieces if piece.purpose == "rate"]
     nominal = sorted({piece.nominal_turn_rate for piece in turns})
     rows = tuple(

@@ -1,34 +1,234 @@
-"""The page of a thermal fit: offset and scale over temperature with what they rest on, dynamic drift, the choice of tables."""
+"""The page of a thermal fit: offset and scale over temperature with what they rest on, dynamic drift, the choice of tables.
+
+Pictures of a thermal fit: offset and scale over temperature, dynamic drift over rate, what each choice of tables foretells.
+
+Warming is red and cooling blue; what no data were near is hatched.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undrift.calibration.model import AXES
-from undrift.report.drift_figures import draw_alternatives, draw_dynamic, draw_offsets, draw_scale, shown_unit
-from undrift.report.figures import svg_of
+from undrift.model import AXES
+from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, svg_of
 from undrift.report.page import Section, write_page
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.drift.fit.choose import Alternatives
-    from undrift.drift.procedure import DriftFit
-    from undrift.drift.summary import TriadSummary
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from undrift.arrays import BoolArray, FloatArray
+    from undrift.drift.checks import ScaleSummary, TriadSummary
+    from undrift.drift.fit import DriftFit
+    from undrift.drift.select import Alternatives
+    from undrift.model import DynamicDrift
+
+# ---- Pictures of a thermal fit: offset and scale over temperature, dynamic drift over rate, what each choice of tables foretells.
+
+MOST_POINTS = 3000  # blocks drawn
+_MANY = 300  # of them: small marks
+NORMAL_95 = 1.96
+_CURVES = 5  # temperatures of the dynamic drift that are drawn
+_WARM, _COOL = "#c23b3b", "#2b62b3"
+_SHOWN = {"rad/s": ("deg/s", 1.0 / RADIAN_PER_DEGREE), "m/s2": ("mg", 1e3 / STANDARD_GRAVITY)}
+
+
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Return the unit that people read, and how many of it the other is."""
+    return _SHOWN.get(unit, (unit, 1.0))
+
+
+def draw_offsets(summary: "TriadSummary") -> "Figure":
+    """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, what is
+    extrapolated.
+    """
+    figure, panels = new_figure(3, height=2.0, columns=2)
+    unit, factor = shown_unit(summary.unit)
+    margin = 0.02 * float(np.ptp(summary.temp_c))
+    for k, axis in enumerate(AXES):
+        for axes, level in zip(panels[2 * k : 2 * k + 2], (summary.departure[:, k], np.zeros(1)), strict=True):
+            value = np.broadcast_to(level * factor, summary.temp_c.shape)
+            _shade(axes, summary.temp_c, summary.extrapolated)
+            held = _draw_blocks(axes, summary, k, factor, value)
+            _draw_table(axes, summary, k, factor, value)
+            _keep_in_view(axes, summary, (held, value, NORMAL_95 * summary.uncertainty[:, k] * factor))
+            axes.set_xlim(float(summary.temp_c[0]) - margin, float(summary.temp_c[-1]) + margin)
+        panels[2 * k].set_ylabel(f"{axis} ({unit})")
+    for axes in panels[-2:]:
+        axes.set_xlabel("temperature (degC)")
+    what = "offset" if summary.in_table else "reading"
+    panels[0].set_title(
+        what if summary.against == "zero" else f"{what} less {summary.against}", loc="left", fontsize=10
+    )
+    seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
+    panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
+    if not len(summary.block_temp_c):
+        panels[2].set_title("of all poses together: a pose has no single offset to draw", loc="left", fontsize=8.5)
+    _legend_below(figure, panels[1])
+    return figure
+
+
+def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> "FloatArray":
+    """Draw the blocks about a level and return where they lie."""
+    step = max(1, len(summary.block_temp_c) // MOST_POINTS)
+    temp, state = summary.block_temp_c[::step], summary.block_cooling[::step]
+    if not len(temp):
+        return np.zeros(0)
+    table = np.interp(temp, summary.temp_c, summary.departure[:, k] * factor)
+    held: FloatArray = summary.block_departure[::step, k] * factor - table + np.interp(temp, summary.temp_c, value)
+    marks = (
+        (state < 0.0, "^", _WARM, "warming"),
+        (state > 0.0, "v", _COOL, "cooling"),
+        (state == 0.0, "o", LIMIT, "direction not known"),
+    )
+    size, alpha = (9.0, 0.4) if len(temp) > _MANY else (14.0, 0.75)
+    for which, mark, colour, name in marks:
+        if which.any():
+            axes.scatter(
+                temp[which], held[which], marker=mark, s=size, color=colour, alpha=alpha, linewidths=0.0, label=name
+            )
+    return held
+
+
+def _draw_table(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> None:
+    doubt = NORMAL_95 * summary.uncertainty[:, k] * factor
+    temp = summary.temp_c
+    axes.fill_between(temp, value - doubt, value + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2)
+    name = "table" if summary.in_table else "fit"
+    axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
+    if summary.loop_kept and summary.half_loop is not None:
+        for sign, colour, branch in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
+            axes.plot(
+                temp,
+                value + sign * summary.half_loop[k] * factor,
+                color=colour,
+                linestyle="--",
+                linewidth=0.9,
+                label=branch,
+                zorder=3,
+            )
+
+
+def _keep_in_view(
+    axes: "Axes", summary: "TriadSummary", drawn: tuple["FloatArray", "FloatArray", "FloatArray"]
+) -> None:
+    """Let data and table fill the panel: a band that is wide where nothing was seen runs out of it."""
+    held, value, doubt = drawn
+    near = ~summary.extrapolated
+    ends = [value, (value - doubt)[near], (value + doubt)[near]]
+    if len(held):
+        ends.append(np.quantile(held, (0.002, 0.998)))
+    every = np.concatenate(ends)
+    low, high = float(every.min()), float(every.max())
+    margin = 0.08 * max(high - low, 1e-12)
+    axes.set_ylim(low - margin, high + margin)
+
+
+def _legend_below(figure: "Figure", axes: "Axes") -> None:
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8.0, frameon=False)
+
+
+def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> None:
+    """Hatch the spans of nodes that no data were near."""
+    marks = np.concatenate(([False], extrapolated, [False])).astype(int)
+    starts, stops = np.flatnonzero(np.diff(marks) == 1), np.flatnonzero(np.diff(marks) == -1) - 1
+    half = 0.5 * (temp_c[-1] - temp_c[0]) / (len(temp_c) - 1)
+    for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+        axes.axvspan(
+            max(float(temp_c[start]) - half, float(temp_c[0])),
+            min(float(temp_c[stop]) + half, float(temp_c[-1])),
+            facecolor="#f1f1ee",
+            edgecolor="#cfcfca",
+            hatch="///",
+            linewidth=0.0,
+            zorder=0,
+            label="extrapolated" if k == 0 else None,
+        )
+
+
+def draw_scale(summary: "ScaleSummary") -> "Figure":
+    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated."""
+    figure, panels = new_figure(3, height=1.8)
+    for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+        value, doubt = summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
+        _shade(axes, summary.temp_c, summary.extrapolated)
+        if np.isfinite(doubt).all():
+            axes.fill_between(
+                summary.temp_c, value - doubt, value + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %"
+            )
+        axes.plot(summary.temp_c, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table")
+        axes.errorbar(
+            summary.soak_temp_c,
+            summary.soak_percent[:, k],
+            yerr=NORMAL_95 * summary.soak_uncertainty[:, k],
+            fmt="o",
+            markersize=3.5,
+            color=DEVICE,
+            linewidth=0.9,
+            label="soaks, 95 %",
+        )
+        axes.set_ylabel(f"{axis} (%)")
+        axes.set_xlim(float(summary.temp_c[0]), float(summary.temp_c[-1]))
+    panels[-1].set_xlabel("temperature (degC)")
+    panels[0].set_title("scale factor against the calibration's", loc="left", fontsize=10)
+    _legend_below(figure, panels[0])
+    return figure
+
+
+def draw_dynamic(drift: "DynamicDrift") -> "Figure":
+    """Draw dynamic drift over the measured rate for a few temperatures."""
+    figure, panels = new_figure(1, height=3.0, columns=3)
+    chosen = np.unique(np.linspace(0, len(drift.temp_c) - 1, min(_CURVES, len(drift.temp_c))).round().astype(int))
+    rate = drift.turn_rate / RADIAN_PER_DEGREE
+    for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+        for place, row in enumerate(chosen):
+            share = place / max(len(chosen) - 1, 1)
+            colour = (0.17 + 0.59 * share, 0.38 - 0.15 * share, 0.70 - 0.47 * share)
+            error = drift.error[row, :, k] / RADIAN_PER_DEGREE
+            axes.plot(rate, error, color=colour, linestyle=":", linewidth=1.0)
+            near = error if drift.extrapolated is None else np.where(drift.extrapolated[row], np.nan, error)
+            name = f"{drift.temp_c[row]:.0f} degC" if k == 0 else None
+            axes.plot(rate, near, color=colour, marker=".", markersize=3.0, label=name)
+        axes.set_title(axis, loc="left", fontsize=10)
+        axes.set_xlabel("measured rate (deg/s)")
+    panels[0].set_ylabel("error taken off (deg/s)")
+    panels[0].legend(loc="best", fontsize=7.0)
+    return figure
+
+
+def draw_alternatives(alternatives: "Alternatives") -> "Figure":
+    """Draw what each choice of tables foretells of what was left out."""
+    figure, (axes,) = new_figure(1, height=1.9)
+    rows = [k for k, value in enumerate(alternatives.left_out_rms_dps) if np.isfinite(value)]
+    for place, k in enumerate(rows):
+        taken = alternatives.name[k] == alternatives.chosen
+        axes.errorbar(
+            alternatives.left_out_rms_dps[k],
+            place,
+            xerr=min(alternatives.standard_error_dps[k], 0.9 * alternatives.left_out_rms_dps[k]),
+            fmt="o",
+            markersize=7.0 if taken else 5.0,
+            color=ERROR if taken else DEVICE,
+            capsize=3.0,
+        )
+    axes.set_yticks(
+        range(len(rows)),
+        [alternatives.name[k] + (" (chosen)" if alternatives.name[k] == alternatives.chosen else "") for k in rows],
+    )
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_xscale("log")
+    axes.set_xlabel("error of soaks and rates that were left out (deg/s rms, with standard error)")
+    return figure
+
+
+# ---- drift
 
 
 def offset_heads(summary: "TriadSummary") -> tuple[str, ...]:
-    """Return the heads of ``offset_rows``.
-
-    Parameters
-    ----------
-    summary : TriadSummary
-        Offsets over temperature.
-
-    Returns
-    -------
-    tuple of str
-        With units.
-    """
+    """Return the heads of ``offset_rows``."""
     unit, _ = shown_unit(summary.unit)
     heads = ["axis", f"slope ({unit} per degC)", f"table +- ({unit})", f"left out, rms ({unit})"]
     heads += [f"half loop ({unit})"] if summary.half_loop is not None else []
@@ -37,18 +237,7 @@ def offset_heads(summary: "TriadSummary") -> tuple[str, ...]:
 
 
 def offset_rows(summary: "TriadSummary") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each axis: slope, uncertainty of the table, error of what was left out, loop, sessions.
-
-    Parameters
-    ----------
-    summary : TriadSummary
-        Offsets over temperature.
-
-    Returns
-    -------
-    tuple of tuple of str
-        Standard uncertainties behind +-.
-    """
+    """Return one row of cells for each axis: slope, uncertainty of the table, error of what was left out, loop, sessions."""
     _, factor = shown_unit(summary.unit)
     rows = []
     for k, axis in enumerate(AXES):
@@ -66,18 +255,7 @@ def offset_rows(summary: "TriadSummary") -> tuple[tuple[str, ...], ...]:
 
 
 def plus_minus(value: float, uncertainty: float) -> str:
-    """Return a value with its standard uncertainty, to the uncertainty's second digit.
-
-    Parameters
-    ----------
-    value, uncertainty : float
-        In the same unit.
-
-    Returns
-    -------
-    str
-        +0.0279 +- 0.0012; the value alone where the uncertainty is not known.
-    """
+    """Return a value with its standard uncertainty, to the uncertainty's second digit."""
     if not (uncertainty > 0.0 and np.isfinite(uncertainty)):
         return f"{value:+.3g}" if np.isfinite(value) else "not seen"
     places = min(9, max(0, 1 - int(np.floor(np.log10(uncertainty)))))
@@ -85,20 +263,7 @@ def plus_minus(value: float, uncertainty: float) -> str:
 
 
 def offset_title(name: str, summary: "TriadSummary") -> str:
-    """Return what an offset table covers, in one line.
-
-    Parameters
-    ----------
-    name : str
-        Which sensors.
-    summary : TriadSummary
-        Offsets over temperature.
-
-    Returns
-    -------
-    str
-        Span seen, nodes, how many of them are extrapolated.
-    """
+    """Return what an offset table covers, in one line."""
     low, high = summary.seen_c
     seen = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
     if not summary.in_table:
@@ -114,18 +279,7 @@ SCALE_HEADS = ("axis", "scale factor (% per degC)", "asymmetry (%)")
 
 
 def scale_rows(fit: "DriftFit") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each axis: thermal sensitivity of the scale factor, and asymmetry.
-
-    Parameters
-    ----------
-    fit : DriftFit
-        With rate steps; no rows otherwise.
-
-    Returns
-    -------
-    tuple of tuple of str
-        Standard uncertainties behind +-.
-    """
+    """Return one row of cells for each axis: thermal sensitivity of the scale factor, and asymmetry."""
     scale = None if fit.choice is None else fit.choice.scale
     rows = []
     for k, axis in enumerate(AXES):
@@ -142,18 +296,7 @@ CHOICE_HEADS = ("tables beside offsets", "fitted (deg/s rms)", "left out (deg/s 
 
 
 def choice_rows(alternatives: "Alternatives") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each choice of tables.
-
-    Parameters
-    ----------
-    alternatives : Alternatives
-        What each foretells.
-
-    Returns
-    -------
-    tuple of tuple of str
-        A mark in the last cell of the one that was taken.
-    """
+    """Return one row of cells for each choice of tables."""
     return tuple(
         (
             name,
@@ -170,15 +313,7 @@ def _figure(value: float) -> str:
 
 
 def write_drift_report(fit: "DriftFit", path: Path) -> None:
-    """Write the page of a thermal fit.
-
-    Parameters
-    ----------
-    fit : DriftFit
-        Tables and what they rest on.
-    path : Path
-        The .html file.
-    """
+    """Write the page of a thermal fit."""
     device = fit.calibration.device or "device without a serial number"
     write_page(
         path,
@@ -190,18 +325,7 @@ def write_drift_report(fit: "DriftFit", path: Path) -> None:
 
 
 def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
-    """Return the sections of the page of a thermal fit.
-
-    Parameters
-    ----------
-    fit : DriftFit
-        Tables and what they rest on.
-
-    Returns
-    -------
-    tuple of Section
-        Gyroscopes, accelerometers, scale, dynamic drift, choice: those that there are.
-    """
+    """Return the sections of the page of a thermal fit."""
     sections = []
     for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary)):
         if summary is not None:

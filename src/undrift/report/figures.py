@@ -5,19 +5,50 @@ Colours keep one meaning throughout: the device in blue, the optics in black, er
 
 import io
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.noise import NoiseFit
 from undrift.errors import InputError
 from undrift.files import write_whole
-from undrift.report.envelope import envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from undrift.study.figure3 import Figure3
+    from undrift.study.outcome import StudyOutcome, TaskOutcome
+
+# ---- Envelope: a course with few enough points to draw, that keeps its least and largest value in every column of the picture.
+
+COLUMNS_DRAWN = 2000  # more than a picture of 8.2 inches shows apart
+
+
+def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN) -> tuple[FloatArray, FloatArray]:
+    """Return the points of a course that its picture needs: the least and the largest of each column, in order of time.
+
+    Arrays: time (N,) s, values (N,) -> (M,) s, (M,).
+    """
+    if len(values) <= 2 * columns:
+        return time, values
+    gaps = np.isnan(values)
+    edges = np.linspace(0, len(values), columns + 1).astype(np.int64)
+    low = [a + int(np.argmin(part)) for a, part in _columns(np.where(gaps, np.inf, values), edges)]
+    high = [a + int(np.argmax(part)) for a, part in _columns(np.where(gaps, -np.inf, values), edges)]
+    beside = np.flatnonzero(np.diff(gaps))
+    kept = np.unique(np.concatenate((low, high, beside, beside + 1)))
+    return time[kept], values[kept]
+
+
+def _columns(values: FloatArray, edges: IntArray) -> list[tuple[int, FloatArray]]:
+    return [(int(a), values[a:b]) for a, b in pairwise(edges)]
+
+
+# ---- figures
 
 DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
 SHADE = "#f1efe8"  # behind a stretch that the figures are taken over
@@ -41,24 +72,7 @@ _STYLE: Any = {  # matplotlib types every key by name
 def new_figure(
     rows: int, *, height: float = 2.3, columns: int = 1, share_x: bool = True
 ) -> tuple["Figure", list["Axes"]]:
-    """Return an empty figure in the house style.
-
-    Parameters
-    ----------
-    rows, height : int, float
-        Panels one above the other, and the height of each in inches.
-    columns : int
-        Panels beside each other.
-    share_x : bool
-        One time axis for all.
-
-    Returns
-    -------
-    figure : Figure
-        8.2 inches wide.
-    axes : list of Axes
-        Row by row.
-    """
+    """Return an empty figure in the house style."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -69,18 +83,7 @@ def new_figure(
 
 
 def svg_of(figure: "Figure") -> str:
-    """Return a figure as SVG text, the same bytes for the same figure.
-
-    Parameters
-    ----------
-    figure : Figure
-        What to draw.
-
-    Returns
-    -------
-    str
-        An <svg> element.
-    """
+    """Return a figure as SVG text, the same bytes for the same figure."""
     import matplotlib as mpl
 
     buffer = io.StringIO()
@@ -91,20 +94,7 @@ def svg_of(figure: "Figure") -> str:
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure as SVG, PNG or PDF, by the ending of the name.
-
-    Parameters
-    ----------
-    figure : Figure
-        What to draw.
-    path : Path
-        Where to. It appears whole or not at all.
-
-    Raises
-    ------
-    InputError
-        Another ending.
-    """
+    """Write a figure as SVG, PNG or PDF, by the ending of the name."""
     import matplotlib as mpl
 
     if path.suffix.lower() not in PICTURES:
@@ -126,26 +116,7 @@ def draw_comparison(
 ) -> "Figure":
     """Draw an angle as the device and as the optics saw it, and the errors under it.
 
-    A course longer than the picture shows apart is drawn by the least and the largest value of each column: a peak of one
-    sample is in the picture.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        s.
-    device_deg, optics_deg : array, shape (N,)
-        The angle, deg; NaN where the optics saw nothing.
-    errors_deg : sequence of (str, array of shape (N,))
-        Name and course of each error, deg.
-    title : str
-        Heading.
-    moving : array, shape (N,), or None
-        1 within the motion, which is shaded in the errors' panel.
-
-    Returns
-    -------
-    Figure
-        Two panels.
+    Arrays: time (N,) s, device_deg (N,) deg, optics_deg (N,) deg, errors_deg (N,) deg, moving (N,).
     """
     figure, (angle, error) = new_figure(2)
     angle.plot(*envelope(time, _without_wraps(optics_deg)), color=OPTICS, label="optics")
@@ -186,21 +157,7 @@ def draw_agreement(
 ) -> "Figure":
     """Draw a Bland-Altman plot: difference against level, with the bias and its 95 % limits of agreement.
 
-    Parameters
-    ----------
-    level_deg, difference_deg : array, shape (n,)
-        One point a trial, deg.
-    bias_deg : float
-        Mean difference, deg.
-    limits_deg : (float, float)
-        Lower and upper limit, deg.
-    unit : str
-        What one point stands for.
-
-    Returns
-    -------
-    Figure
-        One panel.
+    Arrays: level_deg (n,) deg, difference_deg (n,) deg.
     """
     figure, (axes,) = new_figure(1, height=3.0)
     axes.scatter(level_deg, difference_deg, color=DEVICE, s=28)
@@ -212,4 +169,202 @@ def draw_agreement(
     )
     axes.set_xlabel(f"mean of device and optics (deg), one point a {unit}")
     axes.set_ylabel("device - optics (deg)")
+    return figure
+
+
+# ---- The Allan plot: what averaging does to the readings of a device at rest.
+
+
+def draw_allan(found: NoiseFit, *, title: str) -> "Figure":
+    """Draw Allan deviation over averaging time, with its intervals and the slope of white noise as a guide."""
+    both = (
+        ("gyro", found.gyro, found.gyro_adev, found.gyro_limits, found.gyro_unit),
+        ("accel", found.accel, found.accel_adev, found.accel_limits, found.accel_unit),
+    )
+    triads = [triad for triad in both if triad[1]]
+    figure, panels = new_figure(len(triads), height=3.4)
+    taus = found.taus_s
+    for panel, (name, axes, deviation, limits, unit) in zip(panels, triads, strict=True):
+        for k, (axis, colour) in enumerate(zip(axes, AXIS_COLOURS, strict=False)):
+            course = deviation[:, k]
+            reach = np.abs(limits[:, :, k] - course)  # bars are lengths down and up
+            panel.errorbar(
+                taus,
+                course,
+                yerr=reach,
+                color=colour,
+                marker="o",
+                markersize=2.5,
+                elinewidth=0.7,
+                label=f"{name} {axis.axis}",
+            )
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        anchor = float(np.nanmedian(deviation[0]))
+        panel.plot(taus, anchor * np.sqrt(taus[0] / taus), color=LIMIT, linestyle=":", label="white noise, slope -1/2")
+        panel.set_ylabel(f"Allan deviation ({unit})")
+        panel.legend(loc="best", frameon=False)
+    panels[0].set_title(f"{title}, bars: {100.0 * found.confidence:g} %", loc="left", fontsize=10)
+    panels[-1].set_xlabel("averaging time (s)")
+    return figure
+
+
+# ---- Pictures of a study: error surface, what each parameter does, error against rig time, Figure 3.
+
+NAMES = {
+    "cutoff_hz": "cut-off (Hz)",
+    "turn_rate_step_dps": "step d (deg/s)",
+    "turn_rate_min_dps": "omega_m (deg/s)",
+    "turn_rate_max_dps": "omega_M (deg/s)",
+}
+LEAST_P = 1e-4  # below it a p value is no longer told by its digits
+LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
+LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
+LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
+
+
+def told_p(p: float) -> str:
+    """Return a p value for people."""
+    return f"{p:.2g}" if p >= LEAST_P else f"< {LEAST_P:.4f}"
+
+
+def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
+    """Draw the mean error over the protocols: a column for each step d, what is not shown at its best."""
+    surface = task.surface
+    mean = surface.error(outcome.study.objective).mean(axis=0)
+    steps = np.unique(surface.turn_rate_step_dps)
+    figure, axes = new_figure(2, columns=len(steps), height=2.0, share_x=False)
+    low, high = float(np.nanmin(mean)), float(np.nanmax(mean))
+    if high < LEAST_CONTRAST * low:
+        middle, reach = np.sqrt(low * high), np.sqrt(LEAST_CONTRAST)
+        low, high = middle / reach, middle * reach
+    mesh: Any = None
+    marks = [(task.optimum.best, "*", DEVICE, 90)]
+    if task.beside is not None and task.beside.place is not None:
+        marks.append((task.beside.place, "o", OPTICS, 110))
+    for row, name in enumerate(("cutoff_hz", "turn_rate_min_dps")):
+        ys, xs = np.unique(getattr(surface, name)), np.unique(surface.turn_rate_max_dps)
+        for column, step in enumerate(steps):
+            panel = axes[row * len(steps) + column]
+            shown = _least(
+                surface.turn_rate_max_dps, getattr(surface, name), mean, surface.turn_rate_step_dps == step, (xs, ys)
+            )
+            edges = np.arange(len(xs) + 1) - 0.5, np.arange(len(ys) + 1) - 0.5  # one row of cells has a height too
+            mesh = panel.pcolormesh(*edges, shown, cmap="YlOrBr", vmin=low, vmax=high)
+            panel.grid(False)
+            panel.set_xticks(np.arange(len(xs)), [f"{x:.3g}" for x in xs])
+            panel.set_yticks(np.arange(len(ys)), [f"{y:.3g}" for y in ys])
+            if row == 0:
+                panel.set_title(f"d = {step:.3g} deg/s", fontsize=9)
+            else:
+                panel.set_xlabel(NAMES["turn_rate_max_dps"])
+            if column == 0:
+                panel.set_ylabel(NAMES[name])
+            for place, mark, colour, size in marks:
+                if surface.turn_rate_step_dps[place] == step:
+                    at = (
+                        np.searchsorted(xs, surface.turn_rate_max_dps[place]),
+                        np.searchsorted(ys, getattr(surface, name)[place]),
+                    )
+                    face = colour if mark == "*" else "none"
+                    panel.scatter(*at, marker=mark, s=size, facecolor=face, edgecolor=colour, linewidth=1.4, zorder=3)
+    figure.colorbar(mesh, ax=axes, shrink=0.7, label=f"mean {outcome.study.objective} error (deg)")
+    return figure
+
+
+def _least(x: "FloatArray", y: "FloatArray", error: "FloatArray", rows: Any, grid: Any) -> "FloatArray":
+    """Return the least error of the protocols in each cell, NaN where none was tried."""
+    xs, ys = grid
+    shown = np.full((len(ys), len(xs)), np.nan)
+    for place in np.flatnonzero(rows & np.isfinite(error)):
+        at = np.searchsorted(ys, y[place]), np.searchsorted(xs, x[place])
+        shown[at] = np.fmin(shown[at], error[place])
+    return shown
+
+
+def draw_effects(task: "TaskOutcome") -> "Figure":
+    """Draw the mean error over each parameter, the others at the optimum, with 95 % intervals within subjects."""
+    figure, axes = new_figure(1, columns=4, height=2.4, share_x=False)
+    ends = []
+    for panel, effect, reach in zip(axes, task.optimum.effects, task.effect_reach_deg, strict=True):
+        panel.errorbar(
+            effect.values, effect.means_deg, yerr=reach if reach > 0.0 else None, color=DEVICE, marker="o", ms=3.5
+        )
+        panel.set_xlabel(NAMES[effect.name])
+        p = f"p {told_p(effect.p_holm)}" if effect.test is not None else "not tested"
+        panel.set_title(p, fontsize=9)
+        ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
+        panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[::3])
+        panel.xaxis.set_major_formatter("{x:.3g}")
+    low, high = min(ends), max(ends)
+    for k, panel in enumerate(axes):
+        panel.set_ylim(low - 0.08 * (high - low) - 1e-3, high + 0.08 * (high - low) + 1e-3)
+        if k:
+            panel.tick_params(labelleft=False)
+    axes[0].set_ylabel("mean error (deg)")
+    return figure
+
+
+def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
+    """Draw error against minutes on the rig, one point a protocol."""
+    figure, (axes,) = new_figure(1, height=3.0)
+    surface, found = task.surface, task.optimum
+    mean, good = surface.error(outcome.study.objective).mean(axis=0), found.equivalent
+    if not good.all():
+        axes.scatter(surface.rig_minutes[~good], mean[~good], color=LIMIT, s=9, label="worse than the optimum")
+    axes.scatter(surface.rig_minutes[good], mean[good], color=DEVICE, s=11, label="as good as the optimum")
+    axes.plot(
+        surface.rig_minutes[found.pareto], mean[found.pareto], color=ERROR, label="nothing is both shorter and better"
+    )
+    marks = [(found.best, "*", "optimum"), (found.cheapest, "D", "shortest that is as good")]
+    if found.best == found.cheapest:
+        marks = [(found.best, "*", "optimum, and shortest that is as good")]
+    for place, mark, label in marks:
+        axes.scatter(
+            surface.rig_minutes[place],
+            mean[place],
+            marker=mark,
+            s=130 if mark == "*" else 50,
+            facecolor=ERROR,
+            edgecolor=OPTICS,
+            zorder=4,
+            label=label,
+        )
+    if task.beside is not None and task.beside.place is not None:
+        at = task.beside.place
+        axes.scatter(
+            surface.rig_minutes[at],
+            mean[at],
+            marker="o",
+            s=90,
+            facecolor="none",
+            edgecolor=OPTICS,
+            zorder=4,
+            label="the note",
+        )
+    axes.set_ylim(0.0, 1.1 * float(np.nanmax(mean)))
+    axes.set_xlabel("session (min)")
+    axes.set_ylabel(f"mean {outcome.study.objective} error (deg)")
+    figure.legend(loc="outside right upper", frameon=False)
+    return figure
+
+
+def draw_figure3(found: "Figure3") -> "Figure":
+    """Draw the note's Figure 3: pitch in the sit-to-stand, errors at each level, simulated against actual."""
+    figure, (pitch, error, apart) = new_figure(3, height=1.9)
+    pitch.plot(found.time, found.reference_pitch, color=OPTICS)
+    pitch.set_ylabel("pitch (deg)")
+    pitch.set_title("sit-to-stand as the optics saw it", loc="left", fontsize=9)
+    for k, (name, colour) in enumerate(zip(LEVEL_NAMES, LEVEL_COLOURS, strict=True)):
+        error.plot(found.time, found.actual[k], color=colour, label=f"{name}, actual")
+        error.plot(found.time, found.simulated[k], color=colour, linestyle="--", label=f"{name}, simulated")
+        apart.plot(found.time, found.actual[k] - found.simulated[k], color=colour, label=name)
+    error.set_ylabel("error (deg)")
+    error.set_title("error of the pitch: actual device full, simulated dashed", loc="left", fontsize=9)
+    error.legend(loc="best", fontsize=7.5, frameon=False, ncols=3)
+    for limit in (-0.15, 0.15):
+        apart.axhline(limit, color=OPTICS, linewidth=0.7, linestyle=":")
+    apart.set_ylabel("difference (deg)")
+    apart.set_title("actual less simulated; dotted: the note's 0.15 deg", loc="left", fontsize=9)
+    apart.set_xlabel("time (s)")
     return figure

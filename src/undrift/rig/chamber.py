@@ -11,6 +11,12 @@
 
 A device has soaked when the readings of a stated time lie within a tolerance of the set-point and none of the straight lines
 through all of them, through their first and through their second half is steeper than 0.1 K/min.
+
+The device's board in a chamber: it follows the air late, so a soak ends when the board stands still, not the air.
+
+Its thermometer is averaged over a fifteenth of the criterion's window at a time; the slopes of those means, over the window and its
+halves, must be below the criterion. A device without a thermometer is given five of its stated time constants, exp(-5) = 0.7 % of
+the step left, during which the air must be steady without a break.
 """
 
 import contextlib
@@ -18,32 +24,25 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.link import Link, LinkSettings
+from undrift.record import Face, Record
+from undrift.rig.link import Clock, Link, LinkSettings
+from undrift.rig.programme import Soak
 
 FEWEST_READINGS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SoakSettings:
-    """When a temperature counts as steady.
+    """When a temperature counts as steady."""
 
-    Parameters
-    ----------
-    slope_c_per_min : float
-        Largest change, K/min.
-    window_s : float
-        Time that it must hold for, chamber s.
-    tolerance_c : float
-        Largest distance from the set-point, K.
-    """
-
-    slope_c_per_min: float = 0.1
-    window_s: float = 300.0
-    tolerance_c: float = 0.5
+    slope_c_per_min: float = 0.1  # Largest change, K/min
+    window_s: float = 300.0  # Time that it must hold for, chamber s
+    tolerance_c: float = 0.5  # Largest distance from the set-point, K
 
     def __post_init__(self) -> None:
         for name in ("slope_c_per_min", "window_s", "tolerance_c"):
@@ -55,31 +54,15 @@ class SoakSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChamberSettings:
-    """What a chamber may be told, and how it is watched.
+    """What a chamber may be told, and how it is watched."""
 
-    Parameters
-    ----------
-    lowest_c, highest_c : float
-        Set-points beyond are refused before a byte is sent, degC.
-    steepest_c_per_min : float
-        Steepest ramp, likewise, K/min.
-    soak : SoakSettings
-        When its temperature counts as steady.
-    reply_timeout_s : float
-        Longest wait for an answer, host s.
-    baud : int
-        Bits per second of a serial port.
-    clock_speed : float
-        Chamber seconds per host second: 1 for hardware, an emulator's speed otherwise.
-    """
-
-    lowest_c: float = 0.0
-    highest_c: float = 80.0
-    steepest_c_per_min: float = 20.0
-    soak: SoakSettings = field(default_factory=SoakSettings)
-    reply_timeout_s: float = 2.0
-    baud: int = 9600
-    clock_speed: float = 1.0
+    lowest_c: float = 0.0  # Set-points beyond are refused before a byte is sent, degC
+    highest_c: float = 80.0  # Set-points beyond are refused before a byte is sent, degC
+    steepest_c_per_min: float = 20.0  # Steepest ramp, likewise, K/min
+    soak: SoakSettings = field(default_factory=SoakSettings)  # When its temperature counts as steady
+    reply_timeout_s: float = 2.0  # Longest wait for an answer, host s
+    baud: int = 9600  # Bits per second of a serial port
+    clock_speed: float = 1.0  # Chamber seconds per host second: 1 for hardware, an emulator's speed otherwise
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lowest_c) and math.isfinite(self.highest_c) and self.lowest_c < self.highest_c):
@@ -92,28 +75,14 @@ class ChamberSettings:
 
 
 class Steadiness:
-    """Watches a temperature until it is steady.
-
-    Parameters
-    ----------
-    settings : SoakSettings
-        When it is.
-    """
+    """Watches a temperature until it is steady."""
 
     def __init__(self, settings: SoakSettings) -> None:
         self._settings = settings
         self._held: deque[tuple[float, float]] = deque()
 
     def add(self, time_s: float, temp_c: float) -> None:
-        """Take a reading.
-
-        Parameters
-        ----------
-        time_s : float
-            When, s, not falling.
-        temp_c : float
-            degC.
-        """
+        """Take a reading."""
         self._held.append((time_s, temp_c))
         while len(self._held) > 2 and self._held[1][0] <= time_s - self._settings.window_s:
             self._held.popleft()
@@ -128,37 +97,13 @@ class Steadiness:
         return 60.0 * max(abs(_slope(*part)) for part in parts)
 
     def steady_at(self, temp_c: float) -> bool:
-        """Return whether the temperature stands still at a set-point.
-
-        Parameters
-        ----------
-        temp_c : float
-            Set-point, degC.
-
-        Returns
-        -------
-        bool
-            True when every reading of the window is near it and the slope is below the criterion.
-        """
+        """Return whether the temperature stands still at a set-point."""
         near = all(abs(value - temp_c) <= self._settings.tolerance_c for _, value in self._held)
         return near and self.slope_c_per_min() < self._settings.slope_c_per_min
 
 
 class ScpiChamber:
-    """A chamber that is connected; a context manager that lets go of it.
-
-    Parameters
-    ----------
-    url : str
-        ``tcp://host:port`` or ``serial:///dev/ttyUSB0``.
-    settings : ChamberSettings
-        What it may be told.
-
-    Raises
-    ------
-    LinkError
-        Nobody answers there, or it is no chamber.
-    """
+    """A chamber that is connected; a context manager that lets go of it."""
 
     def __init__(self, url: str, settings: ChamberSettings = ChamberSettings()) -> None:
         self.settings = settings
@@ -190,25 +135,7 @@ class ScpiChamber:
         return self.settings.soak
 
     def set(self, temp_c: float) -> float:
-        """Switch on and set a temperature to go to.
-
-        Parameters
-        ----------
-        temp_c : float
-            degC.
-
-        Returns
-        -------
-        float
-            As the chamber holds it, degC.
-
-        Raises
-        ------
-        LimitError
-            Outside the stated range; nothing was sent.
-        RigFault
-            The chamber holds another one, or refused.
-        """
+        """Switch on and set a temperature to go to."""
         low, high = self.settings.lowest_c, self.settings.highest_c
         if not low <= temp_c <= high:
             raise LimitError(
@@ -223,25 +150,7 @@ class ScpiChamber:
         return held
 
     def set_ramp(self, slope_c_per_min: float) -> float:
-        """Set the steepest change of temperature.
-
-        Parameters
-        ----------
-        slope_c_per_min : float
-            K/min.
-
-        Returns
-        -------
-        float
-            As the chamber holds it, K/min.
-
-        Raises
-        ------
-        LimitError
-            Not above 0, or steeper than stated; nothing was sent.
-        RigFault
-            The chamber refused.
-        """
+        """Set the steepest change of temperature."""
         steepest = self.settings.steepest_c_per_min
         if not 0.0 < slope_c_per_min <= steepest:
             raise LimitError(
@@ -263,43 +172,14 @@ class ScpiChamber:
         return temp
 
     def soaked(self) -> bool:
-        """Take a reading and return whether the set-point is reached and the slope is below the criterion.
-
-        Returns
-        -------
-        bool
-            False while the window of the criterion is not full.
-
-        Raises
-        ------
-        InputError
-            No set-point was set here.
-        """
+        """Take a reading and return whether the set-point is reached and the slope is below the criterion."""
         if self._set_point is None:
             raise InputError("chamber: wanted a set-point before a soak, got none; set it first")
         self.read()
         return self._steadiness.steady_at(self._set_point)
 
     def soak(self, deadline_s: float) -> float:
-        """Wait until the temperature is steady at the set-point.
-
-        Parameters
-        ----------
-        deadline_s : float
-            Longest wait, chamber s.
-
-        Returns
-        -------
-        float
-            Temperature then, degC.
-
-        Raises
-        ------
-        RigTimeout
-            It was not steady in time; the text says how far it came.
-        InputError
-            No set-point was set here.
-        """
+        """Wait until the temperature is steady at the set-point."""
         speed = self.settings.clock_speed
         last = time.monotonic() + deadline_s / speed
         pause_s = min(self.settings.soak.window_s / 30.0, 10.0) / speed
@@ -315,13 +195,7 @@ class ScpiChamber:
         return self.read()
 
     def switch_off(self) -> None:
-        """Switch heater and compressor off.
-
-        Raises
-        ------
-        RigFault
-            They are still on.
-        """
+        """Switch heater and compressor off."""
         if self._number("OUTP OFF;:OUTP?") != 0.0:
             raise RigFault("chamber: wanted heater and compressor off, got them on; switch the chamber off by hand")
 
@@ -360,27 +234,7 @@ class ScpiChamber:
 
 
 def open_chamber(address: str, settings: ChamberSettings = ChamberSettings()) -> ScpiChamber:
-    """Open a chamber; its temperature is left as it is.
-
-    Parameters
-    ----------
-    address : str
-        ``tcp://host:port`` or ``serial:///dev/ttyUSB0``.
-    settings : ChamberSettings
-        What it may be told.
-
-    Returns
-    -------
-    ScpiChamber
-        Connected; close it.
-
-    Raises
-    ------
-    InputError
-        Not such an address.
-    LinkError
-        Nobody answers there, or it is no chamber.
-    """
+    """Open a chamber; its temperature is left as it is."""
     return ScpiChamber(address, settings)
 
 
@@ -388,3 +242,102 @@ def _slope(t: "np.typing.NDArray[np.float64]", temp: "np.typing.NDArray[np.float
     apart = t - t.mean()
     spread = float(apart @ apart)
     return float(apart @ temp) / spread if spread > 0.0 else math.inf
+
+
+# ---- What a run needs beside the rig: readings of the device, a chamber, hands that mount it. Live ones and fakes fit alike.
+
+
+class Readings(Protocol):
+    """The device's readings as they come."""
+
+    def start(self, *, certain: bool = True) -> None:
+        """Begin to keep readings that the device takes from now on."""
+
+    def stop(self) -> Record:
+        """Return the readings since ``start`` and keep no more."""
+
+    def latest(self) -> str:
+        """Return the latest reading in words, "" where there is none."""
+
+    def close(self) -> None:
+        """Let go of the device; harmless when called again."""
+
+
+class Chamber(Protocol):
+    """A thermal chamber."""
+
+    @property
+    def criterion(self) -> SoakSettings:
+        """When its temperature counts as steady, and how far from the set-point it may be."""
+
+    def set(self, temp_c: float) -> float:
+        """Set a temperature to go to."""
+
+    def read(self) -> float:
+        """Return the temperature now, degC."""
+
+    def soaked(self) -> bool:
+        """Return whether the set-point is reached and the slope is below the criterion."""
+
+    def close(self) -> None:
+        """Let go of the chamber; harmless when called again."""
+
+
+class Mounting(Protocol):
+    """Hands that mount the device on the table."""
+
+    def mount(self, up: Face) -> None:
+        """Have the device mounted; returns when it is done and hands are off."""
+
+
+# ---- The device's board in a chamber: it follows the air late, so a soak ends when the board stands still, not the air.
+
+LOOKS = 15  # in a window
+FIRST_LOOK_S = 2.0  # tells whether there is a thermometer, table s
+LAGS = 5.0
+
+
+class Board:
+    """Watches a board through a soak, from now on."""
+
+    def __init__(self, readings: Readings, clock: Clock, step: Soak, criterion: SoakSettings, lag_s: float) -> None:
+        self._readings, self._clock, self._lag_s = readings, clock, lag_s
+        self._slope, self._window_s = step.slope_c_per_min, criterion.window_s
+        self._steadiness = Steadiness(SoakSettings(slope_c_per_min=self._slope, window_s=self._window_s))
+        self._temp_c: float | None = None
+        self._known = False
+        self._air_since: float | None = None
+        self._since = clock.now()
+        readings.start(certain=False)  # a board changes slowly, and looks follow each other without a pause
+
+    def __str__(self) -> str:
+        return "" if self._temp_c is None else f", device {self._temp_c:.2f} degC"
+
+    def followed(self, air_steady: bool) -> bool:
+        """Return whether air and board stand still."""
+        now = self._clock.now()
+        self._look(now)
+        self._air_since = (self._air_since or now) if air_steady else None
+        if self._air_since is None or not self._known:
+            return False
+        if self._temp_c is None:
+            return now - self._air_since >= LAGS * self._lag_s
+        return self._steadiness.slope_c_per_min() < self._slope
+
+    def _look(self, now: float) -> None:
+        if now - self._since < (self._window_s / LOOKS if self._known else FIRST_LOOK_S):
+            return
+        record = self._readings.stop()
+        self._readings.start(certain=False)
+        middle, self._since, self._known = 0.5 * (self._since + now), now, True
+        temp_c = mean_temp(record)
+        if temp_c is not None:
+            self._temp_c = temp_c
+            self._steadiness.add(middle, temp_c)
+
+
+def mean_temp(record: Record) -> float | None:
+    """Return the mean that a device's thermometer read."""
+    if record.temp_c is None or not np.isfinite(record.temp_c).any():
+        return None
+    return float(np.nanmean(record.temp_c))

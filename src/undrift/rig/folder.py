@@ -7,25 +7,204 @@
     aside/            pieces that a crash left half written, or without a line in the journal
 
 A piece is written and synchronised first, then its line in the journal, then session.toml. What has no line was never done.
+
+Journal: one line for each thing done, appended and brought to the disk before the next begins.
+
+    {"length": 123, "crc32": "89abcdef", "entry": {...}}
+
+Length and checksum are of the entry's text as it stands in the line, so that a line torn by a power cut is known from a whole one.
+Only the last line can be torn; one in the middle means that the file was damaged or edited, and is refused. One program at a time
+has it: the file is locked, and the lock goes with the program however it ends.
 """
 
+import errno
 import hashlib
 import json
+import os
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import write_whole
-from undrift.io.parquet import write_parquet
-from undrift.io.protocol import write_protocol
-from undrift.protocol import Protocol
-from undrift.record import Record
-from undrift.rig.disk import claim, room, synchronise, synchronise_names
-from undrift.rig.journal import Journal
+from undrift.io.store import write_parquet
+from undrift.record import Axis, Face, Kind, Record
+from undrift.rig.guard import uninterrupted
 from undrift.rig.programme import Purpose
-from undrift.rig.signals import uninterrupted
-from undrift.session import Axis, Face, Kind
+from undrift.rig.protocol import Protocol, write_protocol
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+# ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
+
+Entry = dict[str, Any]  # what JSON knows; the values of rig/folder.py are made of it
+
+
+class Journal:
+    """An open journal; what was torn off by a crash is cut away when it is opened."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = locked(path)  # apart from the file that is written, which may have to be opened afresh
+        try:
+            self.entries, whole = read_journal(path)
+            self._file: BinaryIO = path.open("ab")
+        except BaseException:
+            self._lock.close()
+            raise
+        try:
+            self._file.truncate(whole)
+            self._file.seek(whole)
+            self._sync()
+        except BaseException:
+            self.close()
+            raise
+
+    def append(self, entry: Entry) -> None:
+        """Write an entry; it is on the disk when this returns, or not in the journal at all."""
+        before = self._file.seek(0, os.SEEK_END)
+        try:
+            self._file.write(line_of(entry))
+            self._sync()
+        except OSError:
+            self._take_back(before)
+            raise
+        self.entries = (*self.entries, entry)
+
+    def close(self) -> None:
+        """Let go of the file; harmless when called again."""
+        try:
+            self._file.close()
+        finally:
+            self._lock.close()
+
+    def _sync(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def _take_back(self, length: int) -> None:
+        """Cut off half a line; where even that fails, the checksum tells."""
+        self._file = reopened(self._file, self.path)
+        os.truncate(self.path, length)
+
+
+def locked(path: Path) -> BinaryIO:
+    """Open a file that no other program has locked, and lock it; closing it, or the end of the program, lets go."""
+    file = path.open("ab")
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(1 << 40)  # a byte far behind the end, so that the lines can still be read
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise InputError(
+            f"{path.parent}: wanted a folder that no other program writes to, got one where a run is going on; "
+            "wait for it or end it, or choose another folder"
+        ) from error
+    return file
+
+
+def reopened(file: BinaryIO, path: Path) -> BinaryIO:
+    """Return a file opened afresh, free of what its buffer could not write."""
+    with suppress(OSError):  # the buffer is written again on closing, and fails again
+        file.close()
+    return path.open("ab")
+
+
+def line_of(entry: Entry) -> bytes:
+    """Return an entry as a line."""
+    text = json.dumps(entry, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return f'{{"length":{len(text)},"crc32":"{zlib.crc32(text.encode()):08x}","entry":{text}}}\n'.encode()
+
+
+def read_journal(path: Path) -> tuple[tuple[Entry, ...], int]:
+    """Return the entries of a journal and where the last whole line ends."""
+    data = path.read_bytes() if path.exists() else b""
+    entries: list[Entry] = []
+    place = 0
+    for number, line in enumerate(data.splitlines(keepends=True), start=1):
+        entry = _entry(line)
+        if entry is None:
+            if place + len(line) < len(data):
+                raise FileFormatError(
+                    f"{path}: line {number}: wanted a line as it was written, got a damaged one in the middle; "
+                    "restore the file, or begin in another folder"
+                )
+            break
+        entries.append(entry)
+        place += len(line)
+    return tuple(entries), place
+
+
+def _entry(line: bytes) -> Entry | None:
+    """Return the entry of a whole line, None for a torn one."""
+    try:
+        held = json.loads(line)
+        entry = held["entry"]
+    except (ValueError, KeyError, TypeError):
+        return None
+    return entry if isinstance(entry, dict) and line == line_of(entry) else None
+
+
+# ---- Files of a run on the disk: brought there with their names, never over another, and what it means when it is full.
+
+
+def synchronise(path: Path) -> None:
+    """Bring a file and its name to the disk."""
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+    synchronise_names(path.parent)
+
+
+def synchronise_names(folder: Path) -> None:
+    """Bring the names in a folder to the disk."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def claim(path: Path) -> None:
+    """Take a name for readings that are written next; never one that is taken."""
+    try:
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
+    except FileExistsError as error:
+        raise InputError(
+            f"{path}: wanted no readings of this step yet, got some, which are kept; another program wrote them: "
+            "go on with --resume when it has ended"
+        ) from error
+
+
+@contextmanager
+def room(path: Path) -> Iterator[None]:
+    """Say what a full or broken disk means for the run."""
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        what = "make room on the disk" if full else "mend the disk"
+        raise InputError(
+            f"{path}: wanted to write a dwell, got '{error.strerror or error}'; all dwells before it are kept: "
+            f"{what} and go on with --resume"
+        ) from error
+
+
+# ---- folder
 
 FORMAT = 1
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
@@ -33,79 +212,37 @@ JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Head:
-    """What a run is of; the same for every part of it.
+    """What a run is of; the same for every part of it."""
 
-    Parameters
-    ----------
-    protocol : str
-        sha256 of the protocol as it is written.
-    rig : str
-        What the rig calls itself.
-    serial : str
-        Of the device.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
-    kind : str
-        calibration, or thermal where the chamber visits two temperatures or more.
-    """
-
-    protocol: str
-    rig: str
-    serial: str = ""
-    gravity_m_s2: float = STANDARD_GRAVITY
-    kind: Kind = "calibration"
+    protocol: str  # sha256 of the protocol as it is written
+    rig: str  # What the rig calls itself
+    serial: str = ""  # Of the device
+    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
+    kind: Kind = "calibration"  # calibration, or thermal where the chamber visits two temperatures or more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """A dwell that is on the disk.
+    """A dwell that is on the disk."""
 
-    Parameters
-    ----------
-    step : int
-        Of the programme.
-    purpose : str
-        face, bracket or rate.
-    up : str
-        Device axis that points up.
-    axis : str or None
-        Axis of the turn.
-    samples : int
-        Readings.
-    start_s, stop_s : float
-        On the device's clock, s; the stop is left out.
-    nominal_turn_rate, set_turn_rate, turn_rate : float
-        As the protocol has it, as the controller rounded it, as the encoder measured it: rad/s.
-    turn_rate_uncertainty : float
-        Standard uncertainty of the last, rad/s.
-    temp_c : float or None
-        Chamber set-point, degC.
-    chamber_c : float or None
-        What the chamber read, degC.
-    device_c : float or None
-        Mean of the device's own thermometer, degC; None where it has none.
-    missing : int
-        Readings that never came; gaps in the piece.
-    sha256 : str
-        Of the file.
-    """
-
-    step: int
-    purpose: Purpose
-    up: Face
-    axis: Axis | None
-    samples: int
-    start_s: float
-    stop_s: float
+    step: int  # Of the programme
+    purpose: Purpose  # face, bracket or rate
+    up: Face  # Device axis that points up
+    axis: Axis | None  # Axis of the turn
+    samples: int  # Readings
+    start_s: float  # On the device's clock, s; the stop is left out
+    stop_s: float  # On the device's clock, s; the stop is left out
+    # As the protocol has it, as the controller rounded it, as the encoder measured it: rad/s
     nominal_turn_rate: float = 0.0
+    # As the protocol has it, as the controller rounded it, as the encoder measured it: rad/s
     set_turn_rate: float = 0.0
-    turn_rate: float = 0.0
-    turn_rate_uncertainty: float = 0.0
-    temp_c: float | None = None
-    chamber_c: float | None = None
-    device_c: float | None = None
-    missing: int = 0
-    sha256: str = ""
+    turn_rate: float = 0.0  # As the protocol has it, as the controller rounded it, as the encoder measured it: rad/s
+    turn_rate_uncertainty: float = 0.0  # Standard uncertainty of the last, rad/s
+    temp_c: float | None = None  # Chamber set-point, degC
+    chamber_c: float | None = None  # What the chamber read, degC
+    device_c: float | None = None  # Mean of the device's own thermometer, degC; None where it has none
+    missing: int = 0  # Readings that never came; gaps in the piece
+    sha256: str = ""  # Of the file
 
     @property
     def name(self) -> str:
@@ -114,25 +251,7 @@ class Piece:
 
 
 class RunFolder:
-    """The folder of a run that is going on; closes its journal at the end of a with block.
-
-    Parameters
-    ----------
-    path : Path
-        Made where it is missing.
-    protocol : Protocol
-        What is asked for.
-    resume : bool
-        Go on with what a run before left here; without it the folder must hold none.
-
-    Raises
-    ------
-    InputError
-        Another program writes here; a run is here and ``resume`` is not said; another protocol; readings without their journal;
-        a disk that is full or cannot be written.
-    FileFormatError
-        A damaged journal, or one of another version.
-    """
+    """The folder of a run that is going on; closes its journal at the end of a with block."""
 
     def __init__(self, path: Path, protocol: Protocol, *, resume: bool = False) -> None:
         self.path = path
@@ -169,18 +288,7 @@ class RunFolder:
         return frozenset(piece.step for piece in self.pieces)
 
     def begin(self, head: Head) -> None:
-        """Say what the run is of, or check that it is the same as before.
-
-        Parameters
-        ----------
-        head : Head
-            Of this part.
-
-        Raises
-        ------
-        InputError
-            Another rig, device or gravity than before; a full disk.
-        """
+        """Say what the run is of, or check that it is the same as before."""
         if self.head is None:
             with room(self.path):
                 self._journal.append({"entry": "head", "format": FORMAT, **asdict(head)})
@@ -195,25 +303,7 @@ class RunFolder:
             self.write_session()
 
     def keep(self, record: Record, piece: Piece) -> Piece:
-        """Bring a dwell to the disk: readings, line, session.
-
-        Parameters
-        ----------
-        record : Record
-            Readings.
-        piece : Piece
-            What they are of; the sha256 is filled in here.
-
-        Returns
-        -------
-        Piece
-            As it stands in the journal.
-
-        Raises
-        ------
-        InputError
-            The disk is full or cannot be written, or readings of that step lie there; all dwells before are kept.
-        """
+        """Bring a dwell to the disk: readings, line, session."""
         path = self.path / piece.name
         with uninterrupted():  # Ctrl-C waits: readings, line and session belong together
             with room(self.path):
@@ -246,18 +336,7 @@ class RunFolder:
             )
 
     def put_aside(self) -> tuple[Path, ...]:
-        """Move what a crash left half written, or without a line in the journal, out of the way.
-
-        Returns
-        -------
-        tuple of Path
-            Where it is now.
-
-        Raises
-        ------
-        InputError
-            A piece of the journal is missing or changed.
-        """
+        """Move what a crash left half written, or without a line in the journal, out of the way."""
         for piece in self.pieces:
             path = self.path / piece.name
             if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != piece.sha256:
@@ -275,18 +354,7 @@ class RunFolder:
 
 
 def protocol_digest(protocol: Protocol) -> str:
-    """Return what tells a protocol from another.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        What to do.
-
-    Returns
-    -------
-    str
-        sha256 of its fields; rates to 12 digits, as a file keeps them.
-    """
+    """Return what tells a protocol from another."""
     fields = {
         name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in asdict(protocol).items()
     }
@@ -294,27 +362,7 @@ def protocol_digest(protocol: Protocol) -> str:
 
 
 def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[Head | None, tuple[Piece, ...]]:
-    """Return what a journal's entries say.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal, for messages.
-    entries : tuple of dict
-        Head first.
-
-    Returns
-    -------
-    head : Head or None
-        None for an empty journal.
-    pieces : tuple of Piece
-        In the order in which they were done.
-
-    Raises
-    ------
-    FileFormatError
-        Entries of another version, or others than these.
-    """
+    """Return what a journal's entries say."""
     if not entries:
         return None, ()
     try:
@@ -336,22 +384,7 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
 
 
 def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
-    """Return session.toml: each piece a recording, each rest a still, each rate a turn at the rate that was achieved.
-
-    The temperature of a piece is the mean that the device's thermometer read; the set-point only where it has none.
-
-    Parameters
-    ----------
-    head : Head
-        Device and place.
-    pieces : tuple of Piece
-        What is on the disk.
-
-    Returns
-    -------
-    str
-        TOML.
-    """
+    """Return session.toml: each piece a recording, each rest a still, each rate a turn at the rate that was achieved."""
     lines = ["[session]", f'kind = "{head.kind}"', f"serial = {json.dumps(head.serial)}"]
     lines += [f"gravity_m_s2 = {head.gravity_m_s2!r}"]
     for piece in pieces:

@@ -4,20 +4,134 @@ A card that was told to jog goes on jogging when the program that told it so is 
 (kill -STOP, a computer that swaps). The guard listens at a pipe from that program: a beat every second, "done" when all ended
 well. The end of the pipe without "done", or 5 s of silence, has it open the rig itself and close it again: stop, motor off. That
 needs a rig that takes a second connection, or a port that is free again: TCP and serial.
+
+Marks that ``undrift rig stop`` leaves on this computer, so that a run that mounts or soaks does not switch the motor on again.
+
+A controller keeps nothing that tells a stop by another connection from one's own while the motor is off; a file in the user's own
+temporary folder does. It tells programs of the same user on the same computer, and for the same address.
 """
 
 import contextlib
+import getpass
+import hashlib
+import logging
+import os
 import queue
+import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from types import TracebackType
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType, TracebackType
 from typing import TextIO
 
 from undrift.errors import RigError, RigFault
-from undrift.rig.address import RigSettings, open_rig
 from undrift.rig.chamber import open_chamber
+from undrift.rig.rig import RigSettings, open_rig, parse_address
+
+# ---- Marks that ``undrift rig stop`` leaves on this computer, so that a run that mounts or soaks does not switch the motor
+# on again.
+
+log = logging.getLogger(__name__)
+
+
+def mark_stop(address: str) -> None:
+    """Leave a mark; where none can be left that is logged, as the stop itself matters more."""
+    path = _mark(address)
+    try:
+        path.parent.mkdir(mode=0o700, exist_ok=True)
+        path.write_text(f"{time.time_ns()} {os.getpid()}\n")
+    except OSError as error:
+        log.warning("%s: no mark of the stop could be left (%s); end the run by Ctrl-C too", path, error)
+
+
+class StopWatch:
+    """Notices stops that are marked after it was made."""
+
+    def __init__(self, address: str) -> None:
+        self._path = _mark(address)
+        self._before = self._read()
+
+    def check(self) -> None:
+        """Refuse to go on after a stop from elsewhere."""
+        if self._read() != self._before:
+            raise RigFault("rig: wanted to go on, got it stopped from elsewhere by rig stop; go on with --resume")
+
+    def _read(self) -> str:
+        try:
+            return self._path.read_text()
+        except OSError:
+            return ""
+
+
+def _mark(address: str) -> Path:
+    """Return the mark's path: the options of an address do not change which rig it is."""
+    kind, url, _ = parse_address(address)
+    name = hashlib.sha256(f"{kind}:{url}".encode()).hexdigest()[:24]
+    return Path(tempfile.gettempdir()) / f"undrift-stops-{getpass.getuser()}" / name
+
+
+# ---- Ctrl-C, Ctrl-Z and SIGTERM while a rig is driven: an exception first, and no disturbance while the table is stopped.
+
+NAMES = (
+    "SIGINT",
+    "SIGTERM",
+    "SIGHUP",
+    "SIGTSTP",
+)  # as far as the system has them; a halted program leaves a table turning
+
+
+@contextmanager
+def stopping_on_signals() -> Iterator[None]:
+    """Turn SIGTERM, SIGHUP and SIGTSTP (Ctrl-Z) into the exception of Ctrl-C within the block, so that `finally` is reached."""
+    stopped: list[int] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        stopped.append(number)
+        if len(stopped) == 1:
+            raise KeyboardInterrupt(f"stopped by {signal.Signals(number).name}")
+
+    with _handled(interrupt):
+        yield
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let no signal disturb the block; one that came is handed at its end to whoever handled it before."""
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+
+    with _handled(note):
+        yield
+    if came:
+        outside = signal.getsignal(came[0])
+        if callable(outside):
+            outside(came[0], None)
+        elif outside != signal.SIG_IGN:
+            raise KeyboardInterrupt(f"stopped by {signal.Signals(came[0]).name}")
+
+
+@contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, held in before.items():
+            signal.signal(number, held)
+
+
+# ---- guard
 
 DONE, READY = "done", "ready"
 BEAT_S = 1.0
@@ -26,20 +140,7 @@ LONGEST_S = 20.0  # that a guard is waited for
 
 
 class Guard:
-    """Stands by while a rig is driven; a context manager.
-
-    Parameters
-    ----------
-    address : str
-        Of the rig; "" where only a chamber is guarded.
-    chamber : str
-        Address of the chamber, "" without one.
-
-    Raises
-    ------
-    RigFault
-        The second process did not start.
-    """
+    """Stands by while a rig is driven; a context manager."""
 
     def __init__(self, address: str, chamber: str = "") -> None:
         self._process = subprocess.Popen(
@@ -77,23 +178,11 @@ class Guard:
         self._armed = True
 
     def expect(self, within_s: float | None) -> None:
-        """Promise the next call of this; a program that hangs breaks the promise, and its beats end.
-
-        Parameters
-        ----------
-        within_s : float or None
-            s of the host; None promises nothing, as while a person is asked.
-        """
+        """Promise the next call of this; a program that hangs breaks the promise, and its beats end."""
         self._due = None if within_s is None else time.monotonic() + within_s
 
     def check(self) -> None:
-        """Refuse to go on without a guard.
-
-        Raises
-        ------
-        RigFault
-            The second process has ended: it was killed, or took this program for gone and stopped the table.
-        """
+        """Refuse to go on without a guard."""
         code = self._process.poll()
         if code is not None:
             raise RigFault(
@@ -102,13 +191,7 @@ class Guard:
             )
 
     def release(self, *, well: bool) -> None:
-        """Send the guard home.
-
-        Parameters
-        ----------
-        well : bool
-            False has it make sure that the table is stopped.
-        """
+        """Send the guard home."""
         self._ended.set()
         if self._beating.is_alive():
             self._beating.join(LONGEST_S)
@@ -155,26 +238,7 @@ class Guard:
 
 
 def watch(address: str, chamber: str, lines: TextIO, complaints: TextIO, *, silence_s: float = SILENCE_S) -> int:
-    """Listen at a pipe until it ends or falls silent, then stop the table and the chamber unless all ended well.
-
-    Parameters
-    ----------
-    address : str
-        Of the rig, "" without one.
-    chamber : str
-        Of the chamber, "" without one.
-    lines : file
-        From the program that drives the rig.
-    complaints : file
-        Where to say that rig or chamber did not confirm.
-    silence_s : float
-        Longest time between two lines, s.
-
-    Returns
-    -------
-    int
-        0, or 3 where it is not confirmed that the table stopped and the chamber is off.
-    """
+    """Listen at a pipe until it ends or falls silent, then stop the table and the chamber unless all ended well."""
     if _ended_well(lines, silence_s):
         return 0
     code = 0
@@ -189,34 +253,12 @@ def watch(address: str, chamber: str, lines: TextIO, complaints: TextIO, *, sile
 
 
 def stop_rig(address: str) -> None:
-    """Stop the table and switch its motor off, from a connection of its own.
-
-    Parameters
-    ----------
-    address : str
-        Of the rig.
-
-    Raises
-    ------
-    RigError
-        The rig is not there, or did not confirm.
-    """
+    """Stop the table and switch its motor off, from a connection of its own."""
     open_rig(address, RigSettings()).close()
 
 
 def stop_chamber(address: str) -> None:
-    """Switch heater and compressor off, from a connection of its own.
-
-    Parameters
-    ----------
-    address : str
-        Of the chamber.
-
-    Raises
-    ------
-    RigError
-        The chamber is not there, or did not confirm.
-    """
+    """Switch heater and compressor off, from a connection of its own."""
     with open_chamber(address) as chamber:
         chamber.switch_off()
 

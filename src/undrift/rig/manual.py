@@ -8,28 +8,42 @@ import math
 from collections.abc import Callable
 
 from undrift.errors import InputError, LinkError, RigFault
-from undrift.rig.address import RigSettings
-from undrift.rig.clock import Clock
-from undrift.rig.rig import Limits, Position
+from undrift.record import Face
+from undrift.rig.link import Clock
+from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
-FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
+# ---- Hands that mount the device: a person who is asked.
+
 GIVING_UP = ("q", "quit", "stop")
+
+
+class AskedHands:
+    """A person, one line at a time."""
+
+    def __init__(self, ask: Callable[[str], str]) -> None:
+        self._ask = ask
+
+    def mount(self, up: Face) -> None:
+        """Have the device mounted."""
+        try:
+            said = self._ask(
+                f"Motor off. Mount the device with {up} up, hands off, then press Enter (q gives up): "
+            ).strip()
+        except EOFError:
+            said = "q"
+        if said.lower() in GIVING_UP:
+            raise RigFault(f"mounting: wanted the device mounted {up} up, got '{said}'; go on with --resume when it is")
+
+
+# ---- manual
+
+FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 QUESTIONS = 3  # how often an answer that is no number is asked for again
 
 
 class ManualRig:
-    """A person who is asked, one line at a time.
-
-    Parameters
-    ----------
-    ask : callable
-        Shows a line and returns what was typed.
-    limits : Limits
-        Only the travel matters.
-    clock : Clock
-        The host's.
-    """
+    """A person who is asked, one line at a time."""
 
     def __init__(
         self, ask: Callable[[str], str], limits: Limits = Limits(turn_rate=1e3), clock: Clock = Clock()
@@ -50,49 +64,16 @@ class ManualRig:
         return "a person who turns the device by hand"
 
     def enable(self, on: bool) -> None:
-        """Nothing to switch.
-
-        Parameters
-        ----------
-        on : bool
-            Either way.
-        """
+        """Nothing to switch."""
         self._check_open()
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Nothing to set: how a hand runs up is unknown.
-
-        Parameters
-        ----------
-        acceleration : float
-            rad/s2.
-
-        Returns
-        -------
-        float
-            NaN.
-        """
+        """Nothing to set: how a hand runs up is unknown."""
         self._check_open()
         return math.nan
 
     def turn(self, turn_rate: float) -> float:
-        """Refuse: a hand holds no rate; 0 is rest and allowed.
-
-        Parameters
-        ----------
-        turn_rate : float
-            rad/s.
-
-        Returns
-        -------
-        float
-            0.
-
-        Raises
-        ------
-        RigFault
-            Any rate but 0.
-        """
+        """Refuse: a hand holds no rate; 0 is rest and allowed."""
         self._check_open()
         if turn_rate != 0.0:
             raise RigFault(
@@ -101,20 +82,7 @@ class ManualRig:
         return 0.0
 
     def place(self, face: str) -> None:
-        """Have the device laid still on a face.
-
-        Parameters
-        ----------
-        face : str
-            The axis that points up: "+x", ... "-z".
-
-        Raises
-        ------
-        InputError
-            Not a face.
-        RigFault
-            The person gave up.
-        """
+        """Have the device laid still on a face."""
         self._check_open()
         if face not in FACES:
             raise InputError(
@@ -123,27 +91,7 @@ class ManualRig:
         self._said(f"Lay the device still with its {face} axis up, let go, then press Enter (q gives up): ")
 
     def move_by(self, angle: float) -> float:
-        """Have the device turned by an angle.
-
-        Parameters
-        ----------
-        angle : float
-            rad, signed by the right hand.
-
-        Returns
-        -------
-        float
-            What the person stated, rad; the angle asked for when they stated none.
-
-        Raises
-        ------
-        LimitError
-            Beyond the travel.
-        InputError
-            No number, asked three times.
-        RigFault
-            The person gave up.
-        """
+        """Have the device turned by an angle."""
         self._check_open()
         self._limits.check_travel(self._angle + angle)
         asked_deg = angle / RADIAN_PER_DEGREE
@@ -164,18 +112,7 @@ class ManualRig:
         return Position(angle=self._angle, time=self._clock.now())
 
     def measured_turn_rate(self, duration_s: float) -> float:
-        """Return the mean rate over a while, from two positions: 0, as nothing moves between questions.
-
-        Parameters
-        ----------
-        duration_s : float
-            s.
-
-        Returns
-        -------
-        float
-            rad/s.
-        """
+        """Return the mean rate over a while, from two positions: 0, as nothing moves between questions."""
         return self._clock.mean_turn_rate(self.position, duration_s)
 
     def following_error(self) -> float:
@@ -216,25 +153,7 @@ def _number(said: str, asked: float) -> float | None:
 
 
 def open_from(url: str, settings: RigSettings) -> ManualRig:
-    """Make a manual rig.
-
-    Parameters
-    ----------
-    url : str
-        Must be empty.
-    settings : RigSettings
-        Limits, and who is asked.
-
-    Returns
-    -------
-    ManualRig
-        Ready to ask.
-
-    Raises
-    ------
-    InputError
-        Nobody to ask, or an address that says where.
-    """
+    """Make a manual rig."""
     if url:
         raise InputError(f"manual rig: wanted the address 'manual:', got 'manual:{url}'; a person has no port")
     if settings.ask is None:

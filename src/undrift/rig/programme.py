@@ -4,8 +4,14 @@
 
 A person or a door disturbs more than a chamber does, so the device is mounted as seldom as can be: each face once, every
 temperature in it, and the rates about an axis where its + side is up.
+
+How long a device settles after the rate changed, and how long a dwell must be.
+
+settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: the step response of a second-order low-pass is within 0.1 %
+dwell    u^2 = (q / t)^2 + N^2 / t: one count q over the dwell, and white noise of density N
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -13,56 +19,64 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from undrift.errors import InputError
-from undrift.protocol import Protocol
-from undrift.rig.settle import dwell_time, settle_time, whole_turns_time
-from undrift.session import Axis, Face
+from undrift.record import Axis, Face
+from undrift.rig.protocol import Protocol
 from undrift.units import RADIAN_PER_DEGREE
+
+# ---- How long a device settles after the rate changed, and how long a dwell must be.
+
+DAMPING = math.sqrt(0.5)  # Butterworth, as the note's filters
+LEAST_SETTLE_S = 0.3  # also the table's own servo
+REMAINDER = 1000.0
+
+
+def settle_time(cutoff_hz: float, damping: float = DAMPING) -> float:
+    """Return how long to wait after a change of rate."""
+    if not (cutoff_hz > 0.0 and damping > 0.0):
+        raise InputError(f"settle time: wanted cutoff_hz and damping above 0, got {cutoff_hz:g} and {damping:g}")
+    return max(LEAST_SETTLE_S, math.log(REMAINDER) / (damping * 2.0 * math.pi * cutoff_hz))
+
+
+def dwell_time(uncertainty: float, *, count: float, noise_density: float = 0.0) -> float:
+    """Return how long a dwell must be for its mean rate to be known so well.
+
+    The positive root of u^2 t^2 - N^2 t - q^2 = 0.
+    """
+    if not uncertainty > 0.0:
+        raise InputError(f"dwell time: wanted an uncertainty above 0 rad/s, got {uncertainty:g}")
+    square = noise_density * noise_density
+    return (square + math.hypot(square, 2.0 * uncertainty * count)) / (2.0 * uncertainty * uncertainty)
+
+
+def whole_turns_time(turn_rate: float, least_s: float) -> float:
+    """Return the shortest time of whole turns that is no shorter than asked for."""
+    turn_s = 2.0 * math.pi / abs(turn_rate)
+    return turn_s * max(1, math.ceil(least_s / turn_s - 1e-9))
+
+
+# ---- programme
 
 Purpose = Literal["face", "bracket", "rate"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgrammeSettings:
-    """What a protocol does not say.
+    """What a protocol does not say."""
 
-    Parameters
-    ----------
-    encoder_lines : int
-        Of the table, 4 counts a line.
-    noise_density : float
-        Of the device's rate, rad/s/sqrt(Hz).
-    mount_s : float
-        How long a person takes to mount the device, s: only for the forecast.
-    room_c : float
-        Temperature of the chamber at the start, degC: only for the forecast.
-    heating_c_per_min : float
-        Slope of the chamber, K/min: only for the forecast.
-    soak_s : float
-        How long the device takes to follow, s: only for the forecast.
-    """
-
-    encoder_lines: int = 10_000
-    noise_density: float = 0.0
-    mount_s: float = 30.0
-    room_c: float = 25.0
-    heating_c_per_min: float = 2.0
-    soak_s: float = 1200.0
+    encoder_lines: int = 10_000  # Of the table, 4 counts a line
+    noise_density: float = 0.0  # Of the device's rate, rad/s/sqrt(Hz)
+    mount_s: float = 30.0  # How long a person takes to mount the device, s: only for the forecast
+    room_c: float = 25.0  # Temperature of the chamber at the start, degC: only for the forecast
+    heating_c_per_min: float = 2.0  # Slope of the chamber, K/min: only for the forecast
+    soak_s: float = 1200.0  # How long the device takes to follow, s: only for the forecast
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mount:
-    """The device is mounted by hand; the table rests and its motor is off.
+    """The device is mounted by hand; the table rests and its motor is off."""
 
-    Parameters
-    ----------
-    up : str
-        Device axis that points up, along the table's axis.
-    duration_s : float
-        Forecast, s.
-    """
-
-    up: Face
-    duration_s: float
+    up: Face  # Device axis that points up, along the table's axis
+    duration_s: float  # Forecast, s
 
     def __str__(self) -> str:
         return f"mount {self.up} up"
@@ -70,21 +84,11 @@ class Mount:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Soak:
-    """The chamber goes to a temperature and the device follows; the table rests.
+    """The chamber goes to a temperature and the device follows; the table rests."""
 
-    Parameters
-    ----------
-    temp_c : float
-        Set-point, degC.
-    slope_c_per_min : float
-        Reached when it changes less, K/min.
-    duration_s : float
-        Forecast, s.
-    """
-
-    temp_c: float
-    slope_c_per_min: float
-    duration_s: float
+    temp_c: float  # Set-point, degC
+    slope_c_per_min: float  # Reached when it changes less, K/min
+    duration_s: float  # Forecast, s
 
     def __str__(self) -> str:
         return f"soak at {self.temp_c:g} degC"
@@ -92,36 +96,16 @@ class Soak:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dwell:
-    """The device is read at a steady rate, or at rest.
+    """The device is read at a steady rate, or at rest."""
 
-    Parameters
-    ----------
-    purpose : str
-        face (rest), bracket (rest before and after a block) or rate.
-    up : str
-        Device axis that points up.
-    axis : str or None
-        Device axis that the table turns about; None for a face.
-    turn_rate : float
-        Nominal, rad/s about +axis; 0 at rest.
-    ramp_s : float
-        Run-up, and as long again to slow down, s.
-    settle_s : float
-        Wait before reading, s.
-    dwell_s : float
-        Reading, s.
-    temp_c : float or None
-        Set-point, degC; None at room temperature.
-    """
-
-    purpose: Purpose
-    up: Face
-    axis: Axis | None
-    turn_rate: float
-    ramp_s: float
-    settle_s: float
-    dwell_s: float
-    temp_c: float | None = None
+    purpose: Purpose  # face (rest), bracket (rest before and after a block) or rate
+    up: Face  # Device axis that points up
+    axis: Axis | None  # Device axis that the table turns about; None for a face
+    turn_rate: float  # Nominal, rad/s about +axis; 0 at rest
+    ramp_s: float  # Run-up, and as long again to slow down, s
+    settle_s: float  # Wait before reading, s
+    dwell_s: float  # Reading, s
+    temp_c: float | None = None  # Set-point, degC; None at room temperature
 
     @property
     def duration_s(self) -> float:
@@ -149,23 +133,10 @@ Step: TypeAlias = Mount | Soak | Dwell
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Programme:
-    """Steps in order.
+    """Steps in order."""
 
-    Parameters
-    ----------
-    steps : tuple of Mount, Soak or Dwell
-        At least one dwell; each with the mounting and the temperature of the steps before it.
-    acceleration : float
-        Of the table, rad/s2.
-
-    Raises
-    ------
-    InputError
-        A dwell that does not fit the steps before it, a rest that turns, a turn about an axis that is not the table's.
-    """
-
-    steps: tuple[Step, ...]
-    acceleration: float
+    steps: tuple[Step, ...]  # At least one dwell; each with the mounting and the temperature of the steps before it
+    acceleration: float  # Of the table, rad/s2
 
     def __post_init__(self) -> None:
         if not any(isinstance(step, Dwell) for step in self.steps):
@@ -197,25 +168,7 @@ class Programme:
 
 
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
-    """Write a protocol out.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        What to do.
-    settings : ProgrammeSettings
-        What the protocol does not say.
-
-    Returns
-    -------
-    Programme
-        The same protocol gives the same programme.
-
-    Raises
-    ------
-    InputError
-        A bandwidth or uncertainty that gives no time.
-    """
+    """Write a protocol out."""
     turning = protocol.axes if protocol.turn_rate_step > 0.0 else ()
     mountings: list[Face] = list(protocol.faces)
     mountings += [up for axis in turning if (up := _plus(axis)) not in mountings]

@@ -2,34 +2,118 @@
 
 Angles are rad, rates rad/s, positive about the table's own axis. A rig rounds what it is told to its counts; every call returns
 the value it ACHIEVED, never the one that was asked for.
+
+Counts and angles: what an encoder's lines or a stepper's steps are in rad, and how a card rounds what it is told.
+
+An encoder of N lines gives 4N counts per turn (both edges of both tracks), so one count is 2 pi / 4N rad: 0.009 deg at 10 000
+lines. Rounding happens here, before a byte is sent, so that what was sent is what the card holds.
+
+The rate that was achieved, from positions of the encoder over a dwell.
+
+A line through (t_i, phi_i) by weighted least squares: slope sum w (t - tm)(phi - phim) / S, S = sum w (t - tm)^2, w = 1 / d^2.
+When a position was taken is known no better than d, between question and answer of the link or a tick of the controller's own
+clock, so quick answers count more; a floor of half the median d keeps a few from counting alone. The standard uncertainty sqrt(r /
+((n - 2) S)), r the sum of w times squared residuals, has the counts of the encoder and the delays of the link in it. It grows with
+whatever is wrong, so it is no measure of whether the table turned steadily: that is the misfit, the largest distance from the line
+that the delays do not explain, max |residual_i| - |slope| (d_i + median d), and the rate between the first position and the last.
+
+Addresses of rigs: ``kind:url?option=value&option=value`` -> an open Rig.
+
+    galil:tcp://host:port?encoder_lines=10000     galil:serial:///dev/ttyUSB0?baud=19200     galil:gclib://host --direct
+    grbl:serial:///dev/ttyUSB0?axis=A             grbl:tcp://host:port                       manual:
+
+Adding a rig is one file with a function ``open_from(url, settings)`` and one row in the table RIGS.
 """
 
+import importlib
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol, cast
+from urllib.parse import parse_qsl
+
+import numpy as np
 
 from undrift.errors import InputError, LimitError
+from undrift.rig.programme import Dwell, Programme
+from undrift.units import RADIAN_PER_DEGREE
+
+# ---- Counts and angles: what an encoder's lines or a stepper's steps are in rad, and how a card rounds what it is told.
+
+COUNTS_PER_LINE = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CountScale:
+    """How many counts make a turn."""
+
+    counts_per_turn: float  # Counts (or steps) in 2 pi
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.counts_per_turn) and self.counts_per_turn > 0.0):
+            raise InputError(
+                f"encoder: wanted counts per turn above 0, got {self.counts_per_turn:g}; look at its data sheet"
+            )
+
+    @classmethod
+    def from_lines(cls, encoder_lines: int) -> "CountScale":
+        """Make it from the lines on an encoder's disc."""
+        return cls(counts_per_turn=float(COUNTS_PER_LINE * encoder_lines))
+
+    def angle(self, counts: float) -> float:
+        """Return the angle of counts (or the rate of counts/s)."""
+        return counts * (2.0 * math.pi / self.counts_per_turn)
+
+    def counts(self, angle: float) -> float:
+        """Return the counts of an angle, not rounded."""
+        if not math.isfinite(angle):
+            raise InputError(f"rig: wanted a finite angle or rate, got {angle}; check what computed it")
+        return angle * (self.counts_per_turn / (2.0 * math.pi))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grid:
+    """The values one command of a card accepts: multiples of a step within a range."""
+
+    name: str  # The command, for messages: "JG", "AC",
+    step: int  # Counts, counts/s or counts/s2 between two values
+    smallest: int  # Smallest magnitude that does something
+    largest: int  # Largest magnitude
+
+    def round(self, counts: float) -> int:
+        """Return the nearest value the card can hold."""
+        magnitude = self.step * math.floor(abs(counts) / self.step + 0.5)
+        if not self.smallest <= magnitude <= self.largest:
+            raise LimitError(
+                f"{self.name}: wanted {self.smallest} to {self.largest} in steps of {self.step}, got {counts:.6g} counts; "
+                "choose another rate, acceleration or angle",
+                counts=counts,
+                smallest=self.smallest,
+                largest=self.largest,
+            )
+        return magnitude if counts > 0 else -magnitude
+
+
+LONGEST_MOVE = 2_147_483_647  # counts, a signed word of 32 bits
+JOG = Grid(name="JG", step=1, smallest=1, largest=12_000_000)
+JOG_BY_TWO = Grid(name="JG", step=2, smallest=2, largest=12_000_000)
+SLEW = Grid(name="SP", step=2, smallest=2, largest=12_000_000)
+ACCELERATION = Grid(name="AC", step=1024, smallest=1024, largest=67_107_840)
+MOVE = Grid(name="PR", step=1, smallest=1, largest=LONGEST_MOVE)
+
+
+# ---- rig
 
 ROUNDING = 1.0 + 1e-9  # a limit given in degrees is met exactly by a rate given in degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a rig may be told to do; anything beyond raises LimitError before a byte is sent.
+    """What a rig may be told to do; anything beyond raises LimitError before a byte is sent."""
 
-    Parameters
-    ----------
-    turn_rate : float
-        Largest rate either way, rad/s.
-    acceleration : float
-        Largest acceleration, rad/s2.
-    travel : float or None
-        Largest angle either way from where it was connected, rad; None turns without end.
-    """
-
-    turn_rate: float = 2.0 * math.pi
-    acceleration: float = 100.0
-    travel: float | None = None
+    turn_rate: float = 2.0 * math.pi  # Largest rate either way, rad/s
+    acceleration: float = 100.0  # Largest acceleration, rad/s2
+    travel: float | None = None  # Largest angle either way from where it was connected, rad; None turns without end
 
     def __post_init__(self) -> None:
         for name in ("turn_rate", "acceleration", "travel"):
@@ -38,18 +122,7 @@ class Limits:
                 raise InputError(f"limits: wanted {name} above 0, got {value}; a rig without limits is not driven")
 
     def check_turn_rate(self, turn_rate: float) -> None:
-        """Refuse a rate that the rig may not be told.
-
-        Parameters
-        ----------
-        turn_rate : float
-            rad/s, signed.
-
-        Raises
-        ------
-        LimitError
-            Too fast, or not a number.
-        """
+        """Refuse a rate that the rig may not be told."""
         if not abs(turn_rate) <= self.turn_rate * ROUNDING:
             raise LimitError(
                 f"turn rate: wanted at most {self.turn_rate:g} rad/s either way, got {turn_rate:g}; choose a slower one",
@@ -57,18 +130,7 @@ class Limits:
             )
 
     def check_acceleration(self, acceleration: float) -> None:
-        """Refuse an acceleration that the rig may not be told.
-
-        Parameters
-        ----------
-        acceleration : float
-            rad/s2.
-
-        Raises
-        ------
-        LimitError
-            Not above zero, or too large.
-        """
+        """Refuse an acceleration that the rig may not be told."""
         if not 0.0 < acceleration <= self.acceleration * ROUNDING:
             raise LimitError(
                 f"acceleration: wanted above 0 and at most {self.acceleration:g} rad/s2, got {acceleration:g}; "
@@ -77,18 +139,7 @@ class Limits:
             )
 
     def check_travel(self, angle: float) -> None:
-        """Refuse an angle that the rig may not be turned to.
-
-        Parameters
-        ----------
-        angle : float
-            rad, from where the rig was connected.
-
-        Raises
-        ------
-        LimitError
-            Too far from the start.
-        """
+        """Refuse an angle that the rig may not be turned to."""
         if self.travel is not None and not abs(angle) <= self.travel * ROUNDING:
             raise LimitError(
                 f"travel: wanted to stay within {self.travel:g} rad of the start, got a move to {angle:g}; "
@@ -99,20 +150,12 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """Where the axis stands.
+    """Where the axis stands."""
 
-    Parameters
-    ----------
-    angle : float
-        rad.
-    time : float
-        The host's monotonic clock, s; only differences count where a controller's own clock is in it.
-    within_s : float
-        It may be off by that much either way, s: half the time between question and answer, or half a tick of the controller.
-    """
-
-    angle: float
-    time: float
+    angle: float  # rad
+    time: float  # The host's monotonic clock, s; only differences count where a controller's own clock is in it
+    # It may be off by that much either way, s: half the time between question and answer, or half a tick of the
+    # controller
     within_s: float = 0.0
 
 
@@ -127,55 +170,16 @@ class Rig(Protocol):
         """Return make, model and firmware."""
 
     def enable(self, on: bool) -> None:
-        """Switch the motor on or off.
-
-        Parameters
-        ----------
-        on : bool
-            True for on.
-        """
+        """Switch the motor on or off."""
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Set run-up and slow-down.
-
-        Parameters
-        ----------
-        acceleration : float
-            rad/s2.
-
-        Returns
-        -------
-        float
-            As the controller rounded it, rad/s2.
-        """
+        """Set run-up and slow-down."""
 
     def turn(self, turn_rate: float) -> float:
-        """Turn at a steady rate until told otherwise.
-
-        Parameters
-        ----------
-        turn_rate : float
-            rad/s, signed.
-
-        Returns
-        -------
-        float
-            As the controller rounded it, rad/s.
-        """
+        """Turn at a steady rate until told otherwise."""
 
     def move_by(self, angle: float) -> float:
-        """Turn by an angle and come to rest.
-
-        Parameters
-        ----------
-        angle : float
-            rad, signed.
-
-        Returns
-        -------
-        float
-            Angle that was turned, rad.
-        """
+        """Turn by an angle and come to rest."""
 
     def stop(self) -> None:
         """Slow down and wait until the axis is at rest; the motor stays on."""
@@ -184,18 +188,7 @@ class Rig(Protocol):
         """Return where the axis stands now."""
 
     def measured_turn_rate(self, duration_s: float) -> float:
-        """Return the mean rate over a while, from two positions.
-
-        Parameters
-        ----------
-        duration_s : float
-            s.
-
-        Returns
-        -------
-        float
-            rad/s.
-        """
+        """Return the mean rate over a while, from two positions."""
 
     def following_error(self) -> float:
         """Return commanded minus actual angle, rad."""
@@ -205,3 +198,165 @@ class Rig(Protocol):
 
     def close(self) -> None:
         """Stop, switch the motor off, let go of the link; harmless when called again."""
+
+
+# ---- The rate that was achieved, from positions of the encoder over a dwell.
+
+FLOOR = 0.5  # of the median delay
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Achieved:
+    """A rate as it was."""
+
+    turn_rate: float  # rad/s
+    uncertainty: float  # Standard, rad/s
+    between_ends: float  # Way from the first position to the last over its time, rad/s
+    # Farthest from steady that a position is, delays of the link left out, rad; 0 where they explain it all
+    misfit: float
+    span_s: float  # From the first position to the last, s
+    delay_s: float  # Largest of the median time in which a position may have been taken and of those at both ends, s
+
+
+def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
+    """Return the mean rate over a dwell."""
+    if len(positions) < 3:
+        raise InputError(f"achieved rate: wanted three positions or more, got {len(positions)}; dwell longer")
+    delay = 2.0 * np.array([p.within_s for p in positions])
+    floor = FLOOR * float(np.median(delay))
+    weight = np.ones_like(delay) if floor <= 0.0 else 1.0 / (delay * delay + floor * floor)
+    weight /= weight.sum()
+    time = np.array([p.time for p in positions]) - positions[0].time
+    angle = np.array([p.angle for p in positions]) - positions[0].angle
+    t, phi = time - weight @ time, angle - weight @ angle
+    square = float(weight @ (t * t))
+    slope = float(weight @ (t * phi)) / square
+    residual = phi - slope * t
+    spread = float(weight @ (residual * residual)) / ((len(time) - 2) * square)
+    beyond = np.abs(residual) - abs(slope) * (delay + np.median(delay))
+    return Achieved(
+        turn_rate=slope,
+        uncertainty=float(np.sqrt(spread)),
+        between_ends=float((angle[-1] - angle[0]) / (time[-1] - time[0])),
+        misfit=max(0.0, float(beyond.max())),
+        span_s=float(time[-1] - time[0]),
+        delay_s=float(max(np.median(delay), delay[0], delay[-1])),
+    )
+
+
+# ---- Whether a programme may be run on a rig: asked before anything moves.
+
+TRAVEL_MARGIN = 1.1  # a wait is never shorter than asked for, and the table turns on meanwhile
+
+
+def check_programme(
+    programme: Programme, limits: Limits, done: frozenset[int] = frozenset(), *, by_hand: bool = False
+) -> None:
+    """Refuse a programme that the rig may not run."""
+    left = [(number, step) for number, step in enumerate(programme.steps) if isinstance(step, Dwell)]
+    left = [(number, step) for number, step in left if number not in done]
+    turning = [(number, step) for number, step in left if step.turn_rate != 0.0]
+    if by_hand:
+        _check_hands(turning)
+        return
+    _check(limits.check_acceleration, programme.acceleration, limits.acceleration, "", "acceleration", "deg/s2")
+    angle = 0.0
+    for number, step in turning:
+        what = f"step {number} ({step}): "
+        _check(limits.check_turn_rate, step.turn_rate, limits.turn_rate, what, "turn rate", "deg/s")
+        reached = angle + TRAVEL_MARGIN * step.travel
+        _check(limits.check_travel, reached, limits.travel, what, "travel", "deg from the start")
+        angle += step.travel
+
+
+def _check_hands(turning: list[tuple[int, Dwell]]) -> None:
+    if turning:
+        number, step = turning[0]
+        raise InputError(
+            f"manual rig: wanted rests on faces only, got {len(turning)} dwells at a steady rate (step {number}: {step}), which no "
+            "hand holds; leave [rates] out of the protocol, and record a session of turns through known angles for the gyroscopes"
+        )
+
+
+def _check(check: Callable[[float], None], value: float, most: float | None, what: str, name: str, unit: str) -> None:
+    """Say a limit as a protocol states it, in degrees."""
+    try:
+        check(value)
+    except LimitError as error:
+        highest = "no end" if most is None else f"{most / RADIAN_PER_DEGREE:.6g}"
+        raise InputError(
+            f"{what}{name}: wanted at most {highest} {unit}, got {value / RADIAN_PER_DEGREE:.6g}; mend the protocol or state "
+            "another limit",
+            **error.numbers,
+        ) from error
+
+
+# ---- Addresses of rigs: ``kind:url?option=value&option=value`` -> an open Rig.
+
+RIGS = {
+    "galil": "undrift.rig.galil",
+    "grbl": "undrift.rig.grbl",
+    "manual": "undrift.rig.manual",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigSettings:
+    """What an address does not say; an option of the same name in the address wins."""
+
+    # What the rig may be told; never an option, so that no address can widen it
+    limits: Limits = field(default_factory=Limits)
+    encoder_lines: int = 10_000  # Lines of a servo's encoder, 4 counts each
+    axis: str = ""  # Letter of the axis; "" is the rig's usual one
+    speed_step: int = 1  # Counts/s between two speeds of a Galil card: 1, or 2 on older ones
+    baud: int = 0  # Bits per second of a serial port; 0 is the rig's usual
+    hardware_handshake: bool = False  # RTS/CTS of a serial port
+    reply_timeout_s: float = 2.0  # Longest wait for an answer, s
+    clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, an emulator's speed otherwise
+    # Shows a person a line and returns what they typed; a manual rig needs it
+    ask: Callable[[str], str] | None = None
+
+
+Opener = Callable[[str, RigSettings], Rig]
+OPTIONS: dict[str, Callable[[str], object]] = {
+    "encoder_lines": int,
+    "axis": str.upper,
+    "speed_step": int,
+    "baud": int,
+    "hardware_handshake": lambda text: {"yes": True, "no": False}[text],
+    "reply_timeout_s": float,
+    "clock_speed": float,
+}
+
+
+def open_rig(address: str, settings: RigSettings = RigSettings()) -> Rig:
+    """Open a rig; nothing moves."""
+    kind, url, settings = parse_address(address, settings)
+    opener = cast(Opener, importlib.import_module(RIGS[kind]).open_from)
+    return opener(url, settings)
+
+
+def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
+    """Take an address apart."""
+    kind, colon, rest = address.partition(":")
+    if not colon or kind not in RIGS:
+        raise InputError(
+            f"rig: wanted one of {', '.join(f'{k}:...' for k in RIGS)}, got '{address}'; say which rig it is"
+        )
+    url, _, query = rest.partition("?")
+    try:
+        given = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+    except ValueError as error:
+        raise InputError(f"rig: wanted options as name=value&name=value, got '{query}'; mend the address") from error
+    for name, text in given:
+        settings = replace(settings, **{name: _option(name, text)})  # type: ignore[arg-type]
+    return kind, url, settings
+
+
+def _option(name: str, text: str) -> object:
+    if name not in OPTIONS:
+        raise InputError(f"rig: wanted options out of {', '.join(OPTIONS)}, got '{name}'; mend the address")
+    try:
+        return OPTIONS[name](text)
+    except (ValueError, KeyError) as error:
+        raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error

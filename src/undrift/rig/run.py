@@ -2,6 +2,19 @@
 
 For each dwell: turn, wait for the ramp, let the device settle, read while positions are polled, stop, and write. The rate that goes
 with the readings is the one that the encoder shows over that dwell.
+
+Whether a dwell may be kept: the table turned steadily, the device spoke, air and board kept their temperature.
+
+With rate w, dwell T, time d in which a position may have been taken (the link's delay, or a tick) and a = angle_tolerance, a dwell
+is refused unless
+
+    |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
+    |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
+    misfit                <= a                                    no stop, no jump: rig/rig.py
+    2 d / T               <= link_tolerance, where w is not 0     else the link hides what the table does: read once more
+    finite readings       >= least_part * rate * T                gaps are no readings
+    air, at every look    within the tolerance of the set-point
+    board, in eighths     medians within the tolerance of each other, a step of the thermometer more
 """
 
 import logging
@@ -12,19 +25,121 @@ from typing import Literal
 import numpy as np
 
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
-from undrift.record import Record
-from undrift.rig.achieved import Achieved, achieved_turn_rate
-from undrift.rig.board import Board, mean_temp
-from undrift.rig.clock import Clock
+from undrift.record import Kind, Record
+from undrift.rig.chamber import Board, Chamber, Mounting, Readings, mean_temp
 from undrift.rig.folder import Head, Piece, RunFolder
-from undrift.rig.judge import RunSettings, check_air, check_board, check_rate, check_readings, covers, link_hides
+from undrift.rig.guard import Guard, StopWatch, uninterrupted
+from undrift.rig.link import Clock
 from undrift.rig.manual import ManualRig
 from undrift.rig.programme import Dwell, Mount, Programme, Soak, Step
-from undrift.rig.rig import Position, Rig
-from undrift.rig.safety import check_programme
-from undrift.rig.seams import Chamber, Mounting, Readings
-from undrift.rig.signals import uninterrupted
-from undrift.session import Kind
+from undrift.rig.rig import Achieved, Position, Rig, achieved_turn_rate, check_programme
+from undrift.units import RADIAN_PER_DEGREE
+
+# ---- Whether a dwell may be kept: the table turned steadily, the device spoke, air and board kept their temperature.
+
+PARTS = 8  # of a dwell, for the board
+COARSEST_C = 1.0  # step of a thermometer, K: more is a jump
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSettings:
+    """When a run gives up."""
+
+    turn_rate_tolerance: float = 0.03  # Achieved against set rate, 1
+    # A few counts: on top of it, over a dwell, and farthest from a steady turn, rad
+    angle_tolerance: float = 0.05 * RADIAN_PER_DEGREE
+    link_tolerance: float = 0.1  # Part of a rate that the link's delays may hide, 1
+    least_part: float = 0.8  # Part of a dwell's readings that must come, 1
+    soak_timeout_s: float = 6.0 * 3600.0  # Longest soak, table s
+    # Time constant with which a device without thermometer follows the air, s; five of them are waited for
+    device_lag_s: float = 120.0
+
+    def __post_init__(self) -> None:
+        if not self.device_lag_s >= 0.0:
+            raise InputError(
+                f"run: wanted a device lag of 0 s or more, got {self.device_lag_s}; state how late it follows the air"
+            )
+
+
+def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
+    """Tell whether the positions came too late to say how fast the table turned."""
+    return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
+
+
+def covers(record: Record, dwell_s: float, settings: RunSettings) -> bool:
+    """Tell whether readings span a dwell; readings that came too late to be certain are missing at its start."""
+    return record.duration_s + 1.0 / record.sample_rate_hz >= settings.least_part * dwell_s
+
+
+def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:
+    """Refuse a dwell in which the table did not hold its rate all the time."""
+    off = settings.turn_rate_tolerance * abs(held)
+    slip = settings.angle_tolerance / achieved.span_s
+    late = 2.0 * abs(held) * achieved.delay_s / achieved.span_s
+    found = ((achieved.turn_rate, off + slip + late), (achieved.between_ends, off + 2.0 * slip + late))
+    for rate, allowed in found:
+        if not abs(rate - held) <= allowed:
+            raise RigFault(
+                f"rig: wanted {held:.6g} rad/s held within {allowed:.2g} in {where}, got {rate:.6g}; look at the table, its "
+                "amplifier and its encoder",
+                turn_rate=rate,
+            )
+    if not achieved.misfit <= settings.angle_tolerance:
+        raise RigFault(
+            f"rig: wanted a steady turn within {settings.angle_tolerance / RADIAN_PER_DEGREE:.2g} deg in {where}, got "
+            f"{achieved.misfit / RADIAN_PER_DEGREE:.2g} deg off a straight line; it stopped, jumped or was pushed: look "
+            "at the table",
+            misfit=achieved.misfit,
+        )
+
+
+def check_readings(record: Record, dwell_s: float, settings: RunSettings, where: str) -> int:
+    """Refuse a dwell in which the device said too little."""
+    came = np.ones(len(record), bool)
+    for values in (record.gyro, record.accel):
+        if values is not None:
+            came &= np.isfinite(values).all(axis=1)
+    finite, rate = int(came.sum()), record.sample_rate_hz
+    wanted = rate * max(dwell_s, record.duration_s)
+    if finite < settings.least_part * wanted:
+        raise RigTimeout(
+            f"device: wanted {settings.least_part:.0%} of {wanted:.0f} readings in {where}, got {finite}, the others missing; look "
+            "at the device and its link, then go on with --resume",
+            readings=finite,
+        )
+    return len(record) - finite
+
+
+def check_air(air_c: float, set_point_c: float, tolerance_c: float, where: str) -> None:
+    """Refuse a dwell in air that left its set-point."""
+    if not abs(air_c - set_point_c) <= tolerance_c:
+        raise RigFault(
+            f"chamber: wanted {set_point_c:g} degC within {tolerance_c:g} K throughout {where}, got {air_c:.2f} degC; look at door "
+            "and heater, then go on with --resume",
+            temp_c=air_c,
+        )
+
+
+def check_board(record: Record, tolerance_c: float, where: str) -> None:
+    """Refuse a dwell in which the device's own thermometer drifts or jumps; without one nothing is checked."""
+    if record.temp_c is None:
+        return
+    temp_c = record.temp_c[np.isfinite(record.temp_c)]
+    if len(temp_c) < 2:
+        return
+    middles = [float(np.median(part)) for part in np.array_split(temp_c, min(PARTS, len(temp_c)))]
+    steps = np.diff(np.unique(temp_c))
+    step_c = min(float(steps.min()), COARSEST_C) if len(steps) else 0.0
+    change_c = max(middles) - min(middles)
+    if change_c > tolerance_c + step_c:
+        raise RigFault(
+            f"device: wanted its thermometer steady within {tolerance_c:g} K throughout {where}, got a change of {change_c:.2f} K; "
+            "look at the chamber and at the air around the device, then go on with --resume",
+            change_c=change_c,
+        )
+
+
+# ---- run
 
 Phase = Literal["enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "resting", "writing", "closing"]
 POLLS = 20  # positions in a short dwell
@@ -37,75 +152,35 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """All that a run works with; the run closes the rig, and only the rig.
+    """All that a run works with; the run closes the rig, and only the rig."""
 
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    readings : Readings
-        Of the device.
-    mounting : Mounting
-        Hands.
-    chamber : Chamber or None
-        Needed where the programme soaks.
-    clock : Clock
-        The rig's.
-    """
-
-    rig: Rig
-    readings: Readings
-    mounting: Mounting
-    chamber: Chamber | None = None
-    clock: Clock = field(default_factory=Clock)
+    rig: Rig  # Open
+    readings: Readings  # Of the device
+    mounting: Mounting  # Hands
+    chamber: Chamber | None = None  # Needed where the programme soaks
+    clock: Clock = field(default_factory=Clock)  # The rig's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Where a run is.
+    """Where a run is."""
 
-    Parameters
-    ----------
-    phase : str
-        What it does now.
-    number, steps : int
-        Step of how many.
-    step : str
-        In words.
-    left_s : float
-        Forecast, table s.
-    live : str
-        The device's latest reading, or the chamber's.
-    """
-
-    phase: Phase
-    number: int
-    steps: int
-    step: str
-    left_s: float
-    live: str = ""
+    phase: Phase  # What it does now
+    number: int  # Step of how many
+    steps: int  # Step of how many
+    step: str  # In words
+    left_s: float  # Forecast, table s
+    live: str = ""  # The device's latest reading, or the chamber's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunResult:
-    """What a run did.
+    """What a run did."""
 
-    Parameters
-    ----------
-    pieces : tuple of Piece
-        All that is on the disk.
-    added : int
-        How many of them now.
-    duration_s : float
-        How long this part took, table s.
-    rig : str
-        What the rig calls itself.
-    """
-
-    pieces: tuple[Piece, ...]
-    added: int
-    duration_s: float
-    rig: str
+    pieces: tuple[Piece, ...]  # All that is on the disk
+    added: int  # How many of them now
+    duration_s: float  # How long this part took, table s
+    rig: str  # What the rig calls itself
 
 
 Report = Callable[[Progress], None]
@@ -121,38 +196,7 @@ def run_programme(
     gravity_m_s2: float,
     settings: RunSettings = RunSettings(),
 ) -> RunResult:
-    """Run what is not on the disk yet.
-
-    Parameters
-    ----------
-    programme : Programme
-        Steps.
-    bench : Bench
-        Rig, device, hands, chamber.
-    folder : RunFolder
-        Where to.
-    report : callable
-        Is told of every phase, and several times a second.
-    serial : str
-        Of the device.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
-    settings : RunSettings
-        When to give up.
-
-    Returns
-    -------
-    RunResult
-        What was done.
-
-    Raises
-    ------
-    InputError
-        Unsafe on this rig, rates for a person's hands, or no chamber for a programme with temperatures: nothing moved. Another run
-        than the one in the folder, a full disk.
-    RigError
-        A rig, a device or a chamber failed; the text says so where it is not confirmed that the table stopped.
-    """
+    """Run what is not on the disk yet."""
     run = _Run(programme, bench, folder, report, settings)
     try:
         done = folder.done
@@ -385,3 +429,31 @@ class _Run:
                 live=live,
             )
         )
+
+
+# ---- Watch over a run: the guard stands by, nobody stopped the table from elsewhere, and the program does not hang.
+
+LONGEST_WORDLESS_S = 60.0  # that a run says nothing beside its ramp and settling, s of the host; then it hangs
+
+
+class Watch:
+    """Is told what a run is told, before each step and several times a second, and ends it by an exception."""
+
+    def __init__(self, stops: StopWatch, guard: Guard | None, programme: Programme) -> None:
+        waits = [step.ramp_s + step.settle_s for step in programme.steps if isinstance(step, Dwell)]
+        self._stops, self._guard = stops, guard
+        self._within_s = LONGEST_WORDLESS_S + max(waits, default=0.0)
+
+    def arm(self) -> None:
+        """Say that the rig is open from now on."""
+        if self._guard is not None:
+            self._guard.arm()
+
+    def __call__(self, progress: Progress) -> None:
+        """Look whether the run may go on."""
+        if progress.phase != "closing":
+            self._stops.check()
+            if self._guard is not None:
+                self._guard.check()
+        if self._guard is not None:
+            self._guard.expect(None if progress.phase in ("mounting", "closing") else self._within_s)

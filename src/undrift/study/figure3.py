@@ -9,30 +9,88 @@ Each of the two goes the product's own way::
 with three levels of correction: none (constant offset), static (offset over temperature), full (static and dynamic). Errors are
 those of the acquisition's 4 s, from the moment that the integration begins; the note's 3.2 deg stand for 0.8 deg/s over it.
 The board warms from 25 degC while it is worn, with a time constant of 10 min, and has been worn for half an hour.
+
+The "actual" device of the note's Figure 3, and the model of it that a study works with.
+
+The study's model is a unit without the effects that a study leaves out; the actual device is the same unit with them::
+
+    hysteresis      offset differs between warming and cooling               as the kind of device has it
+    thermometer     board thermometer lags behind the sensors                80 s, LM335 in still air
+    adc_inl         integral non-linearity of the converter, a bow           2 LSB [assumed], gyroscopes and accelerometers
+    g_sensitivity   specific force feigns a rate                             as the kind of device has it
+
+All else, above all gains, offsets and their drift over temperature, is the same in both.
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
-from undrift.calibration.model import Calibration, DriftTables
-from undrift.calibration.procedure import calibrate
-from undrift.drift.procedure import fit_drift
-from undrift.record import Record, Reference
-from undrift.session import Session
+from undrift.calibration.calibrate import calibrate
+from undrift.drift.fit import fit_drift
+from undrift.errors import InputError
+from undrift.model import Calibration, DriftTables
+from undrift.record import Record, Reference, Session
+from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
-from undrift.sim.motion.library import draw_task
-from undrift.sim.motion.task import Task
-from undrift.sim.optics import OpticsSettings, see
-from undrift.sim.thermal.session import simulate_thermal_session
-from undrift.sim.thermal.settings import ThermalSettings
-from undrift.study.actual import HIDDEN, Hidden, actual_device, study_model
+from undrift.sim.motion.poses import OpticsSettings, see
+from undrift.sim.motion.tasks import Task, draw_task
+from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import TRIAL_SETTINGS, validate_trial
+
+# ---- The "actual" device of the note's Figure 3, and the model of it that a study works with.
+
+Hidden = Literal["hysteresis", "thermometer", "adc_inl", "g_sensitivity"]
+HIDDEN: tuple[Hidden, ...] = get_args(Hidden)
+INL_LSB = 2.0  # [assumed] what 12-bit converters of the note's time are specified to
+LEAST_LAG_S = 80.0  # LM335 in still air
+
+
+def study_model(unit: DeviceModel) -> DeviceModel:
+    """Return a unit as a study models it: without the hidden effects."""
+    return replace(
+        unit,
+        gyro=_plain(unit.gyro),
+        accel=_plain(unit.accel),
+        thermometer=replace(unit.thermometer, lag_s=0.0),
+    )
+
+
+def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> DeviceModel:
+    """Return a unit with the effects that the study's model lacks, or some of them."""
+    unknown = [name for name in hidden if name not in HIDDEN]
+    if unknown:
+        raise InputError(f"actual device: wanted effects of {', '.join(HIDDEN)}, got '{unknown[0]}'; name some of them")
+    made = study_model(unit)
+    gyro, accel, thermometer = made.gyro, made.accel, made.thermometer
+    if "hysteresis" in hidden:
+        gyro = replace(gyro, hysteresis=unit.gyro.hysteresis)
+        accel = replace(accel, hysteresis=unit.accel.hysteresis)
+    if "g_sensitivity" in hidden:
+        gyro = replace(gyro, g_sensitivity=unit.gyro.g_sensitivity)
+    if "adc_inl" in hidden:
+        gyro, accel = _bowed(gyro), _bowed(accel)
+    if "thermometer" in hidden:
+        thermometer = replace(thermometer, lag_s=max(unit.thermometer.lag_s, LEAST_LAG_S))
+    return replace(made, gyro=gyro, accel=accel, thermometer=thermometer)
+
+
+def _plain(chain: SensorChain) -> SensorChain:
+    adc = None if chain.adc is None else replace(chain.adc, inl_lsb=np.zeros(3))
+    return replace(chain, hysteresis=None, g_sensitivity=None, adc=adc)
+
+
+def _bowed(chain: SensorChain) -> SensorChain:
+    return chain if chain.adc is None else replace(chain, adc=replace(chain.adc, inl_lsb=np.full(3, INL_LSB)))
+
+
+# ---- figure3
 
 LEVELS = ("none", "static", "full")
 ROOM_TEMP_C = 25.0
@@ -48,28 +106,14 @@ OPTICS = OpticsSettings(gaps=0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Figure3:
-    """Pitch error over the acquisition, N instants, for ``LEVELS`` none, static and full.
+    """Pitch error over the acquisition, N instants, for ``LEVELS`` none, static and full."""
 
-    Parameters
-    ----------
-    time : array, shape (N,)
-        From the beginning of the acquisition, s.
-    reference_pitch : array, shape (N,)
-        What the optics saw, deg.
-    simulated, actual : array, shape (3, N)
-        Pitch error of each level, deg.
-    lag_ms : (float, float)
-        Lag that was undone, simulated and actual, ms.
-    excursion_k : float
-        Board temperature above that of the bench, K.
-    """
-
-    time: FloatArray
-    reference_pitch: FloatArray
-    simulated: FloatArray
-    actual: FloatArray
-    lag_ms: tuple[float, float]
-    excursion_k: float
+    time: FloatArray  # (N,), from the beginning of the acquisition, s
+    reference_pitch: FloatArray  # (N,), what the optics saw, deg
+    simulated: FloatArray  # (3, N), pitch error of each level, deg
+    actual: FloatArray  # (3, N), pitch error of each level, deg
+    lag_ms: tuple[float, float]  # Lag that was undone, simulated and actual, ms
+    excursion_k: float  # Board temperature above that of the bench, K
 
     def __post_init__(self) -> None:
         n = len(self.time)
@@ -116,21 +160,12 @@ class Figure3:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EffectRow:
-    """What one effect that the study's model lacks does to the figure.
+    """What one effect that the study's model lacks does to the figure."""
 
-    Parameters
-    ----------
-    effect : str
-        noise alone (another recording of the same model), one of ``HIDDEN``, or all.
-    simulated_actual_max_deg : array, shape (3,)
-        Largest difference from the simulated device's error at each of ``LEVELS``, deg.
-    full_max_deg : float
-        Largest error with both tables, deg.
-    """
-
-    effect: str
+    effect: str  # noise alone (another recording of the same model), one of ``HIDDEN``, or all
+    # (3,), largest difference from the simulated device's error at each of ``LEVELS``, deg
     simulated_actual_max_deg: FloatArray
-    full_max_deg: float
+    full_max_deg: float  # Largest error with both tables, deg
 
 
 def figure3(
@@ -141,51 +176,14 @@ def figure3(
     hidden: tuple[Hidden, ...] = HIDDEN,
     back: bool = False,
 ) -> Figure3:
-    """Make the note's Figure 3.
-
-    Parameters
-    ----------
-    unit : DeviceModel, optional
-        The unit; the typical one of the note's kind where not given.
-    seed : int
-        Draws person, optics, and the noise of each device, each from a stream of its own.
-    excursion_k : float
-        Board temperature in the trial above that of the bench, K.
-    hidden : tuple of str
-        Effects of the actual device that the simulated one lacks.
-    back : bool
-        Tables from soaks on the way up and down; False from those on the way up alone, as ``rig run`` visits them and as a
-        worn board warms: tables and trial then lie on one branch of the hysteresis.
-
-    Returns
-    -------
-    Figure3
-        Both devices, one person, one reference.
-    """
+    """Make the note's Figure 3."""
     return _figures(unit, _Wanted(seed, excursion_k, back), (hidden,))[0]
 
 
 def effect_table(
     unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = True
 ) -> tuple[EffectRow, ...]:
-    """Switch the actual device's effects on one at a time: what limits the agreement of simulated and actual.
-
-    Parameters
-    ----------
-    unit : DeviceModel, optional
-        The unit; the typical one of the note's kind where not given.
-    seed : int
-        As in ``figure3``.
-    excursion_k : float
-        As in ``figure3``, K.
-    back : bool
-        As in ``figure3``.
-
-    Returns
-    -------
-    tuple of EffectRow
-        Noise alone, each effect alone, all together.
-    """
+    """Switch the actual device's effects on one at a time: what limits the agreement of simulated and actual."""
     cases: tuple[tuple[Hidden, ...], ...] = ((), *((name,) for name in HIDDEN), HIDDEN)
     names = ("noise alone", *HIDDEN, "all")
     return tuple(
@@ -261,22 +259,7 @@ def _errors(levels: tuple[Calibration, ...], record: Record, reference: Referenc
 def calibrated(
     device: DeviceModel, *, rng: np.random.Generator, back: bool = True
 ) -> tuple[Calibration, Calibration, Calibration]:
-    """Calibrate a device on the simulated bench and in the simulated chamber.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        The device.
-    rng : Generator
-        Draws the sessions and their noise.
-    back : bool
-        Soaks on the way down as well as up.
-
-    Returns
-    -------
-    tuple of Calibration
-        One for each of ``LEVELS``: constant, static tables, all tables.
-    """
+    """Calibrate a device on the simulated bench and in the simulated chamber."""
     motion = bench_motion("bench", rng=rng, settings=BENCH)
     record = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S).record
     session = Session(
@@ -296,24 +279,7 @@ def calibrated(
 
 
 def worn_record(device: DeviceModel, performed: Task, *, excursion_k: float, rng: np.random.Generator) -> Record:
-    """Return what a device reads in a task after half an hour on a person, whose warmth it has taken on.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        The device.
-    performed : Task
-        What the person does.
-    excursion_k : float
-        Board temperature at the task above room temperature, K.
-    rng : Generator
-        Draws the noise.
-
-    Returns
-    -------
-    Record
-        Of the task alone; the board came to its temperature from below, as hysteresis and thermometer remember.
-    """
+    """Return what a device reads in a task after half an hour on a person, whose warmth it has taken on."""
     before = round(WORN_S * SAMPLE_RATE_HZ)
     time = (np.arange(before + round(performed.duration_s * SAMPLE_RATE_HZ)) - before) / SAMPLE_RATE_HZ
     share = -np.expm1(-(time + WORN_S) / WARMING_S) / -np.expm1(-WORN_S / WARMING_S)

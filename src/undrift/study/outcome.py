@@ -2,34 +2,118 @@
 
 surfaces -> optimum -> the other cohort -> power, optional stopping -> Table 1 beside the note's, Figure 3
 -> rates to dwell at, rival methods, real recordings
+
+Forecast: how long each stage of a study will take on this machine, all of them, before anything runs.
+
+Calibration sessions and the other cohort are measured by a unit of each task; the rest costs about the same whatever the study is,
+as timed on one processor of two that were both busy.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast, get_args
+from time import perf_counter
+from typing import Literal, cast, get_args
 
 import numpy as np
 
 from undrift.errors import InputError, UndriftError
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.motion.library import TaskName
-from undrift.study.beside import Beside, compare_with_note
-from undrift.study.case import device_of, seeded
-from undrift.study.design_rows import DesignRow, design_rows
-from undrift.study.effects import PARAMETERS, ParameterEffect
-from undrift.study.executor import Executor
+from undrift.sim.motion.tasks import TaskName
+from undrift.study.case import Unit, device_of, run_unit, seeded, units_of
 from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
-from undrift.study.forecast import StageName
-from undrift.study.note import DEVICE, TABLE_1
-from undrift.study.optimise import Optimum, find_optimum
-from undrift.study.plan import Study, StudyTask, Untried
-from undrift.study.power import OptionalStopping, power_of_anova, stopping_of, subjects_needed
-from undrift.study.real_plan import RealData, RealOutcome, judge_real
-from undrift.study.rival_rows import TASKS, RivalRow, compare_rivals
-from undrift.study.run import TaskSurface, count_runs, run_study, without_lost
-from undrift.study.testing import Cohort, Tested, cohort_of, other_study, run_testing
+from undrift.study.judge import (
+    PARAMETERS,
+    Beside,
+    Cohort,
+    Optimum,
+    ParameterEffect,
+    Tested,
+    cohort_of,
+    compare_with_note,
+    find_optimum,
+    other_study,
+    run_testing,
+)
+from undrift.study.plan import DEVICE, TABLE_1, Study, StudyTask, Untried
+from undrift.study.real import RealData, RealOutcome, judge_real
+from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
+from undrift.study.run import Executor, RunStore, TaskSurface, count_runs, run_study, without_lost
+from undrift.study.statistics import OptionalStopping, power_of_anova, stopping_of, subjects_needed
 from undrift.units import RADIAN_PER_DEGREE
+
+# ---- Forecast: how long each stage of a study will take on this machine, all of them, before anything runs.
+
+StageName = Literal[
+    "calibration sessions",
+    "the other cohort",
+    "rates to dwell at",
+    "Figure 3",
+    "Figure 3, effect by effect",
+    "rival methods",
+    "real recordings",
+]
+POOL_S = 3.0  # workers start
+DESIGNS_S = 0.4  # a task
+FIGURE3_S = 4.0
+EFFECTS_S = 15.0
+RIVALS_S = 20.0  # units are calibrated by every method once, for all tasks
+TRIAL_S, WORN_S, ROWS_S = 2.5, 3.5, 0.3  # a real trial; the device worn in captures; a capture or stance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """One stage of a study."""
+
+    name: StageName  # Which, as ``judge_study`` tells it
+    seconds: float  # How long it will take, s
+
+
+def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None) -> tuple[Stage, ...]:
+    """Say how long a study will take."""
+    store = RunStore(folder, study)
+    left = [unit for unit in units_of(study) if not store.holds(unit)]
+    sessions, cohort = 0.0, 0.0
+    for task in study.tasks:
+        own = [unit for unit in left if unit.task.name == task.name]
+        one = Unit(study=study, task=_one(task), subject=0, cutoff_hz=task.space.cutoff_hz[0])
+        run_unit(one)  # what is compiled or imported the first time does not count
+        cohort += 2.0 * study.subjects * _unit_s(one)
+        sessions += len(own) * _unit_s(own[0]) if own else 0.0
+    stages = [
+        Stage(name="calibration sessions", seconds=sessions / workers + (POOL_S if left and workers > 1 else 0.0)),
+        Stage(name="the other cohort", seconds=cohort),
+        Stage(name="rates to dwell at", seconds=DESIGNS_S * len(study.tasks)),
+    ]
+    figured = any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks)
+    if figured:
+        stages.append(Stage(name="Figure 3", seconds=FIGURE3_S))
+    if figured and rivals:
+        stages.append(Stage(name="Figure 3, effect by effect", seconds=EFFECTS_S))
+    if rivals:
+        stages.append(Stage(name="rival methods", seconds=RIVALS_S))
+    if real is not None:
+        stages.append(Stage(name="real recordings", seconds=_real_s(real)))
+    return tuple(stages)
+
+
+def _real_s(real: RealData) -> float:
+    trials = sum(len(device.pairs) for device in real.devices)
+    return TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * (len(real.captures) + len(real.stances))
+
+
+def _one(task: StudyTask) -> StudyTask:
+    space = task.space
+    return replace(task, space=replace(space, only=(next(space.grids()),)))
+
+
+def _unit_s(unit: Unit) -> float:
+    start = perf_counter()
+    run_unit(unit)
+    return perf_counter() - start
+
+
+# ---- outcome
 
 TESTING = "testing"
 FIRST_LOOK = 10  # subjects
@@ -38,102 +122,46 @@ TOO_LONG = "every session with it takes longer than rig_minutes_max"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EffectPower:
-    """How surely a study of this size finds what one parameter does.
+    """How surely a study of this size finds what one parameter does."""
 
-    Parameters
-    ----------
-    name : str
-        Of the parameter.
-    power : float
-        Were this study's means the truth, 0 to 1.
-    subjects : int or None
-        For a power of 0.8; None where no number is worth it.
-    """
-
-    name: str
-    power: float
-    subjects: int | None
+    name: str  # Of the parameter
+    power: float  # Were this study's means the truth, 0 to 1
+    subjects: int | None  # For a power of 0.8; None where no number is worth it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaskOutcome:
-    """What a study says of one task.
+    """What a study says of one task."""
 
-    Parameters
-    ----------
-    surface : TaskSurface
-        All errors.
-    optimum : Optimum
-        With its equals.
-    tested : (Tested, Tested)
-        The optimum and its cheapest equal on the other cohort.
-    effect_reach_deg : tuple of float
-        Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and Masson, 1994);
-        0 where it could not be tested, deg.
-    powers : tuple of EffectPower
-        One for each parameter that could be tested.
-    stopping : OptionalStopping or None
-        Of the parameter with the least p; None with ten subjects or fewer.
-    stopping_of : str
-        That parameter.
-    beside : Beside or None
-        The note's row; None for other tasks.
-    untried : tuple of Untried
-        Values of the plan that no protocol has, or none that is short enough.
-    """
-
-    surface: TaskSurface
-    optimum: Optimum
-    tested: tuple[Tested, Tested]
+    surface: TaskSurface  # All errors
+    optimum: Optimum  # With its equals
+    tested: tuple[Tested, Tested]  # The optimum and its cheapest equal on the other cohort
+    # Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and
+    # Masson, 1994); 0 where it could not be tested, deg
     effect_reach_deg: tuple[float, ...]
-    powers: tuple[EffectPower, ...]
-    stopping: OptionalStopping | None
-    stopping_of: str
-    beside: Beside | None
-    untried: tuple[Untried, ...] = ()
+    powers: tuple[EffectPower, ...]  # One for each parameter that could be tested
+    stopping: OptionalStopping | None  # Of the parameter with the least p; None with ten subjects or fewer
+    stopping_of: str  # That parameter
+    beside: Beside | None  # The note's row; None for other tasks
+    untried: tuple[Untried, ...] = ()  # Values of the plan that no protocol has, or none that is short enough
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StudyOutcome:
-    """What a study says.
+    """What a study says."""
 
-    Parameters
-    ----------
-    study : Study
-        What was done.
-    runs : int
-        Sessions simulated, fitted and judged.
-    tasks : tuple of TaskOutcome
-        One a task.
-    cohorts : (Cohort, Cohort)
-        Who chose, and who tested.
-    figure3 : Figure3 or None
-        For a study with a sit-to-stand.
-    figure3_missing : str
-        Why there is none.
-    figure3_effects : tuple of EffectRow
-        What sets its two devices apart, effect by effect; empty where the rivals were not asked for either.
-    designs : tuple of DesignRow
-        D- and I-optimal rates beside the uniform grid, by task.
-    rivals : tuple of RivalRow
-        Other ways to calibrate; empty where they were not asked for.
-    rivals_missing : str
-        Why there are none.
-    real : RealOutcome or None
-        Real recordings, where some were given.
-    """
-
-    study: Study
-    runs: int
-    tasks: tuple[TaskOutcome, ...]
-    cohorts: tuple[Cohort, Cohort]
-    figure3: Figure3 | None
-    figure3_missing: str
+    study: Study  # What was done
+    runs: int  # Sessions simulated, fitted and judged
+    tasks: tuple[TaskOutcome, ...]  # One a task
+    cohorts: tuple[Cohort, Cohort]  # Who chose, and who tested
+    figure3: Figure3 | None  # For a study with a sit-to-stand
+    figure3_missing: str  # Why there is none
+    # What sets its two devices apart, effect by effect; empty where the rivals were not asked for either
     figure3_effects: tuple[EffectRow, ...] = ()
-    designs: tuple[DesignRow, ...] = ()
-    rivals: tuple[RivalRow, ...] = ()
-    rivals_missing: str = "not asked for"
-    real: RealOutcome | None = None
+    designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates beside the uniform grid, by task
+    rivals: tuple[RivalRow, ...] = ()  # Other ways to calibrate; empty where they were not asked for
+    rivals_missing: str = "not asked for"  # Why there are none
+    real: RealOutcome | None = None  # Real recordings, where some were given
 
 
 def judge_study(
@@ -146,37 +174,7 @@ def judge_study(
     real: RealData | None = None,
     say: Callable[[StageName], None] | None = None,
 ) -> StudyOutcome:
-    """Run a study, or what is left of it, and judge it.
-
-    Parameters
-    ----------
-    study : Study
-        What to do.
-    executor : Executor
-        Where.
-    folder : Path
-        Finished units are kept there, and surface.parquet in the end.
-    advance : callable, optional
-        Told how many units are done, of how many.
-    rivals : bool
-        Compare other ways to calibrate too, and make Figure 3 effect by effect; about 20 and 15 s.
-    real : RealData, optional
-        Real recordings to judge.
-    say : callable, optional
-        Told each stage as it begins, by the names of ``forecast``.
-
-    Returns
-    -------
-    StudyOutcome
-        All that is said of it.
-
-    Raises
-    ------
-    InputError
-        A folder that holds another study.
-    NotObservable
-        A task without a protocol that calibrates every device in the time allowed.
-    """
+    """Run a study, or what is left of it, and judge it."""
     say = say or _silent
     say("calibration sessions")
     surfaces = tuple(map(without_lost, run_study(study, executor, folder, advance=advance)))

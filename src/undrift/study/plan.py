@@ -2,70 +2,85 @@
 
 A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step as the note varies them, the rest from the plan. Every
 combination of the four whose step divides the span is a candidate.
+
+study.toml: which tasks, whose, with which device, and which protocols are tried.
+
+[study]
+name = "my laboratory"
+device = "enc03j_3031"              # a preset: every subject wears a unit of its own; or a device.json, as a twin is
+subjects = 30
+group = "simulation"                # or testing: the note's Table 2
+excursion_k = [10.0, 15.0]          # board above the calibration's room temperature in the trials
+objective = "rms"                   # or maximum, of the pitch error
+level = 0.05
+rig_minutes_max = 240.0             # leave out for no limit
+seed = 0
+[[task]]
+name = "sit_to_stand"               # step, posturography, free; any word with [task.motion]
+[task.space]                        # every combination whose step divides the span is tried
+cutoff_hz = [5.0, 11.1, 20.0]
+turn_rate_step_dps = [5.0, 10.0]
+turn_rate_min_dps = [5.0]
+turn_rate_max_dps = [45.0, 90.0]
+[task.protocol]                     # what is not varied; leave out for the note's
+dwell_s = 2.0
+bracket_s = 6.0
+face_s = 6.0
+grid = "paper"
+set_points_c = [18.0, 30.0, 45.0, 60.0, 75.0]
+[task.motion]                       # own poses or markers in place of a drawn performance
+file = "squat.c3d"                  # from the folder of study.toml
+body = "pelvis"                     # or thorax, trunk; or markers = [...] of one rigid cluster
+up = "y"
+rest_s = 6.0                        # the body is at rest that long at the beginning, which its poses must bear out;
+hold = true                         # or, without such a rest: the first pose is held that long before the recording
+
+The note's study as a preset: its three tasks, its device, its Table 1 to stand beside ours.
+
+Spaces surround the note's values; dwell, brackets and set-points are choices, since the note leaves them unsaid (docs/study.md).
 """
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Annotated, Literal, get_args
 
-from undrift.errors import InputError
-from undrift.io.bodies import BodyName
-from undrift.protocol import Protocol
-from undrift.sim.motion.library import TaskName
-from undrift.sim.motion.subject import Group
+from pydantic import Field
+
+from undrift.errors import FileFormatError, InputError
+from undrift.files import Entry, read_toml
+from undrift.io.reference import BodyName
+from undrift.rig.protocol import GridRule, Protocol
+from undrift.sim.device.presets import PRESETS
+from undrift.sim.motion.tasks import Group, TaskName
+from undrift.units import RADIAN_PER_DEGREE
 
 Objective = Literal["rms", "maximum"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Untried:
-    """A value of the plan that no protocol has.
+    """A value of the plan that no protocol has."""
 
-    Parameters
-    ----------
-    parameter : str
-        turn_rate_step, turn_rate_min or turn_rate_max.
-    value : float
-        rad/s.
-    reason : str
-        Why not.
-    """
-
-    parameter: str
-    value: float
-    reason: str
+    parameter: str  # turn_rate_step, turn_rate_min or turn_rate_max
+    value: float  # rad/s
+    reason: str  # Why not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
-    """The values that are tried.
+    """The values that are tried."""
 
-    Parameters
-    ----------
-    cutoff_hz : tuple of float
-        Of the low-pass, Hz.
-    turn_rate_step, turn_rate_min, turn_rate_max : tuple of float
-        d, omega_m, omega_M, rad/s.
-    only : tuple of (float, float, float)
-        These combinations of the three and no others, where given.
-    """
-
-    cutoff_hz: tuple[float, ...]
-    turn_rate_step: tuple[float, ...]
-    turn_rate_min: tuple[float, ...]
-    turn_rate_max: tuple[float, ...]
-    only: tuple[tuple[float, float, float], ...] = ()
+    cutoff_hz: tuple[float, ...]  # Of the low-pass, Hz
+    turn_rate_step: tuple[float, ...]  # d, omega_m, omega_M, rad/s
+    turn_rate_min: tuple[float, ...]  # d, omega_m, omega_M, rad/s
+    turn_rate_max: tuple[float, ...]  # d, omega_m, omega_M, rad/s
+    only: tuple[tuple[float, float, float], ...] = ()  # These combinations of the three and no others, where given
 
     def grids(self) -> Iterator[tuple[float, float, float]]:
-        """Return the combinations of step, omega_m and omega_M whose step divides the span.
-
-        Yields
-        ------
-        (float, float, float)
-            step, omega_m, omega_M, rad/s.
-        """
+        """Return the combinations of step, omega_m and omega_M whose step divides the span."""
         if self.only:
             yield from self.only
             return
@@ -75,13 +90,7 @@ class Space:
                 yield step, low, high
 
     def untried(self) -> tuple[Untried, ...]:
-        """Return the rates and steps that no combination has, and why.
-
-        Returns
-        -------
-        tuple of Untried
-            Empty where all are tried, or ``only`` names the combinations.
-        """
+        """Return the rates and steps that no combination has, and why."""
         if self.only:
             return ()
         tried = list(self.grids())
@@ -105,55 +114,26 @@ class Space:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnMotion:
-    """A recorded motion: every subject performs it, each with another unit of the device.
+    """A recorded motion: every subject performs it, each with another unit of the device."""
 
-    Parameters
-    ----------
-    path : str
-        File of poses or markers; workers read it there.
-    sha256 : str
-        Of its content.
-    rest_s : float
-        How long the body is at rest at the beginning, s.
-    markers : tuple of str
-        Labels of one rigid cluster, for TRC or C3D.
-    body : str or None
-        Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5), thorax or trunk.
-    up : str or None
-        Laboratory axis that points up, for markers.
-    hold : bool
-        The recording has no rest: its first pose is held for ``rest_s`` before it.
-    """
-
-    path: str
-    sha256: str
-    rest_s: float
-    markers: tuple[str, ...] = ()
+    path: str  # File of poses or markers; workers read it there
+    sha256: str  # Of its content
+    rest_s: float  # How long the body is at rest at the beginning, s
+    markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
+    # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5), thorax or trunk
     body: BodyName | None = None
-    up: Literal["y", "z"] | None = None
-    hold: bool = False
+    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+    hold: bool = False  # The recording has no rest: its first pose is held for ``rest_s`` before it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyTask:
-    """One task of a study.
+    """One task of a study."""
 
-    Parameters
-    ----------
-    name : str
-        sit_to_stand, step, posturography or free; any word for a motion of one's own.
-    space : Space
-        What is tried.
-    base : Protocol
-        All that is not varied: dwell, brackets, temperatures.
-    motion : OwnMotion, optional
-        Performed in place of the library's task.
-    """
-
-    name: str
-    space: Space
-    base: Protocol
-    motion: OwnMotion | None = None
+    name: str  # sit_to_stand, step, posturography or free; any word for a motion of one's own
+    space: Space  # What is tried
+    base: Protocol  # All that is not varied: dwell, brackets, temperatures
+    motion: OwnMotion | None = None  # Performed in place of the library's task
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_]+", self.name):
@@ -164,18 +144,7 @@ class StudyTask:
             )
 
     def candidates(self, cutoff_hz: float) -> tuple[Protocol, ...]:
-        """Return the protocols that are tried with one cut-off frequency.
-
-        Parameters
-        ----------
-        cutoff_hz : float
-            Hz.
-
-        Returns
-        -------
-        tuple of Protocol
-            In the order of ``space.grids``.
-        """
+        """Return the protocols that are tried with one cut-off frequency."""
         return tuple(
             replace(self.base, cutoff_hz=cutoff_hz, turn_rate_step=step, turn_rate_min=low, turn_rate_max=high)
             for step, low, high in self.space.grids()
@@ -184,45 +153,21 @@ class StudyTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """A study.
+    """A study."""
 
-    Parameters
-    ----------
-    name : str
-        For people.
-    device : str
-        Kind of device, one of the presets; every subject wears a unit of its own. For people where ``worn`` is given.
-    tasks : tuple of StudyTask
-        One or more.
-    subjects : int
-        How many, from the cohort.
-    group : str
-        simulation or testing, as in the note's Table 2.
-    excursion_k : tuple of float
-        Board temperature of the trials above the calibration's, least and greatest, K.
-    objective : str
-        rms or maximum of the pitch error.
-    level : float
-        Of the tests.
-    rig_minutes_max : float or None
-        Longest session that is allowed, min.
-    seed : int
-        Same seed, same bits.
-    worn : str
-        Text of a device.json, which every subject wears; none draws units of ``device``.
-    """
-
-    name: str
+    name: str  # For people
+    # Kind of device, one of the presets; every subject wears a unit of its own. For people where ``worn`` is given
     device: str
-    tasks: tuple[StudyTask, ...]
-    subjects: int = 30
-    group: Group = "simulation"
+    tasks: tuple[StudyTask, ...]  # One or more
+    subjects: int = 30  # How many, from the cohort
+    group: Group = "simulation"  # simulation or testing, as in the note's Table 2
+    # Board temperature of the trials above the calibration's, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
-    objective: Objective = "rms"
-    level: float = 0.05
-    rig_minutes_max: float | None = None
-    seed: int = 0
-    worn: str = ""
+    objective: Objective = "rms"  # rms or maximum of the pitch error
+    level: float = 0.05  # Of the tests
+    rig_minutes_max: float | None = None  # Longest session that is allowed, min
+    seed: int = 0  # Same seed, same bits
+    worn: str = ""  # Text of a device.json, which every subject wears; none draws units of ``device``
 
     def __post_init__(self) -> None:
         names = [task.name for task in self.tasks]
@@ -244,18 +189,7 @@ class Study:
 
 
 def ends_of(study: Study) -> Study:
-    """Return a study of the first and last value of everything that it tries: a first look.
-
-    Parameters
-    ----------
-    study : Study
-        Any.
-
-    Returns
-    -------
-    Study
-        At most sixteen protocols a task; all of a task's where no pair of ends divides its span.
-    """
+    """Return a study of the first and last value of everything that it tries: a first look."""
     return replace(study, tasks=tuple(map(_ends, study.tasks)))
 
 
@@ -272,3 +206,214 @@ def _ends(task: StudyTask) -> StudyTask:
 
 def _outer(values: tuple[float, ...]) -> tuple[float, ...]:
     return values if len(values) < 3 else (values[0], values[-1])
+
+
+# ---- The note's study as a preset: its three tasks, its device, its Table 1 to stand beside ours.
+
+DEVICE = "enc03j_3031"
+SET_POINTS_C = (18.0, 30.0, 45.0, 60.0, 75.0)
+CUTOFFS_HZ = (5.0, 7.0, 9.0, 11.1, 13.0, 16.0, 20.0, 25.0, 30.0, 40.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoteRow:
+    """A row of the note's Table 1."""
+
+    cutoff_hz: float  # Hz
+    turn_rate_step_dps: float  # deg/s
+    turn_rate_min_dps: float  # deg/s
+    turn_rate_max_dps: float  # deg/s
+    p_value: float  # Printed as statistical significance
+    erratum: str = ""  # What is printed and not meant
+
+
+TABLE_1: dict[TaskName, NoteRow] = {
+    "sit_to_stand": NoteRow(
+        cutoff_hz=11.1, turn_rate_step_dps=5.0, turn_rate_min_dps=5.0, turn_rate_max_dps=90.0, p_value=0.048
+    ),
+    "step": NoteRow(
+        cutoff_hz=11.4,
+        turn_rate_step_dps=3.0,
+        turn_rate_min_dps=3.0,
+        turn_rate_max_dps=45.0,
+        p_value=0.040,
+        erratum="printed 111.4 Hz; lies between 11.1 and 11.5",
+    ),
+    "posturography": NoteRow(
+        cutoff_hz=11.5, turn_rate_step_dps=0.1, turn_rate_min_dps=0.1, turn_rate_max_dps=5.0, p_value=0.049
+    ),
+}
+
+
+def note_study(*, subjects: int = 30, seed: int = 0, quick: bool = False) -> Study:
+    """Return the note's study."""
+    tasks = (
+        _task("sit_to_stand", (5, 10, 15, 20), (5, 10, 15, 20), (50, 60, 70, 80, 90), 1.0, quick),
+        _task("step", (3, 6, 9, 12), (3, 6, 9, 12), (21, 27, 33, 39, 45), 1.0, quick),
+        _task("posturography", (1, 2, 3, 4), (1, 2, 3, 4), (30, 35, 40, 45, 50), 0.1, quick),
+    )
+    return Study(name="note", device=DEVICE, tasks=tasks, subjects=subjects, seed=seed)
+
+
+def _task(
+    name: TaskName,
+    steps: tuple[int, ...],
+    lows: tuple[int, ...],
+    highs: tuple[int, ...],
+    unit_dps: float,
+    quick: bool,
+) -> StudyTask:
+    own = TABLE_1[name].cutoff_hz
+    cutoffs = tuple(own if f == CUTOFFS_HZ[3] else f for f in CUTOFFS_HZ)
+    if quick:
+        steps, lows, highs, cutoffs = steps[:2], lows[:1], highs[-3::2], (cutoffs[0], own)
+    in_si = [tuple(round(v * unit_dps, 9) * RADIAN_PER_DEGREE for v in values) for values in (steps, lows, highs)]
+    return StudyTask(
+        name=name,
+        space=Space(cutoff_hz=cutoffs, turn_rate_step=in_si[0], turn_rate_min=in_si[1], turn_rate_max=in_si[2]),
+        base=Protocol(name=name, grid="paper", dwell_s=2.0, bracket_s=6.0, temperatures_c=SET_POINTS_C),
+    )
+
+
+# ---- study.toml: which tasks, whose, with which device, and which protocols are tried.
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Values = Annotated[list[Positive], Field(min_length=1)]
+
+
+class SpaceEntry(Entry):
+    """[task.space]."""
+
+    cutoff_hz: Values  # Of the low-pass, Hz
+    turn_rate_step_dps: Values  # Step, least and greatest rate, deg/s
+    turn_rate_min_dps: Values  # Step, least and greatest rate, deg/s
+    turn_rate_max_dps: Values  # Step, least and greatest rate, deg/s
+
+
+class ProtocolEntry(Entry):
+    """[task.protocol]."""
+
+    dwell_s: Positive = 2.0  # Seconds at a rate, at rest around a block of rates, on a face
+    bracket_s: Positive = 6.0  # Seconds at a rate, at rest around a block of rates, on a face
+    face_s: Positive = 6.0  # Seconds at a rate, at rest around a block of rates, on a face
+    grid: GridRule = "paper"  # paper or inclusive
+    # Of the chamber, degC, rising; empty stays at room temperature
+    set_points_c: list[Finite] = Field(default_factory=lambda: list(SET_POINTS_C))
+
+
+class MotionEntry(Entry):
+    """[task.motion]."""
+
+    file: str  # Poses or markers, from the folder of study.toml
+    rest_s: Positive  # Rest at the beginning, s
+    markers: list[str] = Field(default_factory=list)  # Labels of one rigid cluster, for TRC or C3D
+    body: BodyName | None = None  # Or pelvis, thorax or trunk, found by its markers
+    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+    hold: bool = False  # Hold the first pose for ``rest_s`` before a recording that has no rest
+
+
+class TaskEntry(Entry):
+    """[[task]]."""
+
+    name: str  # Of the task
+    space: SpaceEntry  # What is tried
+    protocol: ProtocolEntry = ProtocolEntry()  # What is not varied
+    motion: MotionEntry | None = None  # In place of a drawn performance
+
+
+class StudyEntry(Entry):
+    """[study]."""
+
+    name: str = ""  # For people
+    device: str = DEVICE  # Preset, or path of a device.json
+    subjects: Annotated[int, Field(ge=3)] = 30  # How many
+    group: Group = "simulation"  # simulation or testing
+    # Least and greatest, K
+    excursion_k: Annotated[list[Finite], Field(min_length=2, max_length=2)] = Field(
+        default_factory=lambda: [10.0, 15.0]
+    )
+    objective: Objective = "rms"  # rms or maximum
+    level: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05  # Of the tests
+    rig_minutes_max: Positive | None = None  # Longest session, min
+    seed: Annotated[int, Field(ge=0)] = 0  # Same seed, same bits
+
+
+class StudyFile(Entry):
+    """The whole file."""
+
+    study: StudyEntry = StudyEntry()  # What holds for all tasks
+    task: Annotated[list[TaskEntry], Field(min_length=1)]  # One or more
+
+
+def read_study(path: str | Path) -> Study:
+    """Read a study."""
+    held = read_toml(path, StudyFile)
+    folder, said = Path(path).parent, held.study
+    try:
+        return Study(
+            name=said.name or Path(path).stem,
+            device=said.device if said.device in PRESETS else Path(said.device).stem,
+            worn="" if said.device in PRESETS else _device_text(folder / said.device, said.device),
+            tasks=tuple(_task_file(entry, folder) for entry in held.task),
+            subjects=said.subjects,
+            group=said.group,
+            excursion_k=(said.excursion_k[0], said.excursion_k[1]),
+            objective=said.objective,
+            level=said.level,
+            rig_minutes_max=said.rig_minutes_max,
+            seed=said.seed,
+        )
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def _task_file(entry: TaskEntry, folder: Path) -> StudyTask:
+    from undrift.study.case import read_motion, sha256_of
+
+    space, base, motion = entry.space, entry.protocol, None
+    if entry.motion is not None:
+        file = (folder / entry.motion.file).resolve()
+        motion = OwnMotion(
+            path=str(file),
+            sha256=sha256_of(file),
+            rest_s=entry.motion.rest_s,
+            markers=tuple(entry.motion.markers),
+            body=entry.motion.body,
+            up=entry.motion.up,
+            hold=entry.motion.hold,
+        )
+        read_motion(motion)  # refused now rather than by a worker
+    return StudyTask(
+        name=entry.name,
+        space=Space(
+            cutoff_hz=tuple(space.cutoff_hz),
+            turn_rate_step=_si(space.turn_rate_step_dps),
+            turn_rate_min=_si(space.turn_rate_min_dps),
+            turn_rate_max=_si(space.turn_rate_max_dps),
+        ),
+        base=Protocol(
+            name=entry.name,
+            grid=base.grid,
+            dwell_s=base.dwell_s,
+            bracket_s=base.bracket_s,
+            face_s=base.face_s,
+            temperatures_c=tuple(base.set_points_c),
+        ),
+        motion=motion,
+    )
+
+
+def _si(values_dps: list[float]) -> tuple[float, ...]:
+    return tuple(value * RADIAN_PER_DEGREE for value in values_dps)
+
+
+def _device_text(path: Path, said: str) -> str:
+    """Return a device.json in one spelling, after it was read as a device."""
+    import json
+
+    from undrift.sim.device.model import device_json, read_device
+
+    if not path.exists():
+        raise InputError(f"device: wanted one of {', '.join(PRESETS)} or a device.json, got '{said}'; name one of them")
+    return json.dumps(device_json(read_device(path)), sort_keys=True)

@@ -8,109 +8,121 @@ Three levels of calibration, of one set of recordings::
 
 What the converter's rounding took is worth as much as a level: half a step of truncated codes is an offset. So all three are
 judged twice, with the rounding undone and with it left in, and levels are compared with others of the same treatment alone.
+
+real.toml: real recordings to lay beside a study, read and checked before anything runs, judged after it.
+
+[[trial]]                           # a device worn beside optics: two or more of each device
+recording = "02.hdf5"               # BROAD, or any recording in physical units; paths from the folder of the file
+reference = "02_poses.csv"          # leave out where the recording holds its own, as BROAD does
+map = "02.toml"                     # columns and units of a foreign recording, as for --map; leave out where it needs none
+device = "B"                        # which device: each trial is judged by a fit to the others of its device
+[[capture]]                         # a captured person
+file = "STS1.trc.gz"
+task = "sit_to_stand"               # or squat, stairs
+body = "pelvis"                     # by its markers, the device at L5; or markers = [...] of one rigid cluster
+up = "y"
+[[stance]]                          # quiet stance on a force plate
+file = "PDS13OF1grf.txt.gz"
+mass_kg = 65.35
+condition = "open on foam"          # open or closed, on firm or foam
+
+Captured people beside the simulated cohort: lean, rates and time of rising, and what a worn device would err by.
+
+A repetition is found by the rise of the body's height past its middle. Around it the trunk leans forward to a peak and comes up
+again; it begins and ends where the pitch rate falls below 5 deg/s. The same is done with captures and with the cohort's
+performances, at L5, so that figures can stand side by side. The two are different people: there is nothing to pair, and so no
+limits of agreement between them; a captured figure is inside the cohort's 95 % or it is not.
+
+Quiet stance on a force plate beside the simulated cohort's sway.
+
+Of the plate: the centre of pressure, and the horizontal force over the mass, which is the acceleration of the body's centre. Of
+the cohort: the acceleration at L5, which stands at the height of the centre, and the centre of pressure of the pendulum,
+p = x - (1.147 h/g) x''. The library's stance is eyes closed on foam; a trial in another condition is told as such. Real and
+simulated are different people: there is nothing to pair.
+
+A simulated device worn in captured motions: the pitch it would show, against the optics that captured them.
+
+The device goes through ``figure3.calibrated``; the capture is what it is worn in, at a board temperature above the bench's.
+Captures begin in motion or nearly so: six seconds of rest in the first pose are put before each, so that the tilt at the start
+can be taken.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
+from pydantic import Field
 
-from undrift.arrays import FloatArray
-from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE
-from undrift.validation.agreement import BlandAltman, IntraclassCorrelation, bland_altman, intraclass_correlation
+from undrift.arrays import FloatArray, frozen
+from undrift.errors import FileFormatError, InputError, UndriftError
+from undrift.files import Entry, read_toml
+from undrift.frames import quaternion_conjugate, rotate
+from undrift.io.reference import BodyName
+from undrift.model import Calibration
+from undrift.orientation import sagittal_pitch
+from undrift.record import Record, Reference
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import preset
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.poses import PoseSettings, fit_pose_spline
+from undrift.sim.motion.tasks import GYRATION, Group, Task, TaskName, cohort, draw_task
+from undrift.study.case import Case, device_of, pitch_error, read_poses
+from undrift.study.figure3 import LEVELS, ROOM_TEMP_C, SAMPLE_RATE_HZ, SETTLED_S, calibrated
+from undrift.study.plan import Study
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.agreement import (
+    LEAST_FOR_AGREEMENT,
+    BlandAltman,
+    IntraclassCorrelation,
+    Pair,
+    bland_altman,
+    intraclass_correlation,
+    validate_leave_one_out,
+    validate_trials,
+)
 from undrift.validation.trial import Adc, Trial, TrialSettings
-from undrift.validation.trials import LEAST_FOR_AGREEMENT, Pair, validate_leave_one_out, validate_trials
 
 Rounding = Literal["undone", "left in", "none found"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DeviceTrials:
-    """Trials of one device with their optics.
+    """Trials of one device with their optics."""
 
-    Parameters
-    ----------
-    device : str
-        What to call it.
-    names : tuple of str
-        Of the trials.
-    pairs : tuple of (Record, Reference)
-        Two or more.
-    """
-
-    device: str
-    names: tuple[str, ...]
-    pairs: tuple[Pair, ...]
+    device: str  # What to call it
+    names: tuple[str, ...]  # Of the trials
+    pairs: tuple[Pair, ...]  # Two or more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairwise:
-    """Agreement of two ways to measure one quantity over trials.
+    """Agreement of two ways to measure one quantity over trials."""
 
-    Parameters
-    ----------
-    quantity : str
-        What, with its unit.
-    limits : BlandAltman
-        Bias and limits.
-    icc : IntraclassCorrelation
-        Absolute agreement, ICC(2,1).
-    """
-
-    quantity: str
-    limits: BlandAltman
-    icc: IntraclassCorrelation
+    quantity: str  # What, with its unit
+    limits: BlandAltman  # Bias and limits
+    icc: IntraclassCorrelation  # Absolute agreement, ICC(2,1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RealErrors:
-    """Errors of real trials at one level.
+    """Errors of real trials at one level."""
 
-    Parameters
-    ----------
-    level : str
-        none, rest or calibrated.
-    rounding : str
-        What became of the converter's rounding: undone, left in, or none found in the codes of any trial.
-    trials : tuple of Trial
-        Each judged.
-    rmse_total_deg, rmse_inclination_deg, max_abs_pitch_deg, end_total_deg : float
-        Medians over the trials, deg.
-    agreement : Pairwise or None
-        Of mean inclination, sensor and optics; None with fewer than three trials.
-    """
-
-    level: str
+    level: str  # none, rest or calibrated
+    # What became of the converter's rounding: undone, left in, or none found in the codes of any trial
     rounding: Rounding
-    trials: tuple[Trial, ...]
-    rmse_total_deg: float
-    rmse_inclination_deg: float
-    max_abs_pitch_deg: float
-    end_total_deg: float
-    agreement: Pairwise | None
+    trials: tuple[Trial, ...]  # Each judged
+    rmse_total_deg: float  # Medians over the trials, deg
+    rmse_inclination_deg: float  # Medians over the trials, deg
+    max_abs_pitch_deg: float  # Medians over the trials, deg
+    end_total_deg: float  # Medians over the trials, deg
+    agreement: Pairwise | None  # Of mean inclination, sensor and optics; None with fewer than three trials
 
 
 def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, ...]:
-    """Judge real trials without calibration, with their rest alone, and with a calibration from the device's other trials.
-
-    Parameters
-    ----------
-    devices : sequence of DeviceTrials
-        One or more; a device with a single trial cannot be calibrated from others.
-
-    Returns
-    -------
-    tuple of RealErrors
-        Levels none, rest, calibrated with the converter's rounding undone, then the same three with it left in; the first three
-        alone where no rounding is found.
-
-    Raises
-    ------
-    InputError
-        No device, or one with fewer than two trials; and all that the validation raises.
-    """
+    """Judge real trials without calibration, with their rest alone, and with a calibration from the device's other trials."""
     few = [device.device for device in devices if len(device.pairs) < 2]
     if not devices or few:
         raise InputError(
@@ -143,17 +155,7 @@ def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> tuple[tuple[str, tuple
 def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwise | None:
     """Return the agreement of two ways to measure.
 
-    Parameters
-    ----------
-    quantity : str
-        What, with its unit.
-    first, second : array, shape (n,)
-        One value a trial from each.
-
-    Returns
-    -------
-    Pairwise or None
-        None with fewer than three trials.
+    Arrays: first (n,), second (n,).
     """
     if len(first) < LEAST_FOR_AGREEMENT:
         return None
@@ -180,3 +182,581 @@ def _told(level: str, rounding: Rounding, trials: tuple[Trial, ...]) -> RealErro
         end_total_deg=median("end_total_deg"),
         agreement=agreement_of("mean inclination, deg", tilts[:, 0], tilts[:, 1]),
     )
+
+
+# ---- Captured people beside the simulated cohort: lean, rates and time of rising, and what a worn device would err by.
+
+Captured = Literal["sit_to_stand", "squat", "stairs"]
+BESIDE: dict[Captured, TaskName] = {"sit_to_stand": "sit_to_stand", "squat": "sit_to_stand", "stairs": "step"}
+LACKS: dict[Captured, str] = {
+    "sit_to_stand": "",
+    "squat": "the library has no squat: sit-to-stand stands beside it, and is not a model of it",
+    "stairs": "several steps without a rest between; the library has a single step: length is not compared",
+}
+SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
+RATE_HZ = 100.0
+AT_REST = 5.0 * RADIAN_PER_DEGREE  # rad/s
+REACH_S = 1.5  # lean peaks this near to the rise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Capture:
+    """A captured trial."""
+
+    name: str  # Of the trial
+    task: Captured  # sit_to_stand, squat or stairs
+    device: Reference  # Poses of a device at L5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BesideRow:
+    """A real figure beside the simulated cohort's."""
+
+    trial: str  # Which recording, and what was done
+    task: str  # Which recording, and what was done
+    measure: str  # What
+    unit: str  # What
+    real: float  # Median over the repetitions; NaN where the recording does not tell
+    low: float  # Of the cohort: 2.5, 50 and 97.5 %
+    median: float  # Of the cohort: 2.5, 50 and 97.5 %
+    high: float  # Of the cohort: 2.5, 50 and 97.5 %
+    said: str = ""  # What the data lack, empty where nothing
+
+    @property
+    def inside(self) -> bool:
+        """Whether the real figure lies within 95 % of the cohort's."""
+        return self.low <= self.real <= self.high
+
+
+REPETITION = (("lean", "deg"), ("peak flexion rate", "deg/s"), ("peak extension rate", "deg/s"), ("duration", "s"))
+WHOLE = (("pitch range", "deg"), ("peak pitch rate", "deg/s"), ("peak roll rate", "deg/s"))
+
+
+def motion_rows(
+    captures: tuple[Capture, ...], *, subjects: int = 30, seed: int = 0, group: Group = "simulation"
+) -> tuple[BesideRow, ...]:
+    """Lay captures beside the simulated cohort."""
+    names = tuple(dict.fromkeys(BESIDE[capture.task] for capture in captures))
+    people = cohort(group, rng=np.random.default_rng([seed, 0]))[:subjects]
+    drawn = []
+    for name in names:
+        rng = np.random.default_rng([seed, 1])
+        done = [draw_task(name, rng=rng, subject=person) for person in people]
+        drawn.append(np.array([_of_task(task) for task in done]))
+    rows: list[BesideRow] = []
+    for capture in captures:
+        measures = WHOLE if capture.task == "stairs" else REPETITION
+        low, middle, high = np.percentile(drawn[names.index(BESIDE[capture.task])], (2.5, 50.0, 97.5), axis=0)
+        found, count = _of_capture(capture)
+        for k, (measure, unit) in enumerate(measures):
+            rows.append(
+                BesideRow(
+                    trial=capture.name,
+                    task=f"{capture.task}, {count} repetitions" if count else capture.task,
+                    measure=measure,
+                    unit=unit,
+                    real=float(found[k]),
+                    low=float(low[k]),
+                    median=float(middle[k]),
+                    high=float(high[k]),
+                    said=LACKS[capture.task],
+                )
+            )
+    return tuple(rows)
+
+
+def repetitions(time: FloatArray, pitch: FloatArray, rate: FloatArray, height: FloatArray) -> FloatArray:
+    """Find risings and measure each.
+
+    Arrays: time (N,) s, pitch (N,) rad/s, rate (N,) rad/s, height (N,) m -> (R, 4) s.
+    """
+    low, high = np.percentile(height, (2.0, 98.0))
+    if high - low < 0.05:
+        raise InputError(
+            f"repetitions: wanted a body that rises by 0.05 m or more, got {high - low:.3g} m; this is another task"
+        )
+    above, rises = height[0] > 0.5 * (low + high), []
+    for k in range(len(height)):
+        if not above and height[k] > low + 0.6 * (high - low):
+            above = True
+            rises.append(k)
+        elif above and height[k] < low + 0.4 * (high - low):
+            above = False
+    reach = round(REACH_S / float(time[1] - time[0]))
+    found = [_measured(time, pitch, rate, k, reach) for k in rises]
+    return np.array([row for row in found if row is not None]).reshape(-1, 4)
+
+
+def _measured(
+    time: FloatArray, pitch: FloatArray, rate: FloatArray, rise: int, reach: int
+) -> tuple[float, float, float, float] | None:
+    first, last = max(rise - reach, 0), min(rise + reach, len(time) - 1)
+    peak = first + int(np.argmax(pitch[first : last + 1]))
+    before, after = max(peak - reach, 0), min(peak + reach, len(time) - 1)
+    if peak - before < 2 or after - peak < 2:
+        return None  # cut off by the recording
+    flexing, extending = before + int(np.argmax(rate[before:peak])), peak + int(np.argmin(rate[peak : after + 1]))
+    start, stop = flexing, extending
+    while start > 0 and rate[start] > AT_REST:
+        start -= 1
+    while stop < len(time) - 1 and rate[stop] < -AT_REST:
+        stop += 1
+    lean = (pitch[peak] - pitch[start]) / RADIAN_PER_DEGREE
+    rates = rate[[flexing, extending]] / RADIAN_PER_DEGREE
+    return float(lean), float(rates[0]), float(-rates[1]), float(time[stop] - time[start])
+
+
+def _of_task(task: Task) -> FloatArray:
+    time = np.arange(task.moving_s[0] - 1.0, task.moving_s[1] + 1.0, 1.0 / RATE_HZ)
+    motion = task.at(time, STANDARD_GRAVITY)
+    if task.name == "sit_to_stand":
+        return _of_rises(time, motion, task.position(time)[:, 2])[0]
+    return _of_whole(motion)
+
+
+def _of_capture(capture: Capture) -> tuple[FloatArray, int]:
+    """Return the figures of a capture, NaN where it does not tell, and the number of repetitions."""
+    spline = fit_pose_spline(capture.device, SKIN)
+    start, stop = spline.span_s
+    time = start + np.arange(int((stop - start) * RATE_HZ)) / RATE_HZ
+    motion = spline.at(time, STANDARD_GRAVITY)
+    if capture.task == "stairs":
+        return _of_whole(motion), 0
+    return _of_rises(time, motion, spline.position(time)[:, 2])
+
+
+def _of_rises(time: FloatArray, motion: Motion, height: FloatArray) -> tuple[FloatArray, int]:
+    known = motion.valid > 0.0
+    pitch = np.unwrap(sagittal_pitch(motion.q_nb[known]))
+    found = repetitions(time[known], pitch, np.gradient(pitch, time[known]), height[known])
+    return np.median(found, axis=0) if len(found) else np.full(len(REPETITION), np.nan), len(found)
+
+
+def _of_whole(motion: Motion) -> FloatArray:
+    known = motion.valid > 0.0
+    pitch, rate = np.unwrap(sagittal_pitch(motion.q_nb[known])), np.abs(motion.rate_b[known])
+    return np.array([np.ptp(pitch), rate[:, 1].max(), rate[:, 0].max()]) / RADIAN_PER_DEGREE
+
+
+# ---- Quiet stance on a force plate beside the simulated cohort's sway.
+
+Condition = Literal["closed on foam", "open on foam", "closed on firm", "open on firm"]
+PATH_HZ = 10.0  # the path of the centre of pressure is taken at this rate: the plate's noise adds none
+BAND_HZ = (0.05, 2.5)  # below, 50 s do not tell; above, the library has no power
+EDGE_S = 2.5  # of the simulated stance, in which sway swells up
+STANCE_S = 45.0  # of both, so that slow wander counts alike
+MEASURES = (
+    ("centre of pressure AP, rms", "mm"),
+    ("centre of pressure ML, rms", "mm"),
+    ("centre of pressure AP, range", "mm"),
+    ("centre of pressure ML, range", "mm"),
+    ("speed of the centre of pressure", "mm/s"),
+    ("mean frequency AP", "Hz"),
+    ("mean frequency ML", "Hz"),
+    ("acceleration AP, rms", "mm/s2"),
+    ("acceleration ML, rms", "mm/s2"),
+)
+COLUMNS = {
+    "grf": ("Time", "GRFNET_X", "GRFNET_Z", "COPNET_X", "COPNET_Z", 1.0),  # m, X forward
+    "plate": ("Time[s]", "Fx[N]", "Fy[N]", "COPx[cm]", "COPy[cm]", 0.01),  # cm, x forward
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stance:
+    """A stance on a force plate, forward and sideways."""
+
+    name: str  # Of the trial
+    condition: Condition  # Eyes and surface
+    time: FloatArray  # (N,), s
+    acceleration: FloatArray  # (N, 2), of the body's centre, m/s2
+    pressure: FloatArray  # (N, 2), centre of pressure, m
+
+    def __post_init__(self) -> None:
+        n = len(self.time)
+        for name, shape in (("time", (n,)), ("acceleration", (n, 2)), ("pressure", (n, 2))):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Stance.{name}"))
+
+
+def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
+    """Read a stance from a public force-plate file, tab-separated, gzipped or not."""
+    import gzip
+    import io
+
+    if not mass_kg > 0.0:
+        raise InputError(f"{path.name}: wanted the person's mass in kg, got {mass_kg:g}; state it")
+    try:
+        content = path.read_bytes()
+        text = io.StringIO((gzip.decompress(content) if path.suffix == ".gz" else content).decode())
+        names = text.readline().split("\t")
+        table = np.loadtxt(text, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: wanted a table of numbers under one line of names, got {error}; check it") from error
+    names = [name.strip() for name in names]
+    for *wanted, scale in COLUMNS.values():
+        if all(name in names for name in wanted):
+            at = [names.index(str(name)) for name in wanted]
+            force, pressure = table[:, at[1:3]], table[:, at[3:5]] * float(scale)
+            return Stance(
+                name=path.name.split(".")[0],
+                condition=condition,
+                time=table[:, at[0]],
+                acceleration=(force - force.mean(axis=0)) / mass_kg,
+                pressure=pressure,
+            )
+    raise InputError(
+        f"{path.name}: wanted columns GRFNET_X, GRFNET_Z, COPNET_X, COPNET_Z or Fx[N], Fy[N], COPx[cm], COPy[cm], got "
+        f"{', '.join(names[:6])}; name them so"
+    )
+
+
+def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0) -> tuple[BesideRow, ...]:
+    """Lay stances beside the simulated cohort's sway."""
+    people = cohort("simulation", rng=np.random.default_rng([seed, 0]))[:subjects]
+    rng = np.random.default_rng([seed, 1])
+    drawn = [draw_task("posturography", rng=rng, subject=person) for person in people]
+    simulated = np.array([sway_figures(_simulated(task)) for task in drawn])
+    low, middle, high = np.percentile(simulated, (2.5, 50.0, 97.5), axis=0)
+    rows = []
+    for stance in stances:
+        other = stance.condition != "closed on foam"
+        said = f"{stance.condition}: the library's stance is eyes closed on foam, which sways more" if other else ""
+        for k, ((measure, unit), real) in enumerate(zip(MEASURES, sway_figures(stance), strict=True)):
+            rows.append(
+                BesideRow(
+                    trial=stance.name,
+                    task="posturography",
+                    measure=measure,
+                    unit=unit,
+                    real=float(real),
+                    low=float(low[k]),
+                    median=float(middle[k]),
+                    high=float(high[k]),
+                    said=said,
+                )
+            )
+    return tuple(rows)
+
+
+def sway_figures(stance: Stance) -> FloatArray:
+    """Measure a stance.
+
+    Arrays:  -> (9,).
+    """
+    count = round(STANCE_S * RATE_HZ)
+    spare = len(stance.time) - count
+    if spare < 0:
+        return np.full(len(MEASURES), np.nan)
+    middle = slice(spare // 2, spare // 2 + count)
+    pressure = 1e3 * (stance.pressure[middle] - stance.pressure[middle].mean(axis=0))
+    acceleration = 1e3 * (stance.acceleration[middle] - stance.acceleration[middle].mean(axis=0))
+    coarse = pressure[:: round(RATE_HZ / PATH_HZ)]
+    speed = float(np.linalg.norm(np.diff(coarse, axis=0), axis=1).mean()) * PATH_HZ
+    frequency = [_mean_frequency(column) for column in pressure.T]
+    return np.array([*pressure.std(axis=0), *np.ptp(pressure, axis=0), speed, *frequency, *acceleration.std(axis=0)])
+
+
+def _mean_frequency(x: FloatArray) -> float:
+    power, frequency = np.abs(np.fft.rfft(x * np.hanning(len(x)))) ** 2, np.fft.rfftfreq(len(x), 1.0 / RATE_HZ)
+    band = (frequency >= BAND_HZ[0]) & (frequency <= BAND_HZ[1])
+    return float(power[band] @ frequency[band] / power[band].sum())
+
+
+def _simulated(task: Task) -> Stance:
+    time = np.arange(task.moving_s[0] + EDGE_S, task.moving_s[1] - EDGE_S + 1e-9, 1.0 / RATE_HZ)
+    motion = task.at(time, STANDARD_GRAVITY)
+    acceleration = rotate(motion.q_nb, motion.force_b)[:, :2]
+    pressure = task.position(time)[:, :2] - GYRATION * task.arm_b[2] / STANDARD_GRAVITY * acceleration
+    return Stance(name="simulated", condition="closed on foam", time=time, acceleration=acceleration, pressure=pressure)
+
+
+# ---- A simulated device worn in captured motions: the pitch it would show, against the optics that captured them.
+
+REST_S = 6.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WornRow:
+    """Pitch error in a captured motion."""
+
+    trial: str  # Which capture, and none, static or full correction
+    level: str  # Which capture, and none, static or full correction
+    error_rms_deg: float  # Over the motion, deg
+    error_max_deg: float  # Over the motion, deg
+    lean_optics_deg: float  # Largest pitch less the first, as the optics and the device have it, deg
+    lean_device_deg: float  # Largest pitch less the first, as the optics and the device have it, deg
+    length_s: float  # Of the motion, s
+    saturated: float  # Share of the samples in which the gyroscopes were at the end of their range
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worn:
+    """Errors in captured motions and agreement over them."""
+
+    rows: tuple[WornRow, ...]  # By capture, then level
+    # Of the largest lean, device less optics, for each level; empty with fewer than three captures
+    agreement: tuple[tuple[str, Pairwise], ...]
+
+
+def worn_in(
+    captures: tuple[Capture, ...],
+    device: DeviceModel | None = None,
+    *,
+    seed: int = 0,
+    excursion_k: float = 12.5,
+) -> Worn:
+    """Wear a device in captured motions."""
+    held = device or preset("enc03j_3031")
+    levels = calibrated(held, rng=np.random.default_rng([seed, 0]))
+    rows = [
+        row
+        for number, capture in enumerate(captures)
+        for row in _rows(capture, held, levels, excursion_k, np.random.default_rng([seed, 1, number]))
+    ]
+    agreement = []
+    for level in LEVELS:
+        leans = np.array([(row.lean_device_deg, row.lean_optics_deg) for row in rows if row.level == level])
+        pairwise = agreement_of("largest lean, deg", leans[:, 0], leans[:, 1]) if len(leans) else None
+        if pairwise is not None:
+            agreement.append((level, pairwise))
+    return Worn(rows=tuple(rows), agreement=tuple(agreement))
+
+
+def _rows(
+    capture: Capture,
+    device: DeviceModel,
+    levels: tuple[Calibration, ...],
+    excursion_k: float,
+    rng: np.random.Generator,
+) -> list[WornRow]:
+    case, pitch, saturated = _case(capture, device, excursion_k, rng)
+    start, stop = case.moving
+    seen = pitch[start:stop] / RADIAN_PER_DEGREE
+    rows = []
+    for name, level in zip(LEVELS, levels, strict=True):
+        error = pitch_error(case, level) / RADIAN_PER_DEGREE
+        shown = case.pitch[start:stop] / RADIAN_PER_DEGREE + error
+        rows.append(
+            WornRow(
+                trial=capture.name,
+                level=name,
+                error_rms_deg=float(np.sqrt(np.nanmean(error**2))),
+                error_max_deg=float(np.nanmax(np.abs(error))),
+                lean_optics_deg=float(np.nanmax(seen) - seen[0]),
+                lean_device_deg=float(np.nanmax(shown) - shown[0]),
+                length_s=(stop - start) / SAMPLE_RATE_HZ,
+                saturated=saturated,
+            )
+        )
+    return rows
+
+
+def _case(
+    capture: Capture, device: DeviceModel, excursion_k: float, rng: np.random.Generator
+) -> tuple[Case, FloatArray, float]:
+    """Return the trial, the pitch that was captured, rad, and the share of readings at the end of the range."""
+    spline = fit_pose_spline(capture.device, SKIN)
+    first, last = spline.pieces[0].start_s, spline.pieces[0].stop_s  # up to the first long gap
+    low_pass = device.gyro.low_pass
+    delay_s = 0.0 if low_pass is None else float(np.median(low_pass.group_delay_s))
+    delay_s -= 0.5 / SAMPLE_RATE_HZ  # strapdown holds each reading over the step before its stamp
+    time = first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+    motion = _after_rest(spline.at(time, STANDARD_GRAVITY))
+    before = len(motion) - len(time)
+    made = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C + excursion_k, power_on_s=SETTLED_S)
+    pitch = np.unwrap(sagittal_pitch(motion.q_nb))
+    case = Case(
+        device=device,
+        record=made.record,
+        pitch=np.interp(motion.time - delay_s, motion.time, pitch),
+        still=(0, before - round(0.2 * SAMPLE_RATE_HZ)),
+        moving=(before, len(motion)),
+    )
+    return case, pitch, float(made.gyro.saturated.any(axis=1).mean())
+
+
+def _after_rest(motion: Motion) -> Motion:
+    """Return a motion with a rest in its first pose before it."""
+    count = round(REST_S * SAMPLE_RATE_HZ)
+    gravity = rotate(quaternion_conjugate(motion.q_nb[:1]), np.array([0.0, 0.0, motion.gravity_m_s2]))
+
+    def behind(rest: FloatArray, x: FloatArray) -> FloatArray:
+        return np.concatenate((np.repeat(rest[:1], count, axis=0), x))
+
+    still, step_s = np.zeros((1, 3)), 1.0 / SAMPLE_RATE_HZ
+    swing = motion.angular_acceleration_b
+    return Motion(
+        time=np.concatenate((motion.time[0] - np.arange(count, 0, -1) * step_s, motion.time)),
+        q_nb=behind(motion.q_nb, motion.q_nb),
+        rate_b=behind(still, motion.rate_b),
+        mean_rate_b=behind(still, motion.mean_rate_b),
+        force_b=behind(gravity, motion.force_b),
+        gravity_m_s2=motion.gravity_m_s2,
+        moving=behind(np.zeros(1), np.ones(len(motion))),
+        angular_acceleration_b=None if swing is None else behind(still, swing),
+    )
+
+
+# ---- real.toml: real recordings to lay beside a study, read and checked before anything runs, judged after it.
+
+Given = TypeVar("Given")
+
+
+class TrialEntry(Entry):
+    """[[trial]]."""
+
+    recording: str  # Readings of the device
+    device: str  # Which
+    map: str | None = None  # Columns, units and sample rate of a foreign recording, a file as for --map
+    reference: str | None = None  # Poses; None where the recording is a BROAD file
+    markers: list[str] = Field(default_factory=list)  # Labels of one rigid cluster, for TRC or C3D
+    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+
+
+class CaptureEntry(Entry):
+    """[[capture]]."""
+
+    file: str  # Poses or markers
+    task: Captured  # sit_to_stand, squat or stairs
+    body: BodyName | None = None  # pelvis, thorax or trunk, found by its markers
+    markers: list[str] = Field(default_factory=list)  # Or labels of one rigid cluster
+    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+
+
+class StanceEntry(Entry):
+    """[[stance]]."""
+
+    file: str  # Table of a force plate
+    mass_kg: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]  # Of the person
+    condition: Condition  # Eyes and surface
+
+
+class RealFile(Entry):
+    """The whole file."""
+
+    trial: list[TrialEntry] = Field(default_factory=list)  # Any of them may be left out
+    capture: list[CaptureEntry] = Field(default_factory=list)  # Any of them may be left out
+    stance: list[StanceEntry] = Field(default_factory=list)  # Any of them may be left out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RealData:
+    """Real recordings, read."""
+
+    devices: tuple[DeviceTrials, ...]  # Trials by device
+    captures: tuple[Capture, ...]  # Captured people
+    stances: tuple[Stance, ...]  # On a force plate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RealOutcome:
+    """Real recordings, judged."""
+
+    # Levels none, rest, calibrated, the converter's rounding undone and left in; empty without trials
+    errors: tuple[RealErrors, ...]
+    motions: tuple[BesideRow, ...]  # Captures and stances beside the cohort
+    sways: tuple[BesideRow, ...]  # Captures and stances beside the cohort
+    worn: Worn | None  # The study's device worn in the captures
+    lacks: tuple[str, ...]  # What could not be said, and why
+
+
+def read_real(path: str | Path) -> RealData:
+    """Read all recordings that a file names."""
+    held, folder = read_toml(path, RealFile), Path(path).parent
+    if not (held.trial or held.capture or held.stance):
+        raise FileFormatError(f"{path}: wanted a [[trial]], a [[capture]] or a [[stance]], got none; name a recording")
+    try:
+        return RealData(
+            devices=_devices(held.trial, folder),
+            captures=tuple(_capture(entry, folder) for entry in held.capture),
+            stances=tuple(
+                read_stance(folder / entry.file, mass_kg=entry.mass_kg, condition=entry.condition)
+                for entry in held.stance
+            ),
+        )
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def _devices(entries: list[TrialEntry], folder: Path) -> tuple[DeviceTrials, ...]:
+    by: dict[str, list[TrialEntry]] = {}
+    for entry in entries:
+        by.setdefault(entry.device, []).append(entry)
+    few = [name for name, own in by.items() if len(own) < 2]
+    if few:
+        raise InputError(
+            f"trial: wanted two or more of each device, got one of '{few[0]}'; a fit that judges a trial must come from others"
+        )
+    return tuple(
+        DeviceTrials(
+            device=name,
+            names=tuple(Path(entry.recording).name.split(".")[0] for entry in own),
+            pairs=tuple(_pair(entry, folder) for entry in own),
+        )
+        for name, own in by.items()
+    )
+
+
+def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
+    from undrift.io.formats import detect, read_record
+    from undrift.io.reference import read_reference
+    from undrift.io.session import read_column_map
+
+    recording = folder / entry.recording
+    if entry.reference is None and detect(recording) != "broad":
+        raise InputError(f"{recording}: wanted a reference, got none and no BROAD file, which holds its own; name one")
+    poses = recording if entry.reference is None else folder / entry.reference
+    columns = None if entry.map is None else read_column_map(folder / entry.map)
+    return read_record(recording, columns), read_reference(poses, labels=entry.markers or None, up=entry.up)
+
+
+def _capture(entry: CaptureEntry, folder: Path) -> Capture:
+    poses = read_poses(folder / entry.file, body=entry.body, markers=tuple(entry.markers), up=entry.up)
+    if poses.position is None:
+        raise InputError(f"{entry.file}: wanted poses with positions, got none; risings are found by the height")
+    return Capture(name=Path(entry.file).name.split(".")[0], task=entry.task, device=poses)
+
+
+def judge_real(data: RealData, study: Study) -> RealOutcome:
+    """Judge real recordings as the study judges its own."""
+    from undrift.sim.device.presets import preset
+
+    lacks: list[str] = []
+
+    def tried(what: str, judge: Callable[[], Given], given: object, otherwise: Given) -> Given:
+        if not given:
+            lacks.append(f"{what}: none was given")
+            return otherwise
+        try:
+            return judge()
+        except UndriftError as error:
+            lacks.append(f"{what}: {error}")
+            return otherwise
+
+    device = device_of(study, 0) if study.worn else preset(study.device)
+    warmer, count, seed = sum(study.excursion_k) / 2.0, min(study.subjects, 30), study.seed
+    no_errors: tuple[RealErrors, ...] = ()
+    no_rows: tuple[BesideRow, ...] = ()
+    errors = tried("trials beside optics", lambda: real_errors(data.devices), data.devices, no_errors)
+    if errors and errors[0].agreement is None:
+        lacks.append(
+            f"agreement over trials: {LEAST_FOR_AGREEMENT} trials or more are needed, {len(errors[0].trials)} were given"
+        )
+    motions = tried(
+        "captured motions",
+        lambda: motion_rows(data.captures, subjects=count, seed=seed, group=study.group),
+        data.captures,
+        no_rows,
+    )
+    worn: Worn | None = tried(
+        "device worn in captured motions",
+        lambda: worn_in(data.captures, device, seed=seed, excursion_k=warmer),
+        data.captures,
+        None,
+    )
+    if worn is not None and not worn.agreement:
+        lacks.append(
+            f"agreement over captures: {LEAST_FOR_AGREEMENT} or more are needed, {len(data.captures)} were given"
+        )
+    sways = tried("stances", lambda: sway_rows(data.stances, subjects=count, seed=seed), data.stances, no_rows)
+    return RealOutcome(errors=errors, motions=motions, sways=sways, worn=worn, lacks=tuple(lacks))

@@ -14,30 +14,60 @@ Where a method cannot calibrate a triad, the data sheet stands in for it, with w
 is their mean reading at rest, the accelerometers are scaled, all axes alike, until rests read gravity. What a method cannot see is
 said in the words of its own fit. The tasks are done at the temperature of the calibration: what differs is the calibration, not
 the drift.
+
+Rivals compared: each method calibrates the same units in the same time, each unit then does the same tasks.
+
+Pitch is compared with the truth, delayed as the filter delays it. Two errors are told: the whole, and that of the change of
+pitch since the motion began, which leaves the tilt at the start out: the accelerometers give that one, the gyroscopes the other.
+
+Optimal designs: at which rates a table should dwell, from the Fisher information, as a rival to the note's uniform grids.
+
+One axis reads, at rate w, ``y = f(w)^T c + e`` with f = (1, w, w^2, ..., w^p), scaled to the largest rate. A design puts the share
+x_i of the dwelling time at rate w_i; its information is ``M = sum_i x_i f_i f_i^T``::
+
+    D-optimal   greatest det M                                   the coefficients together
+    I-optimal   least mean of f(w)^T M^-1 f(w) over the task     what the correction will be wrong by, on average
+
+Both are convex; the multiplicative algorithm climbs to them from a uniform start [1]_: ``x_i <- x_i (g_i / sum_j x_j
+g_j)^(1/2)`` with g the directional derivative: ``f^T M^-1 f`` for D, ``f^T M^-1 B M^-1 f`` for I, B the mean of f f^T over
+the task.
+
+References ---------- .. [1] S. D. Silvey, D. M. Titterington, B. Torsney, "An algorithm for optimal designs on a finite
+design space", Communications in Statistics A7(14), 1978.
+
+Rates to dwell at for each task of a study: D- and I-optimal sets beside the uniform grid, at equal dwelling time.
+
+The rates of a task are those of the cohort's motions about the axis of the pitch. Rates are chosen between the grid's greatest
+rates both ways; what a dwell is uncertain by is the white noise of the device alone, N / sqrt(dwell), so that errors compare
+sets of rates and leave out what the offset wanders. Two polynomials are held: the straight line that the note's matrix is, and a
+cubic, which shows whether the line bends.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 
-from undrift.calibration.fit.linear import fit_forward, triad_from_forward
-from undrift.calibration.model import Calibration, TriadModel, Verdict
-from undrift.calibration.procedure import calibrate
-from undrift.calibration.procedure_reference import calibrate_to_references
+from undrift.arrays import FloatArray
+from undrift.calibration.calibrate import calibrate, calibrate_to_references
 from undrift.errors import AlignmentError, CalibrationError, InputError
-from undrift.record import Record, Reference
-from undrift.session import Session, Still
+from undrift.fit.least_squares import fit_forward, triad_from_forward
+from undrift.model import Calibration, TriadModel, Verdict
+from undrift.orientation import sagittal_pitch
+from undrift.record import Record, Reference, Session, Still
+from undrift.rig.protocol import Protocol, rate_grid
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import preset_grade
+from undrift.sim.device.presets import preset_grade, random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import nominal_calibration
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchSettings, RivalSettings, bench_motion, rival_motion
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.rivals import RivalSettings, rival_motion
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.sim.motion.tasks import TaskName, draw_task
+from undrift.study.case import REST_S, SAMPLE_RATE_HZ, Case, device_of, perform, pitch_error
+from undrift.study.plan import TABLE_1, Study, StudyTask
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 Method = Literal[
     "data_sheet",
@@ -65,27 +95,13 @@ LAGS_S = np.arange(0.0, 0.0401, 0.002)  # a filter delays the reading against th
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rivalled:
-    """A device calibrated by one method.
+    """A device calibrated by one method."""
 
-    Parameters
-    ----------
-    method : str
-        Which.
-    calibration : Calibration
-        What the method gave, the data sheet where it gave nothing.
-    minutes : float
-        Of recordings, min.
-    observable : tuple of str
-        gyro, accel: what the method calibrated.
-    said : tuple of str
-        What the fits said.
-    """
-
-    method: Method
-    calibration: Calibration
-    minutes: float
-    observable: tuple[str, ...]
-    said: tuple[str, ...]
+    method: Method  # Which
+    calibration: Calibration  # What the method gave, the data sheet where it gave nothing
+    minutes: float  # Of recordings, min
+    observable: tuple[str, ...]  # gyro, accel: what the method calibrated
+    said: tuple[str, ...]  # What the fits said
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,18 +134,7 @@ class _Found:
 
 
 def rate_table_minutes(settings: BenchSettings | None = None) -> float:
-    """Return how long the note's own session takes on the table.
-
-    Parameters
-    ----------
-    settings : BenchSettings, optional
-        Rates and dwells; the note's sit-to-stand where not given.
-
-    Returns
-    -------
-    float
-        Of recording, min.
-    """
+    """Return how long the note's own session takes on the table."""
     motion = bench_motion("bench", rng=np.random.default_rng(0), settings=settings or BENCH)
     return len(motion) / motion.sample_rate_hz / SECONDS_PER_MINUTE
 
@@ -137,31 +142,7 @@ def rate_table_minutes(settings: BenchSettings | None = None) -> float:
 def calibrate_by(
     method: Method, device: DeviceModel, *, kind: str, rng: np.random.Generator, minutes: float | None = None
 ) -> Rivalled:
-    """Calibrate a device by one of the methods of the note's Discussion.
-
-    Parameters
-    ----------
-    method : str
-        One of ``METHODS``.
-    device : DeviceModel
-        The device.
-    kind : str
-        Preset of the device, whose data sheet stands in for what a method cannot see.
-    rng : Generator
-        Draws mountings, paths and noise.
-    minutes : float, optional
-        Time for recordings, min; that of the rate table where not given. The rate table takes its own.
-
-    Returns
-    -------
-    Rivalled
-        Calibration, time and words.
-
-    Raises
-    ------
-    InputError
-        A method that is not one, or too little time for it.
-    """
+    """Calibrate a device by one of the methods of the note's Discussion."""
     if method not in METHODS:
         raise InputError(f"rivals: wanted a method of {', '.join(METHODS)}, got '{method}'; name one of them")
     budget_s = (rate_table_minutes() if minutes is None else minutes) * SECONDS_PER_MINUTE
@@ -383,3 +364,324 @@ def _settled(seconds: float, what: str) -> float:
 
 def _length_s(motion: Motion) -> float:
     return len(motion) / motion.sample_rate_hz
+
+
+# ---- Rivals compared: each method calibrates the same units in the same time, each unit then does the same tasks.
+
+TASKS: tuple[TaskName, ...] = ("sit_to_stand", "posturography")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """A figure over units."""
+
+    median: float  # Same unit as the figure
+    least: float  # Same unit as the figure
+    greatest: float  # Same unit as the figure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RivalRow:
+    """One method in one task."""
+
+    method: Method  # Which
+    task: TaskName  # What was done
+    minutes: float  # Of recordings, min
+    observable: tuple[str, ...]  # gyro, accel: what the method calibrated in every unit
+    error_rms_deg: Spread  # Pitch error over the motion, deg, over units
+    error_max_deg: Spread  # Pitch error over the motion, deg, over units
+    # Largest error of the change of pitch since the motion began, deg: what the gyroscopes' calibration is worth
+    change_max_deg: Spread
+    # How many units, and with how many of them the tilt at the start was refused, the length of gravity being too far
+    # off; those have no error and are not in the figures
+    units: int
+    # How many units, and with how many of them the tilt at the start was refused, the length of gravity being too far
+    # off; those have no error and are not in the figures
+    refused: int
+    # What the fits said of the first unit, what the method cannot see; and why units were refused
+    said: tuple[str, ...]
+
+
+def compare_rivals(
+    *,
+    kind: str = "enc03j_3031",
+    units: int = 5,
+    seed: int = 0,
+    minutes: float | None = None,
+    methods: tuple[Method, ...] = METHODS,
+    tasks: tuple[TaskName, ...] = TASKS,
+) -> tuple[RivalRow, ...]:
+    """Compare ways to calibrate by the error that they leave in tasks."""
+    if units < 1 or not methods or not tasks:
+        raise InputError(
+            f"rivals: wanted a unit, a method and a task or more, got {units}, {len(methods)} and {len(tasks)}; name some"
+        )
+    errors = np.full((units, len(methods), len(tasks), 3), np.nan)
+    refusals: list[list[str]] = [[] for _ in methods]
+    made: list[list[Rivalled]] = [[] for _ in methods]
+    for number in range(units):
+        device = random_device_of(kind, np.random.default_rng([seed, number, 0]))
+        cases = [_case(device, task, np.random.default_rng([seed, number, 1, k])) for k, task in enumerate(tasks)]
+        for m, method in enumerate(methods):
+            rng = np.random.default_rng([seed, number, 2, METHODS.index(method)])
+            done = calibrate_by(method, device, kind=kind, rng=rng, minutes=minutes)
+            made[m].append(done)
+            for t, case in enumerate(cases):
+                try:
+                    errors[number, m, t] = _told(pitch_error(case, done.calibration) / RADIAN_PER_DEGREE)
+                except InputError as error:  # a calibration too poor to start from is refused: no error, and not a zero
+                    refusals[m].append(str(error))
+    return tuple(
+        _row(made[m], task, errors[:, m, t], refusals[m]) for t, task in enumerate(tasks) for m in range(len(methods))
+    )
+
+
+def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refusals: list[str]) -> RivalRow:
+    first = done[0]
+    rms, largest, change = (_spread(column) for column in errors.T)
+    return RivalRow(
+        method=first.method,
+        task=task,
+        minutes=first.minutes,
+        observable=tuple(name for name in ("gyro", "accel") if all(name in one.observable for one in done)),
+        error_rms_deg=rms,
+        error_max_deg=largest,
+        change_max_deg=change,
+        units=len(done),
+        refused=int(np.isnan(errors[:, 0]).sum()),
+        said=(*first.said, *refusals[:1]),
+    )
+
+
+def _spread(values: FloatArray) -> Spread:
+    seen = values[np.isfinite(values)]
+    if not len(seen):
+        return Spread(median=np.nan, least=np.nan, greatest=np.nan)
+    return Spread(median=float(np.median(seen)), least=float(seen.min()), greatest=float(seen.max()))
+
+
+def _told(error: FloatArray) -> tuple[float, float, float]:
+    since = error - error[np.flatnonzero(np.isfinite(error))[0]]
+    return float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(np.abs(error))), float(np.nanmax(np.abs(since)))
+
+
+def _case(device: DeviceModel, name: TaskName, rng: np.random.Generator) -> Case:
+    performed = draw_task(name, rng=rng, rest_s=REST_S)
+    time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+    motion = performed.at(time, STANDARD_GRAVITY)
+    record = simulate_device(device, motion, rng=rng, temp_c=TEMP_C, power_on_s=SETTLED_S).record
+    low_pass = device.gyro.low_pass
+    delay_s = 0.0 if low_pass is None else float(np.median(low_pass.group_delay_s))
+    delay_s -= 0.5 / SAMPLE_RATE_HZ  # strapdown holds each reading over the step before its stamp
+    start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
+    return Case(
+        device=device,
+        record=record,
+        pitch=sagittal_pitch(performed.at(time - delay_s, STANDARD_GRAVITY).q_nb),
+        still=(0, start - round(0.2 * SAMPLE_RATE_HZ)),
+        moving=(start, min(stop + 1, len(time))),
+    )
+
+
+# ---- Optimal designs: at which rates a table should dwell, from the Fisher information, as a rival to the note's uniform grids.
+
+Criterion = Literal["D", "I"]
+ROUNDS = 4000
+CONVERGED = 1e-6  # of the greatest derivative over its mean
+NOTHING = 1e-3  # share of the time that is not worth a stop
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RateDesign:
+    """Where to dwell, and for which share of the time."""
+
+    criterion: Criterion  # D or I
+    turn_rate: FloatArray  # (k,), rates, rad/s, increasing
+    share: FloatArray  # (k,), of the time; they add up to 1
+    # What the uniform grid reaches of this design's information, by each measure: 1 is as good, 0.5 needs twice the
+    # time
+    d_efficiency_uniform: float
+    # What the uniform grid reaches of this design's information, by each measure: 1 is as good, 0.5 needs twice the
+    # time
+    i_efficiency_uniform: float
+
+
+def optimal_rates(
+    candidates: FloatArray,
+    task_rates: FloatArray,
+    uniform: FloatArray,
+    *,
+    criterion: Criterion = "I",
+    degree: int = 3,
+) -> RateDesign:
+    """Find the rates that tell most for the dwelling time.
+
+    Arrays: candidates (n,) rad/s, task_rates (m,), uniform (u,) rad/s.
+    """
+    needed = degree + 1
+    if min(len(np.unique(candidates)), len(np.unique(uniform))) < needed:
+        raise InputError(
+            f"design: wanted {needed} rates or more for a polynomial of degree {degree}, got {len(np.unique(candidates))} "
+            f"candidates and {len(np.unique(uniform))} in the grid"
+        )
+    top = float(np.abs(candidates).max())
+    f = np.vander(candidates / top, needed, increasing=True)
+    aim = np.vander(task_rates / top, needed, increasing=True)
+    wanted = aim.T @ aim / len(aim)
+    share = _climb(f, wanted if criterion == "I" else None)
+    kept = share > NOTHING
+    rates, share = candidates[kept], share[kept] / share[kept].sum()
+    order = np.argsort(rates)
+    own = f[kept]
+    grid = np.vander(uniform / top, needed, increasing=True)
+    even = grid.T @ grid / len(grid)
+    made = (own * share[:, None]).T @ own
+    return RateDesign(
+        criterion=criterion,
+        turn_rate=rates[order],
+        share=share[order],
+        d_efficiency_uniform=float((np.linalg.det(even) / np.linalg.det(made)) ** (1.0 / needed)),
+        i_efficiency_uniform=float(np.trace(np.linalg.solve(made, wanted)) / np.trace(np.linalg.solve(even, wanted))),
+    )
+
+
+def prediction_sd(
+    turn_rate: FloatArray, share: FloatArray, task_rates: FloatArray, *, dwell_sd: float, dwells: float, degree: int = 3
+) -> float:
+    """Return how wrong the fitted curve will be over a task, root-mean-square.
+
+    Arrays: turn_rate (k,) rad/s, share (k,) rad/s, task_rates (m,) rad/s.
+    """
+    top = float(np.abs(turn_rate).max())
+    f = np.vander(turn_rate / top, degree + 1, increasing=True)
+    aim = np.vander(task_rates / top, degree + 1, increasing=True)
+    information = (f * share[:, None]).T @ f * dwells
+    return float(dwell_sd * np.sqrt(np.mean(np.einsum("mi,ij,mj->m", aim, np.linalg.inv(information), aim))))
+
+
+def _climb(f: FloatArray, wanted: FloatArray | None) -> FloatArray:
+    share = np.full(len(f), 1.0 / len(f))
+    for _ in range(ROUNDS):
+        inverse = np.linalg.inv((f * share[:, None]).T @ f)
+        middle = inverse if wanted is None else inverse @ wanted @ inverse
+        gain = np.einsum("ni,ij,nj->n", f, middle, f)
+        mean = float(share @ gain)
+        if gain.max() < mean * (1.0 + CONVERGED):
+            break
+        share = share * np.sqrt(gain / mean)
+        share = share / share.sum()
+    return share
+
+
+# ---- Rates to dwell at for each task of a study: D- and I-optimal sets beside the uniform grid, at equal dwelling time.
+
+DEGREES = (1, 3)
+CANDIDATES = 181
+SAMPLES = 4000  # of the rates of a task
+PERFORMED = 10  # subjects
+RATE_HZ = 50.0
+
+Set = Literal["uniform", "D", "I"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignRow:
+    """One set of rates for one task."""
+
+    task: str  # What is done
+    grid: str  # Whose uniform grid it is compared with: the note's, or that of the optimum
+    degree: int  # Of the polynomial that an axis' reading is taken for
+    criterion: Set  # uniform, D or I
+    # Rates of one axis, deg/s, increasing, and shares of the time; neighbours gathered
+    turn_rate_dps: tuple[float, ...]
+    share: tuple[float, ...]  # Rates of one axis, deg/s, increasing, and shares of the time; neighbours gathered
+    d_efficiency_uniform: float  # What the uniform grid has of the information of this set; 1 for the grid itself
+    i_efficiency_uniform: float  # What the uniform grid has of the information of this set; 1 for the grid itself
+    dwells: int  # How many the uniform grid makes of one axis: all sets have their time
+    dwell_s: float | None  # One dwell, s; None where it is stated by its uncertainty
+    # Predicted error of the rate over the task, root-mean-square, deg/s; None for a device without white noise
+    error_dps: float | None
+    beyond: float  # Share of the task's rates above the greatest of the grid
+
+
+def design_rows(study: Study, task: StudyTask, found: Protocol) -> tuple[DesignRow, ...]:
+    """Compare sets of rates for one task."""
+    note = TABLE_1.get(cast("TaskName", task.name)) if task.motion is None else None
+    if note is None:
+        grid, name = found.turn_rates(), "the optimum's"
+    else:
+        dps = rate_grid(note.turn_rate_min_dps, note.turn_rate_max_dps, note.turn_rate_step_dps, rule="paper")
+        grid, name = dps * RADIAN_PER_DEGREE, "the note's"
+    rates, sd = task_rates(study, task), _dwell_sd(study, task.base)
+    rows: list[DesignRow] = []
+    for degree in DEGREES:
+        try:
+            rows += _of_degree(task, name, grid, rates, sd, degree)
+        except InputError:  # too few rates in the grid for this polynomial
+            continue
+    return tuple(rows)
+
+
+def task_rates(study: Study, task: StudyTask) -> FloatArray:
+    """Return the rates that occur in a task about the axis of the pitch.
+
+    Arrays:  -> (m,) rad/s.
+    """
+    seen = []
+    for number in range(1 if task.motion is not None else min(study.subjects, PERFORMED)):
+        performed = perform(study, task, number)
+        start, stop = performed.moving_s
+        time = np.arange(start, min(stop, performed.duration_s), 1.0 / RATE_HZ)
+        seen.append(performed.at(time, STANDARD_GRAVITY).rate_b[:, 1])
+    rates: FloatArray = np.concatenate(seen)
+    known: FloatArray = rates[np.isfinite(rates)]
+    return known[:: len(known) // SAMPLES + 1].copy()
+
+
+def _dwell_sd(study: Study, base: Protocol) -> float | None:
+    """Return how uncertain the mean of one dwell is, rad/s."""
+    noise = device_of(study, 0).gyro.white_noise
+    if base.dwell_s is None:
+        return base.turn_rate_uncertainty
+    return None if noise is None else float(noise.random_walk[1] / np.sqrt(base.dwell_s))
+
+
+def _of_degree(
+    task: StudyTask, name: str, grid: FloatArray, rates: FloatArray, dwell_sd: float | None, degree: int
+) -> list[DesignRow]:
+    top, even = float(np.abs(grid).max()), np.full(len(grid), 1.0 / len(grid))
+    candidates, criteria = np.linspace(-top, top, CANDIDATES), cast("tuple[Criterion, ...]", ("D", "I"))
+    made: list[tuple[Set, FloatArray, FloatArray, RateDesign | None]] = [("uniform", grid, even, None)]
+    for criterion in criteria:
+        design = optimal_rates(candidates, rates, grid, criterion=criterion, degree=degree)
+        made.append((criterion, design.turn_rate, design.share, design))
+    rows = []
+    for which, at, share, own in made:
+        error = None
+        if dwell_sd is not None:
+            error = prediction_sd(at, share, rates, dwell_sd=dwell_sd, dwells=len(grid), degree=degree)
+        told, parts = (at, share) if own is None else _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
+        rows.append(
+            DesignRow(
+                task=task.name,
+                grid=name,
+                degree=degree,
+                criterion=which,
+                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in told),
+                share=tuple(map(float, parts)),
+                d_efficiency_uniform=1.0 if own is None else own.d_efficiency_uniform,
+                i_efficiency_uniform=1.0 if own is None else own.i_efficiency_uniform,
+                dwells=len(grid),
+                dwell_s=task.base.dwell_s,
+                error_dps=None if error is None else error / RADIAN_PER_DEGREE,
+                beyond=float(np.mean(np.abs(rates) > top * (1.0 + 1e-9))),
+            )
+        )
+    return rows
+
+
+def _gathered(rate: FloatArray, share: FloatArray, near: float) -> tuple[FloatArray, FloatArray]:
+    """Return a design whose neighbouring rates, of one stop that falls between candidates, are one rate."""
+    groups = np.concatenate(([0], np.cumsum(np.diff(rate) > near)))
+    total = np.bincount(groups, weights=share).astype(np.float64)
+    return np.bincount(groups, weights=share * rate).astype(np.float64) / total, total

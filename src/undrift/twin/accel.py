@@ -9,20 +9,135 @@ The optics are the noisy side (differentiated twice), the readings u the quiet o
 carries much noise. All terms are turned into n and low-passed there alike; then the model is linear in M, c and r, and in d
 by the change of u with time. Residuals beyond 1.345 robust standard deviations count less (Huber). Filtered residuals are
 kin to their neighbours, so the covariance is the sandwich over blocks of one second.
+
+Match: a recording beside the ideal motion that its reference tells, on one time axis.
+
+The motion is a spline through the poses (``sim.motion.poses``); it is asked at the instants that the readings stand for, the
+record's time less the delay of the gyroscopes. What is compared is compared in the level frame n: a low-pass there acts on
+readings and motion alike, whatever the body does meanwhile, and it commutes with the second derivative of the position.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.fit.result import scaled_condition
-from undrift.calibration.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel
-from undrift.errors import InputError, NotObservable
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.reference import restored
+from undrift.errors import AlignmentError, InputError, NotObservable
+from undrift.fit.least_squares import scaled_condition
 from undrift.frames import rotation
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel
+from undrift.record import Record, Reference
+from undrift.segments import runs
 from undrift.sim.motion.motion import Motion
-from undrift.twin.match import Match, smoothed, stretches
+from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
+from undrift.sync import Lag, LagSettings, find_lag, find_motion, native_poses
+from undrift.sync import Motion as Span
+
+# ---- Match: a recording beside the ideal motion that its reference tells, on one time axis.
+
+LAG_SETTINGS = LagSettings()
+POSE_SETTINGS = PoseSettings(cutoff_hz=30.0, position_cutoff_hz=30.0)
+_LEAD_S = 0.5  # of rest that belongs to the motion on either side
+_SHORTEST_S = 1.0  # stretches shorter than this are not filtered
+_EDGE = 1.5  # periods of the cut-off left out at each end of a stretch
+_PER_CUTOFF = 4.0  # samples kept for each period of the cut-off
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Match:
+    """One recording and the motion beside it."""
+
+    name: str  # Of the recording
+    record: Record  # rad/s and m/s2, codes as they came
+    gyro: FloatArray  # (N, 3), readings with the mean loss of the ADC's rounding given back, rad/s
+    reference: Reference  # Poses at the frames that the cameras took
+    spline: PoseSpline  # Through them
+    lag: Lag  # Of the gyroscope readings against the poses
+    span: Span  # Stretch of motion on the record's clock (of ``sync``)
+    rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s
+
+    def at(self, delay_s: float, gravity_m_s2: float) -> Motion:
+        """Return the motion that readings with a given delay stand for."""
+        return self.spline.at(self.record.time - delay_s, gravity_m_s2)
+
+    @property
+    def moving(self) -> BoolArray:
+        """True within the motion, half a second of rest on either side included, shape (N,)."""
+        inside: BoolArray = (self.record.time >= self.span.start_s - _LEAD_S) & (
+            self.record.time < self.span.stop_s + _LEAD_S
+        )
+        return inside
+
+    @property
+    def rest(self) -> Record:
+        """Readings of the rest before the motion, the ADC's rounding given back: truncation narrows noise about zero."""
+        given_back = replace(self.record, gyro=self.gyro)
+        return given_back.between(float(self.record.time[0]), self.span.start_s - _LEAD_S)
+
+
+def match(
+    record: Record,
+    reference: Reference,
+    *,
+    adc: AdcModel | None = None,
+    name: str = "",
+    poses: PoseSettings = POSE_SETTINGS,
+    lag_settings: LagSettings = LAG_SETTINGS,
+) -> Match:
+    """Bring a recording and its reference together."""
+    done = record.in_si()
+    if done.gyro is None:
+        raise InputError("twin: wanted a record with a gyroscope, got none; map its columns")
+    frames = native_poses(reference)
+    lag = find_lag(done, frames, lag_settings)
+    span = find_motion(done, frames, lag_s=lag.seconds)
+    gyro = restored(done.gyro, adc)
+    at_rest = gyro[done.time < span.start_s - _LEAD_S]
+    at_rest = at_rest[np.isfinite(at_rest).all(axis=1)]
+    if not len(at_rest):
+        raise AlignmentError("twin: wanted readings of a rest before the motion, got none; record a rest first")
+    return Match(
+        name=name or reference.name,
+        record=done,
+        gyro=gyro,
+        reference=frames,
+        spline=fit_pose_spline(frames, poses),
+        lag=lag,
+        span=span,
+        rest_offset=at_rest.mean(axis=0),
+    )
+
+
+def stretches(match: Match, motion: Motion, readings: FloatArray) -> Iterator[slice]:
+    """Yield stretches of motion in which both poses and readings are known, long enough to be filtered.
+
+    Arrays: readings (N, C).
+    """
+    known = match.moving & (np.asarray(motion.valid) > 0.0) & np.isfinite(readings).all(axis=1)
+    known &= np.isfinite(motion.force_b).all(axis=1) | np.isnan(motion.force_b).all()
+    for start, stop in runs(known):
+        if stop - start >= _SHORTEST_S * match.record.sample_rate_hz:
+            yield slice(int(start), int(stop))
+
+
+def smoothed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tuple[FloatArray, IntArray]:
+    """Return columns low-passed without delay, thinned to a few samples for each period, without the ends.
+
+    Arrays: values (N, C) -> (K, C), (K,).
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    edge = int(np.ceil(_EDGE * sample_rate_hz / cutoff_hz))
+    step = max(1, int(sample_rate_hz / (_PER_CUTOFF * cutoff_hz)))
+    rows: IntArray = np.arange(edge, len(values) - edge, step)
+    sections = butter(2, cutoff_hz, fs=sample_rate_hz, output="sos")
+    filtered: FloatArray = sosfiltfilt(sections, values, axis=0)[rows]
+    return filtered, rows
+
+
+# ---- accel
 
 CUTOFF_HZ = 10.0  # above it the second derivative of the poses is noise
 BLOCK_S = 1.0
@@ -35,70 +150,33 @@ NAMES = (*MATRIX_NAMES, *OFFSET_NAMES, "lever_x", "lever_y", "lever_z", "delay")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AccelRows:
-    """Equations of one recording.
+    """Equations of one recording."""
 
-    Parameters
-    ----------
-    design : array, shape (K, 3, 16)
-        Matrix row by row, c, lever arm, delay; frame n.
-    force : array, shape (K, 3)
-        p'' + g z, m/s2.
-    raw : array, shape (K, 3)
-        Reading turned into n as it is, m/s2.
-    block : array, shape (K,)
-        Number of the second that each row belongs to.
-    """
-
-    design: FloatArray
-    force: FloatArray
-    raw: FloatArray
-    block: IntArray
+    design: FloatArray  # (K, 3, 16), matrix row by row, c, lever arm, delay; frame n
+    force: FloatArray  # (K, 3), p'' + g z, m/s2
+    raw: FloatArray  # (K, 3), reading turned into n as it is, m/s2
+    block: IntArray  # (K,), number of the second that each row belongs to
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AccelFit:
-    """An accelerometer fitted to poses.
+    """An accelerometer fitted to poses."""
 
-    Parameters
-    ----------
-    model : TriadModel
-        f = M (u - o) with covariance.
-    lever_arm : array, shape (3,)
-        From the optical body's origin to the sensor, frame of that body, m.
-    delay : float
-        How late the readings are, s, beyond the delay that each recording was asked at (that of its gyroscopes).
-    covariance : array, shape (16, 16)
-        Matrix, offset, lever arm, delay.
-    residual_rms, raw_rms : array, shape (R,)
-        Per axis, after the fit and before, for each recording, m/s2.
-    signal_rms : array, shape (R,)
-        Of the specific force less gravity, per axis, m/s2.
-    cutoff_hz : float
-        Low-pass of all three, Hz.
-    """
-
-    model: TriadModel
-    lever_arm: FloatArray
+    model: TriadModel  # f = M (u - o) with covariance
+    lever_arm: FloatArray  # (3,), from the optical body's origin to the sensor, frame of that body, m
+    # How late the readings are, s, beyond the delay that each recording was asked at (that of its gyroscopes)
     delay: float
-    covariance: FloatArray
-    residual_rms: FloatArray
-    raw_rms: FloatArray
-    signal_rms: FloatArray
-    cutoff_hz: float
+    covariance: FloatArray  # (16, 16), matrix, offset, lever arm, delay
+    residual_rms: FloatArray  # (R,), per axis, after the fit and before, for each recording, m/s2
+    raw_rms: FloatArray  # (R,), per axis, after the fit and before, for each recording, m/s2
+    signal_rms: FloatArray  # (R,), of the specific force less gravity, per axis, m/s2
+    cutoff_hz: float  # Low-pass of all three, Hz
 
 
 def lever_matrix(motion: Motion) -> FloatArray:
     """Return what a lever arm does to specific force: L = [w']x + [w]x [w]x.
 
-    Parameters
-    ----------
-    motion : Motion
-        With angular acceleration.
-
-    Returns
-    -------
-    array, shape (N, 3, 3)
-        1/s2.
+    Arrays:  -> (N, 3, 3).
     """
     if motion.angular_acceleration_b is None:
         raise InputError("lever arm: wanted a motion with angular acceleration, got none; make it from poses")
@@ -116,28 +194,7 @@ def accel_rows(
 ) -> AccelRows:
     """Return the equations of one recording.
 
-    Parameters
-    ----------
-    match : Match
-        Recording with an accelerometer, poses with positions.
-    delay_s : float
-        Delay to ask the motion at, s.
-    matrix : array, shape (3, 3)
-        Present matrix, for the column of the delay.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
-    cutoff_hz : float
-        Low-pass, Hz.
-
-    Returns
-    -------
-    AccelRows
-        Thinned to a few rows for each period of the cut-off.
-
-    Raises
-    ------
-    InputError
-        No accelerometer, or no positions.
+    Arrays: matrix (3, 3).
     """
     readings = match.record.accel
     if readings is None or match.reference.position is None:
@@ -172,68 +229,21 @@ def accel_rows(
 
 
 def fit_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ) -> AccelFit:
-    """Fit matrix, offset, lever arm and delay of an accelerometer to the poses of one or more recordings.
-
-    Parameters
-    ----------
-    matches : sequence of Match
-        Recordings of one device in one mounting.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
-    cutoff_hz : float
-        Low-pass of readings and poses, Hz.
-
-    Returns
-    -------
-    AccelFit
-        With covariance and residuals.
-
-    Raises
-    ------
-    InputError
-        No accelerometer, or no positions.
-    NotObservable
-        Too little motion, or motion that leaves a parameter undetermined.
-    """
+    """Fit matrix, offset, lever arm and delay of an accelerometer to the poses of one or more recordings."""
     return solve_accel(prepare_accel(matches, gravity_m_s2=gravity_m_s2, cutoff_hz=cutoff_hz), cutoff_hz=cutoff_hz)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedAccel:
-    """Equations of several recordings, and where they were linearised.
+    """Equations of several recordings, and where they were linearised."""
 
-    Parameters
-    ----------
-    rows : tuple of AccelRows
-        One for each recording.
-    delay : float
-        Delay beyond the gyroscopes' that they were asked at, s.
-    gravity_m_s2 : float
-        m/s2.
-    """
-
-    rows: tuple[AccelRows, ...]
-    delay: float
-    gravity_m_s2: float
+    rows: tuple[AccelRows, ...]  # One for each recording
+    delay: float  # Delay beyond the gyroscopes' that they were asked at, s
+    gravity_m_s2: float  # m/s2
 
 
 def prepare_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ) -> PreparedAccel:
-    """Return the equations of several recordings, linearised at the delay that fits them all.
-
-    Parameters
-    ----------
-    matches : sequence of Match
-        Recordings of one device.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
-    cutoff_hz : float
-        Low-pass, Hz.
-
-    Returns
-    -------
-    PreparedAccel
-        To be solved together or in part.
-    """
+    """Return the equations of several recordings, linearised at the delay that fits them all."""
     delay = 0.0
     matrix: FloatArray = np.eye(3)
     for k in range(_PASSES):
@@ -250,27 +260,7 @@ def prepare_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: f
 def solve_accel(
     prepared: PreparedAccel, *, chosen: Sequence[int] | None = None, cutoff_hz: float = CUTOFF_HZ
 ) -> AccelFit:
-    """Solve the equations of chosen recordings together.
-
-    Parameters
-    ----------
-    prepared : PreparedAccel
-        Equations.
-    chosen : sequence of int, optional
-        Numbers of the recordings; all by default.
-    cutoff_hz : float
-        Low-pass that the equations went through, Hz.
-
-    Returns
-    -------
-    AccelFit
-        With covariance and residuals.
-
-    Raises
-    ------
-    NotObservable
-        Too little motion, or motion that leaves a parameter undetermined.
-    """
+    """Solve the equations of chosen recordings together."""
     rows = [prepared.rows[k] for k in (range(len(prepared.rows)) if chosen is None else chosen)]
     x, covariance, condition = _solve(rows)
     matrix = x[:9].reshape(3, 3)

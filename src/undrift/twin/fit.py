@@ -3,6 +3,16 @@
 Gyroscopes by rotation over windows (``calibration.fit.reference``), accelerometers by specific force (``accel``), noise and
 bandwidth by the spectrum at rest (``rest``), the ADC by its codes (``calibration.adc``). Every parameter comes with a standard
 error, or with the reason why these recordings do not tell it.
+
+Rest: white noise and bandwidth from the spectrum of readings at rest.
+
+White noise N through the device's own second-order Butterworth low-pass of bandwidth f_b leaves the one-sided density::
+
+    S(f) = 2 N^2 / (1 + (f / f_b)^4), and its images at multiples of the sample rate
+
+Averaged periodograms scatter as chi-square, so the Whittle likelihood sum(log S + P / S) is maximised over f_b, N^2 in closed
+form. Only the upper part of the band counts: hands and floors move a device at low frequency. Where no bandwidth is better
+than an infinite one by more than chi-square allows, the noise is flat and only a lower limit is told.
 """
 
 from collections.abc import Sequence
@@ -12,51 +22,242 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import AdcFinding, identify_adc
-from undrift.calibration.fit.reference import ReferenceFit, ReferenceSettings, fit_reference
-from undrift.calibration.model import AXES, AdcModel
-from undrift.calibration.procedure_reference import device_adc
+from undrift.calibration.calibrate import device_adc
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.errors import CalibrationError, InputError
 from undrift.frames import rotate
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, AdcModel, TriadModel
 from undrift.record import Record, Reference
-from undrift.twin.accel import CUTOFF_HZ, AccelFit, PreparedAccel, prepare_accel, solve_accel
-from undrift.twin.match import Match, match, smoothed, stretches
-from undrift.twin.parameters import (
-    TwinParameter,
-    g_sensitivity_parameters,
-    known,
-    mean_with_error,
-    triad_parameters,
-    unknown,
+from undrift.twin.accel import (
+    CUTOFF_HZ,
+    AccelFit,
+    Match,
+    PreparedAccel,
+    match,
+    prepare_accel,
+    smoothed,
+    solve_accel,
+    stretches,
 )
-from undrift.twin.rest import RestNoise, rest_noise
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+# ---- Parameters of a twin: what each is, how well it is known, and why it is not where it is not.
+
+SIGNIFICANT = 4.0  # standard errors from zero that set an effect apart from none: nine elements are tried at once
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TwinParameter:
+    """One parameter of the device model."""
+
+    name: str  # What it is
+    value: float | str  # Best value; NaN where there is none
+    standard_error: float  # Same unit; NaN where it has no meaning
+    unit: str  # "1" for a ratio, "" for a word
+    identifiable: bool = True  # Whether the recordings tell it
+    reason: str = ""  # Why they do not; "" where they do
+
+
+def known(name: str, value: float, error: float, unit: str) -> TwinParameter:
+    """Return a parameter that the recordings tell."""
+    return TwinParameter(name=name, value=float(value), standard_error=float(error), unit=unit)
+
+
+def unknown(name: str, unit: str, reason: str) -> TwinParameter:
+    """Return a parameter that the recordings do not tell."""
+    nothing = float("nan")
+    return TwinParameter(name=name, value=nothing, standard_error=nothing, unit=unit, identifiable=False, reason=reason)
+
+
+def triad_parameters(prefix: str, model: TriadModel, covariance: FloatArray, unit: str) -> list[TwinParameter]:
+    """Return rotation, matrix and offset of a fitted triad.
+
+    The rotation is that of the polar decomposition M = R S: the axes of the sensor against those of the optical body.
+
+    Arrays: covariance (12 or more, 12 or more).
+    """
+    turn, jacobian = polar_rotation(model.matrix)
+    error = np.sqrt(np.einsum("ip,pq,iq->i", jacobian, covariance[:9, :9], jacobian))
+    sigma = np.sqrt(np.diag(covariance))
+    found = [known(f"{prefix}_rotation_{a}", turn[i], error[i], "rad") for i, a in enumerate(AXES)]
+    cells = model.matrix.ravel()
+    found += [known(f"{prefix}_matrix_{n[-2:]}", cells[i], sigma[i], "1") for i, n in enumerate(MATRIX_NAMES)]
+    found += [known(f"{prefix}_offset_{a}", model.offset[i], sigma[9 + i], unit) for i, a in enumerate(AXES)]
+    return found
+
+
+def polar_rotation(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rotation vector of the polar part of a matrix, and its change with the matrix.
+
+    Arrays: matrix (3, 3) -> (3,) rad, (3, 9).
+    """
+    from scipy.spatial.transform import Rotation
+
+    def of(m: FloatArray) -> FloatArray:
+        left, _, right = np.linalg.svd(m)
+        vector: FloatArray = Rotation.from_matrix(left @ right).as_rotvec()
+        return vector
+
+    step = 1e-6
+    columns = [(of(matrix + d) - of(matrix - d)) / (2.0 * step) for d in step * np.eye(9).reshape(9, 3, 3)]
+    return of(matrix), np.stack(columns, axis=1)
+
+
+def g_sensitivity_parameters(values: FloatArray, errors: FloatArray) -> list[TwinParameter]:
+    """Return the nine elements of the g-sensitivity, those that cannot be told from zero marked so.
+
+    Arrays: values (9,), errors (9,).
+    """
+    reason = (
+        "within four standard errors of zero: gravity alone pushed on the device; shake or swing it harder, or turn it over "
+        "on a tumbling table"
+    )
+    found = []
+    for name, value, error in zip(G_NAMES, values, errors, strict=True):
+        told = bool(abs(value) > SIGNIFICANT * error)
+        found.append(
+            TwinParameter(
+                name=f"gyro_g_sensitivity_{name[-2:]}",
+                value=float(value),
+                standard_error=float(error),
+                unit="rad/s per m/s2",
+                identifiable=told,
+                reason="" if told else reason,
+            )
+        )
+    return found
+
+
+def spread_of(values: FloatArray, prior: float, weight: float = 2.0) -> FloatArray:
+    """Return the standard deviation between recordings, held by a prior where there are few.
+
+    s^2 = (sum (x - mean)^2 + k s0^2) / (n - 1 + k): a single recording gives the prior s0.
+
+    Arrays: values (R, 3) -> (3,).
+    """
+    square = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
+    spread: FloatArray = np.sqrt((square + weight * prior**2) / (len(values) - 1 + weight))
+    return spread
+
+
+def mean_with_error(values: Sequence[float] | FloatArray, errors: Sequence[float] | FloatArray) -> tuple[float, float]:
+    """Return the mean of several findings and its standard error, the larger of what they claim and what they scatter.
+
+    Arrays: values (R,), errors (R,).
+    """
+    x, e = np.asarray(values, float), np.asarray(errors, float)
+    claimed = float(np.sqrt((e**2).sum())) / len(x)
+    scatter = float(x.std(ddof=1) / np.sqrt(len(x))) if len(x) > 1 else 0.0
+    return float(x.mean()), max(claimed, scatter)
+
+
+# ---- Rest: white noise and bandwidth from the spectrum of readings at rest.
+
+BAND = (0.35, 0.95)  # of half the sample rate
+_SEGMENT = 256  # samples
+_IMAGES = 3  # of the spectrum on either side
+_BETTER = 9.0  # chi-square, one degree of freedom, three standard deviations
+_LIMIT = 4.0  # the same, two
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestNoise:
+    """White noise of a triad, and what its spectrum says of the bandwidth."""
+
+    random_walk: FloatArray  # (3,), N and its standard error, unit/sqrt(Hz)
+    random_walk_error: FloatArray  # (3,), N and its standard error, unit/sqrt(Hz)
+    bandwidth_hz: float  # f_b; NaN where the noise is flat
+    bandwidth_error_hz: float  # Standard error; NaN likewise
+    bandwidth_above_hz: float  # Lower limit
+
+
+def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) -> RestNoise | None:
+    """Return white noise and bandwidth of a triad from recordings at rest."""
+    spectra, counts = [], []
+    f: FloatArray = np.empty(0)
+    rate = records[0].sample_rate_hz if records else 1.0
+    for record in records:
+        values = getattr(record, channel)
+        if values is None or len(values) < 4 * _SEGMENT or not np.isfinite(values).all():
+            continue
+        if not values.std(axis=0).all():
+            continue  # readings that never change hold no noise
+        f, density, averaged = _periodogram(values, rate)
+        spectra.append(density)
+        counts.append(averaged)
+    if not spectra:
+        return None
+    weight = np.array(counts, float) / sum(counts)
+    chosen = (f >= BAND[0] * 0.5 * rate) & (f <= BAND[1] * 0.5 * rate)
+    density = np.einsum("r,rfi->fi", weight, np.array(spectra)[:, chosen])
+    return _likely(
+        f[chosen], density, 0.8 * sum(counts), (rate, step)
+    )  # Hann windows that half overlap: about 0.8 independent
+
+
+def _periodogram(values: FloatArray, rate: float) -> tuple[FloatArray, FloatArray, int]:
+    count = 2 * (len(values) // _SEGMENT) - 1
+    window = np.hanning(_SEGMENT)
+    starts = np.arange(count) * (_SEGMENT // 2)
+    pieces = values[starts[:, None] + np.arange(_SEGMENT)]
+    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window[None, :, None]
+    power = np.abs(np.fft.rfft(pieces, axis=1)) ** 2
+    density = 2.0 * power.mean(axis=0) / (rate * float((window**2).sum()))
+    return np.fft.rfftfreq(_SEGMENT, 1.0 / rate), density, count
+
+
+def _likely(f: FloatArray, density: FloatArray, averaged: float, sampling: tuple[float, float]) -> RestNoise:
+    rate, step = sampling
+    trials = np.geomspace(0.1, 10.0, 400) * 0.5 * rate  # beyond 1 the noise folds back: no bandwidth, only a limit
+    cost = np.array([_cost(density / _shape(f, b, rate)[:, None], _shape(f, b, rate), averaged) for b in trials])
+    flat = _cost(density, np.ones(len(f)), averaged)
+    best = int(np.argmin(cost))
+    bandwidth = error = float("nan")
+    near = trials[cost <= cost[best] + 1.0]
+    above = float(trials[cost <= min(flat, cost[best]) + _LIMIT].min())
+    if flat - cost[best] > _BETTER and best > 0 and trials[best] < 0.45 * rate:
+        bandwidth, error = float(trials[best]), 0.5 * float(near[-1] - near[0])
+    shape = np.ones(len(f)) if np.isnan(bandwidth) else _shape(f, bandwidth, rate)
+    square = 0.5 * (density / shape[:, None]).mean(axis=0) - step**2 / (12.0 * rate)
+    level = np.sqrt(np.maximum(square, 0.0))
+    independent = averaged * len(f) * 2.0 / 3.0  # neighbouring bins of a Hann window share
+    return RestNoise(
+        random_walk=level,
+        random_walk_error=level * 0.5 / np.sqrt(independent),
+        bandwidth_hz=bandwidth,
+        bandwidth_error_hz=error,
+        bandwidth_above_hz=min(above, 0.5 * rate),
+    )
+
+
+def _shape(f: FloatArray, bandwidth: float, rate: float) -> FloatArray:
+    # What lies above half the sample rate folds back into the band.
+    images = np.abs(f[:, None] + rate * np.arange(-_IMAGES, _IMAGES + 1))
+    shape: FloatArray = (1.0 / (1.0 + (images / bandwidth) ** 4)).sum(axis=1)
+    return shape
+
+
+def _cost(whitened: FloatArray, shape: FloatArray, averaged: float) -> float:
+    # -2 log likelihood with the level at its best: P / S averages 1.
+    n = len(shape) * 2.0 / 3.0
+    return float(2.0 * averaged * n * (np.log(whitened.mean(axis=0)) + np.log(shape).mean()).sum())
+
+
+# ---- fit
 
 REFERENCE_SETTINGS = ReferenceSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwinSettings:
-    """How a device is twinned.
+    """How a device is twinned."""
 
-    Parameters
-    ----------
-    gravity_m_s2 : float
-        Local gravity: the accelerometer's scale stands and falls with it.
-    gyro_cutoff_hz : float
-        Low-pass at which gyroscope residuals are stated, Hz.
-    accel_cutoff_hz : float
-        Low-pass of the accelerometer fit, Hz.
-    offset_spread : float
-        Offset at rest between recordings of a device, standard deviation where one recording alone cannot tell, rad/s.
-    motion_offset_spread : float
-        The same of the change from rest to motion, rad/s.
-    """
-
-    gravity_m_s2: float = STANDARD_GRAVITY
-    gyro_cutoff_hz: float = 20.0
-    accel_cutoff_hz: float = CUTOFF_HZ
+    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity: the accelerometer's scale stands and falls with it
+    gyro_cutoff_hz: float = 20.0  # Low-pass at which gyroscope residuals are stated, Hz
+    accel_cutoff_hz: float = CUTOFF_HZ  # Low-pass of the accelerometer fit, Hz
+    # Offset at rest between recordings of a device, standard deviation where one recording alone cannot tell, rad/s
     offset_spread: float = 0.01 * RADIAN_PER_DEGREE
-    motion_offset_spread: float = 0.01 * RADIAN_PER_DEGREE
+    motion_offset_spread: float = 0.01 * RADIAN_PER_DEGREE  # The same of the change from rest to motion, rad/s
 
 
 TWIN_SETTINGS = TwinSettings()
@@ -64,31 +265,15 @@ TWIN_SETTINGS = TwinSettings()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prepared:
-    """Recordings of one device made ready once, for fits to all or to some of them.
+    """Recordings of one device made ready once, for fits to all or to some of them."""
 
-    Parameters
-    ----------
-    records, references : tuple
-        As given.
-    matches : tuple of Match
-        One for each.
-    adc : AdcModel or None
-        Rounding of the gyroscope codes.
-    accel_codes : AdcFinding or None
-        What the accelerometer codes say.
-    accel : PreparedAccel or None
-        Equations of the accelerometer.
-    accel_reason : str
-        Why there are none.
-    """
-
-    records: tuple[Record, ...]
-    references: tuple[Reference, ...]
-    matches: tuple[Match, ...]
-    adc: AdcModel | None
-    accel_codes: AdcFinding | None
-    accel: PreparedAccel | None
-    accel_reason: str
+    records: tuple[Record, ...]  # As given
+    references: tuple[Reference, ...]  # As given
+    matches: tuple[Match, ...]  # One for each
+    adc: AdcModel | None  # Rounding of the gyroscope codes
+    accel_codes: AdcFinding | None  # What the accelerometer codes say
+    accel: PreparedAccel | None  # Equations of the accelerometer
+    accel_reason: str  # Why there are none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -138,31 +323,7 @@ def prepare_twin(
     settings: TwinSettings = TWIN_SETTINGS,
     names: Sequence[str] = (),
 ) -> Prepared:
-    """Bring recordings of one device and their references together.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Raw recordings of one device in one mounting.
-    references : sequence of Reference
-        One for each record.
-    settings : TwinSettings
-        Gravity and cut-offs.
-    names : sequence of str
-        What to call the recordings.
-
-    Returns
-    -------
-    Prepared
-        For ``fit_prepared``.
-
-    Raises
-    ------
-    InputError
-        Sequences that do not match.
-    AlignmentError
-        A record and its reference share no motion.
-    """
+    """Bring recordings of one device and their references together."""
     if not records or len(records) != len(references):
         raise InputError(
             f"twin: wanted one reference for each record, got {len(records)} records and {len(references)} references"
@@ -232,24 +393,7 @@ def fit_prepared(
     chosen: Sequence[int] | None = None,
     brief: bool = False,
 ) -> Twin:
-    """Fit the device model to chosen recordings.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        Recordings of one device.
-    settings : TwinSettings
-        As prepared.
-    chosen : sequence of int, optional
-        Numbers of the recordings; all by default.
-    brief : bool
-        Leave out what a prediction does not need: the g-sensitivity, the table of parameters, residuals.
-
-    Returns
-    -------
-    Twin
-        Parameters with standard errors; none where brief.
-    """
+    """Fit the device model to chosen recordings."""
     number = list(range(len(prepared.records)) if chosen is None else chosen)
     records, references = [prepared.records[k] for k in number], [prepared.references[k] for k in number]
     matches = [prepared.matches[k] for k in number]
@@ -281,22 +425,7 @@ def fit_prepared(
 
 
 def gyro_residual(match: Match, fit: ReferenceFit, settings: TwinSettings) -> tuple[float, float]:
-    """Return what is left between corrected readings and the rate of the poses, and that rate itself.
-
-    Parameters
-    ----------
-    match : Match
-        The recording.
-    fit : ReferenceFit
-        Of the device.
-    settings : TwinSettings
-        Cut-off.
-
-    Returns
-    -------
-    tuple of float
-        Root mean square per axis of residual and of rate, both after the low-pass, rad/s.
-    """
+    """Return what is left between corrected readings and the rate of the poses, and that rate itself."""
     motion = match.at(match.lag.seconds, settings.gravity_m_s2)
     model = fit.model_at_rest_offset(match.rest_offset)
     done = (match.gyro - model.offset) @ model.matrix.T

@@ -5,29 +5,113 @@ alike, by the twin's matrix and each less its own offset, and integrated from th
 counts is the largest difference of sagittal pitch in a window, where the vertical is within 60 deg of the sagittal plane:
 beyond, pitch stretches a difference of tilt more than twofold and loses its meaning. Beside it stands the largest angle
 between the two verticals, which needs no plane, and the difference at the window's end about each axis of the body.
+
+End errors: what many devices that the twin allows would be off by after a motion, beside what the real one was.
+
+Each draw has a matrix and an in-motion offset from the covariance of the fit, an offset at rest that differs from the mean of
+the other recordings as much as recordings of a device differ, and noise and codes of its own. The held-out motion is the rate
+between its poses, the corrected real rate where the poses are missing, and nothing at rest. The readings go through the
+protocol of ``validation.trial``: (a) as they come, (b) less their mean over the first rest. The poses are smoothed further
+than for windows: pose noise of 1 deg/s would carry codes of a device that pauses to both sides of zero, and a code that
+changes sign loses nothing on average to truncation, while one that does not loses half a step.
+
+Contributions: what each part of the twin, and of the comparison itself, adds to the difference from the real device.
+
+Every part is simulated alone against a twin without it, over the same windows of the same held-out motion. What the poses
+add at rest is measured: the real gyroscope against the poses over windows before the motion. Parts add as squares; what is
+left of the difference found is unexplained: poses that err more in motion than at rest, markers and board that give, and
+effects of the device that the model lacks, which these recordings cannot tell apart.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.fit.reference_windows import restored
+from undrift.calibration.reference import restored
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
-from undrift.orientation.angles import sagittal_pitch
-from undrift.orientation.strapdown import integrate_strapdown
-from undrift.segments.still import runs
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
+from undrift.orientation import integrate_strapdown, sagittal_pitch
+from undrift.segments import runs
+from undrift.sim.device.effects import Adc, LeverArm, Offset, Sampling, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.sampling import Sampling
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, fit_pose_spline
-from undrift.twin.device import device_of, with_offset
-from undrift.twin.fit import Prepared, Twin, fit_prepared
-from undrift.twin.match import Match
-from undrift.validation.errors import wrapped
+from undrift.twin.accel import Match
+from undrift.twin.fit import Prepared, RestNoise, Twin, fit_prepared, spread_of
+from undrift.units import RADIAN_PER_DEGREE
+from undrift.validation.trial import TrialSettings, compare_orientations, validate_trial, wrapped
+
+# ---- The twin as a device that ``sim`` can simulate, and draws of it within its uncertainty.
+
+_BITS = 16
+
+
+def device_of(twin: Twin, *, sample_rate_hz: float, serial: str = "") -> DeviceModel:
+    """Return the fitted device for simulation."""
+    model, half = twin.gyro.triad.model, 0.5 / sample_rate_hz
+    gyro = chain_of(model.matrix, model.offset, twin.gyro_noise, "rad/s")
+    if twin.adc is not None and twin.adc.gyro_lsb is not None:
+        step = float(np.mean(twin.adc.gyro_lsb))
+        reference = step * 2.0 ** (_BITS - 1)
+        gyro = replace(gyro, adc=Adc(bits=_BITS, reference=reference, rounding=twin.adc.gyro_rounding, codes=False))
+    accel, late = SensorChain(unit="m/s2", scale=Scale(nominal_sensitivity=1.0)), twin.delay
+    if twin.accel is not None:
+        late = twin.delay + twin.accel.delay
+        accel = chain_of(twin.accel.model.matrix, twin.accel.model.offset, twin.accel_noise, "m/s2")
+        accel = replace(accel, lever_arm=LeverArm(arms=np.tile(twin.accel.lever_arm, (3, 1))))
+    return DeviceModel(
+        serial=serial,
+        gyro=gyro,
+        accel=accel,
+        sampling=Sampling(
+            sample_rate_hz=sample_rate_hz,
+            gyro_delay_s=np.full(3, half - twin.delay),
+            accel_delay_s=np.full(3, -late),
+        ),
+        name="twin",
+        source_tag="fitted",
+    )
+
+
+def drawn_gyro(device: DeviceModel, twin: Twin, rng: np.random.Generator) -> DeviceModel:
+    """Return a device with gyroscope matrix and in-motion offset drawn from the twin's uncertainty."""
+    model = twin.gyro.triad.model
+    spread = model.covariance[:12, :12].copy()
+    wander = twin.settings.motion_offset_spread**2
+    spread[range(9, 12), range(9, 12)] += wander
+    step = rng.multivariate_normal(np.zeros(12), spread, method="eigh")
+    chain = chain_of(model.matrix + step[:9].reshape(3, 3), model.offset + step[9:], None, "rad/s")
+    return replace(device, gyro=replace(device.gyro, scale=chain.scale, offset=chain.offset))
+
+
+def with_offset(device: DeviceModel, offset: FloatArray) -> DeviceModel:
+    """Return a device with another offset of the gyroscopes.
+
+    Arrays: offset (3,) rad/s.
+    """
+    return replace(device, gyro=replace(device.gyro, offset=Offset(constant=offset)))
+
+
+def chain_of(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, unit: str) -> SensorChain:
+    """Return the chain whose readings a correction matrix and offset undo.
+
+    Arrays: matrix (3, 3), offset (3,).
+    """
+    forward = np.linalg.inv(matrix)
+    gain = np.linalg.norm(forward, axis=1)
+    return SensorChain(
+        unit=unit,
+        scale=Scale(nominal_sensitivity=1.0, error=gain - 1.0, axes=forward / gain[:, None]),
+        offset=Offset(constant=offset),
+        white_noise=None if noise is None else WhiteNoise(random_walk=noise.random_walk),
+    )
+
+
+# ---- heldout
 
 LENGTHS_S = (5.0, 50.0)
 SHARED_CLOCK_S = 1e-3  # delays of a device's recordings agree to this where device and optics share a clock
@@ -40,80 +124,38 @@ _FRESH = 30  # samples: shorter stretches hold nothing
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowErrors:
-    """Differences over all windows of one length.
+    """Differences over all windows of one length."""
 
-    Parameters
-    ----------
-    pitch : array, shape (W,)
-        Largest difference of pitch in each window, rad; NaN where the vertical never came near the plane.
-    tilt : array, shape (W,)
-        Largest angle between the verticals, rad.
-    end : array, shape (W, 3)
-        Size of the difference at the end about each axis of the body, rad.
-    """
-
+    # (W,), largest difference of pitch in each window, rad; NaN where the vertical never came near the plane
     pitch: FloatArray
-    tilt: FloatArray
-    end: FloatArray
+    tilt: FloatArray  # (W,), largest angle between the verticals, rad
+    end: FloatArray  # (W, 3), size of the difference at the end about each axis of the body, rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldOutTrial:
-    """One held-out recording.
+    """One held-out recording."""
 
-    Parameters
-    ----------
-    recording : str
-        Name.
-    window_s : float
-        Length of the windows, s.
-    errors : WindowErrors
-        Of all windows.
-    """
-
-    recording: str
-    window_s: float
-    errors: WindowErrors
+    recording: str  # Name
+    window_s: float  # Length of the windows, s
+    errors: WindowErrors  # Of all windows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Stage:
-    """A held-out motion and how the twin stands to it.
+    """A held-out motion and how the twin stands to it."""
 
-    Parameters
-    ----------
-    match : Match
-        The held-out recording.
-    twin : Twin
-        Of the others.
-    device : DeviceModel
-        The twin without delay: the motion is asked at the delayed instants.
-    motion : Motion
-        What the poses tell, at those instants.
-    offset : array, shape (3,)
-        Of the real readings in motion: their own rest plus the twin's change from rest to motion, rad/s.
-    """
-
-    match: Match
-    twin: Twin
-    device: DeviceModel
-    motion: Motion
+    match: Match  # The held-out recording
+    twin: Twin  # Of the others
+    device: DeviceModel  # The twin without delay: the motion is asked at the delayed instants
+    motion: Motion  # What the poses tell, at those instants
+    # (3,), of the real readings in motion: their own rest plus the twin's change from rest to motion, rad/s
     offset: FloatArray
 
     def corrected(self, readings: FloatArray, offset: FloatArray) -> FloatArray:
         """Return readings corrected by the twin's matrix.
 
-        Parameters
-        ----------
-        readings : array, shape (N, 3)
-            Rounding given back, rad/s.
-        offset : array, shape (3,)
-            Taken off first, rad/s.
-
-        Returns
-        -------
-        array, shape (N, 3)
-            rad/s, frame of the optical body.
+        Arrays: readings (N, 3) rad/s, offset (3,) rad/s -> (N, 3) rad/s.
         """
         done: FloatArray = (readings - offset) @ self.twin.gyro.triad.model.matrix.T
         return done
@@ -121,17 +163,7 @@ class Stage:
     def simulated(self, device: DeviceModel, rng: np.random.Generator) -> FloatArray:
         """Return what a device says of the motion, corrected as the real readings are.
 
-        Parameters
-        ----------
-        device : DeviceModel
-            The twin or a variation of it.
-        rng : Generator
-            Noise.
-
-        Returns
-        -------
-        array, shape (N, 3)
-            rad/s, frame of the optical body.
+        Arrays:  -> (N, 3) rad/s.
         """
         said = np.asarray(simulate_device(device, self.motion, rng=rng).record.gyro, dtype=np.float64)
         adc = self.twin.adc if device.gyro.adc is not None else None
@@ -140,27 +172,7 @@ class Stage:
 
 
 def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> Stage:
-    """Fit the twin to all recordings but one, and put the one before it.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        Two recordings of a device or more.
-    number : int
-        Which one is held out.
-    twin : Twin, optional
-        Instead of the fit to the others.
-
-    Returns
-    -------
-    Stage
-        Ready to be simulated.
-
-    Raises
-    ------
-    InputError
-        One recording alone.
-    """
+    """Fit the twin to all recordings but one, and put the one before it."""
     others = [k for k in range(len(prepared.records)) if k != number]
     if twin is None:
         if not others:
@@ -184,27 +196,7 @@ def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> St
 def compare_held_out(
     prepared: Prepared, *, rng: np.random.Generator, lengths_s: Sequence[float] = LENGTHS_S
 ) -> tuple[HeldOutTrial, ...]:
-    """Hold every recording out in turn and compare the twin of the others with it.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        Two recordings of a device or more.
-    rng : Generator
-        Noise of the simulated devices.
-    lengths_s : sequence of float
-        Lengths of the windows, s.
-
-    Returns
-    -------
-    tuple of HeldOutTrial
-        One for each recording and length that fits into it.
-
-    Raises
-    ------
-    InputError
-        One recording alone.
-    """
+    """Hold every recording out in turn and compare the twin of the others with it."""
     found = []
     for number in range(len(prepared.records)):
         stage = hold_out(prepared, number)
@@ -220,19 +212,7 @@ def compare_held_out(
 def window_errors(stage: Stage, one: FloatArray, other: FloatArray, length_s: float) -> WindowErrors:
     """Compare two rates over every window of the motion.
 
-    Parameters
-    ----------
-    stage : Stage
-        Motion and initial orientations.
-    one, other : array, shape (N, 3)
-        Corrected rates, rad/s.
-    length_s : float
-        Length of the windows, s.
-
-    Returns
-    -------
-    WindowErrors
-        No rows where no window fits between the gaps.
+    Arrays: one (N, 3) rad/s, other (N, 3) rad/s.
     """
     known = stage.match.moving & (np.asarray(stage.motion.valid) > 0.0)
     known &= np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
@@ -244,21 +224,7 @@ def window_errors(stage: Stage, one: FloatArray, other: FloatArray, length_s: fl
 def run_errors(motion: Motion, one: FloatArray, other: FloatArray, rows: slice, length_s: float) -> FloatArray:
     """Compare two rates over every window of one stretch.
 
-    Parameters
-    ----------
-    motion : Motion
-        Known throughout the stretch.
-    one, other : array, shape (N, 3)
-        Corrected rates, rad/s.
-    rows : slice
-        The stretch.
-    length_s : float
-        Length of the windows, s.
-
-    Returns
-    -------
-    array, shape (W, 5)
-        Largest difference of pitch and of tilt, difference at the end about each axis, rad.
+    Arrays: one (N, 3) rad/s, other (N, 3) rad/s -> (W, 5) rad.
     """
     time, q = motion.time[rows], motion.q_nb[rows]
     rate = motion.sample_rate_hz
@@ -286,17 +252,197 @@ def _window(tracks: Sequence[FloatArray], q: FloatArray, first: int, within: Int
 
 
 def plain(device: DeviceModel) -> DeviceModel:
-    """Return the device without noise and rounding.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        The twin.
-
-    Returns
-    -------
-    DeviceModel
-        The same scale and offset.
-    """
+    """Return the device without noise and rounding."""
     offset = device.gyro.raw_offset
     return with_offset(replace(device, gyro=replace(device.gyro, white_noise=None, adc=None)), offset)
+
+
+# ---- End errors: what many devices that the twin allows would be off by after a motion, beside what the real one was.
+
+Row = Literal["raw", "rest"]
+ROWS: tuple[Row, ...] = ("raw", "rest")
+SLOW_SETTINGS = PoseSettings(cutoff_hz=5.0)
+_LEAD_S, _END_S, _EVERY_S = 0.5, 3.0, 0.25
+_WITHIN = (2.5, 97.5)  # per cent of the draws
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ending:
+    """End errors of one recording."""
+
+    recording: str  # Name
+    row: Row  # "raw": no offset taken off. "rest": less the mean of the first rest
+    real: FloatArray  # (2,), total and inclination, rad
+    simulated: FloatArray  # (D, 2), the same of every draw
+
+    @property
+    def interval(self) -> FloatArray:
+        """Central 95 % of the draws, shape (2, 2): low and high of total and inclination, rad."""
+        interval: FloatArray = np.percentile(self.simulated, _WITHIN, axis=0).T
+        return interval
+
+    @property
+    def covered(self) -> tuple[bool, bool]:
+        """Whether the real total and inclination lie within the central 95 % of the draws."""
+        inside = (self.real >= self.interval[:, 0]) & (self.real <= self.interval[:, 1])
+        return bool(inside[0]), bool(inside[1])
+
+
+def end_errors(prepared: Prepared, *, rng: np.random.Generator, draws: int = 60) -> tuple[Ending, ...]:
+    """Compare simulated and real end errors of every recording, each against the twin of the others."""
+    found: list[Ending] = []
+    for number in range(len(prepared.records)):
+        stage = hold_out(prepared, number)
+        simulated = _simulated(stage, rng, draws)
+        for k, row in enumerate(ROWS):
+            settings = TrialSettings(offset="none" if row == "raw" else "rest", adc="none")
+            figures = validate_trial(prepared.records[number], prepared.references[number], settings=settings).figures
+            real = np.array([figures.end_total_deg, figures.end_inclination_deg]) * RADIAN_PER_DEGREE
+            found.append(Ending(recording=stage.match.name, row=row, real=real, simulated=simulated[k]))
+    return tuple(found)
+
+
+def _simulated(stage: Stage, rng: np.random.Generator, draws: int) -> FloatArray:
+    match, twin, span = stage.match, stage.twin, stage.match.span
+    last = int(np.searchsorted(match.record.time, span.stop_s + _END_S)) + 1
+    time = match.record.time[:last]
+    slow = fit_pose_spline(replace(match.reference, position=None), SLOW_SETTINGS)
+    motion = slow.at(stage.motion.time[:last], twin.settings.gravity_m_s2)
+    inside = (time >= span.start_s) & (time < span.stop_s)
+    known = (np.asarray(motion.valid) > 0.0)[:, None]
+    rate = np.where(known, np.nan_to_num(motion.mean_rate_b), stage.corrected(match.gyro[:last], stage.offset))
+    rate = rate * inside[:, None]
+    first = int(np.searchsorted(time, span.start_s - _LEAD_S))
+    seen = motion.q_nb[:first][known[:first, 0]]
+    start = seen[-1] if len(seen) else np.array([1.0, 0.0, 0.0, 0.0])
+    truth = integrate_strapdown(rate[first:], time[first:], start)
+    ends = np.searchsorted(time[first:], np.arange(span.stop_s, min(span.stop_s + _END_S, time[-1]), _EVERY_S))
+    tilted = _tilted(start, twin)
+    out = np.empty((2, draws, 2))
+    for d in range(draws):
+        device, change = _drawn(stage, rng)
+        fed = rate + inside[:, None] * change
+        said = np.asarray(simulate_device(device, _turning(time, fed), rng=rng).record.gyro, dtype=np.float64)
+        rest = said[:first].mean(axis=0)
+        for k, offset in enumerate((np.zeros(3), rest)):
+            q = integrate_strapdown(said[first:] - offset, time[first:], tilted)
+            error = compare_orientations(q[ends], truth[ends])
+            out[k, d] = np.median(error.total), np.median(error.inclination)
+    return out
+
+
+def _drawn(stage: Stage, rng: np.random.Generator) -> tuple[DeviceModel, FloatArray]:
+    """Return a device with its offset at rest, and the rate that its change of offset in motion feigns."""
+    twin, gyro = stage.twin, stage.twin.gyro
+    step = rng.multivariate_normal(np.zeros(12), gyro.triad.model.covariance[:12, :12], method="eigh")
+    matrix = gyro.triad.model.matrix + step[:9].reshape(3, 3)
+    n = len(gyro.rest_offsets)
+    again = np.sqrt(1.0 + 1.0 / n)  # the mean of n and one more recording
+    spread = spread_of(gyro.rest_offsets, twin.settings.offset_spread)
+    rest = gyro.rest_offsets.mean(axis=0) + again * spread * rng.standard_normal(3)
+    wander = again * twin.settings.motion_offset_spread * rng.standard_normal(3)
+    change = matrix @ (gyro.motion_offset + step[9:] + wander)
+    chain = chain_of(matrix, rest, None, "rad/s")
+    device = replace(stage.device, gyro=replace(stage.device.gyro, scale=chain.scale, offset=Offset(constant=rest)))
+    return device, change
+
+
+def _turning(time: FloatArray, rate: FloatArray) -> Motion:
+    # Rates alone: nothing here asks for orientation or force.
+    n = len(time)
+    return Motion(
+        time=time,
+        q_nb=np.tile((1.0, 0.0, 0.0, 0.0), (n, 1)),
+        rate_b=rate,
+        mean_rate_b=rate,
+        force_b=np.full((n, 3), np.nan),
+        gravity_m_s2=0.0,
+        moving=np.ones(n),
+    )
+
+
+def _tilted(q_nb: FloatArray, twin: Twin) -> FloatArray:
+    # What a start from the raw accelerometer at rest gets wrong.
+    if twin.accel is None:
+        return q_nb
+    up = rotate(q_nb * np.array([1.0, -1.0, -1.0, -1.0]), np.array([0.0, 0.0, twin.settings.gravity_m_s2]))
+    said = np.linalg.solve(twin.accel.model.matrix, up) + twin.accel.model.offset
+    turn = np.cross(said / np.linalg.norm(said), up / np.linalg.norm(up))
+    return quaternion_product(q_nb, quaternion_of(turn))
+
+
+# ---- Contributions: what each part of the twin, and of the comparison itself, adds to the difference from the real device.
+
+DRAWS = 5
+_MARGIN_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Part:
+    """One contribution."""
+
+    name: str  # What it is
+    pitch: float  # Median over windows of the largest difference of pitch, rad
+    tilt: float  # Median over windows of the largest angle between the verticals, rad
+
+
+def contributions(
+    prepared: Prepared, number: int, *, rng: np.random.Generator, length_s: float = 5.0
+) -> tuple[Part, ...]:
+    """Return what limits the twin on one held-out recording."""
+    stage = hold_out(prepared, number)
+    bare = plain(stage.device)
+    ideal = stage.simulated(bare, rng)
+
+    def alone(device: DeviceModel) -> WindowErrors:
+        return window_errors(stage, stage.simulated(device, rng), ideal, length_s)
+
+    white = replace(bare, gyro=replace(bare.gyro, white_noise=stage.device.gyro.white_noise))
+    codes = replace(bare, gyro=replace(bare.gyro, adc=stage.device.gyro.adc))
+    fits = [alone(drawn_gyro(bare, stage.twin, rng)) for _ in range(DRAWS)]
+    whole = _part(
+        "found", window_errors(stage, stage.corrected(stage.match.gyro, stage.offset), stage.simulated(stage.device, rng), length_s)
+    )  # fmt: skip
+    parts = [
+        _part("white noise", alone(white)),
+        _part("ADC steps", alone(codes)),
+        Part(
+            name="uncertainty of matrix and offset",
+            pitch=float(np.mean([_part("", e).pitch for e in fits])),
+            tilt=float(np.mean([_part("", e).tilt for e in fits])),
+        ),
+        _part("device and poses at rest", _at_rest(stage, length_s)),
+    ]
+    known = parts[1:] if np.isfinite(parts[3].pitch) else parts[:3]  # the rest holds white noise already
+    left = Part(
+        name="unexplained",
+        pitch=_rest_of(whole.pitch, [p.pitch for p in known]),
+        tilt=_rest_of(whole.tilt, [p.tilt for p in known]),
+    )
+    itself = hold_out(prepared, number, twin=fit_prepared(prepared, chosen=[number], brief=True))
+    same = itself.corrected(itself.match.gyro, itself.offset)
+    own = _part("found with a twin of this recording", window_errors(
+        itself, same, itself.simulated(itself.device, rng), length_s
+    ))  # fmt: skip
+    return (*parts, left, whole, own)
+
+
+def _at_rest(stage: Stage, length_s: float) -> WindowErrors:
+    match, motion = stage.match, stage.motion
+    still = (motion.time < match.span.start_s - _MARGIN_S) & (np.asarray(motion.valid) > 0.0)
+    real = stage.corrected(match.gyro, match.rest_offset)
+    seen = np.nan_to_num(motion.mean_rate_b)
+    rows = [run_errors(motion, real, seen, slice(int(a), int(b)), length_s) for a, b in runs(still)]
+    table = np.concatenate([r for r in rows if len(r)] or [np.empty((0, 5))])
+    return WindowErrors(pitch=table[:, 0], tilt=table[:, 1], end=table[:, 2:])
+
+
+def _part(name: str, errors: WindowErrors) -> Part:
+    seen = errors.pitch[np.isfinite(errors.pitch)]
+    pitch = float(np.median(seen)) if len(seen) else float("nan")
+    return Part(name=name, pitch=pitch, tilt=float(np.median(errors.tilt)) if len(errors.tilt) else float("nan"))
+
+
+def _rest_of(whole: float, parts: list[float]) -> float:
+    square = whole**2 - float(np.sum(np.square(np.asarray(parts, dtype=np.float64))))
+    return float(np.sqrt(max(square, 0.0)))

@@ -4,6 +4,42 @@ Protocol: readings are corrected; the lag against the reference is found; on req
 is taken out; tilt from specific force and heading from the reference over the rest before the motion; strapdown from half
 a second before the motion on. Errors (``errors.py``) count where the reference saw the body: root-mean-square over the
 motion, the end error as the median over the first three seconds after it.
+
+Track: orientation from the readings of one recording alone, started from rest.
+
+Tilt comes from the mean specific force over the rest before the motion, heading from the reference at the same rest; from
+half a second before the motion on, only the gyroscope speaks::
+
+    q(t_k) = q(t_(k-1)) exp(w_k (t_k - t_(k-1)))
+
+Alignment: the constant rotation between the device's case and the body that the reference tracks.
+
+Kabsch's problem on rates [1]_: the rotation R that minimises sum |w - R u|^2 over common rates, from the singular value
+decomposition of sum w u^T, offsets taken out first. The rates are averaged over the same stretches and the lag is undone.
+
+References
+----------
+.. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
+
+Orientation errors in degrees of freedom that matter: total, heading, inclination, sagittal pitch.
+
+With both orientations body to level frame, the error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and [1]_::
+
+    total        2 acos |w|
+    heading      2 atan(z / w)             signed; positive where the sensor has turned too far about the vertical
+    inclination  2 acos sqrt(w^2 + z^2)    the angle between the two verticals
+
+The error of sagittal pitch is the signed difference of two pitches (``orientation.angles``), brought into (-pi, pi].
+
+References
+----------
+.. [1] D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data
+   6(7), 72, 2021.
+
+Figures: what an error over time comes to, in degrees, for a table or a person.
+
+Root-mean-square, mean, standard deviation and largest value over the motion, medians after it, and the slope of the total
+error over time. Gaps of the reference count nowhere.
 """
 
 from dataclasses import dataclass, replace
@@ -13,20 +49,312 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
-from undrift.calibration.model import AdcModel, Calibration, TriadModel
-from undrift.correct import Policy, correct_checked
-from undrift.drift.lookup.beyond import find_beyond
+from undrift.correction.correct import Policy, correct_checked
+from undrift.correction.coverage import find_beyond
 from undrift.errors import AlignmentError, InputError
-from undrift.orientation.angles import inclination_of, sagittal_pitch
-from undrift.orientation.strapdown import check_gaps
-from undrift.record import Record, Reference
-from undrift.session import Face
-from undrift.sync import Lag, LagSettings, Motion, find_lag, find_motion, native_poses
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
+from undrift.model import AdcModel, Calibration, TriadModel
+from undrift.orientation import (
+    check_gaps,
+    heading_of,
+    inclination_of,
+    integrate_strapdown,
+    sagittal_pitch,
+    shortest_rotation_up,
+)
+from undrift.record import Face, Record, Reference
+from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, si_factor
-from undrift.validation.align import Alignment, align_rates
-from undrift.validation.errors import OrientationError, compare_orientations, rms
-from undrift.validation.figures import Figures, Stretches, degrees, figures_of
-from undrift.validation.track import track_from_rest
+
+# ---- Track: orientation from the readings of one recording alone, started from rest.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Track:
+    """Integrated orientation."""
+
+    time: FloatArray  # (N,), s, record clock, from the start of the integration to the end of the record
+    q_nb: FloatArray  # (N, 4), orientation, w-x-y-z
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the orientation at other times, along the great arc between samples.
+
+        Arrays: times (M,) s -> (M, 4).
+        """
+        k = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
+        share = (times - self.time[k]) / (self.time[k + 1] - self.time[k])
+        step = rotation_vector(quaternion_product(quaternion_conjugate(self.q_nb[k]), self.q_nb[k + 1]))
+        q = quaternion_product(self.q_nb[k], quaternion_of(step * share[:, None]))
+        inside = (times >= self.time[0]) & (times <= self.time[-1])
+        return np.where(inside[:, None], q, np.nan)
+
+
+def track_from_rest(
+    record: Record, reference: Reference, motion: Motion, *, shift_s: float, rest_s: float, lead_s: float
+) -> Track:
+    """Integrate the readings from the rest before the motion to the end of the record."""
+    if record.gyro is None:
+        raise InputError("validate: wanted a record with a gyroscope, got none; map its columns")
+    stop = motion.start_s - lead_s
+    at_rest = (record.time >= motion.start_s - rest_s) & (record.time < stop)
+    first = int(np.searchsorted(record.time, stop))
+    check_gaps(record.gyro[first:], record.time[first:], "validate")
+    start = _mean_pose(reference, motion.start_s - rest_s - shift_s, stop - shift_s)
+    if record.accel is not None:
+        force = record.accel[at_rest]
+        force = force[np.isfinite(force).all(axis=1)]
+        if not len(force):
+            raise InputError(
+                f"validate: wanted a specific force at rest before {stop:.6g} s, got nothing but gaps (NaN); correct without gaps "
+                "(policy hold, temperatures filled in)"
+            )
+        start = _levelled(force.mean(axis=0), start)
+    time = record.time[first:]
+    return Track(time=time, q_nb=integrate_strapdown(record.gyro[first:], time, start))
+
+
+def _mean_pose(reference: Reference, start_s: float, stop_s: float) -> FloatArray:
+    seen: BoolArray = reference.valid & (reference.time >= start_s) & (reference.time < stop_s)
+    if not seen.any():
+        raise AlignmentError(
+            f"validate: wanted the reference to see the rest from {start_s:.1f} s to {stop_s:.1f} s, got no pose there; "
+            "heading needs one"
+        )
+    q = reference.q_nb[seen]
+    q = (q * np.where(q @ q[0] < 0.0, -1.0, 1.0)[:, None]).mean(axis=0)
+    mean: FloatArray = q / np.linalg.norm(q)
+    return mean
+
+
+def _levelled(accel: FloatArray, q_nb: FloatArray) -> FloatArray:
+    # Tilt from specific force, then turned about the vertical until no heading error is left.
+    tilt = shortest_rotation_up(accel)
+    e = quaternion_product(q_nb, quaternion_conjugate(tilt))
+    turn = np.array([e[0], 0.0, 0.0, e[3]])
+    return quaternion_product(turn / np.linalg.norm(turn), tilt)
+
+
+# ---- Alignment: the constant rotation between the device's case and the body that the reference tracks.
+
+_LEAST_SPREAD = 0.02  # of the largest singular value: the second axis of turning
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Alignment:
+    """Rotation from the device's case b to the body m of the reference."""
+
+    rotation: FloatArray  # (3, 3), R_mb: a vector in b, seen in m
+    angle: float  # Of that rotation, rad
+    residual_rms: float  # Of the rates after the rotation, per axis, rad/s
+
+
+def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignment:
+    """Find how the device sits on the body that the reference tracks."""
+    rates = pose_rates(native_poses(reference))
+    gyro = np.empty((0, 3)) if record.gyro is None else record.gyro
+    mean, inside = RunningIntegral(record.time, gyro).mean(rates.start + lag_s, rates.stop + lag_s)
+    good = inside & rates.valid
+    u, w = mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
+    product = w.T @ u
+    left, singular, right = np.linalg.svd(product)
+    if not singular[1] > _LEAST_SPREAD * singular[0]:
+        raise AlignmentError(
+            "alignment: wanted turning about two axes or more, got one; turn the device about another axis, or give the "
+            "mounting",
+            spread=float(singular[1] / max(singular[0], 1e-300)),
+        )
+    sign = float(np.sign(np.linalg.det(left @ right)))
+    if sign < 0.0 and singular[2] > 0.2 * singular[1]:
+        raise AlignmentError(
+            "alignment: wanted a rotation between two right-handed frames, got a reflection; one axis of the device or of the "
+            "reference is reversed"
+        )
+    rotation = left @ np.diag((1.0, 1.0, sign)) @ right
+    cosine = float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0))
+    residual = w - u @ rotation.T
+    return Alignment(
+        rotation=rotation,
+        angle=float(np.arccos(cosine)),
+        residual_rms=float(np.sqrt((residual**2).mean())),
+    )
+
+
+# ---- Orientation errors in degrees of freedom that matter: total, heading, inclination, sagittal pitch.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OrientationError:
+    """Error of one orientation against another, sample by sample; NaN where either is missing."""
+
+    total: FloatArray  # (N,), rad; heading signed
+    heading: FloatArray  # (N,), rad; heading signed
+    inclination: FloatArray  # (N,), rad; heading signed
+    # (N,), signed difference of sagittal pitch, rad; NaN where the vertical leaves the sagittal plane
+    pitch: FloatArray
+
+
+def compare_orientations(
+    q_nb: FloatArray, reference_q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z"
+) -> OrientationError:
+    """Compare orientations of the same body at the same times.
+
+    Parameters
+    ----------
+    q_nb : array, shape (N, 4)
+        Judged orientation, w-x-y-z.
+    reference_q_nb : array, shape (N, 4)
+        Reference orientation, w-x-y-z.
+    forward, up : str
+        Axes of the body that span its sagittal plane, "+x" and the like.
+
+    Returns
+    -------
+    OrientationError
+        In rad.
+    """
+    e = quaternion_product(q_nb, quaternion_conjugate(reference_q_nb))
+    pitch = sagittal_pitch(q_nb, forward=forward, up=up) - sagittal_pitch(reference_q_nb, forward=forward, up=up)
+    return OrientationError(
+        total=2.0 * np.arctan2(np.linalg.norm(e[:, 1:], axis=1), np.abs(e[:, 0])),
+        heading=heading_of(e),
+        inclination=inclination_of(e),
+        pitch=wrapped(pitch),
+    )
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """Return angles brought into (-pi, pi].
+
+    Arrays: angle (N,) rad -> (N,) rad.
+    """
+    turned: FloatArray = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    return turned
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root-mean-square of what is not a gap.
+
+    Arrays: values (N,).
+    """
+    seen = values[np.isfinite(values)]
+    return float(np.sqrt((seen**2).mean())) if len(seen) else float("nan")
+
+
+def median(values: FloatArray) -> float:
+    """Return the median of what is not a gap.
+
+    Arrays: values (N,).
+    """
+    seen = values[np.isfinite(values)]
+    return float(np.median(seen)) if len(seen) else float("nan")
+
+
+def slope(time: FloatArray, values: FloatArray, chosen: BoolArray) -> float:
+    """Return the least-squares slope of values over time.
+
+    Arrays: time (N,) s, values (N,), chosen (N,).
+    """
+    good = chosen & np.isfinite(values)
+    if good.sum() < 2:
+        return float("nan")
+    t = time[good] - time[good].mean()
+    return float((t * values[good]).sum() / (t * t).sum())
+
+
+# ---- Figures: what an error over time comes to, in degrees, for a table or a person.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """What one recording comes to, or a mean or median over recordings."""
+
+    lag_ms: float  # How late the record's samples were, ms
+    rmse_total_deg: float  # Root-mean-square error over the motion, deg
+    rmse_inclination_deg: float  # Root-mean-square error over the motion, deg
+    rmse_heading_deg: float  # Root-mean-square error over the motion, deg
+    rmse_pitch_deg: float  # Root-mean-square error over the motion, deg
+    # Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the
+    # edge of that, on tumbling motion, the largest grows beyond the error in space
+    mean_pitch_deg: float
+    # Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the
+    # edge of that, on tumbling motion, the largest grows beyond the error in space
+    sd_pitch_deg: float
+    # Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the
+    # edge of that, on tumbling motion, the largest grows beyond the error in space
+    max_abs_pitch_deg: float
+    # Range of motion in pitch less that of the reference, deg; needs less than half a turn to mean anything
+    range_pitch_error_deg: float
+    max_total_deg: float  # Largest total error over the motion, deg
+    end_total_deg: float  # Median error after the motion, deg; NaN where the recording ends with it
+    end_inclination_deg: float  # Median error after the motion, deg; NaN where the recording ends with it
+    drift_deg_per_min: float  # Slope of the total error over the motion, deg/min
+    # Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two
+    rmse_total_before_lag_deg: float
+    # Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two
+    rmse_total_after_lag_deg: float
+    valid_optics: float  # Share of the motion in which the reference saw the body
+    valid_optics_file: float  # Share of all its poses in which the reference saw the body, rests and ends counted
+    # Share of the samples of the motion with an error at all in which sensor and reference have a pitch: the vertical
+    # is not within 5 deg of the normal of the sagittal plane
+    pitch_defined: float
+    motion_s: float  # Length of the motion, s
+    turn_rate_rms_dps: float  # Root-mean-square body rate in motion, deg/s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stretches:
+    """Which samples of a reference count for what."""
+
+    time: FloatArray  # (N,), s, reference clock
+    moving: BoolArray  # (N,), within the motion, pauses left out where the reference marks them
+    after: BoolArray  # (N,), the first seconds after the motion
+    valid: BoolArray  # (N,), seen by the reference
+
+
+def figures_of(
+    error: OrientationError, pitches: tuple[FloatArray, FloatArray], stretches: Stretches, *, lag_s: float
+) -> Figures:
+    """Sum up one recording.
+
+    Arrays: pitches (N,) rad.
+    """
+    m = stretches.moving
+    pitch = error.pitch[m][np.isfinite(error.pitch[m])]
+    both = m & np.isfinite(pitches[0]) & np.isfinite(pitches[1])
+    nothing = float("nan")
+    total = error.total[m][np.isfinite(error.total[m])]
+    return Figures(
+        lag_ms=lag_s * 1e3,
+        rmse_total_deg=degrees(rms(total)),
+        rmse_inclination_deg=degrees(rms(error.inclination[m])),
+        rmse_heading_deg=degrees(rms(error.heading[m])),
+        rmse_pitch_deg=degrees(rms(pitch)),
+        mean_pitch_deg=degrees(float(pitch.mean())) if len(pitch) else nothing,
+        sd_pitch_deg=degrees(float(pitch.std())) if len(pitch) else nothing,
+        max_abs_pitch_deg=degrees(float(np.abs(pitch).max())) if len(pitch) else nothing,
+        range_pitch_error_deg=degrees(float(np.ptp(pitches[0][both]) - np.ptp(pitches[1][both])))
+        if both.any()
+        else nothing,
+        max_total_deg=degrees(float(total.max())) if len(total) else nothing,
+        end_total_deg=degrees(median(error.total[stretches.after])),
+        end_inclination_deg=degrees(median(error.inclination[stretches.after])),
+        drift_deg_per_min=degrees(60.0 * slope(stretches.time, error.total, m)),
+        rmse_total_before_lag_deg=nothing,
+        rmse_total_after_lag_deg=nothing,
+        pitch_defined=len(pitch) / len(total) if len(total) else nothing,
+        valid_optics=float(stretches.valid[m].mean()) if m.any() else 0.0,
+        valid_optics_file=float(stretches.valid.mean()),
+        motion_s=nothing,
+        turn_rate_rms_dps=nothing,
+    )
+
+
+def degrees(angle: float) -> float:
+    """Return an angle in degrees."""
+    return angle / RADIAN_PER_DEGREE
+
+
+# ---- trial
 
 RestOffset = Literal["none", "rest"]
 Adc = Literal["auto", "none"]
@@ -89,18 +417,10 @@ TRIAL_SETTINGS = TrialSettings()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounting:
-    """How the device sits on the reference's body, and whether that was undone.
+    """How the device sits on the reference's body, and whether that was undone."""
 
-    Parameters
-    ----------
-    alignment : Alignment
-        Rotation from device case to body.
-    applied : bool
-        Whether the readings were turned by it.
-    """
-
-    alignment: Alignment
-    applied: bool
+    alignment: Alignment  # Rotation from device case to body
+    applied: bool  # Whether the readings were turned by it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -304,25 +624,7 @@ def _corrected(
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
-    """Return the calibration of a device that is what its unit says, apart from the rounding of its codes.
-
-    Parameters
-    ----------
-    record : Record
-        In physical units.
-    adc : AdcModel or None
-        Rounding of the codes.
-
-    Returns
-    -------
-    Calibration
-        Identity matrices and zero offsets.
-
-    Raises
-    ------
-    InputError
-        Counts or volts.
-    """
+    """Return the calibration of a device that is what its unit says, apart from the rounding of its codes."""
 
     def nominal(unit: str, quantity: Literal["rate", "accel"]) -> TriadModel:
         return TriadModel(

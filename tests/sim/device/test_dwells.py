@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.sim.device.dwells import Dwells, simulate_dwells
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
-from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.simulate import Dwells, simulate_device, simulate_dwells
 from undrift.sim.motion.motion import Motion
 
 G = 9.80665

@@ -11,10 +11,7 @@ from scipy.signal import lsim
 from testkit.data import show
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.errors import InputError
-from undrift.sim.device.adc import Adc, rounded
-from undrift.sim.device.amplifier import Amplifier
-from undrift.sim.device.low_pass import LowPass, sallen_key
-from undrift.sim.device.sampling import Sampling
+from undrift.sim.device.effects import Adc, Amplifier, LowPass, Sampling, rounded, sallen_key
 
 
 def wave(time: np.ndarray, hz: float) -> np.ndarray:

@@ -5,11 +5,7 @@ import pytest
 
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.errors import InputError
-from undrift.sim.device.g_sensitivity import GSensitivity
-from undrift.sim.device.lever_arm import LeverArm
-from undrift.sim.device.nonlinearity import Nonlinearity
-from undrift.sim.device.rate_drift import RateDrift
-from undrift.sim.device.scale import Scale
+from undrift.sim.device.effects import GSensitivity, LeverArm, Nonlinearity, RateDrift, Scale
 
 TIME = np.arange(101) / 100.0
 RAMP = np.linspace(-3.0, 3.0, 101)[:, None] * np.array([1.0, 0.5, -1.0])

@@ -7,11 +7,8 @@ import pytest
 
 from testkit.data import show
 from testkit.simulated_device import chain, device_of, run, still_motion
-from undrift.calibration.allan import allan_deviation
-from undrift.sim.device.instability import BiasInstability
-from undrift.sim.device.low_pass import LowPass
-from undrift.sim.device.noise import RandomWalk, WhiteNoise
-from undrift.sim.device.sampling import Sampling
+from undrift.calibration.noise import allan_deviation
+from undrift.sim.device.effects import BiasInstability, LowPass, RandomWalk, Sampling, WhiteNoise
 
 N, RATE_HZ = 400_000, 100.0
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from testkit.simulated_device import motion_of
-from undrift.correct import correct
+from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.sim import simulate_device, true_calibration
 from undrift.sim.device.presets import LIMIT_SD, PRESETS, preset, preset_grade, random_device_of
-from undrift.sim.device.truth import nominal_calibration, true_tables
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import nominal_calibration, true_calibration, true_tables
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DPS = RADIAN_PER_DEGREE

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.sim import random_device
-from undrift.sim.device.presets import PRESETS, random_device_of
-from undrift.sim.device.random import grade_named
+from undrift.sim.device.presets import PRESETS, grade_named, random_device, random_device_of
 
 
 def test_the_same_seed_gives_the_same_device() -> None:

@@ -7,30 +7,27 @@ import pytest
 
 from testkit.data import show
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
-from undrift.correct import correct
+from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.orientation.strapdown import integrate_strapdown
-from undrift.sim import (
-    BenchSettings,
-    OpticsSettings,
-    bench_motion,
-    draw_task,
-    random_device,
-    see,
-    simulate_device,
-    true_calibration,
+from undrift.orientation import integrate_strapdown
+from undrift.sim.device.effects import (
+    Adc,
+    Amplifier,
+    BiasInstability,
+    GSensitivity,
+    LowPass,
+    RandomWalk,
+    Sampling,
+    Thermometer,
+    WhiteNoise,
 )
-from undrift.sim.device.adc import Adc
-from undrift.sim.device.amplifier import Amplifier
-from undrift.sim.device.g_sensitivity import GSensitivity
-from undrift.sim.device.instability import BiasInstability
-from undrift.sim.device.low_pass import LowPass
-from undrift.sim.device.noise import RandomWalk, WhiteNoise
-from undrift.sim.device.presets import random_device_of
-from undrift.sim.device.sampling import Sampling
-from undrift.sim.device.thermometer import Thermometer
-from undrift.sim.motion.poses import motion_from_poses
-from undrift.validation.errors import compare_orientations
+from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.poses import OpticsSettings, motion_from_poses, see
+from undrift.sim.motion.tasks import draw_task
+from undrift.validation.trial import compare_orientations
 
 SHORT = BenchSettings(still_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0)
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import FileFormatError, InputError
-from undrift.sim import random_device
-from undrift.sim.device.presets import PRESETS, preset, random_device_of
-from undrift.sim.device.store import device_from_json, device_json, read_device, write_device
+from undrift.sim.device.model import device_from_json, device_json, read_device, write_device
+from undrift.sim.device.presets import PRESETS, preset, random_device, random_device_of
 
 
 @pytest.mark.parametrize("name", PRESETS)

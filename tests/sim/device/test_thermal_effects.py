@@ -5,11 +5,7 @@ import pytest
 
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.errors import InputError
-from undrift.sim.device.hysteresis import Hysteresis, play
-from undrift.sim.device.offset import Offset
-from undrift.sim.device.thermal_scale import ThermalScale
-from undrift.sim.device.thermometer import Thermometer, lm335
-from undrift.sim.device.warm_up import WarmUp
+from undrift.sim.device.effects import Hysteresis, Offset, ThermalScale, Thermometer, WarmUp, lm335, play
 
 
 def test_the_offset_is_a_polynomial_of_the_warmth_and_the_thermal_scale_acts_on_all_before_it() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.sim.motion.course import Burst, Part, Step, Sway, ViaPoint, Wave, course_at
+from undrift.sim.motion.motion import Burst, Part, Step, Sway, ViaPoint, Wave, course_at
 
 PARTS: dict[str, Part] = {
     "step": Step(0.4, 1.3, 0.7),

@@ -7,8 +7,7 @@ from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.record import Reference
-from undrift.sim.motion.cutoff import CutoffSettings, RealRate, choose_cutoff
-from undrift.sim.motion.poses import fit_pose_spline
+from undrift.sim.motion.poses import CutoffSettings, RealRate, choose_cutoff, fit_pose_spline
 
 
 def swung(noise: float = 1e-3, highest_hz: float = 4.0) -> Reference:

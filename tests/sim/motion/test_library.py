@@ -12,10 +12,8 @@ import pytest
 
 from testkit.data import show
 from undrift.frames import rotate
-from undrift.sim.motion.library import TaskName, draw_task
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.subject import cohort
-from undrift.sim.motion.task import Task
+from undrift.sim.motion.tasks import Task, TaskName, cohort, draw_task
 
 DRAWS = 200
 

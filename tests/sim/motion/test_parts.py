@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.session import Still
+from undrift.record import Still
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.parts import known_parts, part_of
+from undrift.sim.motion.poses import known_parts, part_of
 
 
 def steady(samples: int = 20) -> Motion:

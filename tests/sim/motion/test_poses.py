@@ -7,12 +7,18 @@ from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.record import Reference
-from undrift.sim.motion.course import Wave
-from undrift.sim.motion.gaps import find_stretches
-from undrift.sim.motion.lowpass import zero_phase
-from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline, motion_from_poses
-from undrift.sim.motion.spline import quintic, turning
-from undrift.sim.motion.task import Task
+from undrift.sim.motion.motion import Wave
+from undrift.sim.motion.poses import (
+    PoseSettings,
+    PoseSpline,
+    find_stretches,
+    fit_pose_spline,
+    motion_from_poses,
+    quintic,
+    turning,
+    zero_phase,
+)
+from undrift.sim.motion.tasks import Task
 
 G = 9.81
 

@@ -5,8 +5,8 @@ import pytest
 
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.orientation.strapdown import integrate_strapdown
-from undrift.sim.motion.rivals import RivalKind, RivalSettings, rival_motion
+from undrift.orientation import integrate_strapdown
+from undrift.sim.motion.bench import RivalKind, RivalSettings, rival_motion
 
 KINDS: tuple[RivalKind, ...] = ("trolley", "inclined_plane", "piston", "robot_arm")
 SHORT = RivalSettings(still_s=1.0, run_s=6.0, plane_angles=(-1.0, 0.0, 0.5))

@@ -7,10 +7,10 @@ import pytest
 
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.orientation.strapdown import integrate_strapdown
-from undrift.session import FACES
-from undrift.sim import BenchSettings, bench_motion
-from undrift.sim.motion.script import facing, unit_vector
+from undrift.orientation import integrate_strapdown
+from undrift.record import FACES
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.motion import facing, unit_vector
 
 KINDS = ("six_face", "rate_table", "bench", "ferraris", "multi_position")
 FEW_RATES = (0.2, 1.0)

@@ -5,7 +5,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.sim.motion.subject import Group, Performance, cohort
+from undrift.sim.motion.tasks import Group, Performance, cohort
 
 TABLE_2: dict[Group, tuple[tuple[float, float, float], tuple[float, float, float]]] = {  # the note, Table 2
     "simulation": ((45.0, 62.0, 84.0), (1.50, 1.66, 1.85)),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.sim.motion.sway import BAND_HZ, GYRATION, Balance, draw_sway, sway_spectrum
+from undrift.sim.motion.tasks import BAND_HZ, GYRATION, Balance, draw_sway, sway_spectrum
 
 BALANCE = Balance(centre_height=0.9)
 

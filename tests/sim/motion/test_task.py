@@ -6,10 +6,9 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.orientation.strapdown import integrate_strapdown
-from undrift.sim import draw_task
-from undrift.sim.motion.course import Step, Sway, ViaPoint, Wave
-from undrift.sim.motion.task import Task
+from undrift.orientation import integrate_strapdown
+from undrift.sim.motion.motion import Step, Sway, ViaPoint, Wave
+from undrift.sim.motion.tasks import Task, draw_task
 
 TASKS = ("sit_to_stand", "posturography", "free", "step")
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.sim.rig.air import Air, AirSettings
-from undrift.sim.rig.chamber import EmulatedChamber
-from undrift.sim.rig.clock import HandClock
+from undrift.sim.rig.axes import HandClock
+from undrift.sim.rig.bench import Air, AirSettings, EmulatedChamber
 
 
 def heated(settings: AirSettings, to_c: float, duration_s: float) -> tuple[np.ndarray, np.ndarray]:

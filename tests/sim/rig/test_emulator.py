@@ -13,10 +13,8 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.sim.rig.clock import HandClock, HostClock
-from undrift.sim.rig.emulator import Emulator, EmulatorSettings, start_emulator
-from undrift.sim.rig.faults import LINK_FAULTS, RIG_FAULTS
-from undrift.sim.rig.servo import ServoSettings
+from undrift.sim.rig.axes import HandClock, HostClock, ServoSettings
+from undrift.sim.rig.emulator import LINK_FAULTS, RIG_FAULTS, Emulator, EmulatorSettings, start_emulator
 
 
 @pytest.fixture

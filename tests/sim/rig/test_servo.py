@@ -5,9 +5,8 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.kernels import servo as k
-from undrift.sim.rig.axis import Axis
-from undrift.sim.rig.servo import ServoSettings, loop_margins, ramp_error_counts
+from undrift.kernels import device as k
+from undrift.sim.rig.axes import Axis, ServoSettings, loop_margins, ramp_error_counts
 
 DEG_PER_COUNT = 360.0 / 40_000
 IDEAL = ServoSettings(quantise=False, coulomb_friction=0.0)

@@ -10,24 +10,19 @@ import pytest
 
 from undrift.arrays import frozen
 from undrift.errors import InputError, RigFault, RigTimeout
-from undrift.live.address import open_source, source_at
-from undrift.live.decoder import FrameDecoder, LineDecoder
-from undrift.live.description import StreamDescription
-from undrift.live.dwells import DwellReadings
-from undrift.live.recorder import Recorder
-from undrift.rig.address import open_rig
+from undrift.live.decoder import FrameDecoder, LineDecoder, StreamDescription
+from undrift.live.recorder import DwellReadings, Recorder
+from undrift.live.transports import open_source, source_at
+from undrift.record import FACES
 from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
-from undrift.session import FACES
-from undrift.sim.device.random import random_device
+from undrift.rig.rig import open_rig
+from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import EARTH_RATE
-from undrift.sim.motion.script import unit_vector
-from undrift.sim.rig.air import AirSettings
-from undrift.sim.rig.bench import BenchHands, EmulatedBenchSettings, start_bench
-from undrift.sim.rig.clock import HandClock
+from undrift.sim.motion.motion import unit_vector
+from undrift.sim.rig.axes import HandClock
+from undrift.sim.rig.bench import AirSettings, BenchHands, EmulatedBenchSettings, start_bench
 from undrift.sim.rig.emulator import EmulatorSettings
-from undrift.sim.rig.frames import frame_of, line_of
-from undrift.sim.rig.readings import CausalDevice
-from undrift.sim.rig.stream import CHANNELS, EmulatedDevice, StreamSettings
+from undrift.sim.rig.stream import CHANNELS, CausalDevice, EmulatedDevice, StreamSettings, frame_of, line_of
 from undrift.units import STANDARD_GRAVITY
 
 DEVICE = random_device(np.random.default_rng(8), grade="consumer", serial="HIDDEN-1")

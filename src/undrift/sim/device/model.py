@@ -2,14 +2,28 @@
 
 Every effect is a value of its own in a file of its own; ``simulate.py`` composes them. No matrix is inverted here; the
 correction undrift fits is another set of equations.
+
+Device files: device.json, one object, kind "undrift.device", format 1.
+
+Every key is the field's name with its unit behind it, where the name does not say it: offset.constant_rad_s of a gyroscope,
+offset.constant_m_s2 of an accelerometer. null stands for an effect that is switched off; infinity, which JSON does not know, is
+"inf" or "-inf". Numbers read back to the last bit; a key that is missing or unknown is an error.
 """
 
-from dataclasses import dataclass, replace
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
 
-from undrift.sim.device.chain import SensorChain
-from undrift.sim.device.fields import quantity, settle
-from undrift.sim.device.sampling import Sampling
-from undrift.sim.device.thermometer import Thermometer
+import numpy as np
+
+from undrift.errors import FileFormatError, InputError
+from undrift.files import write_whole
+from undrift.sim.device.effects import Sampling, SensorChain, Thermometer, quantity, settle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,3 +75,117 @@ class DeviceModel:
             thermometer=replace(self.thermometer, noise_c=0.0, step_c=0.0),
             sampling=replace(self.sampling, jitter_s=0.0),
         )
+
+
+# ---- Device files: device.json, one object, kind "undrift.device", format 1.
+
+KIND = "undrift.device"
+FORMAT = 1
+
+
+def write_device(device: DeviceModel, path: Path | str) -> None:
+    """Write a device to a file, whole or not at all."""
+    path = Path(path)
+    text = json.dumps(device_json(device), indent=1, allow_nan=False) + "\n"
+    write_whole(path, text)
+
+
+def read_device(path: Path | str) -> DeviceModel:
+    """Read a device file."""
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileFormatError(f"{path}: wanted a device file, got {error.strerror}; check the path") from error
+    except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
+        raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
+    try:
+        return device_from_json(content)
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def device_json(device: DeviceModel) -> dict[str, Any]:
+    """Return a device as plain values for JSON."""
+    return {"kind": KIND, "format": FORMAT, **_plain(device, {})}
+
+
+def device_from_json(content: object) -> DeviceModel:
+    """Return the device of plain values."""
+    kind, version = (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
+    if not isinstance(content, dict) or kind != KIND:
+        raise InputError(f"device: wanted kind {KIND!r}, got {kind!r}; give a file that undrift wrote as a device")
+    if version != FORMAT or isinstance(version, bool):
+        raise InputError(f"device: wanted format {FORMAT}, got {version!r}; read it with the undrift that wrote it")
+    held = {key: value for key, value in content.items() if key not in ("kind", "format")}
+    return typing.cast(DeviceModel, _value(held, DeviceModel, {}, "device"))
+
+
+def _units(owner: str, unit_out: str) -> dict[str, str]:
+    """Return what {x} and {out} stand for in a chain."""
+    return {"x": "rad_s" if owner == "gyro" else "m_s2", "out": unit_out}
+
+
+def _key(field: Any, units: Mapping[str, str]) -> str:
+    unit = field.metadata.get("unit", "")
+    return str(field.name) + ("_" + unit.format_map(units) if unit else "")
+
+
+def _out_unit(chain: Mapping[str, Any]) -> str:
+    """Return the unit ahead of the converter: volts where an amplifier stands, else that of the reading."""
+    return "v" if chain["amplifier"] else str(chain["unit"]).replace("/", "_")
+
+
+def _plain(value: Any, units: Mapping[str, str]) -> dict[str, Any]:
+    if isinstance(value, SensorChain):
+        units = {**units, "out": _out_unit({"amplifier": value.amplifier, "unit": value.unit})}
+    made = {}
+    for f in fields(value):
+        held = getattr(value, f.name)
+        inner = _units(f.name, "") if f.name in ("gyro", "accel") else units
+        made[_key(f, units)] = _plain(held, inner) if is_dataclass(held) else _written(held)
+    return made
+
+
+def _written(held: Any) -> Any:
+    if isinstance(held, np.ndarray):
+        return held.tolist()
+    if isinstance(held, float) and math.isinf(held):
+        return "inf" if held > 0.0 else "-inf"
+    return held.item() if isinstance(held, np.generic) else held
+
+
+def _value(content: object, kind: type, units: Mapping[str, str], where: str) -> Any:
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: wanted an object, got {type(content).__name__}; repair the file")
+    if kind is SensorChain and {"amplifier", "unit"} <= content.keys():
+        units = {**units, "out": _out_unit(content)}
+    keys = {_key(f, units): f for f in fields(kind)}
+    for key in (*keys, *content):
+        if (key in keys) != (key in content):
+            had = "it missing" if key in keys else "an unknown key"
+            raise InputError(f"{where}.{key}: wanted the keys of format {FORMAT}, got {had}; repair the file")
+    hints = typing.get_type_hints(kind)
+    return kind(**{f.name: _read(content[key], f, hints[f.name], units, f"{where}.{key}") for key, f in keys.items()})
+
+
+def _read(held: object, field: Any, hint: Any, units: Mapping[str, str], where: str) -> Any:
+    allowed = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    if held is None and type(None) in allowed:
+        return None
+    inner = next((a for a in allowed if isinstance(a, type) and is_dataclass(a)), None)
+    if inner is not None:
+        return _value(held, inner, _units(field.name, "") if field.name in ("gyro", "accel") else units, where)
+    if field.metadata["shape"] is not None:
+        return held if isinstance(held, list) else _refuse(held, "an array", where)
+    if float in allowed:
+        if held in ("inf", "-inf"):
+            return float(str(held))
+        number = isinstance(held, int | float) and not isinstance(held, bool) and math.isfinite(held)
+        return float(typing.cast(float, held)) if number else _refuse(held, "a number", where)
+    wanted = next((a for a in (bool, int) if a in allowed), str)
+    return held if type(held) is wanted else _refuse(held, wanted.__name__, where)
+
+
+def _refuse(held: object, wanted: str, where: str) -> Any:
+    raise InputError(f"{where}: wanted {wanted}, got {held!r}; repair the file")

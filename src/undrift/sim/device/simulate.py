@@ -1,86 +1,113 @@
 """Simulate: what a device says to a motion, and what each effect has to do with it.
 
-The effects are composed left to right in the order of ``chain.py``. Each stage maps a signal to a signal; the difference is
+The effects are composed left to right in the order of ``sim/device/effects.py``. Each stage maps a signal to a signal; the
+difference is
 the contribution of the effect, so that truth plus contributions is the reading. A gyroscope that averages between samples is
 driven by the rotation vector of each step over its duration, which loses no coning.
+
+Dwells: what a device reads on average while it is turned at a steady rate, or rests, for a while.
+
+The effects that are steady over a dwell (scale, non-linearity, g-sensitivity, offset, thermal scale, rate drift, warm-up,
+hysteresis) are those of ``simulate_device``, a sample a dwell. White noise, low-pass, rails and converter run over every sample of
+the dwell, in a kernel. The flicker of the offset is exact from dwell to dwell for processes slower than a dwell, and drawn afresh,
+as its mean over the dwell, for faster ones. The low-pass has settled when a dwell begins.
+
+Streams: one independent source of random numbers per effect, named, so that adding an effect changes no other's noise.
+
+A stream is a numpy generator seeded by (root, crc32 of the effect's name). The root is drawn from the caller's
+generator, 128 bits at a time: each call of a simulator gets fresh noise, and the same generator gives the same noise again.
 """
 
+import math
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
 from undrift.errors import InputError
 from undrift.record import Record
-from undrift.sim.device.adc import converted
-from undrift.sim.device.amplifier import amplified
-from undrift.sim.device.chain import SensorChain
-from undrift.sim.device.g_sensitivity import with_g
-from undrift.sim.device.hysteresis import with_hysteresis
-from undrift.sim.device.instability import with_instability
-from undrift.sim.device.lever_arm import lever_arm_force
-from undrift.sim.device.low_pass import low_passed
+from undrift.sim.device.effects import (
+    RATIO,
+    Averaging,
+    BiasInstability,
+    Sampling,
+    Scene,
+    SensorChain,
+    Ticks,
+    amplified,
+    bent,
+    converted,
+    difference_equation,
+    instant,
+    interval,
+    lever_arm_force,
+    low_passed,
+    scaled,
+    scene_of,
+    step_means,
+    thermometer_reading,
+    ticks_of,
+    warmed,
+    warming_up,
+    with_g,
+    with_hysteresis,
+    with_instability,
+    with_offset,
+    with_random_walk,
+    with_white_noise,
+)
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.noise import with_random_walk, with_white_noise
-from undrift.sim.device.nonlinearity import bent
-from undrift.sim.device.offset import with_offset
-from undrift.sim.device.sampling import Averaging, Ticks, instant, interval, step_means, ticks_of
-from undrift.sim.device.scale import scaled
-from undrift.sim.device.scene import Scene, scene_of
-from undrift.sim.device.thermal_scale import warmed
-from undrift.sim.device.thermometer import thermometer_reading
-from undrift.sim.device.warm_up import warming_up
 from undrift.sim.motion.motion import Motion
-from undrift.sim.streams import Streams, draw_streams
+from undrift.units import STANDARD_GRAVITY
+
+# ---- Streams: one independent source of random numbers per effect, named, so that adding an effect changes no other's noise.
+
+
+@dataclass(frozen=True, slots=True)
+class Streams:
+    """Named random streams of one simulation."""
+
+    root: tuple[int, ...]  # Entropy shared by the streams, four words of 32 bits
+
+    def of(self, effect: str) -> np.random.Generator:
+        """Return the stream of one effect."""
+        key = zlib.crc32(effect.encode())
+        return np.random.default_rng(np.random.SeedSequence(self.root, spawn_key=(key,)))
+
+
+def draw_streams(rng: np.random.Generator) -> Streams:
+    """Return fresh streams; the caller's generator moves on by one draw of 128 bits."""
+    return Streams(tuple(int(word) for word in rng.integers(0, 2**32, 4, dtype=np.uint64)))
+
+
+# ---- simulate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contribution:
-    """What one effect adds to a triad's readings.
+    """What one effect adds to a triad's readings."""
 
-    Parameters
-    ----------
-    effect : str
-        Its name: a field of ``SensorChain``, or sampling.
-    value : array, shape (M, 3)
-        rad/s or m/s2, in nominal input units.
-    """
-
-    effect: str
-    value: FloatArray
+    effect: str  # Its name: a field of ``SensorChain``, or sampling
+    value: FloatArray  # (M, 3), rad/s or m/s2, in nominal input units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Triad:
-    """One triad's side of a simulation, M samples.
+    """One triad's side of a simulation, M samples."""
 
-    Parameters
-    ----------
-    true : array, shape (M, 3)
-        Rate or specific force at the body's origin, rad/s or m/s2, frame b: of the step for a gyroscope that averages.
-    contributions : tuple of Contribution
-        In the order of the chain: truth and contributions add up to (reading - null) / gain.
-    saturated : array of bool, shape (M, 3)
-        True where a rail or the end of the codes held the reading.
-    """
-
+    # (M, 3), rate or specific force at the body's origin, rad/s or m/s2, frame b: of the step for a gyroscope that
+    # averages
     true: FloatArray
+    # In the order of the chain: truth and contributions add up to (reading - null) / gain
     contributions: tuple[Contribution, ...]
-    saturated: BoolArray
+    saturated: BoolArray  # (M, 3), true where a rail or the end of the codes held the reading
 
     def of(self, effect: str) -> FloatArray:
         """Return the contribution of one effect.
 
-        Parameters
-        ----------
-        effect : str
-            Its name.
-
-        Returns
-        -------
-        array, shape (M, 3)
-            Zeros for an effect that is switched off.
+        Arrays:  -> (M, 3).
         """
         return next((c.value for c in self.contributions if c.effect == effect), np.zeros_like(self.true))
 
@@ -335,3 +362,179 @@ def _latest(said: FloatArray, time: FloatArray, ticks: Ticks) -> FloatArray:
         return said
     at: FloatArray = said[np.maximum(np.searchsorted(time, ticks.true_s + 1e-12, side="right") - 1, 0)]
     return at
+
+
+# ---- Dwells: what a device reads on average while it is turned at a steady rate, or rests, for a while.
+
+BURN_IN_S = 0.3  # a second-order filter at 3 Hz has forgotten its start to 1 %
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dwells:
+    """What is imposed, N dwells in the order of time."""
+
+    start_s: FloatArray  # (N,), when each begins, settled, s since power-on
+    duration_s: FloatArray  # (N,), s
+    rate_b: FloatArray  # (N, 3), steady rate, rad/s
+    force_b: FloatArray  # (N, 3), mean specific force, m/s2
+    temp_c: FloatArray  # (N,), temperature of the board, degC
+
+    def __post_init__(self) -> None:
+        n = len(self.temp_c)
+        for name, shape in (
+            ("start_s", (n,)),
+            ("duration_s", (n,)),
+            ("rate_b", (n, 3)),
+            ("force_b", (n, 3)),
+            ("temp_c", (n,)),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Dwells.{name}"))
+        if n < 2 or (np.diff(self.start_s) <= 0.0).any() or (self.duration_s <= 0.0).any():
+            raise InputError(
+                f"dwells: wanted two or more, one after the other, each longer than 0 s, got {n}; sort them by their start"
+            )
+
+    def __len__(self) -> int:
+        return len(self.temp_c)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DwellReadings:
+    """What the device said, N dwells."""
+
+    gyro: FloatArray  # (N, 3), mean reading, raw unit
+    accel: FloatArray  # (N, 3), mean reading, raw unit
+    gyro_variance: FloatArray  # (N, 3), variance of the samples, raw unit squared
+    accel_variance: FloatArray  # (N, 3), variance of the samples, raw unit squared
+    samples: IntArray  # (N,), in each dwell
+    temp_c: FloatArray  # (N,), what the thermometer said, settled, degC
+
+
+def simulate_dwells(
+    device: DeviceModel,
+    dwells: Dwells,
+    *,
+    rng: np.random.Generator,
+    sample_rate_hz: float = 100.0,
+    felt: BoolArray | None = None,
+) -> DwellReadings:
+    """Return what a device reads over dwells.
+
+    Arrays: felt (N,).
+    """
+    streams = draw_streams(rng)
+    samples = np.maximum(np.round(dwells.duration_s * sample_rate_hz).astype(np.int64), 1)
+    steady = simulate_device(
+        _steady(device), _motion(dwells), rng=streams.of("steady"), temp_c=dwells.temp_c, power_on_s=dwells.start_s[0]
+    )
+    said = steady.record.temp_c if steady.record.temp_c is not None else dwells.temp_c
+    gyro, accel = steady.record.gyro, steady.record.accel
+    found: list[FloatArray] = []
+    for name, chain, level in (("gyro", device.gyro, gyro), ("accel", device.accel, accel)):
+        if level is None:
+            raise InputError(f"dwells: wanted {name} readings of the device, got none")
+        flicker = _flicker(chain.instability, dwells, streams.of(f"{name}_instability"))
+        lengths = samples if name == "gyro" or felt is None else np.where(felt, samples, 1)
+        found += _averaged(chain, level + flicker, lengths, sample_rate_hz, streams, name)
+    return DwellReadings(
+        gyro=found[0], gyro_variance=found[1], accel=found[2], accel_variance=found[3], samples=samples, temp_c=said
+    )
+
+
+def _steady(device: DeviceModel) -> DeviceModel:
+    """Return the device with all that is steady over a dwell, in nominal input units: no noise, filter, gain, rails or codes."""
+
+    def bare(chain: SensorChain, unit: str) -> SensorChain:
+        nothing = replace(
+            chain, white_noise=None, instability=None, random_walk=None, amplifier=None, low_pass=None, adc=None
+        )
+        return replace(nothing, unit=unit, scale=replace(chain.scale, nominal_sensitivity=1.0))
+
+    return replace(
+        device,
+        gyro=bare(device.gyro, "rad/s"),
+        accel=bare(device.accel, "m/s2"),
+        sampling=Sampling(),
+        thermometer=replace(device.thermometer, lag_s=0.0),
+    )
+
+
+def _motion(dwells: Dwells) -> Motion:
+    n = len(dwells)
+    middle = dwells.start_s + 0.5 * dwells.duration_s
+    return Motion(
+        time=middle,
+        q_nb=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        rate_b=dwells.rate_b,
+        mean_rate_b=dwells.rate_b,
+        force_b=dwells.force_b,
+        gravity_m_s2=STANDARD_GRAVITY,
+        moving=np.zeros(n),
+        angular_acceleration_b=np.zeros((n, 3)),
+    )
+
+
+def _flicker(effect: BiasInstability | None, dwells: Dwells, rng: np.random.Generator) -> FloatArray:
+    """Return the mean of the flicker over each dwell, nominal input units, shape (N, 3)."""
+    from undrift.kernels.device import follow
+
+    n = len(dwells)
+    total = np.zeros((n, 3))
+    if effect is None:
+        return total
+    sd = effect.instability * math.sqrt(math.log(RATIO) / math.pi)
+    middle, length = dwells.start_s + 0.5 * dwells.duration_s, dwells.duration_s
+    for constant in effect.time_constants_s.tolist():
+        share = length / constant
+        shrink = np.sqrt(np.maximum(2.0 / share * (1.0 + np.expm1(-share) / share), 0.0))  # of the mean over a dwell
+        draws = rng.standard_normal((n, 3))
+        if constant > float(np.median(length)):
+            follow(draws, np.exp(-np.diff(middle) / constant))
+        total += sd * shrink[:, None] * draws
+    return total
+
+
+def _averaged(
+    chain: SensorChain, level: FloatArray, samples: IntArray, sample_rate_hz: float, streams: Streams, name: str
+) -> list[FloatArray]:
+    from undrift.kernels.device import dwell_readings
+
+    step_s = 1.0 / sample_rate_hz
+    white = chain.white_noise.random_walk / math.sqrt(step_s) if chain.white_noise else np.zeros(3)
+    b, a = np.tile([1.0, 0.0, 0.0], (3, 1)), np.tile([1.0, 0.0, 0.0], (3, 1))
+    if chain.low_pass:
+        for axis in range(3):
+            b[axis], a[axis] = difference_equation(
+                float(chain.low_pass.cutoff_hz[axis]), float(chain.low_pass.quality[axis]), step_s
+            )
+    mean, variance = np.empty_like(level), np.empty_like(level)
+    burn_in = round(BURN_IN_S * sample_rate_hz) if chain.low_pass else 0
+    dwell_readings(
+        np.ascontiguousarray(level), samples, burn_in, np.array(white), b, a, _converter(chain), _rails(chain),
+        streams.of(f"{name}_white"), mean, variance,
+    )  # fmt: skip
+    return [mean, variance]
+
+
+def _converter(chain: SensorChain) -> FloatArray:
+    """Gain and null in the unit of the reading, first and last code, rounding."""
+    if chain.adc is None or not chain.adc.codes:
+        return np.array([chain.gain, chain.null, -np.inf, np.inf, 0.0])
+    first, last = chain.adc.code_limits
+    rounding = {"nearest": 1.0, "floor": 2.0}.get(chain.adc.rounding)
+    if rounding is None and not chain.adc.signed:
+        rounding = 2.0  # codes from 0 up: toward zero is down
+    if rounding is None or chain.adc.inl_lsb.any():
+        raise InputError(
+            f"dwells: wanted a straight converter that rounds to nearest or down, got {chain.adc.rounding}; use simulate_device"
+        )
+    return np.array([chain.gain, chain.null, float(first), float(last), rounding])
+
+
+def _rails(chain: SensorChain) -> FloatArray:
+    if chain.amplifier is None:
+        return np.array([-np.inf, np.inf])
+    total = chain.amplifier.gain * chain.scale.nominal_sensitivity
+    return np.array(
+        [(chain.amplifier.low - chain.amplifier.null) / total, (chain.amplifier.high - chain.amplifier.null) / total]
+    )

@@ -3,7 +3,7 @@
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.model import (
+from undrift.model import (
     MATRIX_NAMES,
     OFFSET_NAMES,
     AdcModel,
@@ -15,11 +15,9 @@ from undrift.calibration.model import (
     StaticDrift,
     TriadModel,
 )
-from undrift.sim.device.chain import SensorChain
-from undrift.sim.device.grade import Grade
+from undrift.sim.device.effects import SensorChain, bent
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.nonlinearity import bent
-from undrift.sim.device.random import typical_device
+from undrift.sim.device.presets import Grade, typical_device
 from undrift.units import STANDARD_GRAVITY
 
 
@@ -30,20 +28,6 @@ def true_calibration(
 
     With k(T) the thermal scale, C the scale's matrix and S the gain: ``matrix = (S diag(1 + k) C)^-1``,
     ``offset = null + S (1 + k) o(T)``, g-sensitivity seen through the same matrix.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        The truth.
-    temp_c : float, optional
-        Temperature, degC; the reference temperature where not given.
-    gravity_m_s2 : float
-        Local gravity to note in it, m/s2.
-
-    Returns
-    -------
-    Calibration
-        Covariance zero.
     """
     temp = device.reference_temp_c if temp_c is None else temp_c
     warmth = temp - device.reference_temp_c
@@ -60,22 +44,7 @@ def true_calibration(
 def true_tables(device: DeviceModel, temp_c: FloatArray, turn_rate: FloatArray) -> DriftTables:
     """Return the tuning tables that are exact for a settled device, at their nodes.
 
-    The dynamic table is e over measured rate, found by turning each axis alone: what thermal scale, non-linearity and rate
-    drift leave after offset(T) and M(T).
-
-    Parameters
-    ----------
-    device : DeviceModel
-        The truth.
-    temp_c : array, shape (n,)
-        Nodes, degC, increasing.
-    turn_rate : array, shape (k,)
-        Nodes of the measured rate, rad/s, increasing.
-
-    Returns
-    -------
-    DriftTables
-        Static, scale and dynamic.
+    Arrays: temp_c (n,) degC, turn_rate (k,) rad/s.
     """
     models = [
         (_model(device.gyro, t, "rad/s"), _model(device.accel, t, "m/s2")) for t in temp_c - device.reference_temp_c
@@ -103,20 +72,7 @@ def true_tables(device: DeviceModel, temp_c: FloatArray, turn_rate: FloatArray) 
 
 
 def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY) -> Calibration:
-    """Return what a data sheet alone would make of the readings: nominal sensitivity, square axes, no offset.
-
-    Parameters
-    ----------
-    grade : Grade
-        The kind of device.
-    gravity_m_s2 : float
-        Local gravity to note in it, m/s2.
-
-    Returns
-    -------
-    Calibration
-        Covariance zero.
-    """
+    """Return what a data sheet alone would make of the readings: nominal sensitivity, square axes, no offset."""
     device = typical_device(grade)
 
     def triad(chain: SensorChain, unit_out: str) -> TriadModel:
@@ -133,21 +89,7 @@ def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY)
 
 
 def largest_departure(estimate: TriadModel, truth: TriadModel) -> float:
-    """Return how far an estimate lies from the truth, element by element, at most.
-
-    Over the matrix, and the g-sensitivity where it was fitted: |estimate - truth| / standard uncertainty. The offset is left
-    out, since it wanders from the moment that the truth is stated for.
-
-    Parameters
-    ----------
-    estimate, truth : TriadModel
-        Of the same triad; the estimate with its covariance.
-
-    Returns
-    -------
-    float
-        In standard uncertainties.
-    """
+    """Return how far an estimate lies from the truth, element by element, at most."""
     sigma = estimate.standard_uncertainty
     apart = np.abs(estimate.matrix - truth.matrix).ravel() / sigma[:9]
     if estimate.g_sensitivity is not None:

@@ -7,58 +7,223 @@
 
 Both are closed-form values at the instant of the sample: nothing is differentiated numerically. Where a motion was recorded
 and the cameras lost the body, it is unknown: NaN, and ``valid`` 0.
+
+Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
+
+``Step``      least-jerk change between two rests: 10 s^3 - 15 s^4 + 6 s^5; peak rate 1.875 A/T, acceleration 5.77 A/T^2
+``ViaPoint``  least-jerk there and back: through a turning point at a given instant, its acceleration left free
+``Wave``      a sinusoid that swells and ebbs
+``Sway``      a sum of sinusoids under one such envelope
+``Burst``     a decaying oscillation: the knock of a heel
+
+Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
+
+In piece p the case turns about one axis u_b by theta(s), s = local time over duration, from the orientation q_p in which
+the piece began. Everything follows in closed form::
+
+    q_nb = q_p (x) exp(u theta)      w_b = u theta'      f_b = R_nb^T (c'' + g z) + w' x r + w x (w x r)
+
+with r the lever arm of the accelerometers from the turning axis and c the path of a slide, along which nothing turns.
+A still has theta = 0; a hand turn has the quintic A (10 s^3 - 15 s^4 + 6 s^5); the ramp of a rate table has a rate that
+rises by that quintic. A label leaves out its first sample, whose mean rate still belongs to the step before; the label of
+a hand turn takes in the sample that ends it.
 """
 
+import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from undrift.arrays import FloatArray, frozen
-from undrift.frames import quaternion_conjugate, quaternion_product
-from undrift.session import Still, Turn
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.record import Axis, Face, Still, Turn
+
+# ---- Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
+
+
+class Part(Protocol):
+    """A function of time with its first two derivatives."""
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return value, first and second derivative.
+
+        Arrays: time (N,) s -> (3, N).
+        """
+        ...
+
+
+Course = tuple[Part, ...]
+
+
+def course_at(course: Course, time: FloatArray) -> FloatArray:
+    """Return a course and its first two derivatives.
+
+    Arrays: time (N,) s -> (3, N).
+    """
+    total = np.zeros((3, len(time)))
+    for part in course:
+        total += part.at(time)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A smooth change: the quintic of least jerk, 10 s^3 - 15 s^4 + 6 s^5 of the local time s."""
+
+    start_s: float  # s
+    duration_s: float  # s
+    change: float  # rad or m
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return value, first and second derivative.
+
+        Arrays: time (N,) s -> (3, N).
+        """
+        s = np.clip((time - self.start_s) / self.duration_s, 0.0, 1.0)
+        left = s * (1.0 - s)
+        value = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        first, second = 30.0 * left * left / self.duration_s, 60.0 * left * (1.0 - 2.0 * s) / self.duration_s**2
+        return self.change * np.stack((value, first, second))
+
+
+@dataclass(frozen=True, slots=True)
+class ViaPoint:
+    """There and back with least jerk: rest, a turning point, rest.
+
+    The integral of the squared jerk is least among all courses that start and end at rest and stand still for an
+    instant at the via-point. Each side is a quintic; acceleration and jerk pass the via-point unbroken, which gives its
+    acceleration (T and U the two durations, A and B the two changes)::
+
+        a = (20/3) (B / U^3 - A / T^3) / (1 / T + 1 / U)
+
+    There and back evenly (B = -A, U = T): peak rate 1.728 A/T, acceleration at the turn -6.67 A/T^2.
+    """
+
+    start_s: float  # s
+    there_s: float  # Durations before and after the via-point, s
+    back_s: float  # Durations before and after the via-point, s
+    there: float  # Changes before and after it, rad or m
+    back: float  # Changes before and after it, rad or m
+
+    @property
+    def acceleration(self) -> float:
+        """Acceleration at the via-point, rad/s2 or m/s2."""
+        pull = self.back / self.back_s**3 - self.there / self.there_s**3
+        return 20.0 / 3.0 * pull / (1.0 / self.there_s + 1.0 / self.back_s)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return value, first and second derivative.
+
+        Arrays: time (N,) s -> (3, N).
+        """
+        via_s = self.start_s + self.there_s
+        total = Step(self.start_s, self.there_s, self.there).at(time) + Step(via_s, self.back_s, self.back).at(time)
+        bend = _bend(np.clip((via_s - time) / self.there_s, 0.0, 1.0), self.there_s) * [[1.0], [-1.0], [1.0]]
+        after = time > via_s
+        bend[:, after] = _bend(np.clip((time[after] - via_s) / self.back_s, 0.0, 1.0), self.back_s)
+        return total + self.acceleration * bend
+
+
+def _bend(s: FloatArray, duration_s: float) -> FloatArray:
+    """Return T^2 s^2 (1 - s)^3 / 2 and its derivatives: unit acceleration at s = 0, no value or rate at either end."""
+    left = 1.0 - s
+    value = 0.5 * duration_s**2 * s * s * left**3
+    first = 0.5 * duration_s * s * left * left * (2.0 - 5.0 * s)
+    return np.stack((value, first, left * (1.0 - 8.0 * s + 10.0 * s * s)))
+
+
+@dataclass(frozen=True, slots=True)
+class Wave:
+    """A sinusoid that swells at the start and ebbs at the end."""
+
+    amplitude: float  # rad or m
+    frequency_hz: float  # Hz
+    phase: float  # rad
+    start_s: float  # Where it is not zero, s
+    stop_s: float  # Where it is not zero, s
+    swell_s: float = 1.0  # Time to full amplitude, and back to none, s
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return value, first and second derivative.
+
+        Arrays: time (N,) s -> (3, N).
+        """
+        one = (self.amplitude,), (self.frequency_hz,), (self.phase,)
+        return Sway(*one, self.start_s, self.stop_s, self.swell_s).at(time)
+
+
+@dataclass(frozen=True, slots=True)
+class Sway:
+    """A sum of sinusoids under one envelope."""
+
+    amplitudes: tuple[float, ...]  # rad or m
+    frequencies_hz: tuple[float, ...]  # Hz
+    phases: tuple[float, ...]  # rad
+    start_s: float  # Where it is not zero, s
+    stop_s: float  # Where it is not zero, s
+    swell_s: float  # Time to full amplitude, and back to none, s
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return value, first and second derivative.
+
+        Arrays: time (N,) s -> (3, N).
+        """
+        rise = Step(self.start_s, self.swell_s, 1.0).at(time)
+        e, e1, e2 = rise - Step(self.stop_s - self.swell_s, self.swell_s, 1.0).at(time)
+        speed, amplitude = 2.0 * math.pi * np.array(self.frequencies_hz), np.array(self.amplitudes)
+        turn = np.outer(speed, time) + np.array(self.phases)[:, None]
+        sine, cosine = np.sin(turn), np.cos(turn)
+        v, v1, v2 = amplitude @ sine, (amplitude * speed) @ cosine, -(amplitude * speed**2) @ sine
+        return np.stack((e * v, e1 * v + e * v1, e2 * v + 2.0 * e1 * v1 + e * v2))
+
+
+@dataclass(frozen=True, slots=True)
+class Burst:
+    """A knock that dies away: A (u/T)^3 exp(3 - 3 u/T) sin(w u), u the time since it came."""
+
+    amplitude: float  # A, m
+    frequency_hz: float  # w / 2 pi, Hz
+    start_s: float  # When it comes, s
+    peak_s: float  # T, from there to the peak of the envelope, s
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return value, first and second derivative.
+
+        Arrays: time (N,) s -> (3, N).
+        """
+        u = np.maximum((time - self.start_s) / self.peak_s, 0.0)
+        decay = np.exp(3.0 - 3.0 * u)
+        e, e1 = u**3 * decay, 3.0 * u * u * (1.0 - u) * decay / self.peak_s
+        e2 = 3.0 * u * (2.0 - 6.0 * u + 3.0 * u * u) * decay / self.peak_s**2
+        speed = 2.0 * math.pi * self.frequency_hz
+        sine, cosine = np.sin(speed * self.peak_s * u), np.cos(speed * self.peak_s * u)
+        first, second = e1 * sine + e * speed * cosine, (e2 - e * speed**2) * sine + 2.0 * e1 * speed * cosine
+        return self.amplitude * np.stack((e * sine, first, second))
+
+
+# ---- motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """True motion of a device.
+    """True motion of a device."""
 
-    Parameters
-    ----------
-    time : array, shape (N,)
-        s.
-    q_nb : array, shape (N, 4)
-        Orientation, w-x-y-z.
-    rate_b : array, shape (N, 3)
-        Angular rate at the sample, rad/s.
-    mean_rate_b : array, shape (N, 3)
-        Rotation vector of the step from the sample before, over its duration, rad/s: what a gyroscope reads that
-        averages between samples.
-    force_b : array, shape (N, 3)
-        Specific force at the sample, m/s2.
-    gravity_m_s2 : float
-        Gravity in it, m/s2.
-    stills : tuple of Still
-        Where the device stood still, to the sample.
-    turns : tuple of Turn
-        Where it turned in a way the bench knows.
-    moving : array, shape (N,)
-        1 where the device moved, else 0.
-    angular_acceleration_b : array, shape (N, 3), or None
-        Change of the angular rate, rad/s2; None where a motion does not tell.
-    valid : array, shape (N,)
-        1 where the motion is known, else 0; all 1 unless stated.
-    """
-
-    time: FloatArray
-    q_nb: FloatArray
-    rate_b: FloatArray
+    time: FloatArray  # (N,), s
+    q_nb: FloatArray  # (N, 4), orientation, w-x-y-z
+    rate_b: FloatArray  # (N, 3), angular rate at the sample, rad/s
+    # (N, 3), rotation vector of the step from the sample before, over its duration, rad/s: what a gyroscope reads
+    # that averages between samples
     mean_rate_b: FloatArray
-    force_b: FloatArray
-    gravity_m_s2: float
-    stills: tuple[Still, ...] = ()
-    turns: tuple[Turn, ...] = ()
-    moving: FloatArray
+    force_b: FloatArray  # (N, 3), specific force at the sample, m/s2
+    gravity_m_s2: float  # Gravity in it, m/s2
+    stills: tuple[Still, ...] = ()  # Where the device stood still, to the sample
+    turns: tuple[Turn, ...] = ()  # Where it turned in a way the bench knows
+    moving: FloatArray  # (N,), 1 where the device moved, else 0
+    # (N, 3), change of the angular rate, rad/s2; None where a motion does not tell
     angular_acceleration_b: FloatArray | None = None
+    # (N,), 1 where the motion is known, else 0; all 1 unless stated
     valid: FloatArray = field(default_factory=lambda: np.ones(0))
 
     def __post_init__(self) -> None:
@@ -87,19 +252,7 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
     ``w[k] = log(conj(q[k-1]) q[k]) / (t[k] - t[k-1])``, exact for any motion: turning by w[k] for one step leads from
     one orientation to the next.
 
-    Parameters
-    ----------
-    time : array, shape (N,)
-        s.
-    q_nb : array, shape (N, 4)
-        Orientation, w-x-y-z; less than half a turn a step.
-    first : array, shape (3,)
-        Value of the first sample, which has no step before it, rad/s.
-
-    Returns
-    -------
-    array, shape (N, 3)
-        rad/s, frame b.
+    Arrays: time (N,) s, q_nb (N, 4), first (3,) rad/s -> (N, 3) rad/s.
     """
     step = quaternion_product(quaternion_conjugate(q_nb[:-1]), q_nb[1:])
     step = np.where(step[:, :1] < 0.0, -step, step)
@@ -108,3 +261,165 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
         stretch = np.where(sine > 0.0, 2.0 * np.arctan2(sine, step[:, 0]) / sine, 2.0)
     rates = step[:, 1:] * (stretch / np.diff(time))[:, None]
     return np.vstack((first[None, :], rates))
+
+
+# ---- Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
+
+REST = Polynomial([0.0])
+SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and second derivatives vanish at both ends
+RAMP = SMOOTH.integ()  # its derivative rises smoothly from 0 to 1; reaches 1/2
+UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # a hand that hesitates half way; 0 at both ends
+
+Path = tuple[Course, Course, Course]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """Samples [start, stop): a turn about one axis."""
+
+    start: int  # Samples
+    stop: int  # Samples
+    q: FloatArray  # (4,), orientation at its first instant
+    axis_b: FloatArray  # (3,), unit vector
+    angle: Polynomial  # Angle over s in [0, 1), rad
+    path: Path = ((), (), ())  # Displacement along x, y, z of n over the time since its first instant, m
+
+
+class Script:
+    """Writes a motion piece by piece."""
+
+    def __init__(self, sample_rate_hz: float, up_b: FloatArray) -> None:
+        self.sample_rate_hz = sample_rate_hz
+        self.q = facing(np.array([1.0, 0.0, 0.0, 0.0]), up_b)
+        self.pieces: list[Piece] = []
+        self.stills: list[Still] = []
+        self.turns: list[Turn] = []
+
+    @property
+    def samples(self) -> int:
+        """Samples written so far."""
+        return self.pieces[-1].stop if self.pieces else 0
+
+    def still(self, duration_s: float, face: Face | None = None) -> None:
+        """Stand still."""
+        start, stop = self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
+        self.stills.append(Still(start=start + (start > 0), stop=stop, face=face))
+
+    def turn_to(self, q: FloatArray, duration_s: float) -> None:
+        """Turn smoothly, by the shortest way, to an orientation.
+
+        Arrays: q (4,).
+        """
+        step = quaternion_product(quaternion_conjugate(self.q), q)
+        step = step if step[0] >= 0.0 else -step
+        sine = float(np.linalg.norm(step[1:]))
+        axis = step[1:] / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
+        self._turn(duration_s, axis, SMOOTH * (2.0 * np.arctan2(sine, step[0])))
+
+    def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray, label: float) -> None:
+        """Turn by hand through an angle, at a rate that is anything but constant.
+
+        Arrays: axis_b (3,).
+        """
+        start, stop = self._turn(duration_s, axis_b, (SMOOTH + UNEVEN) * angle)
+        self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=label))
+
+    def spin(self, axis: Axis, turn_rate: float, ramp_s: float, dwell_s: float) -> None:
+        """Ramp up, hold a steady rate, ramp down; the dwell is labelled."""
+        unit = unit_vector(axis)
+        ramp, dwell = self._whole(ramp_s), self._whole(dwell_s)
+        self._turn(ramp_s, unit, RAMP * (turn_rate * ramp))
+        start, stop = self._turn(dwell_s, unit, Polynomial([0.0, turn_rate * dwell]))
+        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=turn_rate))
+        self._turn(ramp_s, unit, (Polynomial([0.0, 1.0]) - RAMP) * (turn_rate * ramp))
+
+    def slide(self, path: Path, duration_s: float) -> None:
+        """Move along a path without turning."""
+        start, stop = self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
+        self.pieces[-1] = Piece(start, stop, self.q, np.array([1.0, 0.0, 0.0]), REST, path)
+
+    def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
+        """Return what was written.
+
+        Arrays: lever_arm_b (3,) m, earth_rate_n (3,) rad/s.
+        """
+        n = self.samples
+        time = np.arange(n) / self.sample_rate_hz
+        q, rate, rotation_acceleration, moving = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+        push_n = np.zeros((n, 3))
+        for piece in self.pieces:
+            cut = slice(piece.start, piece.stop)
+            count = piece.stop - piece.start
+            if piece.angle is REST:
+                q[cut] = piece.q
+                moving[cut] = float(any(piece.path))
+                since = np.arange(count) / self.sample_rate_hz
+                push_n[cut] = np.stack([course_at(course, since)[2] for course in piece.path], axis=1)
+                continue
+            s, duration = np.arange(count) / count, count / self.sample_rate_hz
+            q[cut] = quaternion_product(piece.q, turn_quaternion(piece.axis_b, piece.angle(s)))
+            rate[cut] = np.outer(piece.angle.deriv(1)(s) / duration, piece.axis_b)
+            rotation_acceleration[cut] = np.outer(piece.angle.deriv(2)(s) / duration**2, piece.axis_b)
+            moving[cut] = 1.0
+        inverse = quaternion_conjugate(q)
+        earth_b = rotate(inverse, np.broadcast_to(earth_rate_n, (n, 3)))
+        arm = np.broadcast_to(lever_arm_b, (n, 3))
+        swing = np.cross(rotation_acceleration, arm) + np.cross(rate, np.cross(rate, arm))
+        return Motion(
+            time=time,
+            q_nb=q,
+            rate_b=rate + earth_b,
+            mean_rate_b=mean_rate(time, q, rate[0]) + earth_b,
+            angular_acceleration_b=rotation_acceleration - np.cross(rate, earth_b),
+            force_b=rotate(inverse, push_n + np.array([0.0, 0.0, gravity_m_s2])) + swing,
+            gravity_m_s2=gravity_m_s2,
+            stills=tuple(self.stills),
+            turns=tuple(self.turns),
+            moving=moving,
+        )
+
+    def _turn(self, duration_s: float, axis_b: FloatArray, angle: Polynomial) -> tuple[int, int]:
+        start = self.samples
+        stop = start + round(duration_s * self.sample_rate_hz)
+        self.pieces.append(Piece(start, stop, self.q, axis_b, angle))
+        if angle is not REST:
+            self.q = quaternion_product(self.q, turn_quaternion(axis_b, np.array(angle(1.0))))
+            self.q = self.q / np.linalg.norm(self.q)
+        return start, stop
+
+    def _whole(self, duration_s: float) -> float:
+        return round(duration_s * self.sample_rate_hz) / self.sample_rate_hz
+
+
+def unit_vector(name: Axis | Face) -> FloatArray:
+    """Return the unit vector of an axis or face.
+
+    Arrays:  -> (3,).
+    """
+    vector = np.zeros(3)
+    vector["xyz".index(name[-1])] = -1.0 if name[0] == "-" else 1.0
+    return vector
+
+
+def turn_quaternion(axis_b: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return the quaternions of turns about one axis.
+
+    Arrays: axis_b (3,), angle (...,) rad -> (..., 4).
+    """
+    half = 0.5 * np.asarray(angle)
+    return np.concatenate((np.cos(half)[..., None], np.sin(half)[..., None] * axis_b), axis=-1)
+
+
+def facing(q: FloatArray, up_b: FloatArray) -> FloatArray:
+    """Return the orientation nearest to q in which a direction of the case points up.
+
+    Arrays: q (4,), up_b (3,) -> (4,).
+    """
+    up = up_b / np.linalg.norm(up_b)
+    now = rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0]))
+    axis = np.cross(up, now)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:  # same way or upside down: turn about any axis across
+        axis = np.cross(now, np.eye(3)[int(np.argmin(np.abs(now)))])
+    angle = np.arctan2(sine, float(up @ now))
+    return quaternion_product(q, turn_quaternion(axis / np.linalg.norm(axis), np.array(angle)))

@@ -8,91 +8,207 @@ sign; position; rotation into b comes last), then one quintic spline through eac
 
 so that integrating the rate gives the pose back. A pose sequence that is drawn on straight lines between the frames that the
 cameras took must be brought back to those frames first.
+
+Cut-off: how much of a pose sequence is motion and how much is camera noise, and where to cut.
+
+Four ways, of which each states its reason::
+
+    fixed      a number that the caller stands for
+    residual   R(f) = rms(x - lowpass(x, f)); the straight line of the noise, through the upper half of f, meets f = 0 at the
+               noise's own rms; the cut-off is where R(f) falls to it [1]_
+    rest       the lowest f from where on the spectrum of the motion stays below twice that of a rest
+    gyro       the f at which the rate from the poses is closest to that of a real gyroscope, 3 x 3 and offset free
+
+References
+----------
+.. [1] D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th ed., 2009, section 3.4.4.3.
+
+Spline: a pose as a function of time, with its exact derivatives.
+
+Position p(t) and the four numbers s(t) of a quaternion are quintic splines; the orientation is s over its length. With
+conj(s) s' = (s . s') + (vector part), everything follows in closed form and belongs together::
+
+    q = s / |s|
+    w = 2 Im(conj(s) s') / |s|^2                                       angular rate of b against n, seen in b
+    w' = 2 Im(conj(s) s'') / |s|^2  -  2 w (s . s') / |s|^2            conj(s') s' is a number, so it adds nothing
+    a = p''                                                            in n
+
+Gaps: the stretches of a recording over which one spline may be drawn, and how much of each is to be believed.
+
+A pose that is missing for no longer than ``gap_s`` is bridged. A longer gap ends the stretch: nothing is drawn across it, and
+beside it ``trim_s`` is taken off, where the filter and the spline still lean on the edge. The ends of the recording lose
+``end_trim_s``.
+
+Low-pass: Butterworth, run forward and back over evenly spaced samples.
+
+Order n in each direction, so n-th order poles twice and no delay. Two passes would be 6 dB down at the cut-off f_c, so each is
+designed for f_c / (sqrt(2) - 1)^(1 / 2n) [1]_ and the two together are 3 dB down there::
+
+    |H(f)|^2 = 1 / (1 + (sqrt(2) - 1) (f / f_c)^(2n))        amplitude of both passes, analogue prototype
+
+References
+----------
+.. [1] D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th ed., 2009, section 3.4.4.2.
 """
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, rotate
-from undrift.record import Reference
-from undrift.sim.motion.gaps import find_stretches
-from undrift.sim.motion.lowpass import ORDER, zero_phase
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.record import Reference, Still, Turn
+from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.motion import Motion, mean_rate
-from undrift.sim.motion.spline import quintic, turning
+from undrift.sim.motion.tasks import Task
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
+
+# ---- Spline: a pose as a function of time, with its exact derivatives.
+
+DEGREE = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turning:
+    """Orientation and what belongs to it, at given instants."""
+
+    q_nb: FloatArray  # (N, 4), w-x-y-z
+    rate_b: FloatArray  # (N, 3), rad/s
+    acceleration_b: FloatArray  # (N, 3), angular acceleration, rad/s2
+
+
+def quintic(time: FloatArray, values: FloatArray) -> "BSpline":
+    """Return the quintic spline through values.
+
+    Arrays: time (K,) s, values (K, C).
+    """
+    from scipy.interpolate import make_interp_spline
+
+    return make_interp_spline(time, values, k=DEGREE)
+
+
+def turning(spline: "BSpline", time: FloatArray) -> Turning:
+    """Return orientation, rate and angular acceleration of a spline of quaternions.
+
+    Arrays: time (N,) s.
+    """
+    s, first, second = spline(time), spline(time, nu=1), spline(time, nu=2)
+    square = (s * s).sum(axis=1, keepdims=True)
+    inverse = quaternion_conjugate(s)
+    rate = 2.0 * quaternion_product(inverse, first)[:, 1:] / square
+    swell = 2.0 * (s * first).sum(axis=1, keepdims=True) / square
+    acceleration = 2.0 * quaternion_product(inverse, second)[:, 1:] / square - rate * swell
+    return Turning(q_nb=s / np.sqrt(square), rate_b=rate, acceleration_b=acceleration)
+
+
+# ---- Gaps: the stretches of a recording over which one spline may be drawn, and how much of each is to be believed.
+
+FEWEST = 12  # poses in a stretch: twice what a quintic needs to be one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stretch:
+    """Poses without a long gap among them."""
+
+    rows: IntArray  # (K,), rows of the recording that were seen
+    start_s: float  # From where to where the motion is known, s: the stretch less what is trimmed
+    stop_s: float  # From where to where the motion is known, s: the stretch less what is trimmed
+
+
+def find_stretches(
+    time: FloatArray, seen: BoolArray, *, gap_s: float = 0.1, trim_s: float = 0.2, end_trim_s: float = 0.1
+) -> tuple[Stretch, ...]:
+    """Return the stretches between long gaps.
+
+    Arrays: time (N,) s, seen (N,).
+    """
+    rows = np.flatnonzero(seen)
+    breaks = np.flatnonzero(np.diff(time[rows]) > gap_s * (1.0 + 1e-9)) + 1
+    found = []
+    for piece in np.split(rows, breaks):
+        if len(piece) < FEWEST:
+            continue
+        before = end_trim_s if piece[0] == 0 else trim_s
+        after = end_trim_s if piece[-1] == len(time) - 1 else trim_s
+        start, stop = float(time[piece[0]]) + before, float(time[piece[-1]]) - after
+        if stop > start:
+            found.append(Stretch(rows=piece, start_s=start, stop_s=stop))
+    if not found:
+        raise InputError(
+            f"poses: wanted a stretch of {FEWEST} poses or more without a gap over {gap_s:g} s, longer than what is trimmed, "
+            f"got none among {len(rows)} poses seen of {len(time)}; trim less or record without gaps"
+        )
+    return tuple(found)
+
+
+# ---- Low-pass: Butterworth, run forward and back over evenly spaced samples.
+
+ORDER = 4  # in each direction: a quarter of the cut-off passes within 1e-5, so a signal is not booked as scale factor
+_PAD = 3.0  # periods of the cut-off mirrored at each end
+
+
+def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order: int = ORDER) -> FloatArray:
+    """Return the columns of x low-pass filtered without delay.
+
+    Arrays: x (N, C) -> (N, C).
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    each = cutoff_hz / (math.sqrt(2.0) - 1.0) ** (0.5 / order)
+    if not 0.0 < each < 0.5 * sample_rate_hz:
+        highest = 0.5 * sample_rate_hz * cutoff_hz / each if cutoff_hz > 0.0 else 0.5 * sample_rate_hz
+        raise InputError(
+            f"low-pass: wanted a cut-off between 0 and {highest:.3g} Hz at {sample_rate_hz:.6g} samples/s, got {cutoff_hz:g} "
+            "Hz; lower it, or filter nothing with None"
+        )
+    sections = butter(order, each, fs=sample_rate_hz, output="sos")
+    pad = min(len(x) - 1, math.ceil(_PAD * sample_rate_hz / cutoff_hz))
+    filtered: FloatArray = np.ascontiguousarray(sosfiltfilt(sections, x, axis=0, padtype="odd", padlen=pad))
+    return filtered
+
+
+# ---- poses
 
 _EVEN = 0.02  # of a step: poses further off their even grid are drawn to it before filtering
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseSettings:
-    """How poses become a motion.
+    """How poses become a motion."""
 
-    Parameters
-    ----------
-    cutoff_hz : float or None
-        Low-pass of the orientation, Hz; lower takes camera noise and fast motion away. None leaves it unfiltered.
-    position_cutoff_hz : float or None
-        Low-pass of the position, Hz; acceleration multiplies noise by the square of frequency, so it is the lower one.
-    order : int
-        Of the Butterworth low-pass in each direction; higher is sharper and rings longer.
-    gap_s : float
-        Longest gap that is bridged, s.
-    trim_s : float
-        Not believed beside a longer gap, s.
-    end_trim_s : float
-        Not believed at the ends of the recording, s.
-    """
-
+    # Low-pass of the orientation, Hz; lower takes camera noise and fast motion away. None leaves it unfiltered
     cutoff_hz: float | None = 20.0
+    # Low-pass of the position, Hz; acceleration multiplies noise by the square of frequency, so it is the lower one
     position_cutoff_hz: float | None = 10.0
-    order: int = ORDER
-    gap_s: float = 0.1
-    trim_s: float = 0.2
-    end_trim_s: float = 0.1
+    order: int = ORDER  # Of the Butterworth low-pass in each direction; higher is sharper and rings longer
+    gap_s: float = 0.1  # Longest gap that is bridged, s
+    trim_s: float = 0.2  # Not believed beside a longer gap, s
+    end_trim_s: float = 0.1  # Not believed at the ends of the recording, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PosePiece:
-    """One stretch as splines.
+    """One stretch as splines."""
 
-    Parameters
-    ----------
-    start_s, stop_s : float
-        Where it is believed, s.
-    quaternion : BSpline
-        Four columns over time, 1.
-    position : BSpline or None
-        Three columns over time, m, frame n.
-    """
-
-    start_s: float
-    stop_s: float
-    quaternion: "BSpline"
-    position: "BSpline | None"
+    start_s: float  # Where it is believed, s
+    stop_s: float  # Where it is believed, s
+    quaternion: "BSpline"  # Four columns over time, 1
+    position: "BSpline | None"  # Three columns over time, m, frame n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseSpline:
-    """A motion that can be asked at any instants: splines through the poses, one for each stretch between long gaps.
+    """A motion that can be asked at any instants: splines through the poses, one for each stretch between long gaps."""
 
-    Parameters
-    ----------
-    pieces : tuple of PosePiece
-        In order of time.
-    moving_time, moving : array, shape (K,)
-        The author's marks of motion and when, s; all 1 where there were none.
-    """
-
-    pieces: tuple[PosePiece, ...]
-    moving_time: FloatArray
-    moving: FloatArray
+    pieces: tuple[PosePiece, ...]  # In order of time
+    moving_time: FloatArray  # (K,), the author's marks of motion and when, s; all 1 where there were none
+    moving: FloatArray  # (K,), the author's marks of motion and when, s; all 1 where there were none
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -102,17 +218,7 @@ class PoseSpline:
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
         """Return the motion at given instants.
 
-        Parameters
-        ----------
-        time : array, shape (N,)
-            s, increasing.
-        gravity_m_s2 : float
-            m/s2.
-
-        Returns
-        -------
-        Motion
-            NaN, and ``valid`` 0, where the poses do not tell; specific force NaN throughout without positions.
+        Arrays: time (N,) s.
         """
         n = len(time)
         q, rate, swing, force = (np.full((n, width), np.nan) for width in (4, 3, 3, 3))
@@ -143,15 +249,7 @@ class PoseSpline:
     def position(self, time: FloatArray) -> FloatArray:
         """Return where the body's origin is.
 
-        Parameters
-        ----------
-        time : array, shape (N,)
-            s.
-
-        Returns
-        -------
-        array, shape (N, 3)
-            m, frame n; NaN where the poses do not tell.
+        Arrays: time (N,) s -> (N, 3) m.
         """
         out = np.full((len(time), 3), np.nan)
         for piece in self.pieces:
@@ -162,25 +260,7 @@ class PoseSpline:
 
 
 def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings()) -> PoseSpline:
-    """Return splines through the poses of a body.
-
-    Parameters
-    ----------
-    reference : Reference
-        Poses, gaps allowed; at the frames that the instrument took.
-    settings : PoseSettings
-        Cut-offs and gap policy.
-
-    Returns
-    -------
-    PoseSpline
-        One piece for each stretch between long gaps.
-
-    Raises
-    ------
-    InputError
-        No stretch is long enough, or a cut-off beyond half the sample rate.
-    """
+    """Return splines through the poses of a body."""
     time, seen = reference.time, reference.valid
     if reference.position is not None:
         seen = seen & np.isfinite(reference.position).all(axis=1)
@@ -214,28 +294,7 @@ def motion_from_poses(
 ) -> Motion:
     """Return what an ideal sensor at the body's origin would feel.
 
-    Parameters
-    ----------
-    reference : Reference
-        Poses, gaps allowed; at the frames that the instrument took.
-    gravity_m_s2 : float
-        m/s2.
-    sample_rate_hz : float, optional
-        Samples per second, from the first instant known to the last, Hz.
-    time : array, shape (N,), optional
-        Or the instants themselves, s.
-    settings : PoseSettings
-        Cut-offs and gap policy.
-
-    Returns
-    -------
-    Motion
-        Without Earth rate; NaN, and ``valid`` 0, where the poses do not tell.
-
-    Raises
-    ------
-    InputError
-        Neither or both of sample rate and instants; as :func:`fit_pose_spline`.
+    Arrays: time (N,) s.
     """
     if (sample_rate_hz is None) == (time is None):
         raise InputError(
@@ -253,15 +312,7 @@ def motion_from_poses(
 def signed(q: FloatArray) -> FloatArray:
     """Return quaternions without jumps of sign.
 
-    Parameters
-    ----------
-    q : array, shape (K, 4)
-        Unit quaternions w-x-y-z, no gaps, less than a whole turn apart.
-
-    Returns
-    -------
-    array, shape (K, 4)
-        The same rotations.
+    Arrays: q (K, 4) -> (K, 4).
     """
     flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     same: FloatArray = q * np.append(1.0, np.cumprod(flips))[:, None]
@@ -271,21 +322,7 @@ def signed(q: FloatArray) -> FloatArray:
 def evenly(time: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
     """Return values on an even grid: as they are where they lie on one, else drawn to it by a cubic.
 
-    Parameters
-    ----------
-    time : array, shape (K,)
-        s, with short gaps or jitter.
-    values : array, shape (K, C)
-        Any unit.
-    step : float
-        Of the grid, about, s.
-
-    Returns
-    -------
-    time : array, shape (L,)
-        s, even.
-    values : array, shape (L, C)
-        As given.
+    Arrays: time (K,) s, values (K, C) -> (L,) s, (L, C).
     """
     count = round((time[-1] - time[0]) / step) + 1
     even = np.linspace(time[0], time[-1], count)
@@ -302,3 +339,250 @@ def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float 
     even, values = evenly(time, values, step)
     rate = float((len(even) - 1) / (even[-1] - even[0]))
     return quintic(even, zero_phase(values, cutoff_hz, sample_rate_hz=rate, order=order))
+
+
+# ---- Cut-off: how much of a pose sequence is motion and how much is camera noise, and where to cut.
+
+Method = Literal["fixed", "residual", "rest", "gyro"]
+Signal = Literal["orientation", "position"]
+_SMOOTH_HZ = 2.0  # a spectrum of few segments scatters by half: neighbours are averaged
+_TOP = 0.35  # of the sample rate: the highest cut-off that is tried
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CutoffSettings:
+    """What a cut-off is chosen by."""
+
+    fixed_hz: float = 20.0  # For method fixed, Hz
+    lowest_hz: float = 1.0  # Lowest that is tried, Hz
+    tries: int = 40  # Cut-offs tried, from lowest to 0.35 of the sample rate, in equal ratios
+    # Rest for method rest, s; None takes the longest stretch that the recording does not mark as moving
+    rest_s: tuple[float, float] | None = None
+    noise_factor: float = 2.0  # Power of the motion over that of the rest at which it counts as noise
+    segment_s: float = 2.0  # Length of a spectrum's segments, s; the resolution is its inverse
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cutoff:
+    """A cut-off and why."""
+
+    cutoff_hz: float  # 3 dB down after both passes, Hz
+    method: Method  # fixed, residual, rest or gyro
+    reason: str  # One sentence with the figures it rests on
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RealRate:
+    """Readings of a real gyroscope on the clock of the poses."""
+
+    time: FloatArray  # (N,), s, its delay taken off
+    rate: FloatArray  # (N, 3), rad/s, axes and offset as they are
+
+
+def choose_cutoff(
+    reference: Reference,
+    *,
+    method: Method,
+    signal: Signal = "orientation",
+    settings: CutoffSettings = CutoffSettings(),
+    gyro: RealRate | None = None,
+) -> Cutoff:
+    """Choose the cut-off of the low-pass for poses."""
+    if method not in get_args(Method) or signal not in get_args(Signal):
+        raise InputError(
+            f"cut-off: wanted a method of {', '.join(get_args(Method))} and a signal of {', '.join(get_args(Signal))}, got "
+            f"{method!r} and {signal!r}; choose one of each"
+        )
+    if method == "fixed":
+        return Cutoff(cutoff_hz=settings.fixed_hz, method=method, reason=f"{settings.fixed_hz:g} Hz as stated")
+    if method == "gyro":
+        if gyro is None or signal != "orientation":
+            raise InputError(
+                "cut-off: wanted readings of a gyroscope and the orientation, got other; choose method residual"
+            )
+        return _by_gyro(reference, gyro, settings)
+    if method == "rest":
+        return _by_rest(reference, signal, settings)
+    return _by_residual(reference, signal, settings)
+
+
+def _by_residual(reference: Reference, signal: Signal, settings: CutoffSettings) -> Cutoff:
+    time, values = _series(reference, signal, np.ones(len(reference), dtype=np.bool_))
+    rate = float((len(time) - 1) / (time[-1] - time[0]))
+    tried = np.linspace(settings.lowest_hz, _TOP * rate, 4 * settings.tries)
+    left = np.array([_rms(values - zero_phase(values, f, sample_rate_hz=rate)) for f in tried])
+    upper = tried > 0.5 * tried[-1]
+    _, noise = np.polyfit(tried[upper], left[upper], 1)
+    below = np.flatnonzero(left <= noise)
+    chosen = float(tried[below[0]]) if below.size else float(tried[-1])
+    unit, scale = ("deg", 1.0 / RADIAN_PER_DEGREE) if signal == "orientation" else ("mm", 1e3)
+    return Cutoff(
+        cutoff_hz=chosen,
+        method="residual",
+        reason=f"what a low-pass at {chosen:.1f} Hz leaves equals the noise of {scale * noise:.3g} {unit} rms that the line from "
+        f"{tried[upper][0]:.0f} to {tried[-1]:.0f} Hz points to",
+    )
+
+
+def _by_rest(reference: Reference, signal: Signal, settings: CutoffSettings) -> Cutoff:
+    from scipy.signal import welch
+
+    rest = _rest(reference, settings)
+    spectra = []
+    for part in (rest, ~rest):
+        time, values = _series(reference, signal, part)
+        rate = float((len(time) - 1) / (time[-1] - time[0]))
+        length = round(settings.segment_s * rate)
+        if len(time) < length:
+            raise InputError(
+                f"cut-off: wanted {settings.segment_s:g} s or more of rest and of motion without a long gap, got "
+                f"{time[-1] - time[0]:.2g} s; state rest_s or shorten segment_s"
+            )
+        power = welch(values, rate, nperseg=length, axis=0, detrend="linear")[1].sum(axis=1)  # type: ignore[call-overload]  # its stub spells linear "literal"
+        width = round(_SMOOTH_HZ * settings.segment_s) + 1
+        spectra.append(np.convolve(power, np.full(width, 1.0 / width), mode="same"))
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    use = (frequency >= settings.lowest_hz) & (frequency <= _TOP * rate)
+    above = np.flatnonzero(use & (spectra[1] > settings.noise_factor * spectra[0]))
+    last = float(frequency[use][-1])
+    chosen = float(frequency[above[-1] + 1]) if above.size else settings.lowest_hz
+    if chosen > last:  # cameras are noisier in motion than at rest
+        reason = f"up to {last:.1f} Hz, the highest tried, the motion has more than {settings.noise_factor:g} times the power"
+        return Cutoff(cutoff_hz=last, method="rest", reason=f"{reason} of the rest: no crossing, choose another method")
+    return Cutoff(
+        cutoff_hz=chosen,
+        method="rest",
+        reason=f"from {chosen:.1f} Hz on the motion has less than {settings.noise_factor:g} times the power of the rest",
+    )
+
+
+def _by_gyro(reference: Reference, gyro: RealRate, settings: CutoffSettings) -> Cutoff:
+    tried = np.geomspace(settings.lowest_hz, _TOP * reference.sample_rate_hz, settings.tries)
+    poses = replace(reference, position=None)
+    left, signal = [], 0.0
+    for f in tried:
+        motion = fit_pose_spline(poses, PoseSettings(cutoff_hz=float(f))).at(gyro.time, 0.0)
+        use = (motion.valid * motion.moving > 0.0) & np.isfinite(gyro.rate).all(axis=1)
+        if use.sum() < 100:
+            raise InputError(
+                f"cut-off: wanted 100 readings or more while the poses move, got {use.sum()}; check the gyroscope's clock"
+            )
+        design = np.column_stack((motion.rate_b[use], np.ones(use.sum())))
+        solution = np.linalg.lstsq(design, gyro.rate[use])[0]
+        left.append(_rms(gyro.rate[use] - design @ solution))
+        signal = _rms(gyro.rate[use])
+    best = int(np.argmin(left))
+    return Cutoff(
+        cutoff_hz=float(tried[best]),
+        method="gyro",
+        reason=f"at {tried[best]:.1f} Hz the rate from the poses is closest to the gyroscope: "
+        f"{left[best] / RADIAN_PER_DEGREE:.3g} of {signal / RADIAN_PER_DEGREE:.3g} deg/s rms are left",
+    )
+
+
+def _rest(reference: Reference, settings: CutoffSettings) -> BoolArray:
+    time = reference.time
+    if settings.rest_s is not None:
+        return np.asarray((time >= settings.rest_s[0]) & (time <= settings.rest_s[1]))
+    if reference.moving is None or not (reference.moving == 0.0).any():
+        raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; state rest_s")
+    return np.asarray(reference.moving == 0.0)
+
+
+def _series(reference: Reference, signal: Signal, part: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return the longest stretch of a part of the poses: even time, and quaternions doubled (rad) or coordinates (m)."""
+    seen = reference.valid & part
+    if signal == "position":
+        if reference.position is None:
+            raise InputError("cut-off: wanted positions, got poses without; choose the orientation")
+        seen &= np.isfinite(reference.position).all(axis=1)
+    stretches = find_stretches(reference.time, seen, trim_s=0.0, end_trim_s=0.0)
+    rows = max(stretches, key=lambda stretch: len(stretch.rows)).rows
+    poses = reference.position[rows] if reference.position is not None and signal == "position" else None
+    values = 2.0 * signed(reference.q_nb[rows]) if poses is None else poses
+    return evenly(reference.time[rows], values, 1.0 / reference.sample_rate_hz)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values**2).sum(axis=1).mean() / 3.0))
+
+
+# ---- Parts: a motion cut where it is not known, so that a device can be simulated on each piece without a gap.
+
+Label = TypeVar("Label", Still, Turn)
+
+
+def part_of(motion: Motion, start: int, stop: int) -> Motion:
+    """Return samples [start, stop) of a motion."""
+    if not 0 <= start < stop - 1 < len(motion):
+        raise InputError(f"motion: wanted samples within 0 and {len(motion)}, two or more, got [{start}, {stop})")
+    cut = slice(start, stop)
+    swing = motion.angular_acceleration_b
+    return Motion(
+        time=motion.time[cut],
+        q_nb=motion.q_nb[cut],
+        rate_b=motion.rate_b[cut],
+        mean_rate_b=motion.mean_rate_b[cut],
+        force_b=motion.force_b[cut],
+        gravity_m_s2=motion.gravity_m_s2,
+        stills=tuple(_moved(s, start) for s in motion.stills if start <= s.start and s.stop <= stop),
+        turns=tuple(_moved(t, start) for t in motion.turns if start <= t.start and t.stop <= stop),
+        moving=motion.moving[cut],
+        angular_acceleration_b=None if swing is None else swing[cut],
+        valid=motion.valid[cut],
+    )
+
+
+def known_parts(motion: Motion) -> tuple[Motion, ...]:
+    """Return the pieces of a motion that are known, each without a gap."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0.0], motion.valid > 0.0, [0.0]))))
+    return tuple(
+        part_of(motion, int(start), int(stop))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop - start > 1
+    )
+
+
+def _moved(label: Label, start: int) -> Label:
+    return replace(label, start=label.start - start, stop=label.stop - start)
+
+
+# ---- Optics: poses of the device as a camera system reports them, with noise, gaps and a clock of their own.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpticsSettings:
+    """What the cameras do to a pose."""
+
+    sample_rate_hz: float = 100.0  # Poses per second
+    delay_s: float = 0.0  # A pose stamped t was taken at t - delay_s
+    angle_sd: float = 3e-4  # Noise about each body axis, rad
+    position_sd: float = 2e-4  # Noise of each coordinate, m
+    gaps: int = 2  # Number of gaps while the device moves
+    gap_s: float = 0.2  # Length of each, s
+    mount_sd: float = 0.0  # Misalignment of the marker body against the case about each axis, rad
+
+
+def see(task: Task, *, rng: np.random.Generator, settings: OpticsSettings | None = None) -> Reference:
+    """Return what the cameras saw of a task."""
+    chosen = settings or OpticsSettings()
+    streams = draw_streams(rng)
+    time = np.arange(round(task.duration_s * chosen.sample_rate_hz)) / chosen.sample_rate_hz
+    motion = task.at(time - chosen.delay_s, 9.8)
+    mount = _small_turn(streams.of("mount").normal(0.0, chosen.mount_sd, 3))
+    noise = _small_turn(streams.of("angle").normal(0.0, chosen.angle_sd, (len(time), 3)))
+    q = quaternion_product(quaternion_product(motion.q_nb, mount), noise)
+    position = task.position(time - chosen.delay_s)
+    position = position + streams.of("position").normal(0.0, chosen.position_sd, position.shape)
+    starts = streams.of("gap").uniform(task.moving_s[0], task.moving_s[1] - chosen.gap_s, chosen.gaps)
+    hidden = ((time >= starts[:, None]) & (time < starts[:, None] + chosen.gap_s)).any(axis=0)
+    q[hidden] = np.nan
+    position[hidden] = np.nan
+    return Reference(time=time, q_nb=q, position=position, moving=motion.moving, name=f"simulated optics, {task.name}")
+
+
+def _small_turn(rotation_vector: np.ndarray) -> np.ndarray:
+    angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
+    half = 0.5 * angle
+    sinc = np.where(angle > 0.0, np.sin(half) / np.where(angle > 0.0, angle, 1.0), 0.5)
+    return np.concatenate((np.cos(half), sinc * rotation_vector), axis=-1)

@@ -1,10 +1,28 @@
 """Bench: an emulated table, chamber and device together, on loopback sockets, on one clock; and hands that mount the device.
 
 The hands are a socket of their own: ``MOUNT +x`` is answered by ``OK +x``, ``FACE?`` by the face that points up.
+
+An emulated thermal chamber on a loopback socket, with faults.
+
+Its language is read here, by a parser of its own: words joined by colons, commands by semicolons, a line ends with LF.
+
+The air of an emulated chamber and the board in it.
+
+::
+
+    r'  = the set-point's way, at most the ramp     what the controller follows
+    T'' = w^2 (r - T) - 2 z w T'                    air: second order, overshoots
+    B'  = (T - B) / lag                             board of the device
+
+Off, the air goes to the room's temperature with a time constant of its own; so it does, faster, with the door open. A stuck heater
+leaves r where it is and drifts up. Each step of time is solved with the trapezoidal rule for the air and exactly for the board.
 """
 
 import contextlib
+import math
 import socket
+import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -13,70 +31,253 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigFault
-from undrift.session import Face
+from undrift.record import Face
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.random import random_device
-from undrift.sim.rig.air import AirSettings
-from undrift.sim.rig.chamber import EmulatedChamber
-from undrift.sim.rig.clock import Clock
-from undrift.sim.rig.emulator import Emulator, EmulatorSettings, start_emulator
-from undrift.sim.rig.faults import FaultyLink
-from undrift.sim.rig.server import Server
+from undrift.sim.device.presets import random_device
+from undrift.sim.rig.axes import Clock
+from undrift.sim.rig.emulator import LINK_FAULTS, Emulator, EmulatorSettings, FaultyLink, Server, start_emulator
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
+
+# ---- The air of an emulated chamber and the board in it.
+
+STEP_S = 0.5
+OFF_S = 1200.0  # time constant of a chamber that is off, s
+DOOR_S = 60.0
+STUCK_C_PER_MIN = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AirSettings:
+    """How the air moves."""
+
+    room_c: float = 25.0  # Temperature around, and at the start, degC
+    ramp_c_per_min: float = 3.0  # Steepest change of the controller's own set-point, K/min
+    period_s: float = 120.0  # 2 pi / w, s
+    damping: float = 0.6  # z; below 1 overshoots
+    board_lag_s: float = 60.0  # Time constant of the device's board, s
+
+    def __post_init__(self) -> None:
+        for name in ("ramp_c_per_min", "period_s", "damping", "board_lag_s"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"emulated chamber: wanted {name} above 0, got {getattr(self, name)}; state it")
+
+
+class Air:
+    """Air and board, advanced when someone looks."""
+
+    def __init__(self, settings: AirSettings) -> None:
+        self.settings = settings
+        self.set_point = self.aim = settings.room_c
+        self.ramp_c_per_min = settings.ramp_c_per_min
+        self.on = self.stuck = self.door_open = False
+        self.speed = 0.0
+        self.time, self.temp, self.board = [0.0], [settings.room_c], [settings.room_c]
+
+    def advance(self, time: float) -> None:
+        """Go on to a moment, or a step beyond it."""
+        while self.time[-1] < time:
+            temp = self._next(self.temp[-1])
+            keep = math.exp(-STEP_S / self.settings.board_lag_s)
+            mean = (1.0 - keep) * self.settings.board_lag_s / STEP_S  # weight of where the air comes from and goes to
+            board = keep * self.board[-1] + (mean - keep) * self.temp[-1] + (1.0 - mean) * temp
+            self.time.append(self.time[-1] + STEP_S)
+            self.temp.append(temp)
+            self.board.append(board)
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return air and board at moments that have been reached.
+
+        Arrays: times (n,) s -> (n,) degC.
+        """
+        first = max(int(float(times[0]) / STEP_S) - 1, 0)
+        last = int(float(times[-1]) / STEP_S) + 3
+        grid = self.time[first:last]
+        return np.interp(times, grid, self.temp[first:last]), np.interp(times, grid, self.board[first:last])
+
+    def _next(self, temp: float) -> float:
+        if self.door_open or not self.on:
+            keep = math.exp(-STEP_S / (DOOR_S if self.door_open else OFF_S))
+            after = self.settings.room_c + (temp - self.settings.room_c) * keep
+            self.aim, self.speed = after, (after - temp) / STEP_S
+            return after
+        reach = self.ramp_c_per_min / 60.0 * STEP_S
+        wanted = self.aim + STUCK_C_PER_MIN / 60.0 * STEP_S if self.stuck else self.set_point
+        self.aim += min(max(wanted - self.aim, -reach), reach)
+        w = 2.0 * math.pi / self.settings.period_s
+        h, damp = STEP_S / 2.0, 2.0 * self.settings.damping * w
+        speed = (self.speed * (1.0 - h * damp - h * h * w * w) + 2.0 * h * w * w * (self.aim - temp)) / (
+            1.0 + h * damp + h * h * w * w
+        )
+        after = temp + h * (self.speed + speed)
+        self.speed = speed
+        return after
+
+
+# ---- An emulated thermal chamber on a loopback socket, with faults.
+
+CHAMBER_FAULTS = {
+    "stuck_heater": "the heater no longer follows the set-point; the air creeps up by 0.5 K/min",
+    "open_door": "the air goes to the room's temperature with a time constant of 60 s",
+}
+LOWEST_C, HIGHEST_C, STEEPEST_C_PER_MIN = -40.0, 130.0, 600.0
+IDENTITY = "undrift,emulated chamber,0,1.0"
+NO_ERROR = '0,"No error"'
+
+
+class EmulatedChamber:
+    """A chamber that listens until closed."""
+
+    def __init__(self, settings: AirSettings, clock: Clock, host: str = "127.0.0.1", port: int = 0) -> None:
+        self.air = Air(settings)
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._errors: deque[str] = deque(maxlen=16)
+        self._link = FaultyLink()
+        self._server = Server(self, self._link, (host, port))
+        self.address = f"tcp://{self._server.host}:{self._server.port}"
+
+    def open_session(self, serial: bool) -> "ChamberSession":
+        """Return what a new client talks to."""
+        return ChamberSession(self)
+
+    def close_session(self, session: object) -> None:
+        """Forget a client; the chamber goes on."""
+
+    def tick(self) -> None:
+        """Bring the air up to now."""
+        with self._lock:
+            self.air.advance(self._clock.now())
+
+    def board_temp(self, times: FloatArray) -> FloatArray:
+        """Return the temperature of the device's board at moments up to now.
+
+        Arrays: times (n,) s -> (n,) degC.
+        """
+        with self._lock:
+            self.air.advance(float(times[-1]))
+            return self.air.at(times)[1]
+
+    def inject(self, fault: str, *, answers: int | None = None) -> None:
+        """Let a fault begin."""
+        if fault in LINK_FAULTS:
+            self._link.start(fault, answers)
+        else:
+            self._set_fault(fault, True)
+        self._server.settle()
+
+    def clear(self) -> None:
+        """Let all faults end."""
+        self._link.stop(None)
+        for fault in CHAMBER_FAULTS:
+            self._set_fault(fault, False)
+        self._server.settle()
+
+    def close(self) -> None:
+        """Close every socket and end the thread; harmless when called again."""
+        self._server.close()
+
+    def obey(self, line: str) -> str:
+        """Do what a line says."""
+        with self._lock:
+            self.air.advance(self._clock.now())
+            answers = [self._obey_one(command.strip().removeprefix(":")) for command in line.split(";")]
+        return ";".join(answer for answer in answers if answer)
+
+    def _obey_one(self, command: str) -> str:
+        word, _, value = command.upper().partition(" ")
+        asked: dict[str, Callable[[], str]] = {
+            "*IDN?": lambda: IDENTITY,
+            "TEMP:SPO?": lambda: f"{self.air.set_point:.1f}",
+            "TEMP:RAMP?": lambda: f"{self.air.ramp_c_per_min:.2f}",
+            "MEAS:TEMP?": lambda: f"{self.air.at(np.array([self._clock.now()]))[0][0]:.2f}",
+            "OUTP?": lambda: str(int(self.air.on)),
+            "SYST:ERR?": lambda: self._errors.popleft() if self._errors else NO_ERROR,
+        }
+        if word in asked:
+            return asked[word]()
+        if word == "TEMP:SPO":
+            self.air.set_point = self._number(value, LOWEST_C, HIGHEST_C, self.air.set_point)
+        elif word == "TEMP:RAMP":
+            self.air.ramp_c_per_min = self._number(value, 0.01, STEEPEST_C_PER_MIN, self.air.ramp_c_per_min)
+        elif word == "OUTP" and value.strip() in ("ON", "OFF", "1", "0"):
+            self.air.on = value.strip() in ("ON", "1")
+        elif word:
+            self._errors.append('-113,"Undefined header"')
+        return ""
+
+    def _number(self, text: str, low: float, high: float, held: float) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            self._errors.append('-104,"Data type error"')
+            return held
+        if not low <= value <= high:
+            self._errors.append('-222,"Data out of range"')
+            return held
+        return value
+
+    def _set_fault(self, fault: str, on: bool) -> None:
+        with self._lock:
+            if fault == "stuck_heater":
+                self.air.stuck = on
+            elif fault == "open_door":
+                self.air.door_open = on
+            else:
+                known = ", ".join((*LINK_FAULTS, *CHAMBER_FAULTS))
+                raise InputError(f"chamber fault: wanted one of {known}, got '{fault}'; name one of them")
+
+
+class ChamberSession:
+    """One client of a chamber."""
+
+    def __init__(self, chamber: EmulatedChamber) -> None:
+        self._chamber = chamber
+        self._held = b""
+
+    def greet(self) -> bytes:
+        """Return nothing: a chamber speaks when spoken to."""
+        return b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes, return answers."""
+        *lines, self._held = (self._held + data).split(b"\n")
+        self._held = self._held[-1024:]
+        answers = [self._chamber.obey(line.decode("ascii", errors="replace")) for line in lines]
+        return [answer.encode("ascii") + b"\n" for answer in answers if answer]
+
+    def unasked(self) -> bytes:
+        """Return nothing."""
+        return b""
+
+
+# ---- bench
 
 HANDS_TIMEOUT_S = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchPorts:
-    """Where the parts of a bench listen; 0 takes a free port.
+    """Where the parts of a bench listen; 0 takes a free port."""
 
-    Parameters
-    ----------
-    chamber, hands : int
-        Of the chamber and of the hands; table and device have theirs in their own settings.
-    """
-
-    chamber: int = 0
-    hands: int = 0
+    chamber: int = 0  # Of the chamber and of the hands; table and device have theirs in their own settings
+    hands: int = 0  # Of the chamber and of the hands; table and device have theirs in their own settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EmulatedBenchSettings:
-    """What is emulated.
+    """What is emulated."""
 
-    Parameters
-    ----------
-    rig : EmulatorSettings
-        The table; its speed is that of the whole bench.
-    air : AirSettings
-        The chamber.
-    stream : StreamSettings
-        How the device is mounted and sends.
-    device : DeviceModel or None
-        The hidden truth; None draws one of consumer grade from the stream's seed.
-    ports : BenchPorts
-        Where the chamber and the hands listen.
-    """
-
-    rig: EmulatorSettings = field(default_factory=EmulatorSettings)
-    air: AirSettings = field(default_factory=AirSettings)
-    stream: StreamSettings = field(default_factory=StreamSettings)
-    device: DeviceModel | None = None
-    ports: BenchPorts = field(default_factory=BenchPorts)
+    rig: EmulatorSettings = field(default_factory=EmulatorSettings)  # The table; its speed is that of the whole bench
+    air: AirSettings = field(default_factory=AirSettings)  # The chamber
+    stream: StreamSettings = field(default_factory=StreamSettings)  # How the device is mounted and sends
+    device: DeviceModel | None = None  # The hidden truth; None draws one of consumer grade from the stream's seed
+    ports: BenchPorts = field(default_factory=BenchPorts)  # Where the chamber and the hands listen
 
 
 class Bench:
-    """A running bench; a context manager that closes it.
-
-    Parameters
-    ----------
-    settings : EmulatedBenchSettings
-        What is emulated.
-    clock : Clock, optional
-        Emulated time; the host's clock times the rig's speed unless given.
-    """
+    """A running bench; a context manager that closes it."""
 
     def __init__(self, settings: EmulatedBenchSettings, clock: Clock | None = None) -> None:
         self.settings = settings
@@ -107,28 +308,11 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close it.
-
-        Parameters
-        ----------
-        kind, error, trace : object
-            What ended the block.
-        """
+        """Close it."""
         self.close()
 
     def mount(self, face: Face) -> None:
-        """Mount the device with another face up.
-
-        Parameters
-        ----------
-        face : str
-            "+x", ... "-z".
-
-        Raises
-        ------
-        InputError
-            Not a face.
-        """
+        """Mount the device with another face up."""
         self.stream.mount(face)
 
     def close(self) -> None:
@@ -137,13 +321,7 @@ class Bench:
 
 
 class BenchHands:
-    """Hands of an emulated bench in another process, as a run asks for them.
-
-    Parameters
-    ----------
-    address : str
-        ``hands_address`` of the bench.
-    """
+    """Hands of an emulated bench in another process, as a run asks for them."""
 
     def __init__(self, address: str) -> None:
         parts = urlsplit(address)
@@ -152,18 +330,7 @@ class BenchHands:
         self._place = (parts.hostname, parts.port)
 
     def mount(self, up: Face) -> None:
-        """Have the device mounted.
-
-        Parameters
-        ----------
-        up : str
-            Axis of the device that points up.
-
-        Raises
-        ------
-        RigFault
-            The bench is not there, or did not do it.
-        """
+        """Have the device mounted."""
         try:
             with socket.create_connection(self._place, timeout=HANDS_TIMEOUT_S) as link:
                 link.sendall(f"MOUNT {up}\n".encode("ascii"))
@@ -175,25 +342,7 @@ class BenchHands:
 
 
 def start_bench(settings: EmulatedBenchSettings | None = None, *, clock: Clock | None = None) -> Bench:
-    """Start an emulated bench; use it in a `with` block, or close it.
-
-    Parameters
-    ----------
-    settings : EmulatedBenchSettings, optional
-        What is emulated.
-    clock : Clock, optional
-        A HandClock makes it repeatable.
-
-    Returns
-    -------
-    Bench
-        Listening.
-
-    Raises
-    ------
-    InputError
-        Settings that do not fit, or a host that is not a loopback address.
-    """
+    """Start an emulated bench; use it in a `with` block, or close it."""
     return Bench(settings or EmulatedBenchSettings(), clock)
 
 

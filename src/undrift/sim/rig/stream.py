@@ -8,12 +8,24 @@
 
 It says all it says whether anybody listens or not; who connects hears it from then on. With the device's clock in error by c,
 reading k is taken at k / (rate (1 + c)).
+
+Readings of a simulated device as time goes on: chunk by chunk, with what it remembers carried from one to the next.
+
+The effects and their order are those of sim/device/effects.py. What has a memory - low-pass, flicker, random walk, hysteresis, the
+thermometer's lag - is stepped here by its own recursion, so that chunks of any size join without a seam. Readings are taken at even
+steps; the jitter and the delays of a converter are left out.
+
+How the emulated device writes its readings: lines with an XOR behind a star, or frames with sync bytes and a CRC-16.
+
+Both are written here from their definitions, apart from the readers in live/.
 """
 
+import math
+import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 from urllib.parse import urlencode
 
 import numpy as np
@@ -21,17 +33,262 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
-from undrift.session import FACES, Face
+from undrift.record import FACES, Face
+from undrift.sim.device.effects import (
+    RATIO,
+    TRIM_TEMP_C,
+    Scene,
+    SensorChain,
+    Thermometer,
+    amplified,
+    bent,
+    converted,
+    difference_equation,
+    lever_arm_force,
+    rounded,
+    scaled,
+    warmed,
+    warming_up,
+    with_g,
+    with_offset,
+)
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.scene import Scene
+from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.bench import earth_rate
-from undrift.sim.motion.script import facing, unit_vector
-from undrift.sim.rig.clock import Clock
-from undrift.sim.rig.faults import LINK_FAULTS, FaultyLink
-from undrift.sim.rig.frames import COUNTER_BITS, Framing, check_framing, frame_of, line_of
-from undrift.sim.rig.readings import CausalDevice
-from undrift.sim.rig.server import Server
+from undrift.sim.motion.motion import facing, unit_vector
+from undrift.sim.rig.axes import Clock
+from undrift.sim.rig.emulator import LINK_FAULTS, FaultyLink, Server
 from undrift.units import STANDARD_GRAVITY
+
+# ---- Readings of a simulated device as time goes on: chunk by chunk, with what it remembers carried from one to the next.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceSaid:
+    """Readings, n of them."""
+
+    gyro: FloatArray  # (n, 3), in the units of the device's chains
+    accel: FloatArray  # (n, 3), in the units of the device's chains
+    temp_c: FloatArray  # (n,), degC
+
+
+class CausalDevice:
+    """A device that is read as time goes on."""
+
+    def __init__(self, device: DeviceModel, step_s: float, rng: np.random.Generator) -> None:
+        streams = draw_streams(rng)
+        self.device = device
+        self._gyro = _Chain(
+            device.gyro, step_s, [streams.of(f"gyro_{name}") for name in ("white", "instability", "walk")]
+        )
+        self._accel = _Chain(
+            device.accel, step_s, [streams.of(f"accel_{name}") for name in ("white", "instability", "walk")]
+        )
+        self._thermometer = _Lag(device.thermometer, step_s, streams.of("thermometer"))
+
+    def read(self, scene: Scene, mean_rate_b: FloatArray) -> DeviceSaid:
+        """Return the readings of the next moments.
+
+        Arrays: mean_rate_b (n, 3) rad/s.
+        """
+        averaging = self.device.sampling.gyro_averaging == "interval"
+        return DeviceSaid(
+            self._gyro.read(mean_rate_b if averaging else scene.rate_b, scene),
+            self._accel.read(scene.force_b, scene),
+            self._thermometer.read(scene),
+        )
+
+
+class _Chain:
+    """Three sensors and what they remember."""
+
+    def __init__(self, chain: SensorChain, step_s: float, noise: list[np.random.Generator]) -> None:
+        self._chain, self._step = chain, step_s
+        self._white, self._flicker, self._walk = noise
+        self._walked: FloatArray | None = None
+        self._flickers: list[FloatArray] = []
+        self._follower: float | None = None
+        self._low: list[tuple[FloatArray, FloatArray]] = []
+        self._low_state: list[FloatArray] = []
+        if chain.low_pass:
+            pairs = zip(chain.low_pass.cutoff_hz.tolist(), chain.low_pass.quality.tolist(), strict=True)
+            self._low = [difference_equation(cutoff, quality, step_s) for cutoff, quality in pairs]
+
+    def read(self, x: FloatArray, scene: Scene) -> FloatArray:
+        chain = self._chain
+        x = self._noisy(self._felt(x, scene))
+        if chain.amplifier:
+            x = amplified(x, chain.amplifier, chain.scale.nominal_sensitivity)[0]
+        if self._low:
+            x = self._low_passed(x)
+        sensitivity, amplifier = chain.scale.nominal_sensitivity, chain.amplifier
+        reading: FloatArray = amplifier.null + amplifier.gain * sensitivity * x if amplifier else sensitivity * x
+        return converted(reading, chain.adc)[0] if chain.adc else reading
+
+    def _felt(self, x: FloatArray, scene: Scene) -> FloatArray:
+        """Return what the sensors make of the scene, free of noise."""
+        chain = self._chain
+        x = scaled(x, chain.scale, lever_arm_force(chain.lever_arm, scene) if chain.lever_arm else None)
+        if chain.nonlinearity:
+            x = bent(x, chain.nonlinearity)
+        if chain.g_sensitivity:
+            x = with_g(x, chain.g_sensitivity, scene)
+        if chain.offset:
+            x = with_offset(x, chain.offset, scene)
+        if chain.thermal_scale:
+            x = warmed(x, chain.thermal_scale, scene)
+        if chain.rate_drift:
+            x = x + chain.rate_drift.error(x, scene.warmth)
+        if chain.warm_up:
+            x = warming_up(x, chain.warm_up, scene)
+        return x + self._hysteresis(scene) if chain.hysteresis else x
+
+    def _hysteresis(self, scene: Scene) -> FloatArray:
+        loop = self._chain.hysteresis
+        if loop is None:
+            return np.zeros((len(scene.time), 3))
+        at = float(scene.temp_c[0]) if self._follower is None else self._follower
+        behind = np.empty(len(scene.temp_c))
+        for k, temp in enumerate(scene.temp_c.tolist()):
+            at = min(max(at, temp - loop.play_k), temp + loop.play_k)
+            behind[k] = (at - temp) / loop.play_k
+        self._follower = at
+        return np.outer(behind, loop.amplitude)
+
+    def _noisy(self, x: FloatArray) -> FloatArray:
+        chain = self._chain
+        if chain.white_noise:
+            x = x + self._white.standard_normal(x.shape) * (chain.white_noise.random_walk / math.sqrt(self._step))
+        if chain.instability:
+            x = x + self._flickering(len(x)) * chain.instability.instability * math.sqrt(math.log(RATIO) / math.pi)
+        if chain.random_walk:
+            steps = self._walk.standard_normal(x.shape) * (chain.random_walk.bias_walk * math.sqrt(self._step))
+            if self._walked is None:  # the first reading has not walked yet
+                self._walked, steps[0] = np.zeros(3), 0.0
+            walked = self._walked + np.cumsum(steps, axis=0)
+            self._walked = walked[-1]
+            x = x + walked
+        return x
+
+    def _flickering(self, n: int) -> FloatArray:
+        from scipy.signal import lfilter
+
+        effect = self._chain.instability
+        constants = [] if effect is None else effect.time_constants_s.tolist()
+        if not self._flickers:
+            self._flickers = [self._flicker.standard_normal(3) for _ in constants]
+        total = np.zeros((n, 3))
+        for k, constant in enumerate(constants):
+            keep = math.exp(-self._step / constant)
+            fresh = self._flicker.standard_normal((n, 3)) * math.sqrt(-math.expm1(-2.0 * self._step / constant))
+            y = np.asarray(lfilter([1.0], [1.0, -keep], fresh, axis=0, zi=(keep * self._flickers[k])[None, :])[0])
+            self._flickers[k] = y[-1]
+            total += y
+        return total
+
+    def _low_passed(self, x: FloatArray) -> FloatArray:
+        from scipy.signal import lfilter
+
+        if not self._low_state:  # it had been resting before the first reading
+            self._low_state = [
+                np.array([1.0 - b[0], b[2] - a[2]]) * x[0, axis] for axis, (b, a) in enumerate(self._low)
+            ]
+        out = np.empty_like(x)
+        for axis, (b, a) in enumerate(self._low):
+            out[:, axis], self._low_state[axis] = lfilter(b, a, x[:, axis], zi=self._low_state[axis])
+        return out
+
+
+class _Lag:
+    """The board thermometer and what it remembers."""
+
+    def __init__(self, thermometer: Thermometer, step_s: float, noise: np.random.Generator) -> None:
+        self._what, self._step, self._noise = thermometer, step_s, noise
+        self._felt: float | None = None
+        self._before = 0.0
+
+    def read(self, scene: Scene) -> FloatArray:
+        what = self._what
+        felt = self._lagging(scene.temp_c)
+        young = 1.0 if what.lag_s == 0.0 else -np.expm1(-scene.age_s / what.lag_s)
+        felt = felt + what.self_heating_c * young
+        said: FloatArray = felt + what.trim_error_c + what.slope_error * (felt - TRIM_TEMP_C)
+        if what.noise_c > 0.0:
+            said = said + self._noise.normal(0.0, what.noise_c, len(said))
+        if what.step_c == 0.0:
+            return said
+        whole: FloatArray = rounded((said - what.zero_c) / what.step_c, what.rounding) * what.step_c + what.zero_c
+        return whole
+
+    def _lagging(self, temp: FloatArray) -> FloatArray:
+        from scipy.signal import lfilter
+
+        if self._what.lag_s == 0.0:
+            return temp
+        if self._felt is None:
+            self._felt = self._before = float(temp[0])
+        ratio = self._step / self._what.lag_s
+        keep, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
+        b = [1.0 - mean, mean - keep]
+        felt = np.asarray(lfilter(b, [1.0, -keep], temp, zi=[keep * self._felt + b[1] * self._before])[0])
+        self._felt, self._before = float(felt[-1]), float(temp[-1])
+        return felt
+
+
+# ---- How the emulated device writes its readings: lines with an XOR behind a star, or frames with sync bytes and a CRC-16.
+
+Framing = Literal["line", "frame"]
+COUNTER_BITS = 16
+SYNC = b"\xaa\x55"
+
+
+def check_framing(framing: str) -> None:
+    """Refuse a framing that is not one."""
+    if framing not in get_args(Framing):
+        raise InputError(f"emulated device: wanted format line or frame, got '{framing}'; name one of them")
+
+
+def line_of(count: int, row: FloatArray) -> bytes:
+    """Return a reading as a line: numbers joined by commas, star, two hex digits of the XOR of all before it.
+
+    Arrays: row (K,).
+    """
+    numbers = (f"{int(value)}" if value.is_integer() else repr(value) for value in row.tolist())
+    text = ",".join((str(count % 2**COUNTER_BITS), *numbers)).encode("ascii")
+    total = 0
+    for byte in text:
+        total ^= byte
+    return b"%s*%02X\n" % (text, total)
+
+
+def frame_of(count: int, row: FloatArray) -> bytes:
+    """Return a reading as a frame: AA 55, counter in two bytes, channels as doubles, CRC-16 of these, little end first.
+
+    Arrays: row (K,).
+    """
+    body = struct.pack(f"<H{len(row)}d", count % 2**COUNTER_BITS, *row.tolist())
+    return SYNC + body + struct.pack("<H", _crc16(body))
+
+
+def _crc16(data: bytes) -> int:
+    """Remainder of the polynomial x^16 + x^12 + x^5 + 1, begun with ones, most significant bit first."""
+    register = 0xFFFF
+    for byte in data:
+        register = ((register << 8) & 0xFFFF) ^ _TABLE[(register >> 8) ^ byte]
+    return register
+
+
+def _entry(byte: int) -> int:
+    register = byte << 8
+    for _ in range(8):
+        register = (register << 1) ^ (0x1021 if register & 0x8000 else 0)
+    return register & 0xFFFF
+
+
+_TABLE = tuple(_entry(byte) for byte in range(256))
+
+
+# ---- stream
 
 CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
 DEVICE_FAULTS = {
@@ -49,53 +306,24 @@ class TurnsOnAxis(Protocol):
     def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return angle and rate at moments up to now, rad and rad/s.
 
-        Parameters
-        ----------
-        times : array, shape (n,)
-            Emulated times, s.
-        mean_s : float
-            The rate is the mean of so long before each, s.
+        Arrays: times (n,) s.
         """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamSettings:
-    """How the device is mounted and sends.
+    """How the device is mounted and sends."""
 
-    Parameters
-    ----------
-    sample_rate_hz : float
-        Readings per second of the device's clock, unless its own model states a rate.
-    framing : str
-        line or frame.
-    face : str
-        Axis of the device that points up at the start.
-    mount_tilt_sd : float
-        How well hands mount it: error about each axis, rad, drawn anew each time.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
-    latitude_deg : float or None
-        For the Earth's rate; None leaves it out.
-    power_on_s : float
-        Time since power-on at the start, s.
-    seed : int
-        Of noise and tilt.
-    host : str
-        A loopback address.
-    port : int
-        0 takes a free one.
-    """
-
-    sample_rate_hz: float = 100.0
-    framing: Framing = "line"
-    face: Face = "+z"
-    mount_tilt_sd: float = 0.0
-    gravity_m_s2: float = STANDARD_GRAVITY
-    latitude_deg: float | None = None
-    power_on_s: float = 3600.0
-    seed: int = 0
-    host: str = "127.0.0.1"
-    port: int = 0
+    sample_rate_hz: float = 100.0  # Readings per second of the device's clock, unless its own model states a rate
+    framing: Framing = "line"  # line or frame
+    face: Face = "+z"  # Axis of the device that points up at the start
+    mount_tilt_sd: float = 0.0  # How well hands mount it: error about each axis, rad, drawn anew each time
+    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
+    latitude_deg: float | None = None  # For the Earth's rate; None leaves it out
+    power_on_s: float = 3600.0  # Time since power-on at the start, s
+    seed: int = 0  # Of noise and tilt
+    host: str = "127.0.0.1"  # A loopback address
+    port: int = 0  # 0 takes a free one
 
     def __post_init__(self) -> None:
         check_framing(self.framing)
@@ -104,21 +332,7 @@ class StreamSettings:
 
 
 class EmulatedDevice:
-    """A device that sends until closed.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        The truth about it.
-    table : TurnsOnAxis
-        What turns it.
-    board_temp : callable
-        Temperature of its board at moments up to now, s to degC.
-    clock : Clock
-        Emulated time.
-    settings : StreamSettings
-        How it is mounted and sends.
-    """
+    """A device that sends until closed."""
 
     def __init__(
         self,
@@ -146,18 +360,7 @@ class EmulatedDevice:
         self._server = Server(self, self._link, (settings.host, settings.port))
 
     def address(self, clock_speed: float) -> str:
-        """Return where it sends and what, as ``live.address`` reads it.
-
-        Parameters
-        ----------
-        clock_speed : float
-            Emulated seconds in one of the host's.
-
-        Returns
-        -------
-        str
-            ``tcp://host:port?...``.
-        """
+        """Return where it sends and what, as ``live.address`` reads it."""
         line = self.settings.framing == "line"
         options = {
             "format": self.settings.framing,
@@ -175,18 +378,7 @@ class EmulatedDevice:
         return f"tcp://{self._server.host}:{self._server.port}?{query}"
 
     def mount(self, face: Face) -> None:
-        """Mount the device with another face up, from now on.
-
-        Parameters
-        ----------
-        face : str
-            "+x", ... "-z".
-
-        Raises
-        ------
-        InputError
-            Not a face.
-        """
+        """Mount the device with another face up, from now on."""
         if face not in FACES:
             raise InputError(f"mount: wanted one of {', '.join(FACES)}, got '{face}'; name the axis that points up")
         with self._lock:
@@ -204,48 +396,18 @@ class EmulatedDevice:
             self._go_on()
 
     def open_session(self, serial: bool) -> "DeviceSession":
-        """Return what a new client hears.
-
-        Parameters
-        ----------
-        serial : bool
-            Makes no difference.
-
-        Returns
-        -------
-        DeviceSession
-            Its end of the link.
-        """
+        """Return what a new client hears."""
         with self._lock:
             self._sessions.append(DeviceSession())
             return self._sessions[-1]
 
     def close_session(self, session: object) -> None:
-        """Forget a client.
-
-        Parameters
-        ----------
-        session : object
-            Which.
-        """
+        """Forget a client."""
         with self._lock:
             self._sessions = [held for held in self._sessions if held is not session]
 
     def inject(self, fault: str, *, answers: int | None = None) -> None:
-        """Let a fault begin.
-
-        Parameters
-        ----------
-        fault : str
-            One of DEVICE_FAULTS, or of the link's faults in faults.py.
-        answers : int or None
-            How many pieces a fault of the link strikes; None until it is cleared.
-
-        Raises
-        ------
-        InputError
-            Not one of the faults.
-        """
+        """Let a fault begin."""
         if fault in LINK_FAULTS:
             self._link.start(fault, answers)
         elif fault in DEVICE_FAULTS:
@@ -335,48 +497,19 @@ class DeviceSession:
         self._waiting = b""
 
     def hear(self, data: bytes) -> None:
-        """Take what the device says.
-
-        Parameters
-        ----------
-        data : bytes
-            Readings; lost where a client has not read for long.
-        """
+        """Take what the device says."""
         if len(self._waiting) < MOST_WAITING:
             self._waiting += data
 
     def greet(self) -> bytes:
-        """Return nothing.
-
-        Returns
-        -------
-        bytes
-            b"".
-        """
+        """Return nothing."""
         return b""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take no notice of what a client says.
-
-        Parameters
-        ----------
-        data : bytes
-            Any.
-
-        Returns
-        -------
-        list of bytes
-            Empty.
-        """
+        """Take no notice of what a client says."""
         return []
 
     def unasked(self) -> bytes:
-        """Return what the device said since the last time.
-
-        Returns
-        -------
-        bytes
-            Readings.
-        """
+        """Return what the device said since the last time."""
         data, self._waiting = self._waiting, b""
         return data

@@ -1,0 +1,378 @@
+"""Plausibility: answers that cannot be this device, each named with its number and what to do about it.
+
+A fit calls these before it trusts its data and after it has an answer. Every function returns None or raises.
+
+Axis order: whether a gyroscope's columns stand in the order and sense of the axes they are said to have.
+
+Of the 48 matrices with one +1 or -1 in every row and column, the one nearest to a gyroscope's forward matrix K, its rows
+scaled to one, says what each column sees::
+
+    P = argmax sum_ij P_ij K_ij / |K_i|        P_ij = +1: column i reads + for a turn about +j
+
+Any P but the identity is an exchange of columns, a wrong sign, or axis labels that do not belong to the data; it is told
+here, where a left-handed triad is only one half of the cases (an even exchange stays right-handed).
+"""
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray
+from undrift.errors import Implausible, NotObservable
+from undrift.model import AXES
+from undrift.record import FACES, Axis, Face
+
+# ---- Axis order: whether a gyroscope's columns stand in the order and sense of the axes they are said to have.
+
+Against = Literal["accelerometer", "turns"]
+
+
+def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
+    """Return the signed permutation nearest to a forward matrix.
+
+    Arrays: forward (3, 3) -> (3, 3).
+    """
+    gain = forward / np.linalg.norm(forward, axis=1)[:, None]
+    order = max(itertools.permutations(range(3)), key=lambda p: sum(abs(gain[i, p[i]]) for i in range(3)))
+    nearest = np.zeros((3, 3))
+    for row, column in enumerate(order):
+        nearest[row, column] = 1.0 if gain[row, column] >= 0.0 else -1.0
+    return nearest
+
+
+def check_axis_order(forward: FloatArray, what: str, *, against: Against) -> None:
+    """Raise unless each gyroscope column reads + for a turn about its own axis.
+
+    Arrays: forward (3, 3).
+    """
+    seen = nearest_signed_permutation(forward)
+    if not np.array_equal(seen, np.eye(3)):
+        by_turns = against == "turns"
+        cause = cause_by_turns(seen) if by_turns else cause_by_gravity(seen)
+        raise Implausible(
+            f"{what}: wanted gyroscope columns x, y, z that read turns about +x, +y, +z "
+            f"{'as stated' if by_turns else 'of the accelerometer axes'}, got {told_order(seen)}: {cause}; correct the order or "
+            f"the sign of the columns{' or of the turns' if by_turns else ''}",
+            seen=told_order(seen),
+        )
+
+
+def told_order(seen: FloatArray) -> str:
+    """Return what the columns see, as "+y, +x, +z".
+
+    Arrays: seen (3, 3).
+    """
+    axis = np.abs(seen).argmax(axis=1)
+    return ", ".join(f"{'+' if seen[i, j] > 0.0 else '-'}{AXES[j]}" for i, j in enumerate(axis))
+
+
+def cause_by_turns(seen: FloatArray) -> str:
+    """Return which columns or stated turns would have to be exchanged or reversed to give an order.
+
+    Arrays: seen (3, 3).
+    """
+    negative, moved = _reversed_and_moved(seen)
+    if not moved:
+        return f"column {' and '.join(negative)} reversed, or the sign of the turns about {' and '.join(negative)}"
+    ring = " in a ring" if len(moved) == 3 else ""
+    names = f"{', '.join(moved[:-1])} and {moved[-1]}"
+    return f"columns {names} exchanged{ring}{_and_reversed(negative)}, or the axes of the turns"
+
+
+def cause_by_gravity(seen: FloatArray) -> str:
+    """Return which columns, of gyroscope or accelerometer, would have to be exchanged or reversed to give an order.
+
+    A turn is a pseudovector: accelerometer columns that are exchanged or reversed, A, show as P = det(A) A^T.
+
+    Arrays: seen (3, 3).
+    """
+    negative, moved = _reversed_and_moved(seen)
+    if not moved:
+        if len(negative) == 2:
+            other = next(a for a in AXES if a not in negative)
+            return f"gyroscope columns {' and '.join(negative)} are reversed, or accelerometer column {other} is"
+        if len(negative) == 3:
+            return "all gyroscope columns are reversed, or the same two columns of both triads are exchanged"
+        return f"gyroscope column {negative[0]} is reversed"
+    if len(moved) == 3:
+        how = f"columns x, y and z are exchanged in a ring{_and_reversed(negative)}"
+        return f"{how}, those of the gyroscope or those of the accelerometer" if not negative else f"gyroscope {how}"
+    pair = " and ".join(moved)
+    if len(negative) == 3:
+        return (
+            f"accelerometer columns {pair} are exchanged, or gyroscope columns {pair} and all their signs are reversed"
+        )
+    return f"gyroscope columns {pair} are exchanged{_and_reversed(negative)}"
+
+
+def _reversed_and_moved(seen: FloatArray) -> tuple[list[str], list[str]]:
+    negative = [AXES[i] for i in range(3) if seen[i].min() < 0.0]
+    return negative, [AXES[i] for i in range(3) if seen[i, i] == 0.0]
+
+
+def _and_reversed(negative: list[str]) -> str:
+    return f", and {' and '.join(negative)} reversed" if negative else ""
+
+
+# ---- Readings that stuck at the end of the range in free poses, moves or turns by hand.
+
+_RUN = 5  # equal readings in a row: at an end it is the converter's, unless readings inside repeat as long
+_LEAST_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
+
+
+def check_range(windows: list[FloatArray], what: str) -> None:
+    """Raise when a triad sticks at its largest or smallest reading, over all windows together.
+
+    Arrays: windows (n_i, 3).
+    """
+    if not windows:
+        return
+    for name, column in zip(AXES, np.concatenate(windows).T, strict=True):
+        finite = column[np.isfinite(column)]
+        if len(np.unique(finite)) < _LEAST_VALUES or _longest_inside(finite) >= _RUN:
+            continue
+        for end in (finite.max(), finite.min()):
+            stuck = finite == end
+            if _longest(stuck) >= _RUN and _piles_up(finite, end):
+                raise Implausible(
+                    f"{what}: wanted {name} readings inside the range, got {int(stuck.sum())} samples stuck at {end:g}; choose a "
+                    "wider range or move more slowly",
+                    samples=int(stuck.sum()),
+                    extreme=float(end),
+                )
+
+
+def _piles_up(finite: FloatArray, end: float) -> bool:
+    """Tell whether more readings lie at an end than within one sample's change of it."""
+    change = np.abs(np.diff(finite))
+    away = np.abs(finite - end)
+    return bool((away == 0.0).sum() > ((away > 0.0) & (away <= np.median(change[change > 0.0]))).sum())
+
+
+def _longest_inside(finite: FloatArray) -> int:
+    """Return the longest run of equal readings that are neither the largest nor the smallest."""
+    begins = np.flatnonzero(np.concatenate(([True], np.diff(finite) != 0.0)))
+    length = np.diff(np.append(begins, len(finite)))
+    inside = (finite[begins] != finite.max()) & (finite[begins] != finite.min())
+    return int(length[inside].max()) if inside.any() else 0
+
+
+def _longest(flag: BoolArray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
+
+
+# ---- checks
+
+# A gain this close to a whole factor is a unit, a range or a sample rate, not a sensor.
+_FACTORS = (2.0, 4.0, 8.0, 16.0)
+_SATURATED_RUN = 5  # samples in a row at the same extreme reading
+_REPEAT_APART = 0.5  # g; 29 deg: no repeated face leans so far
+_FAR_FROM_REST = 50.0  # steps between the extreme and the median before a run counts as saturation
+
+
+def face_vectors(faces: Sequence[Face]) -> FloatArray:
+    """Return the direction of +g in s for each face, one unit vector a row.
+
+    Arrays:  -> (P, 3).
+    """
+    up = np.zeros((len(faces), 3))
+    for row, face in enumerate(faces):
+        up[row, AXES.index(face[1])] = 1.0 if face[0] == "+" else -1.0
+    return up
+
+
+def axis_vectors(axes: Sequence[Axis]) -> FloatArray:
+    """Return the unit vector of each axis, one a row.
+
+    Arrays:  -> (R, 3).
+    """
+    return np.eye(3)[[AXES.index(axis) for axis in axes]].reshape(-1, 3)
+
+
+def check_pose_count(count: int, needed: int, what: str) -> None:
+    """Raise unless there are enough poses or turns for a fit."""
+    if count < needed:
+        raise NotObservable(
+            f"wanted {needed} {what} or more, got {count}; record the missing ones", count=count, needed=needed
+        )
+
+
+def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:
+    """Raise when the length of the specific force at rest cannot be gravity.
+
+    Arrays: means (P, 3) m/s2.
+    """
+    ratio = float(np.median(np.linalg.norm(means, axis=1))) / gravity
+    if not 1.0 / factor <= ratio <= factor:
+        raise Implausible(
+            f"accelerometer at rest: wanted |a| near {gravity:.4g} m/s2, got {ratio * gravity:.4g} m/s2 ({ratio:.3f} g); "
+            f"{_likely_factor(ratio)}check the unit of the columns and the range setting",
+            ratio=ratio,
+        )
+
+
+def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
+    """Raise when the labels of a six-face session contradict its readings.
+
+    Arrays: means (P, 3).
+    """
+    up = face_vectors(faces)
+    radius = 0.5 * float(np.max(means.max(axis=0) - means.min(axis=0)))
+    for a, b in itertools.combinations(range(len(faces)), 2):
+        apart = float(np.linalg.norm(means[a] - means[b]))
+        if faces[a] != faces[b] and apart < 0.3 * radius:
+            raise Implausible(
+                f"faces {faces[a]} and {faces[b]}: wanted two poses, got readings {apart / radius:.3f} g apart; "
+                "one face was recorded twice: label it again or record the missing one",
+                faces=(faces[a], faces[b]),
+                apart_g=apart / radius,
+            )
+    _check_repeats(means, faces, radius)
+    present = [f for f in FACES if f in faces]
+    before = _affine_misfit(means, up)
+    if len(present) < 5 or before < 0.2 * radius:
+        _check_opposites(means, up, faces)
+        return
+    pair = _explaining_swap(means, faces, present, 0.2 * before)
+    what = f"faces {pair[0]} and {pair[1]} are swapped" if pair else "labels do not fit the readings"
+    raise Implausible(
+        f"six faces: wanted readings that follow their labels, got a misfit of {before / radius:.2f} g rms; {what}: "
+        "correct the labels in session.toml",
+        misfit_g=before / radius,
+        swapped=pair,
+    )
+
+
+def check_handedness(forward: FloatArray, what: str) -> None:
+    """Raise when a forward matrix turns a right-handed frame into a left-handed one.
+
+    Arrays: forward (3, 3).
+    """
+    if np.linalg.det(forward) < 0.0:
+        negative = [axis for k, axis in enumerate(AXES) if forward[k, k] < 0.0]
+        named = " and ".join(negative) if negative else "two axes exchanged"
+        raise Implausible(
+            f"{what}: wanted right-handed axes, got a left-handed triad (reversed: {named}); "
+            "correct the labels, or the sign or order of the columns",
+            reversed=tuple(negative),
+        )
+
+
+def check_scale_factor(scale_factor: FloatArray, stated: float, tolerance: float, what: str) -> None:
+    """Raise when a fitted scale factor is outside the tolerance of the sensitivity the maker states.
+
+    Arrays: scale_factor (K,).
+    """
+    ratio = np.atleast_1d(np.asarray(scale_factor, float)) / stated
+    worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
+    if abs(worst - 1.0) > tolerance:
+        raise Implausible(
+            f"{what}: wanted a scale factor within {100 * tolerance:g} % of the stated sensitivity, got {worst:.4f} of it "
+            f"({100 * (worst - 1.0):+.1f} %); {_likely_factor(worst)}check the conversion from counts, the range setting "
+            "and the sample rate",
+            ratio=worst,
+            tolerance=tolerance,
+        )
+
+
+def check_saturation(values: FloatArray, what: str, *, full_scale: float | None = None) -> None:
+    """Raise when readings stick at the end of the range.
+
+    Arrays: values (N, 3).
+    """
+    for axis, column in zip(AXES, values.T, strict=True):
+        finite = column[np.isfinite(column)]
+        steps = np.unique(np.abs(np.diff(np.unique(finite))))
+        if not len(steps):
+            continue
+        for extreme in (finite.max(), finite.min()):
+            stuck = finite == extreme
+            if full_scale is not None:
+                hit = abs(extreme) >= full_scale and bool(stuck.any())
+            else:
+                far = abs(extreme - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(extreme))
+                hit = far and _longest_run(stuck) >= _SATURATED_RUN
+            if hit:
+                raise Implausible(
+                    f"{what} {axis}: wanted readings inside the range, got {int(stuck.sum())} samples stuck at {extreme:g}; "
+                    "choose a wider range or move more slowly",
+                    samples=int(stuck.sum()),
+                    extreme=float(extreme),
+                )
+
+
+def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
+    """Return the faces that a session lacks."""
+    have = Counter(faces)
+    return tuple(f for f in FACES if not have[f])
+
+
+def _check_repeats(means: FloatArray, faces: Sequence[Face], radius: float) -> None:
+    for a, b in itertools.combinations(range(len(faces)), 2):
+        apart = float(np.linalg.norm(means[a] - means[b])) / radius
+        if faces[a] == faces[b] and apart > _REPEAT_APART:
+            missing = missing_faces(faces)
+            lacking = f"; {' and '.join(missing)} missing" if missing else ""
+            raise Implausible(
+                f"face {faces[a]}: stated twice, readings {apart:.2f} g apart{lacking}: one of the two is another face, "
+                "correct its label",
+                faces=(faces[a], faces[b]),
+                apart_g=apart,
+            )
+
+
+def _check_opposites(means: FloatArray, up: FloatArray, faces: Sequence[Face]) -> None:
+    # The affine fit cannot see +x and -x exchanged: the gain merely turns negative. Axes are named by the readings' columns.
+    for axis, name in enumerate(AXES):
+        plus, minus = means[up[:, axis] > 0.0], means[up[:, axis] < 0.0]
+        if len(plus) and len(minus):
+            gain = float(plus[:, axis].mean() - minus[:, axis].mean())
+            span = float(np.abs(plus.mean(axis=0) - minus.mean(axis=0)).max())
+            if gain < 0.0 and -gain > 0.5 * span:
+                raise Implausible(
+                    f"faces +{name} and -{name}: wanted the axis that points up to read the larger value, got {gain:.4g} less; "
+                    f"the two are swapped: a face names the axis that points up, which reads +g",
+                    swapped=(f"+{name}", f"-{name}"),
+                )
+
+
+def _explaining_swap(
+    means: FloatArray, faces: Sequence[Face], present: list[Face], enough: float
+) -> tuple[Face, Face] | None:
+    # Several swaps may fit alike, all but one of them with axes exchanged: take the one whose sensors see their own axes.
+    best: tuple[Face, Face] | None = None
+    most = -np.inf
+    for one, other in itertools.combinations(present, 2):
+        up = face_vectors([_exchange(f, one, other) for f in faces])
+        design = np.column_stack((up, np.ones(len(up))))
+        own = float(np.trace(np.linalg.lstsq(design, means, rcond=None)[0][:3]))
+        if own > most and _affine_misfit(means, up) < enough:
+            best, most = (one, other), own
+    return best
+
+
+def _affine_misfit(means: FloatArray, up: FloatArray) -> float:
+    design = np.column_stack((up, np.ones(len(up))))
+    residual = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
+    return float(np.sqrt((residual**2).sum(axis=1).mean()))
+
+
+def _exchange(face: Face, one: Face, other: Face) -> Face:
+    return other if face == one else one if face == other else face
+
+
+def _likely_factor(ratio: float) -> str:
+    size = max(abs(ratio), 1.0 / max(abs(ratio), 1e-12))
+    for factor in _FACTORS:
+        if abs(size / factor - 1.0) < 0.06:
+            return f"readings are {factor:g} times too {'small' if abs(ratio) < 1.0 else 'large'}: "
+    return ""
+
+
+def _longest_run(flag: FloatArray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0

@@ -1,0 +1,351 @@
+"""Known rotation: six faces, then one turn by a known angle about each axis (Ferraris 1995). No rate table.
+
+Forward model of the gyroscopes, with a the true specific force::
+
+    s = K w + b + G a
+
+At rest on face p (w = 0) the mean reading is b + G a_p. Over the turn about axis j by the angle t_j the sum of readings is
+K e_j t_j + b T + G A_j, T its duration and A_j the integral of the calibrated specific force.
+
+    paper      G from half the difference of opposite faces, b from the mean of all samples at rest, K from the turns [1]_
+    affine     G and b by least squares over the faces, weighted by their samples: the same for windows of equal length, and
+               free of bias for unequal ones
+
+Whether gyroscopes that were fitted to stated turns turn gravity as the accelerometer sees it, from rest to rest.
+
+::
+
+    C(P^T M (u - o)) n_before = n_after        P one of the 48 signed permutations
+
+The fit is right where P = 1 misses the later direction by least. Full turns bring gravity back whatever the axes are, and so do
+the means on the faces: it is the moves between the rests that tell a triad whose axes are not the accelerometer's.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.checks import (
+    axis_vectors,
+    cause_by_gravity,
+    check_axis_order,
+    check_range,
+    check_scale_factor,
+    face_vectors,
+    missing_faces,
+    nearest_signed_permutation,
+    told_order,
+)
+from undrift.calibration.multi_position_gyro import Moves, cut_moves, gravity_directions
+from undrift.calibration.six_face import FaceMeans
+from undrift.errors import Implausible, InputError, NotObservable
+from undrift.fit.least_squares import TriadFit, inverse_jacobian, scaled_condition
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
+from undrift.record import Axis, Record, Still, Turn
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+
+# ---- Whether gyroscopes that were fitted to stated turns turn gravity as the accelerometer sees it, from rest to rest.
+
+LARGEST_MISS_DEG = (
+    20.0  # rms: hand moves and an offset that drifts miss by a few degrees, an exchanged axis by 60 and more
+)
+_CLEARLY = 0.5  # another order must miss by less than this share to be named
+_LEAST_MOVES = 3
+_SIGNS = tuple(itertools.product((1.0, -1.0), repeat=3))
+
+
+def check_turns_gravity(
+    records: Sequence[Record], stills: Sequence[Still], accel: TriadModel, gyro: TriadModel
+) -> None:
+    """Raise when fitted gyroscopes turn gravity far better with their axes in another order."""
+    moves = cut_moves(records, stills, stills)
+    if len(moves.first) < _LEAST_MOVES:
+        return
+    n = gravity_directions(moves, accel).unit
+    own = _miss_deg(moves, n, gyro.matrix, gyro.offset)
+    if own <= LARGEST_MISS_DEG:
+        return
+    orders = [_signed(order, signs) for order in itertools.permutations(range(3)) for signs in _SIGNS]
+    misses = [_miss_deg(moves, n, order.T @ gyro.matrix, gyro.offset) for order in orders]
+    best = int(np.argmin(misses))
+    if misses[best] < _CLEARLY * own and not np.array_equal(orders[best], np.eye(3)):
+        raise Implausible(
+            f"gyro against accel: wanted gyroscopes that turn gravity from rest to rest, got moves that miss it by {own:.0f} deg "
+            f"rms, and by {misses[best]:.0f} deg were the axes x, y, z of the gyroscopes {told_order(orders[best])} of the "
+            f"accelerometer: {cause_by_gravity(orders[best])}; correct the order or the sign of the columns",
+            miss_deg=own,
+            seen=told_order(orders[best]),
+        )
+
+
+def _signed(order: tuple[int, ...], signs: tuple[float, ...]) -> FloatArray:
+    matrix = np.zeros((3, 3))
+    matrix[np.arange(3), order] = signs
+    return matrix
+
+
+def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArray) -> float:
+    from undrift.kernels.calibrate import rotations_between
+
+    count = len(moves.first)
+    rotation, sums = np.empty(9 * count), np.empty(36 * count)
+    rotations_between(
+        moves.gyro.reshape(-1),
+        moves.time,
+        moves.first,
+        moves.last,
+        np.ascontiguousarray(matrix).reshape(-1),
+        offset,
+        np.zeros(3 * count),
+        rotation,
+        sums,
+    )
+    arrived = (rotation.reshape(count, 3, 3).transpose(0, 2, 1) @ n[moves.before][:, :, None])[:, :, 0]
+    cosine = np.clip((arrived * n[moves.after]).sum(axis=1), -1.0, 1.0)
+    return float(np.sqrt(np.mean(np.arccos(cosine) ** 2))) / RADIAN_PER_DEGREE
+
+
+# ---- known rotation
+
+KnownRotationMode = Literal["paper", "affine"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownRotationSettings:
+    """How the turns are fitted."""
+
+    mode: KnownRotationMode = "affine"  # paper (Ferraris' closed form) or affine
+    angle_uncertainty: float = 0.0  # Standard uncertainty of each turn's angle, rad; part of the covariance
+    # Sensitivity the maker states, reading per rad/s; None leaves it unchecked unless the readings are physical
+    stated_scale: float | None = None
+    scale_tolerance: float = 0.25  # Relative tolerance of ``stated_scale``
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RotationData:
+    """Sums of readings over still phases and turns."""
+
+    rest: FaceMeans  # Gyroscope means on the faces, ``unit``
+    rest_samples: FloatArray  # (P,), samples behind each mean
+    angle: FloatArray  # (R,), angle of each turn about +axis, rad
+    axis: tuple[Axis, ...]  # Axis of each turn
+    reading: FloatArray  # (R, 3), integral of the gyroscope readings over each turn, unit * s
+    force: FloatArray  # (R, 3), integral of the calibrated specific force over each turn, m/s
+    duration: FloatArray  # (R,), s
+    noise: FloatArray | None = None  # (R, 3), standard deviation of ``reading`` from sample noise alone
+
+
+def fit_known_rotation(
+    data: RotationData, *, gravity: float, settings: KnownRotationSettings = KnownRotationSettings()
+) -> TriadFit:
+    """Fit gyroscopes, with their g-sensitivity, to six faces and turns by known angles.
+
+    References
+    ----------
+    .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
+       accelerometers", Sensors and Materials 7(5), 1995.
+    """
+    _check_complete(data)
+    to_rest = _rest_estimator(data, gravity, settings.mode)  # (4, P): b and the row of G from the means of one sensor
+    rest = to_rest @ data.rest.reading
+    turned = data.reading - data.duration[:, None] * rest[0] - data.force @ rest[1:]
+    turns = axis_vectors(data.axis) * data.angle[:, None]
+    forward = (np.linalg.pinv(turns) @ turned).T
+    _check_turns(forward, data, settings)
+    matrix = np.linalg.inv(forward)
+    residuals = np.concatenate((_rest_residuals(data, rest, gravity), turned - turns @ forward.T)) @ matrix.T
+    rank, condition = scaled_condition(np.column_stack((np.ones(len(data.rest.faces)), face_vectors(data.rest.faces))))
+    model = TriadModel(
+        method=f"known-rotation/{settings.mode}",
+        unit_in=data.rest.unit,
+        unit_out="rad/s",
+        matrix=matrix,
+        offset=rest[0],
+        g_sensitivity=matrix @ rest[1:].T,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
+        covariance=_covariance(data, to_rest, turns, forward, rest[1:].T, settings),
+        rms_residual=float(np.sqrt((residuals**2).mean())),
+        count=residuals.size,
+        rank=3 * rank + 9,
+        condition=condition,
+        valid_range=_range(data),
+    )
+    return TriadFit(model=model, residuals=residuals, verdict=_verdict(settings))
+
+
+def rotation_data(
+    records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn], *, matrix: FloatArray, offset: FloatArray
+) -> RotationData:
+    """Sum the readings of a session over its labelled faces and its turns.
+
+    Arrays: matrix (3, 3), offset (3,).
+    """
+    means, samples, faces, square, spare = [], [], [], np.zeros(3), 0
+    for still in stills:
+        gyro, _ = _both(records[still.recording])
+        if still.face is not None:
+            window = gyro[still.start : still.stop]
+            window = window[~np.isnan(window).any(axis=1)]
+            if len(window) < 2:
+                raise InputError(
+                    f"known rotation: wanted readings at rest on face {still.face}, got {len(window)}; choose another stretch"
+                )
+            means.append(window.mean(axis=0))
+            samples.append(len(window))
+            faces.append(still.face)
+            square += ((window - window.mean(axis=0)) ** 2).sum(axis=0)
+            spare += len(window) - 1
+    sigma = np.sqrt(square / max(1, spare))
+    used = [t for t in turns if t.axis is not None and t.angle is not None]
+    reading, force, duration, noise = [], [], [], []
+    for turn in used:
+        record = records[turn.recording]
+        gyro, accel = _both(record)
+        if np.isnan(gyro[turn.start : turn.stop]).any() or np.isnan(accel[turn.start : turn.stop]).any():
+            raise InputError(
+                f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again"
+            )
+        check_range([gyro[turn.start : turn.stop]], f"gyroscope in the turn about {turn.axis}")
+        step = _steps(record.time)[turn.start : turn.stop]
+        reading.append(step @ gyro[turn.start : turn.stop])
+        force.append(step @ ((accel[turn.start : turn.stop] - offset) @ matrix.T))
+        duration.append(step.sum())
+        noise.append(sigma * np.sqrt(step @ step))
+    count = np.array(samples, float)
+    unit = records[0].gyro_unit
+    return RotationData(
+        rest=FaceMeans(
+            reading=np.array(means).reshape(-1, 3),
+            faces=tuple(faces),
+            noise=sigma / np.sqrt(count)[:, None] if len(count) else None,
+            unit=unit,
+        ),
+        rest_samples=count,
+        angle=np.array([t.angle for t in used], float),
+        axis=tuple(t.axis for t in used if t.axis is not None),
+        reading=np.array(reading).reshape(-1, 3),
+        force=np.array(force).reshape(-1, 3),
+        duration=np.array(duration),
+        noise=np.array(noise).reshape(-1, 3),
+    )
+
+
+def _both(record: Record) -> tuple[FloatArray, FloatArray]:
+    if record.gyro is None or record.accel is None:
+        raise InputError("known rotation: wanted gyroscope and accelerometer, got one of them; map the missing columns")
+    return record.gyro, record.accel
+
+
+def _steps(time: FloatArray) -> FloatArray:
+    step = np.diff(time)
+    return np.concatenate((step[:1], step))
+
+
+def _check_complete(data: RotationData) -> None:
+    missing = missing_faces(data.rest.faces)
+    if missing:
+        raise NotObservable(
+            f"known rotation: wanted rest on all six faces, got none for {', '.join(missing)}; record the missing faces",
+            missing=missing,
+        )
+    lacking = [axis for axis in AXES if axis not in data.axis]
+    if lacking:
+        raise NotObservable(
+            f"known rotation: wanted a turn about each axis, got none about {', '.join(lacking)}; "
+            f"turn the device about {', '.join(lacking)} by a known angle",
+            missing=tuple(lacking),
+        )
+
+
+def _rest_estimator(data: RotationData, gravity: float, mode: KnownRotationMode) -> FloatArray:
+    up, samples = face_vectors(data.rest.faces), data.rest_samples
+    if mode == "paper":
+        opposite = up / np.abs(up).sum(axis=0) / gravity  # half differences, repeated faces averaged
+        return np.vstack((samples / samples.sum(), opposite.T))
+    design = np.column_stack((np.ones(len(up)), gravity * up))
+    weighted = design * samples[:, None]
+    return np.asarray(np.linalg.solve(weighted.T @ design, weighted.T))
+
+
+def _rest_residuals(data: RotationData, rest: FloatArray, gravity: float) -> FloatArray:
+    model: FloatArray = rest[0] + gravity * face_vectors(data.rest.faces) @ rest[1:]
+    return data.rest.reading - model
+
+
+def _check_turns(forward: FloatArray, data: RotationData, settings: KnownRotationSettings) -> None:
+    seen = nearest_signed_permutation(forward)
+    if not np.diag(seen).all():
+        check_axis_order(forward, "known rotation", against="turns")
+    reversed_ = [k for k in range(3) if seen[k, k] < 0.0]
+    if reversed_:
+        axes = ", ".join(AXES[k] for k in reversed_)
+        angles = ", ".join(
+            f"{AXES[k]} {-data.angle[data.axis.index(AXES[k])] / RADIAN_PER_DEGREE:+g} deg" for k in reversed_
+        )
+        raise Implausible(
+            f"known rotation: wanted gyroscopes that read + for a turn about their +axis, got the turn about {axes} reversed; "
+            f"if the device was turned the other way give its angle as {angles}, else change the sign of "
+            "that column",
+            reversed=tuple(AXES[k] for k in reversed_),
+        )
+    stated = settings.stated_scale
+    if stated is None and is_physical(data.rest.unit):
+        stated = 1.0 / si_factor(data.rest.unit, "rate")
+    if stated is not None:
+        check_scale_factor(
+            np.linalg.norm(forward, axis=1), stated, settings.scale_tolerance, "gyroscope turned by hand"
+        )
+
+
+def _covariance(
+    data: RotationData,
+    to_rest: FloatArray,
+    turns: FloatArray,
+    forward: FloatArray,
+    g_forward: FloatArray,
+    settings: KnownRotationSettings,
+) -> FloatArray:
+    # Linear propagation, one sensor (row) at a time: means at rest -> b, G; sums over the turns less b T + G A -> K.
+    total = np.zeros((21, 21))
+    per_turn = np.linalg.pinv(turns)
+    leak = np.column_stack((data.duration, data.force))
+    if data.rest.noise is None or data.noise is None:
+        return np.full((21, 21), np.nan)
+    for row in range(3):
+        rest = to_rest @ np.diag(data.rest.noise[:, row] ** 2) @ to_rest.T
+        k = np.arange(3 * row, 3 * row + 3)
+        bg = np.array([9 + row, 12 + 3 * row, 13 + 3 * row, 14 + 3 * row])
+        total[np.ix_(k, k)] = per_turn @ (np.diag(data.noise[:, row] ** 2) + leak @ rest @ leak.T) @ per_turn.T
+        total[np.ix_(bg, bg)] = rest
+        total[np.ix_(k, bg)] = -per_turn @ leak @ rest
+        total[np.ix_(bg, k)] = total[np.ix_(k, bg)].T
+    for turn, axis in enumerate(data.axis):
+        shift = np.outer(forward[:, AXES.index(axis)], per_turn[:, turn]).reshape(
+            -1
+        )  # one wrong angle moves a whole column
+        total[:9, :9] += settings.angle_uncertainty**2 * np.outer(shift, shift)
+    matrix = np.linalg.inv(forward)
+    jacobian = np.eye(21)
+    jacobian[:9, :9] = inverse_jacobian(matrix)
+    jacobian[12:, :9] = np.kron(np.eye(3), g_forward.T) @ jacobian[:9, :9]
+    jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
+    covariance: FloatArray = jacobian @ total @ jacobian.T
+    return covariance
+
+
+def _range(data: RotationData) -> tuple[float, float]:
+    fastest = float(np.abs(data.angle / data.duration).max())
+    return -fastest, fastest
+
+
+def _verdict(settings: KnownRotationSettings) -> Verdict:
+    reason = "each turn is one equation for its column of the matrix: nothing is left over to check the angles against"
+    if settings.angle_uncertainty == 0.0:
+        reason += (
+            "; the uncertainty stated takes them as exact (1 deg of 360 is 0.28 % of scale): give angle_uncertainty"
+        )
+    return Verdict(remarks=(reason,))

@@ -1,0 +1,688 @@
+"""Calibration without equipment: hold the device still in many poses, turn it by hand between them.
+
+::
+
+    |M_a (u - o_a)| = g                  accelerometer, over the still poses    calibration/multi_position.py
+    C(M_g, o_g) n_before = n_after       gyroscopes, over the moves between     calibration/multi_position_gyro.py
+
+Where a still begins and ends is a choice: the variance of the accelerometer over a sliding window, as the length of the
+vector of its three variances, must stay below a multiple of what it is at rest [1]_. Several multiples are tried:
+
+- ``coverage``: of the multiples that keep nine tenths of the different poses, the one that leaves a corrected reading least
+  uncertain. A low threshold loses poses, a high one lets motion in, and both show in that figure.
+- ``published``: the one with the smallest summed cost over the first second of each still, the opening rest giving the level
+  and the gyroscopes' offset [1]_. A summed cost falls with every pose that is lost, so it may keep few poses.
+
+References
+----------
+.. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
+   equipments", ICRA 2014, section IV.
+
+Accelerometer from free poses: at rest the reading has the length of gravity, whichever way the device lies.
+
+::
+
+    |M (u_k - o)| = g        k = 1 .. K still poses, u_k mean raw reading, M upper triangular
+
+A common rotation of all readings does not change their length, so three of the twelve parameters are a choice of axes: M is
+upper triangular, that is, the sensor's z axis is the case's z axis and its y axis lies in the case's y-z plane. Written as
+scale and misalignment [1]_, M = T D with T unit upper triangular and D diagonal: D_j = M_jj, T_ij = M_ij / M_jj.
+
+The equations are solved in :mod:`undrift.calibration.fit.norm`; here the answer is judged and put in the sensor's units.
+
+References
+----------
+.. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
+   equipments", ICRA 2014, eqs. 2-4 and 8-10.
+
+Solve |M (u - o)| = g for an upper triangular M: the numbers behind the multi-position fit, without judgement.
+
+Scaled so that every parameter is near one or of the size of g::
+
+    v = k (u - c)          c, k from the sphere through the readings
+    |M' (v - o')| = g      M = k M',  o = c + o' / k
+
+Levenberg-Marquardt on the normal equations with analytic Jacobian: with n the direction of M' (v - o'),
+dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each pose weighs by the variance of its length,
+n^T M S_k M^T n + s2, S_k the variances of the mean and s2 the excess of :mod:`undrift.calibration.fit.excess`: the profile
+likelihood over unknown directions.
+
+Sliding variance of an accelerometer, and the stills below a threshold of it.
+
+::
+
+    s2_k = |(var u_x, var u_y, var u_z)| over the window centred at k        sample variances, raw unit squared
+
+A turn about the vertical does not show in an accelerometer: where there are gyroscopes, a still is cut down to its core, in
+which they are as quiet as they are in most of the stills.
+
+Running sums make window, mean and variance of any stretch cost the same whatever its length.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
+from undrift.calibration.checks import check_gravity, check_range, check_scale_factor
+from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
+from undrift.errors import InputError, NotObservable, PoorFit
+from undrift.fit.least_squares import TriadFit, excess_variance, in_words, scaled_condition
+from undrift.model import AXES, Status, TriadModel, Verdict
+from undrift.record import Record, Session, Still
+from undrift.segments import runs
+from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
+
+# ---- Solve |M (u - o)| = g for an upper triangular M: the numbers behind the multi-position fit, without judgement.
+
+ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
+NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
+WEAKEST = 0.02  # rms change of length, in g, per unit of a parameter that still counts as seen; random poses show 0.25
+_START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NormFit:
+    """Scaled solution of the norm equations."""
+
+    center: FloatArray  # (3,), c, raw unit
+    scale: float  # k, m/s2 per raw unit
+    p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
+    covariance: FloatArray  # (9, 9), of p; zeros where held, NaN where the equations are singular
+    residuals: FloatArray  # (K,), length less gravity, m/s2
+    excess: float  # Standard deviation that the poses show beyond their stated noise, m/s2
+    condition: float  # Condition number of the design, columns scaled to one
+    # Least rms change of length, in g, that one unit of any combination of parameters makes (1, and g for offsets)
+    weakest: float
+    unseen: tuple[str, ...]  # The parameters that take part in that weakest combination
+    gravity: float  # m/s2
+
+    @property
+    def matrix(self) -> FloatArray:
+        """M, m/s2 per raw unit, shape (3, 3)."""
+        return self.scale * _upper(self.p)
+
+    @property
+    def offset(self) -> FloatArray:
+        """o, raw unit, shape (3,)."""
+        offset: FloatArray = self.center + self.p[6:] / self.scale
+        return offset
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of a corrected reading of gravity, root mean square over all directions, m/s2."""
+        variance = np.diag(self.covariance)
+        total = float(self.gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum())
+        return float(np.sqrt(total)) if np.isfinite(total) else np.inf
+
+    def corrected(self, reading: FloatArray) -> FloatArray:
+        """Return readings in m/s2.
+
+        Arrays: reading (K, 3) -> (K, 3) m/s2.
+        """
+        a: FloatArray = (reading - self.offset) @ self.matrix.T
+        return a
+
+
+def fit_norm(
+    reading: FloatArray, *, gravity: float, variances: FloatArray | None = None, cross_axis: bool = True
+) -> NormFit:
+    """Solve the norm equations from the sphere through the readings; weights and excess are renewed until they settle.
+
+    Arrays: reading (K, 3), variances (K, 3).
+    """
+    center, scale = _sphere(reading, gravity)
+    v = np.ascontiguousarray(scale * (reading - center))
+    stated_raw = np.zeros_like(v) if variances is None else variances * scale**2
+    free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
+    found, p, variance, excess = True, _START, np.ones(len(v)), 0.0
+    for _ in range(1 if variances is None else 6):
+        before = p
+        p, found = _descend(v, variance.min() / variance, p, gravity, free)
+        design, residuals = _linearised(v, p, gravity)
+        stated = (design[:, 6:] ** 2 * stated_raw).sum(axis=1)  # d length / d reading = M'^T n
+        excess = excess_variance(residuals, stated, len(v) - len(free))
+        variance = np.maximum(stated + excess, (1e-12 * gravity) ** 2)
+        if not found or float(np.abs(p - before).max()) < 1e-12 * gravity:
+            break
+    size = np.array([gravity] * 6 + [1.0] * 3)
+    _, singular, right = np.linalg.svd(design[:, free] / size[free], full_matrices=False)
+    weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(len(v))), len(singular) - 1)
+    share = np.linalg.norm(right[weak], axis=0)
+    weakest = float(singular[-1] / np.sqrt(len(v))) if len(v) >= len(free) else 0.0
+    if not found and weakest > WEAKEST:
+        raise PoorFit(
+            f"multi-position: wanted {len(v)} readings of length {gravity:g} m/s2, got none that a linear sensor could give; "
+            "check that the device lay still and that the columns are the accelerometer's",
+            poses=len(v),
+        )
+    covariance = np.zeros((9, 9))
+    covariance[np.ix_(free, free)] = _inverse(design[:, free] / np.sqrt(variance)[:, None])
+    return NormFit(
+        center=center,
+        scale=scale,
+        p=p,
+        covariance=covariance,
+        residuals=residuals,
+        excess=float(np.sqrt(excess)),
+        condition=scaled_condition(design[:, free])[1],
+        weakest=weakest,
+        unseen=tuple(NAMES[i] for i in free[share > 0.3 * share.max()]),
+        gravity=gravity,
+    )
+
+
+def _upper(p: FloatArray) -> FloatArray:
+    matrix = np.zeros((3, 3))
+    matrix[ROW, COLUMN] = p[:6]
+    return matrix
+
+
+def _sphere(reading: FloatArray, gravity: float) -> tuple[FloatArray, float]:
+    """Return centre and g / radius of the sphere |u - c| = R: linear in c and R^2 - |c|^2; in the plane of flat poses."""
+    mean = reading.mean(axis=0)
+    spread = float(np.abs(reading - mean).max())
+    u = (reading - mean) / spread
+    design = np.column_stack((2.0 * u, np.ones(len(u))))
+    solution = np.linalg.lstsq(design, (u**2).sum(axis=1), rcond=0.02)[0]
+    radius = float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.01)))
+    return mean + spread * solution[:3], gravity / (spread * radius)
+
+
+def _descend(
+    v: FloatArray, weight: FloatArray, start: FloatArray, gravity: float, free: IntArray
+) -> tuple[FloatArray, bool]:
+    """Return the minimum and whether there is one; the start again where the steps run away."""
+    from undrift.kernels.calibrate import norm_equations
+
+    flat, square, size = v.reshape(-1), np.ix_(free, free), np.array([1.0] * 6 + [gravity] * 3)
+    normal, gradient, trial_normal, trial_gradient = np.empty(81), np.empty(9), np.empty(81), np.empty(9)
+    p = start
+    cost = norm_equations(flat, weight, p, gravity, normal, gradient)
+    damping = 1e-9
+    for _ in range(100):
+        block = normal.reshape(9, 9)[square]
+        step = np.zeros(9)
+        step[free] = np.linalg.solve(block + damping * np.diag(np.diag(block) + 1e-12 * len(v)), -gradient[free])
+        trial = p + step
+        trial_cost = norm_equations(flat, weight, trial, gravity, trial_normal, trial_gradient)
+        settled = float(np.abs(step / size).max()) < 1e-11
+        if trial_cost <= cost:
+            p, cost, damping = trial, trial_cost, max(0.1 * damping, 1e-12)
+            normal, trial_normal, gradient, trial_gradient = trial_normal, normal, trial_gradient, gradient
+        else:
+            damping = max(10.0 * damping, 1e-6)
+        if settled or damping > 1e9:
+            return p, True
+        if float(np.abs(p / size).max()) > 30.0:
+            break
+    return start, False
+
+
+def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
+    """Return design (K, 9) and residuals (K,) at p."""
+    matrix, d = _upper(p), v - p[6:]
+    a = d @ matrix.T
+    length = np.linalg.norm(a, axis=1)
+    n = a / length[:, None]
+    return np.column_stack((n[:, ROW] * d[:, COLUMN], -n @ matrix)), length - gravity
+
+
+def _inverse(design: FloatArray) -> FloatArray:
+    """Return (J^T J)^-1 by singular values, NaN where they are short of rank."""
+    size = np.linalg.norm(design, axis=0)
+    _, singular, right = np.linalg.svd(design / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    if len(singular) < design.shape[1] or len(design) < design.shape[1] or singular[-1] < 1e-9 * singular[0]:
+        return np.full((design.shape[1], design.shape[1]), np.nan)
+    root = right.T / singular / size[:, None]
+    inverse: FloatArray = root @ root.T
+    return inverse
+
+
+# ---- Accelerometer from free poses: at rest the reading has the length of gravity, whichever way the device lies.
+
+SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # of m_xx .. m_zz, offset_x ..: those that the length of gravity shows
+TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
+MG = STANDARD_GRAVITY * 1e-3
+HELD_AT_ZERO = "cross-axis terms were held at zero: the poses were not asked to show them"
+
+
+def fit_poses(
+    means: ArrayLike,
+    *,
+    gravity: float,
+    standard_errors: ArrayLike | None = None,
+    unit_in: str = "count",
+    cross_axis: bool = True,
+) -> TriadFit:
+    """Fit an accelerometer to its mean readings in still poses of any direction.
+
+    Model |M (u - o)| = g, M upper triangular, weighted by the variance of each pose's length: module docstring.
+
+    Arrays: means (K, 3), standard_errors (K, 3).
+    """
+    reading = frozen(means, (None, 3), "means")
+    error = None if standard_errors is None else frozen(standard_errors, (len(reading), 3), "standard_errors")
+    if np.isnan(reading).any() or (error is not None and (np.isnan(error).any() or (error < 0.0).any())):
+        raise InputError(
+            "poses: wanted means and standard errors without gaps, got NaN or negatives; leave those poses out"
+        )
+    check_count(reading, 9 if cross_axis else 6, known_noise=error is not None)
+    fit = fit_norm(reading, gravity=gravity, variances=None if error is None else error**2, cross_axis=cross_axis)
+    return judged(fit, reading, unit_in)
+
+
+def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> None:
+    """Raise unless there are poses enough.
+
+    Arrays: reading (K, 3).
+    """
+    wanted = parameters + (not known_noise)
+    names = in_words(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
+    different = len(np.unique(reading, axis=0))
+    if different < wanted:
+        raise NotObservable(
+            f"multi-position: wanted {wanted} still poses or more for {names}, got {different}; record more poses, "
+            "each with another side, edge or corner up, and hold each still for two seconds",
+            poses=different,
+            wanted=wanted,
+        )
+
+
+def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
+    """Return a solution as a fit with verdict, or refuse it where the poses leave a parameter unseen.
+
+    Arrays: reading (K, 3).
+    """
+    unit = canonical_unit(unit_in, "accel")
+    if is_physical(unit):
+        check_gravity(reading * si_factor(unit, "accel"), fit.gravity)
+    corrected = fit.corrected(reading)
+    if fit.weakest < WEAKEST:
+        raise NotObservable(
+            f"multi-position: wanted poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
+            f"{fit.weakest:.2g} for {in_words(fit.unseen)}; {_advice(corrected, fit.unseen)}",
+            weakest=fit.weakest,
+            parameters=fit.unseen,
+        )
+    carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
+    carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
+    model = TriadModel(
+        method="multi-position",
+        unit_in=unit,
+        unit_out="m/s2",
+        matrix=fit.matrix,
+        offset=fit.offset,
+        covariance=carry @ fit.covariance @ carry.T,
+        rms_residual=float(np.sqrt(np.mean(fit.residuals**2))),
+        count=len(reading),
+        rank=int((np.diag(fit.covariance) > 0.0).sum()),
+        condition=fit.condition,
+        valid_range=(float(corrected.min()), float(corrected.max())),
+    )
+    if is_physical(unit):
+        check_scale_factor(model.scale_factor * si_factor(unit, "accel"), 1.0, TOLERANCE, "accel")
+    return TriadFit(model=model, residuals=fit.residuals, verdict=_verdict(fit))
+
+
+def _verdict(fit: NormFit) -> Verdict:
+    reasons: list[str] = []
+    status: Status = "good"
+    rms, doubt = float(np.sqrt(np.mean(fit.residuals**2))) / MG, fit.uncertainty / MG
+    if rms > 3.0:
+        status = "bad" if rms > 20.0 else "marginal"
+        reasons.append(
+            f"poses miss gravity by {rms:.2g} mg rms (wanted 3): the device moved in some of them, or the sensor is not linear"
+        )
+    if doubt > 2.0:
+        status = "bad" if doubt > 20.0 else "marginal" if status == "good" else status
+        reasons.append(
+            f"a corrected reading of gravity is uncertain by {doubt:.2g} mg (wanted 2): record more poses, held longer"
+        )
+    if fit.p[1] == fit.p[2] == fit.p[4] == 0.0:
+        reasons.append(HELD_AT_ZERO)
+    return Verdict(status=status, remarks=tuple(reasons))
+
+
+def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
+    n = corrected / np.linalg.norm(corrected, axis=1)[:, None]
+    values, vectors = np.linalg.eigh(n.T @ n / len(n))
+    if values[0] < 0.02:
+        axis = AXES[int(np.abs(vectors[:, 0]).argmax())]
+        return f"all poses lie near one plane: add poses with the {axis} axis up and with it down"
+    if set(unseen) <= {"m_xy", "m_xz", "m_yz"}:
+        return "add poses between the faces (edges and corners up)"
+    return "add poses on the sides, edges and corners that are missing"
+
+
+# ---- Sliding variance of an accelerometer, and the stills below a threshold of it.
+
+QUIETEST = 0.05  # share of all windows that tells the level at rest
+CORE = 4.0  # variance of the gyroscopes in the core of a still, in units of their median variance in all stills
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StillVariance:
+    """Windowed variance of one record."""
+
+    values: FloatArray  # (N, 3), readings, raw unit
+    # (N,), length of the variance vector over the window centred at each sample, raw unit squared; infinite at the
+    # ends and beside gaps
+    level: FloatArray
+    gyro_level: FloatArray | None  # (N,), the same of the gyroscopes, their unit squared; None without gyroscopes
+    at_rest: float  # Value of ``level`` at rest, raw unit squared
+    sums: FloatArray  # (N + 1, 3), running sums of the readings less ``centre``, and of their squares
+    squares: FloatArray  # (N + 1, 3), running sums of the readings less ``centre``, and of their squares
+    centre: FloatArray  # (3,), raw unit
+
+    def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
+        """Return the stretches [start, stop) below a threshold."""
+        found = runs(self.level < threshold)
+        return [(int(a), int(b)) for a, b in found[found[:, 1] - found[:, 0] >= least]]
+
+    def cores(self, stretches: list[tuple[int, int]], least: int) -> list[tuple[int, int]]:
+        """Return stills cut down to the part in which the gyroscopes are quiet too."""
+        if self.gyro_level is None or not stretches:
+            return stretches
+        limit = CORE * float(np.median(np.concatenate([self.gyro_level[a:b] for a, b in stretches])))
+        kept: list[tuple[int, int]] = []
+        for start, stop in stretches:
+            quiet = runs(self.gyro_level[start:stop] <= limit)
+            first, last = max(quiet, key=lambda run: run[1] - run[0], default=(0, 0))
+            kept.append((start + int(first), start + int(last)) if last - first >= least else (start, stop))
+        return kept
+
+    def moments(self, stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
+        """Return the mean reading of each still and its variance, the noise pooled over all.
+
+        Arrays:  -> (K, 3), (K, 3).
+        """
+        start, stop = np.array([s.start for s in stills]), np.array([s.stop for s in stills])
+        count = (stop - start)[:, None].astype(float)
+        sums, squares = self.sums[stop] - self.sums[start], self.squares[stop] - self.squares[start]
+        within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(stills))
+        return sums / count + self.centre, np.maximum(within, 0.0) / count
+
+
+def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> StillVariance:
+    """Return the windowed variance of a record's accelerometer and its level at rest."""
+    if record.accel is None:
+        raise InputError("still variance: wanted accel readings, got none; map the accelerometer columns")
+    half = max(5, round(0.5 * window_s * record.sample_rate_hz))
+    width = 2 * half + 1
+    rest = len(record) if rest_s is None else int(np.searchsorted(record.time, record.time[0] + rest_s))
+    if len(record) < width + 1 or (rest_s is not None and record.duration_s < rest_s):
+        raise InputError(
+            f"still variance: wanted a record longer than its window of {window_s:g} s"
+            + ("" if rest_s is None else f" and its opening rest of {rest_s:g} s")
+            + f", got {record.duration_s:.2f} s; shorten them"
+        )
+    level, sums, squares, centre = _windowed(record.accel, half)
+    if rest_s is None:
+        finite = level[np.isfinite(level)]
+        at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
+    else:
+        at_rest = float(np.linalg.norm(np.nanvar(record.accel[:rest], axis=0, ddof=1)))
+    return StillVariance(
+        values=record.accel,
+        level=level,
+        gyro_level=None if record.gyro is None else _windowed(record.gyro, half)[0],
+        at_rest=at_rest,
+        sums=sums,
+        squares=squares,
+        centre=centre,
+    )
+
+
+def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the level over windows of 2 half + 1 samples, running sums, running sums of squares, and their centre."""
+    width = 2 * half + 1
+    gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
+    centre = values[~gap].mean(axis=0) if not gap.all() else np.zeros(3)
+    u = np.where(gap[:, None], 0.0, values - centre)
+    sums, squares = np.zeros((len(u) + 1, 3)), np.zeros((len(u) + 1, 3))
+    np.cumsum(u, axis=0, out=sums[1:])
+    np.cumsum(u * u, axis=0, out=squares[1:])
+    s, q = sums[width:] - sums[:-width], squares[width:] - squares[:-width]
+    level = np.full(len(u), np.inf)
+    level[half:-half] = np.linalg.norm((q - s * s / width) / (width - 1), axis=1)
+    if gap.any():
+        lost = np.concatenate(([0], np.cumsum(gap)))
+        level[half:-half][lost[width:] > lost[:-width]] = np.inf
+    return level, sums, squares, centre
+
+
+# ---- multi position
+
+SAME_POSE_DEG = 10.0  # directions nearer to each other than this count as one pose
+Rule = Literal["coverage", "published"]
+GyroPolicy = Literal["if_observable", "required", "none"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MultiPositionSettings:
+    """How stills are found and what is fitted."""
+
+    window_s: float = 1.0  # Length of the sliding window, s; each end of a still loses half of it
+    min_still_s: float = 1.0  # Shortest still, s, after that loss
+    # Thresholds to try, in units of the level at rest
+    multiples: tuple[float, ...] = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 15.0, 20.0, 30.0, 50.0)
+    # Length of an opening rest that gives the level at rest, s; None takes the quietest twentieth of all windows
+    rest_s: float | None = None
+    rule: Rule = "coverage"  # coverage or published: how the threshold is chosen, and how poses and turns weigh
+    cross_axis: bool = True  # False fits the accelerometer's scale and offset alone: for poses on the faces
+    # if_observable leaves the gyroscopes out, with the reason, where the moves do not show them; required raises;
+    # none
+    gyro: GyroPolicy = "if_observable"
+
+    @classmethod
+    def published(cls, rest_s: float = 50.0) -> "MultiPositionSettings":
+        """Return the settings of the published demonstration."""
+        return cls(multiples=tuple(float(m) for m in range(2, 11)), rest_s=rest_s, rule="published")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThresholdTrial:
+    """One threshold and what came of it."""
+
+    multiple: float  # Of the level at rest; NaN where the stills were stated
+    stills: int  # Still phases found
+    poses: int  # Different poses among them, by direction
+    cost: float  # Half the sum of squared residuals, (m/s2)^2; infinite where nothing could be fitted
+    rms_residual: float  # m/s2
+    uncertainty: float  # Standard uncertainty of a corrected reading of gravity, rms over all directions, m/s2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MultiPositionFit:
+    """Accelerometer and, where the moves show them, gyroscopes."""
+
+    accel: TriadFit  # Raw to m/s2
+    gyro: TriadFit | None  # Raw to rad/s in the accelerometer's axes
+    stills: tuple[Still, ...]  # Those that were used
+    # Threshold on the windowed variance, accelerometer unit squared; NaN where the stills were stated; of the first
+    # record
+    threshold: float
+    trials: tuple[ThresholdTrial, ...]  # All thresholds tried
+    verdict: Verdict  # Of both, and why the gyroscopes are missing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Attempt:
+    trial: ThresholdTrial
+    stills: tuple[Still, ...]
+    reading: FloatArray
+    fit: NormFit | None
+
+
+def fit_multi_position(
+    record: Record,
+    *,
+    gravity: float,
+    stills: Sequence[Still] | None = None,
+    settings: MultiPositionSettings = MultiPositionSettings(),
+) -> MultiPositionFit:
+    """Calibrate from one recording of free poses and turns between them."""
+    return _fit((record,), None if stills is None else tuple(stills), gravity, settings)
+
+
+def fit_multi_position_session(
+    session: Session, *, settings: MultiPositionSettings = MultiPositionSettings()
+) -> MultiPositionFit:
+    """Calibrate from all recordings of a session together; a recording may be a single pose."""
+    return _fit(session.records, session.stills or None, session.gravity_m_s2, settings)
+
+
+def _fit(
+    records: tuple[Record, ...], stated: tuple[Still, ...] | None, gravity: float, settings: MultiPositionSettings
+) -> MultiPositionFit:
+    if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
+        raise InputError(
+            "multi-position: wanted accel readings in one unit in every recording, got recordings without or in several units; "
+            "map the accelerometer columns and their unit"
+        )
+    levels = [still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s) for r in records]
+    shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
+    if stated is not None:
+        attempts = [_attempt(levels, stated, np.nan, gravity, settings, shortest)]
+    else:
+        attempts = [
+            _attempt(levels, _stills(levels, m, shortest), m, gravity, settings, shortest) for m in settings.multiples
+        ]
+    chosen = _choose(attempts, settings)
+    if chosen.fit is None:
+        check_count(chosen.reading, 9 if settings.cross_axis else 6, known_noise=True)
+        raise PoorFit(
+            "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
+        )
+    check_range([levels[s.recording].values[s.start : s.stop] for s in chosen.stills], "accelerometer in still poses")
+    accel = judged(chosen.fit, chosen.reading, records[0].accel_unit)
+    found = stated is None and settings.rule == "coverage"
+    cores = _cores(levels, chosen.stills, shortest) if found else chosen.stills
+    gyro, missing = _gyro(records, chosen.stills, accel, settings, cores)
+    verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
+    return MultiPositionFit(
+        accel=accel,
+        gyro=gyro,
+        stills=chosen.stills,
+        threshold=chosen.trial.multiple * levels[0].at_rest,
+        trials=tuple(a.trial for a in attempts),
+        verdict=verdict.also(Verdict(status="marginal", remarks=(missing,))) if missing else verdict,
+    )
+
+
+def _stills(levels: list[StillVariance], multiple: float, shortest: list[int]) -> tuple[Still, ...]:
+    return tuple(
+        Still(start=start, stop=stop, recording=number)
+        for number, (level, least) in enumerate(zip(levels, shortest, strict=True))
+        for start, stop in level.below(multiple * level.at_rest, least)
+    )
+
+
+def _cores(levels: list[StillVariance], stills: tuple[Still, ...], shortest: list[int]) -> tuple[Still, ...]:
+    """Return the part of each still in which the gyroscopes are quiet, in the same order."""
+    cores: list[Still] = []
+    for number, (level, least) in enumerate(zip(levels, shortest, strict=True)):
+        own = [(s.start, s.stop) for s in stills if s.recording == number]
+        cores += [Still(start=start, stop=stop, recording=number) for start, stop in level.cores(own, least)]
+    return tuple(cores)
+
+
+def _attempt(
+    levels: list[StillVariance],
+    stills: tuple[Still, ...],
+    multiple: float,
+    gravity: float,
+    settings: MultiPositionSettings,
+    shortest: list[int],
+) -> _Attempt:
+    variances: FloatArray | None = None
+    if settings.rule == "published" and stills:
+        reading = np.concatenate(
+            [levels[s.recording].values[s.start : s.start + shortest[s.recording]] for s in stills]
+        )
+    else:
+        reading, variances = _poses(levels, stills)
+    nothing = ThresholdTrial(
+        multiple=multiple, stills=len(stills), poses=0, cost=np.inf, rms_residual=np.inf, uncertainty=np.inf
+    )
+    if len(stills) < (9 if settings.cross_axis else 6) or not np.ptp(reading, axis=0).any():
+        return _Attempt(trial=nothing, stills=stills, reading=reading, fit=None)
+    try:
+        fit = fit_norm(reading, gravity=gravity, variances=variances, cross_axis=settings.cross_axis)
+    except PoorFit:
+        return _Attempt(trial=nothing, stills=stills, reading=reading, fit=None)
+    means = reading if variances is not None else _poses(levels, stills)[0]
+    square = float(fit.residuals @ fit.residuals)
+    trial = ThresholdTrial(
+        multiple=multiple,
+        stills=len(stills),
+        poses=_different(fit.corrected(means)),
+        cost=0.5 * square,
+        rms_residual=float(np.sqrt(square / len(reading))),
+        uncertainty=fit.uncertainty,
+    )
+    return _Attempt(trial=trial, stills=stills, reading=reading, fit=fit)
+
+
+def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return mean readings and their variances, the noise pooled over the stills of a recording."""
+    means, variances = np.zeros((len(stills), 3)), np.zeros((len(stills), 3))
+    for number, level in enumerate(levels):
+        rows = [k for k, s in enumerate(stills) if s.recording == number]
+        if rows:
+            means[rows], variances[rows] = level.moments([stills[k] for k in rows])
+    return means, variances
+
+
+def _different(force: FloatArray) -> int:
+    """Return how many directions differ from all earlier ones."""
+    n = force / np.linalg.norm(force, axis=1)[:, None]
+    near = n @ n.T > np.cos(np.radians(SAME_POSE_DEG))
+    kept: list[int] = []
+    for k in range(len(n)):
+        if not near[k, kept].any():
+            kept.append(k)
+    return len(kept)
+
+
+def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attempt:
+    fitted = [a for a in attempts if a.fit is not None]
+    if not fitted:
+        return max(attempts, key=lambda a: len(a.stills))
+    if settings.rule == "published":
+        return min(fitted, key=lambda a: a.trial.cost)
+    # Thresholds that let motion in are far less certain; their false poses must not set the count to be reached.
+    least = min(a.trial.uncertainty for a in fitted)
+    most = max(a.trial.poses for a in fitted if a.trial.uncertainty <= 2.0 * least or not np.isfinite(least))
+    covered = [a for a in fitted if a.trial.poses >= 0.9 * most]
+    return min(covered, key=lambda a: a.trial.uncertainty)
+
+
+def _gyro(
+    records: tuple[Record, ...],
+    stills: tuple[Still, ...],
+    accel: TriadFit,
+    settings: MultiPositionSettings,
+    cores: tuple[Still, ...],
+) -> tuple[TriadFit | None, str]:
+    if settings.gyro == "none" or (settings.gyro == "if_observable" and any(r.gyro is None for r in records)):
+        return None, ""
+    published = settings.rule == "published"
+    try:
+        fit = fit_gyro_between_stills(
+            records,
+            stills,
+            accel.model,
+            cores=cores,
+            weights="equal" if published else "noise",
+            rest_s=settings.rest_s if published else None,
+        )
+    except NotObservable as error:
+        if settings.gyro == "required":
+            raise
+        return None, str(error)
+    return fit, ""

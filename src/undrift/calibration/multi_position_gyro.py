@@ -1,0 +1,556 @@
+"""Gyroscopes from hand turns between still poses: integrate from one gravity direction to the next.
+
+::
+
+    C_j(M, o) n_j = n_(j+1)        C_j turns the body frame at the end of still j into that at the start of still j+1,
+                                   integrated from w = M (u - o); n_j direction of gravity in still j, from the accelerometer
+
+M is a full 3x3 matrix in the accelerometer's axes [1]_. A turn shows two angles; the one about the vertical stays unseen.
+Two ways to weigh them:
+
+- ``noise``: by the covariance of the missed angles, with the noise of both still phases (a still between two turns ties
+  them together), the uncertainty of the accelerometer's calibration, the gyroscopes' white noise over the turn, the
+  drift of their offset between stills, and an excess that the residuals tell. The offset is a parameter; the stills' readings are
+  observations of it.
+- ``equal``: every turn alike and the offset fixed at the mean of the opening rest, as published in [1]_.
+
+References
+----------
+.. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
+   equipments", ICRA 2014, eqs. 11-15.
+
+What the gyroscope fit of the multi-position method works on: moves between stills, and what the stills say.
+
+The direction of gravity in still k is n = a / |a|, a = M (u - o) of the mean reading, with::
+
+    dn = (1 - n n^T) / |a| da        da = dM (u - o) - M do + M du
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.checks import check_axis_order, check_range, check_scale_factor
+from undrift.errors import InputError, NotObservable, PoorFit
+from undrift.fit.least_squares import TriadFit, excess_variance, in_words, scaled_condition
+from undrift.model import MATRIX_NAMES, Status, TriadModel, Verdict
+from undrift.record import Record, Still
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+
+# ---- What the gyroscope fit of the multi-position method works on: moves between stills, and what the stills say.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Directions:
+    """Direction of the specific force in each still."""
+
+    unit: FloatArray  # (K, 3), unit vectors in b
+    jacobian: FloatArray  # (K, 3, 12), derivative by the accelerometer's m_xx .. m_zz and offset
+    covariance: FloatArray  # (K, 3, 3), from the noise of the still itself
+    model_covariance: FloatArray  # (12, 12), of the accelerometer's parameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OffsetPrior:
+    """What the device at rest says of the gyroscopes' offset and noise."""
+
+    mean: FloatArray  # (3,), mean offset over the stills, raw unit
+    variance: FloatArray  # (3,), of the mean, raw unit squared
+    # (J, 3), offset of each move less the mean, raw unit; zeros where the stills do not show a drift
+    drift: FloatArray
+    drift_covariance: FloatArray  # (3, J, J), of the drift, per axis, raw unit squared
+    noise: FloatArray  # (3,), variance of one sample at rest, raw unit squared
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Moves:
+    """Readings of all records after one another, and the moves between stills in them."""
+
+    gyro: FloatArray  # (N, 3), raw units
+    accel: FloatArray  # (N, 3), raw units
+    time: FloatArray  # (N,), s, each record on its own clock
+    first: IntArray  # (J,), last sample of the core before, first sample of the core after
+    last: IntArray  # (J,), last sample of the core before, first sample of the core after
+    before: IntArray  # (J,), numbers of those stills
+    after: IntArray  # (J,), numbers of those stills
+    start: IntArray  # (K,), samples [start, stop) of the stills: where the accelerometer is quiet
+    stop: IntArray  # (K,), samples [start, stop) of the stills: where the accelerometer is quiet
+    core_start: IntArray  # (K,), samples of their cores: where the gyroscopes are quiet too
+    core_stop: IntArray  # (K,), samples of their cores: where the gyroscopes are quiet too
+
+    @property
+    def duration_s(self) -> FloatArray:
+        """Length of each move, s, shape (J,)."""
+        length: FloatArray = self.time[self.last] - self.time[self.first]
+        return length
+
+
+def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequence[Still]) -> Moves:
+    """Return the moves between neighbouring stills of a record; moves with gaps or drop-outs are left out."""
+    pairs = [(r.gyro, r.accel) for r in records]
+    if (
+        any(gyro is None or accel is None for gyro, accel in pairs)
+        or len({(r.gyro_unit, r.accel_unit) for r in records}) > 1
+    ):
+        raise InputError(
+            "multi-position gyro: wanted gyro and accel readings in the same units in every recording, got recordings that "
+            "differ; fit the recordings that have both"
+        )
+    base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
+    ordered = sorted(zip(stills, cores, strict=True), key=lambda pair: (pair[0].recording, pair[0].start))
+    first = base[[still.recording for still, _ in ordered]]
+    start, stop = (first + np.array([getattr(still, end) for still, _ in ordered]) for end in ("start", "stop"))
+    core_start, core_stop = (first + np.array([getattr(core, end) for _, core in ordered]) for end in ("start", "stop"))
+    gyro = np.concatenate([gyro for gyro, _ in pairs if gyro is not None])
+    time = np.concatenate([r.time for r in records])
+    longest = 1.5 / np.array([r.sample_rate_hz for r in records])
+    broken = np.isnan(gyro).any(axis=1) | (np.diff(time, prepend=time[0]) > np.repeat(longest, np.diff(base)))
+    lost = np.concatenate(([0], np.cumsum(broken)))
+    kept = [
+        k
+        for k in range(len(ordered) - 1)
+        if first[k] == first[k + 1] and lost[core_start[k + 1] + 1] == lost[core_stop[k]]
+    ]
+    before = np.array(kept, np.int64)
+    return Moves(
+        gyro=gyro,
+        accel=np.concatenate([accel for _, accel in pairs if accel is not None]),
+        time=time,
+        first=core_stop[before] - 1,
+        last=core_start[before + 1],
+        before=before,
+        after=before + 1,
+        start=start,
+        stop=stop,
+        core_start=core_start,
+        core_stop=core_stop,
+    )
+
+
+def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
+    """Return the direction of gravity in each still with its derivatives and covariance."""
+    mean, variance, count = still_moments(moves.accel, moves.start, moves.stop)
+    d = mean - accel.offset
+    a = d @ accel.matrix.T
+    length = np.linalg.norm(a, axis=1)
+    n = a / length[:, None]
+    across = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
+    by_matrix = (across[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)  # column 3 i + j: across e_i d_j
+    turned = across @ accel.matrix
+    return Directions(
+        unit=n,
+        jacobian=np.concatenate((by_matrix, -turned), axis=2),
+        covariance=(turned * variance / count[:, None, None]) @ turned.transpose(0, 2, 1),
+        model_covariance=accel.covariance[:12, :12],
+    )
+
+
+def offset_prior(moves: Moves) -> OffsetPrior:
+    """Return offset, drift and noise of the gyroscopes from all stills.
+
+    The mean reading of still k is b_k plus jitter plus the noise within; the offset b_(k+1) = b_k + N(0, q) is a random
+    walk. A hand that sways makes jitter, a sensor that warms up walks: the two are told apart by whether neighbours are
+    alike (von Neumann's ratio [1]_); where they are not, q = 0 and the offset is one constant. A move has the mean offset of
+    its two stills, uncertain by q / 12 more. Stills that turn about the vertical, which an accelerometer cannot see, are
+    left out.
+
+    References
+    ----------
+    .. [1] J. von Neumann, "Distribution of the ratio of the mean square successive difference to the variance", Ann. Math.
+       Stat. 12, 1941, 367-395.
+    """
+    reading, noise, count = still_moments(moves.gyro, moves.core_start, moves.core_stop)
+    rest = _at_rest(reading)
+    stills, each = len(reading), np.arange(len(moves.first))
+    to_move = np.zeros((len(each), stills))
+    to_move[each, moves.before], to_move[each, moves.after] = 0.5, 0.5
+    mean, variance = np.zeros(3), np.zeros(3)
+    drift, drift_covariance = np.zeros((len(each), 3)), np.zeros((3, len(each), len(each)))
+    for axis in range(3):
+        stated = np.maximum(noise[axis] / count, 1e-30)
+        walk, jitter = _walk_and_jitter(reading[rest, axis], stated[rest])
+        weight = rest / (stated + jitter)
+        if walk == 0.0:
+            variance[axis] = 1.0 / weight.sum()
+            mean[axis] = variance[axis] * (reading[:, axis] * weight).sum()
+            continue
+        step = np.diff(np.eye(stills), axis=0)
+        posterior = np.linalg.inv(step.T @ step / walk + np.diag(weight))
+        offset = posterior @ (reading[:, axis] * weight)
+        away = to_move - 1.0 / stills
+        mean[axis], variance[axis] = offset.mean(), posterior.mean()
+        drift[:, axis] = away @ offset
+        drift_covariance[axis] = away @ posterior @ away.T + walk / 12.0 * np.eye(len(each))
+    return OffsetPrior(mean=mean, variance=variance, drift=drift, drift_covariance=drift_covariance, noise=noise)
+
+
+def _at_rest(reading: FloatArray) -> BoolArray:
+    """Tell the stills whose mean rate is like the others' from those that turn, shape (K,)."""
+    away = np.abs(reading - np.median(reading, axis=0))
+    alike: BoolArray = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)
+    return alike
+
+
+def _walk_and_jitter(reading: FloatArray, stated: FloatArray) -> tuple[float, float]:
+    """Return q and the variance of the jitter."""
+    count = len(reading)
+    freedom = count - 1
+    jitter = 0.0
+    mean = float(np.mean(reading))
+    for _ in range(4):
+        jitter = excess_variance(reading - mean, stated, freedom)
+        weight = 1.0 / (stated + jitter)
+        mean = float((weight * reading).sum() / weight.sum())
+    first = float(np.mean(np.diff(reading) ** 2)) if count > 1 else 0.0
+    ratio = first / max(float(np.mean((reading - reading.mean()) ** 2)), 1e-300)
+    if jitter == 0.0 or count < 6 or ratio > 2.0 - 2.0 * 2.0 / np.sqrt(count):  # white: 2 with deviation 2 / sqrt(K)
+        return 0.0, jitter
+    lag = min(5, count // 2)
+    walk = max((float(np.mean((reading[lag:] - reading[:-lag]) ** 2)) - first) / (lag - 1), 0.0)
+    return walk, max(0.5 * (first - walk) - float(np.median(stated)), 0.0)
+
+
+def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
+    """Return a first gyroscope matrix from the slow change of the gravity direction.
+
+    dn/dt = n x w with w = M (u - o), over blocks of 0.2 s while the device is moved: linear in M. The hand's own
+    accelerations make it rough, some per cent.
+
+    Arrays: offset (3,) -> (3, 3).
+    """
+    normal, right = np.zeros((9, 9)), np.zeros(9)
+    for first, last in zip(moves.first, moves.last, strict=True):
+        step = (moves.time[last] - moves.time[first]) / max(1, last - first)
+        block = max(2, round(0.2 / step))
+        low, high = max(0, first - block), last + block  # into the stills, where the direction is sure
+        blocks = (min(high, len(moves.time)) - low) // block
+        if blocks < 3:
+            continue
+        cut = slice(low, low + blocks * block)
+        force = (moves.accel[cut] - accel.offset).reshape(blocks, block, 3).mean(axis=1) @ accel.matrix.T
+        rate = (moves.gyro[cut] - offset).reshape(blocks, block, 3).mean(axis=1)[1:-1]
+        n = force / np.linalg.norm(force, axis=1)[:, None]
+        turn = (n[2:] - n[:-2]) / (2.0 * block * step)
+        design = (cross_matrix(n[1:-1])[:, :, :, None] * rate[:, None, None, :]).reshape(-1, 9)
+        good = np.isfinite(design).all(axis=1) & np.isfinite(turn.reshape(-1))
+        design, turn_flat = design[good], turn.reshape(-1)[good]
+        normal += design.T @ design
+        right += design.T @ turn_flat
+    matrix: FloatArray = np.linalg.lstsq(normal, right, rcond=1e-10)[0].reshape(3, 3)
+    return matrix
+
+
+def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return the mean of each still, the variance of one sample pooled over all, and the counts.
+
+    Arrays: values (N, 3), start (K,), stop (K,) -> (K, 3), (3,), (K,).
+    """
+    mean, square, count = np.zeros((len(start), 3)), np.zeros(3), np.zeros(len(start), np.int64)
+    for k, (low, high) in enumerate(zip(start, stop, strict=True)):
+        piece = values[low:high]
+        piece = piece[np.isfinite(piece).all(axis=1)]
+        mean[k], count[k] = piece.mean(axis=0), len(piece)
+        square += ((piece - mean[k]) ** 2).sum(axis=0)
+    return mean, square / max(1, int(count.sum()) - len(start)), count
+
+
+def cross_matrix(n: FloatArray) -> FloatArray:
+    """Return the matrices of the cross product.
+
+    Arrays: n (K, 3) -> (K, 3, 3).
+    """
+    matrix = np.zeros((len(n), 3, 3))
+    matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -n[:, 2], n[:, 1], -n[:, 0]
+    matrix[:, 1, 0], matrix[:, 2, 0], matrix[:, 2, 1] = n[:, 2], -n[:, 1], n[:, 0]
+    return matrix
+
+
+# ---- multi position gyro
+
+WEAKEST = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
+TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate shows as a factor
+DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
+Weights = Literal["noise", "equal"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Problem:
+    """Parameters p: M times ``unit`` row by row, then (o - prior mean) / ``unit``; ``free`` of them are fitted."""
+
+    moves: Moves
+    directions: Directions
+    prior: OffsetPrior
+    unit: float
+    free: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Missed:
+    """Missed angles (2 J,), their Jacobian (2 J, 12), rotations C (J, 3, 3) and tangents at the later direction (J, 3, 2)."""
+
+    angle: FloatArray
+    jacobian: FloatArray
+    turn: FloatArray
+    tangent: FloatArray
+
+
+def fit_gyro_between_stills(
+    records: Sequence[Record],
+    stills: Sequence[Still],
+    accel: TriadModel,
+    *,
+    cores: Sequence[Still] | None = None,
+    weights: Weights = "noise",
+    rest_s: float | None = None,
+) -> TriadFit:
+    """Fit gyroscopes to the moves between still poses."""
+    moves = cut_moves(records, stills, stills if cores is None else cores)
+    if len(moves.first) < 5:
+        raise NotObservable(
+            f"multi-position gyro: wanted 5 moves or more between stills for {in_words(MATRIX_NAMES)}, got {len(moves.first)}; "
+            "turn the device by 90 deg or more about another axis between still poses of one recording",
+            moves=len(moves.first),
+        )
+    check_range(
+        [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)],
+        "gyroscope in moves between poses",
+    )
+    prior = offset_prior(moves)
+    if weights == "equal":
+        rest = (
+            records[0].gyro
+            if rest_s is None
+            else records[0].between(records[0].time[0], records[0].time[0] + rest_s).gyro
+        )
+        opening = moves.gyro[moves.core_start[0] : moves.core_stop[0]] if rest_s is None or rest is None else rest
+        prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
+    inside = _inside(moves)
+    unit = float(np.sqrt(np.mean((moves.gyro[inside] - prior.mean) ** 2))) or 1.0
+    problem = _Problem(
+        moves=moves,
+        directions=gravity_directions(moves, accel),
+        prior=prior,
+        unit=unit,
+        free=12 if weights == "noise" else 9,
+    )
+    start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
+    p, covariance, missed = _solve(problem, start)
+    _check_seen(missed, p)
+    return _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
+
+
+def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _Missed]:
+    """Return parameters, their covariance and the missed angles; the angles' covariance is renewed until it settles."""
+    count = 2 * len(problem.moves.first)
+    equal = problem.free == 9
+    whitener = np.eye(count)
+    p, missed = _descend(problem, p, _missed(problem, p), whitener, 1e-8 if equal else 1e-3)
+    if equal:
+        whitener /= np.sqrt(max(float(missed.angle @ missed.angle) / (count - 9), 1e-30))
+    for _ in range(0 if equal else 4):
+        values, vectors = np.linalg.eigh(_covariance_of_angles(problem, missed, p))
+        turned = vectors.T @ missed.angle
+        variance = np.maximum(values, 0.0) + 1e-24
+        variance += excess_variance(turned, variance, count - 9)
+        whitener = vectors.T / np.sqrt(variance)[:, None]
+        before = p
+        p, missed = _descend(problem, p, missed, whitener, 1e-8)
+        if float(np.abs(p - before).max()) < 1e-5:
+            break
+    _, design = _weighted(problem, missed, p, whitener)
+    covariance = np.zeros((12, 12))
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0.0] = 1.0
+    inverse = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(size, size)
+    covariance[: problem.free, : problem.free] = inverse
+    return p, covariance, missed
+
+
+def _descend(
+    problem: _Problem, p: FloatArray, missed: _Missed, whitener: FloatArray, tolerance: float
+) -> tuple[FloatArray, _Missed]:
+    """Levenberg-Marquardt with fixed weights, from p and what it misses."""
+    residual, design = _weighted(problem, missed, p, whitener)
+    cost, damping = float(residual @ residual), 1e-9
+    for _ in range(60):
+        size = np.linalg.norm(design, axis=0)
+        size[size == 0.0] = 1.0
+        scaled = design / size
+        step = np.zeros(12)
+        step[: problem.free] = (
+            np.linalg.solve(scaled.T @ scaled + damping * np.eye(problem.free), -(scaled.T @ residual)) / size
+        )
+        if float(np.abs(step).max()) < tolerance:
+            return p, missed
+        trial = p + step
+        trial_missed = _missed(problem, trial)
+        trial_residual, trial_design = _weighted(problem, trial_missed, trial, whitener)
+        trial_cost = float(trial_residual @ trial_residual)
+        if trial_cost <= cost:
+            p, missed, cost, residual, design = trial, trial_missed, trial_cost, trial_residual, trial_design
+            damping = max(0.1 * damping, 1e-12)
+        else:
+            damping = max(10.0 * damping, 1e-6)
+        if damping > 1e6:
+            return p, missed
+    raise PoorFit(
+        f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no convergence; "
+        "check the gyroscope's columns and the time column",
+        moves=len(problem.moves.first),
+    )
+
+
+def _missed(problem: _Problem, p: FloatArray) -> _Missed:
+    from undrift.kernels.calibrate import rotations_between
+
+    moves, n = problem.moves, problem.directions.unit
+    j = len(moves.first)
+    matrix, offset = p[:9] / problem.unit, problem.prior.mean + p[9:] * problem.unit
+    rotation, sums, drift = np.empty(9 * j), np.empty(36 * j), np.ascontiguousarray(problem.prior.drift).reshape(-1)
+    rotations_between(
+        moves.gyro.reshape(-1), moves.time, moves.first, moves.last, matrix, offset, drift, rotation, sums
+    )
+    turn = rotation.reshape(j, 3, 3).transpose(0, 2, 1)
+    arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
+    tangent = _tangent(n[moves.after])
+    part = sums.reshape(j, 4, 3, 3)
+    by_matrix = part[:, 1:].transpose(0, 2, 3, 1).reshape(j, 3, 9) / problem.unit  # column 3 a + b: sum of R e_a d_b dt
+    by_offset = -part[:, 0] @ matrix.reshape(3, 3) * problem.unit
+    small_turn = turn @ np.concatenate((by_matrix, by_offset), axis=2)  # in the end frame; d(C n) = C n x small turn
+    jacobian = tangent.transpose(0, 2, 1) @ cross_matrix(arrived) @ small_turn
+    angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.after])[:, :, None]).reshape(-1)
+    return _Missed(angle=angle, jacobian=jacobian.reshape(-1, 12), turn=turn, tangent=tangent)
+
+
+def _weighted(problem: _Problem, missed: _Missed, p: FloatArray, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return whitened residuals and design, the stills' word on the offset below where it is fitted."""
+    residual, design = whitener @ missed.angle, whitener @ missed.jacobian[:, : problem.free]
+    if problem.free == 9:
+        return residual, design
+    weight = problem.unit / np.sqrt(np.maximum(problem.prior.variance, 1e-30))
+    below = np.hstack((np.zeros((3, 9)), np.diag(weight)))
+    return np.concatenate((residual, weight * p[9:])), np.vstack((design, below))
+
+
+def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> FloatArray:
+    moves, directions, prior = problem.moves, problem.directions, problem.prior
+    across = missed.tangent.transpose(0, 2, 1)
+    leaving = across @ missed.turn
+    by_accel = (leaving @ directions.jacobian[moves.before] - across @ directions.jacobian[moves.after]).reshape(-1, 12)
+    by_still = np.zeros((len(moves.first), 2, len(directions.unit), 3))
+    each = np.arange(len(moves.first))
+    by_still[each, :, moves.before] += leaving
+    by_still[each, :, moves.after] -= across
+    spread = np.einsum("ejka,kab->ejkb", by_still, directions.covariance).reshape(2 * len(each), -1)
+    total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ directions.model_covariance @ by_accel.T
+    by_offset = missed.jacobian[:, 9:] / problem.unit
+    for axis in range(3):
+        total += np.outer(by_offset[:, axis], by_offset[:, axis]) * np.kron(
+            prior.drift_covariance[axis], np.ones((2, 2))
+        )
+    matrix = p[:9].reshape(3, 3) / problem.unit
+    noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
+    covariance: FloatArray = total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2))
+    return covariance
+
+
+def _tangent(n: FloatArray) -> FloatArray:
+    """Return two unit vectors across each direction, shape (J, 3, 2)."""
+    helper = np.eye(3)[np.abs(n).argmin(axis=1)]
+    first = np.cross(n, helper)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack((first, np.cross(n, first)), axis=2)
+
+
+def _inside(moves: Moves) -> FloatArray:
+    """Return the numbers of the samples inside moves."""
+    return np.concatenate([np.arange(a + 1, b + 1) for a, b in zip(moves.first, moves.last, strict=True)])
+
+
+def _check_seen(missed: _Missed, p: FloatArray) -> None:
+    matrix = p[:9].reshape(3, 3)
+    by_matrix = missed.jacobian[:, :9].reshape(-1, 3, 3)
+    gain = (by_matrix @ matrix.T).reshape(-1, 9)  # derivative by E of M = (1 + E) M: rad per unit of relative gain
+    _, singular, right = np.linalg.svd(gain, full_matrices=False)
+    singular = singular / np.sqrt(len(gain))
+    weak = np.append(np.flatnonzero(singular < WEAKEST), 8)
+    share = np.linalg.norm(right[weak], axis=0)
+    names = tuple(name for name, s in zip(MATRIX_NAMES, share, strict=True) if s > 0.3 * share.max())
+    if singular[-1] < WEAKEST:
+        raise NotObservable(
+            f"multi-position gyro: wanted moves that turn gravity by {WEAKEST:g} rad or more per unit of every parameter, got "
+            f"{singular[-1]:.2g} for {in_words(names)}; turn the device by 90 deg or more about each axis in turn while that "
+            "axis lies level",
+            weakest=float(singular[-1]),
+            parameters=names,
+        )
+
+
+def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: _Missed, unit_in: str) -> TriadFit:
+    moves = problem.moves
+    rms_angle = float(np.sqrt(np.mean(missed.angle**2))) / RADIAN_PER_DEGREE
+    if rms_angle > 20.0:
+        raise PoorFit(
+            f"multi-position gyro: wanted moves that end within 20 deg rms of gravity, got {rms_angle:.0f} deg; check that gyro "
+            "and accel share one clock, that the sample rate is right and that no rate was beyond full scale",
+            rms_angle_deg=rms_angle,
+        )
+    matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
+    carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
+    total = covariance * np.outer(carry, carry)
+    total[9:, 9:] += np.diag((problem.prior.drift**2).mean(axis=0))  # one offset stands for all of the session
+    rate = (moves.gyro[_inside(moves)] - offset) @ matrix.T
+    residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
+    check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
+    model = TriadModel(
+        method="multi-position",
+        unit_in=unit_in,
+        unit_out="rad/s",
+        matrix=matrix,
+        offset=offset,
+        covariance=total,
+        rms_residual=float(np.sqrt(np.mean(residuals**2))),
+        count=2 * len(moves.first),
+        rank=problem.free,
+        condition=scaled_condition(missed.jacobian[:, :9])[1],
+        valid_range=(float(rate.min()), float(rate.max())),
+    )
+    if is_physical(unit_in):
+        check_scale_factor(model.scale_factor * si_factor(unit_in, "rate"), 1.0, TOLERANCE, "gyro")
+    return TriadFit(
+        model=model, residuals=residuals, verdict=_verdict(rms_angle, covariance, p).also(_drifted(problem, matrix))
+    )
+
+
+def _verdict(rms_angle: float, covariance: FloatArray, p: FloatArray) -> Verdict:
+    reasons: list[str] = []
+    status: Status = "good"
+    if rms_angle > 2.0:
+        status = "bad" if rms_angle > 8.0 else "marginal"
+        reasons.append(
+            f"moves miss gravity by {rms_angle:.2g} deg rms (wanted 2): turn more slowly, rest longer between turns"
+        )
+    size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
+    doubt = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
+    if doubt > 0.5:
+        status = "bad" if doubt > 5.0 else "marginal" if status == "good" else status
+        reasons.append(
+            f"an element of the gyroscope matrix is uncertain by {doubt:.2g} % (wanted 0.5): make more and larger turns"
+        )
+    return Verdict(status=status, remarks=tuple(reasons))
+
+
+def _drifted(problem: _Problem, matrix: FloatArray) -> Verdict:
+    span = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
+    if span <= DRIFT_DPS[0]:
+        return Verdict()
+    return Verdict(
+        status="bad" if span > DRIFT_DPS[1] else "marginal",
+        remarks=(
+            f"the offset drifted by {span:.2g} deg/s during the session (wanted {DRIFT_DPS[0]:g}): it was followed from still to "
+            "still, the one kept is their mean, and its uncertainty holds the drift; warm the device up before",
+        ),
+    )

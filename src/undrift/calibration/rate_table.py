@@ -1,0 +1,746 @@
+"""Rate table: gyroscopes against imposed steady rates, each axis up in turn, both signs (eqs. 4-6 of the note).
+
+    paper      C = L S^T (S S^T)^-1            L (3, N) achieved rates, S (3, N) mean readings; offset already removed
+    affine     s = K w + b                     12 parameters by least squares
+
+L holds the rates that the table achieved, never the nominal ones: at 40,000 counts a turn the note's 0.1 deg/s is 0.099. The
+Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that points up; the horizontal part averages out
+over whole turns. Which rates: rig/protocol.py.
+
+Dwells: the steady stretches of a rate table, filtered and averaged.
+
+The note filters each gyroscope signal with a cubic spline and averages it. A cubic smoothing spline f minimises
+sum (y - f)^2 + lambda * integral f''^2: a low-pass of fourth order that halves the signal at the frequency with
+lambda dt w^4 = 1. It leaves straight lines alone, so the mean over its samples is the mean of the readings, to rounding: the plain
+mean is taken unless the filter is asked for.
+
+Rate table with an axis missing: what the turns about the others show, in words for a verdict.
+
+::
+
+    K_jj of each stated axis j, its departure from a straight line, its asymmetry, and K_jj against the scale of the unit
+
+Dwells of a rate table that no straight line through the others explains: a rate stated with a wrong sign, value or axis.
+
+One such dwell moves a least-squares fit, and an offset that is let wander follows it. So before either, each sensor is fitted by
+least absolute deviations, which a few false dwells do not move::
+
+    (K, b) = argmin sum_i |s_i - K w_i - b|        e_i = K^-1 (s_i - b) - w_i, rad/s; with rests, + H a_i beside b
+
+A dwell is refused where |e_i| is beyond both limits::
+
+    8 times the typical |e|           median over the dwells, less one for every parameter that the fit makes exact
+    0.5 % of the largest rate         curvature of a sound sensor stays below
+
+Linearity of one rate axis: how far its dwells are from the best straight line (IEEE Std 1431, clause 12 terms).
+
+reading = o + S w                                   least-squares line over all dwells of the axis
+scale_factor_nonlinearity   largest |reading - line| / S
+scale_factor_asymmetry      2 (S+ - S-) / (S+ + S-), from reading = o + S+ max(w, 0) + S- min(w, 0)
+
+Rate table with rests: offsets that wander during the session, and gyroscopes that feel specific force.
+
+Each axis of the table turns the device another way up, so a gyroscope that feels gravity shows another offset on each, and an
+offset that drifts looks much the same. Dwells and rests together tell them apart::
+
+    u = K w + H a + b + walk(t)  21 parameters and a walk (fit/least_squares.py); w = 0 at rest, a the corrected specific force
+    w = M (u - b) - G a          M = K^-1, G = M H;      dM = -M dK M,   dG = -M dK G + M dH
+
+b is the offset in the middle of the session. The nine parameters of H are kept where they are larger, by their own covariance,
+than chance makes them once in a thousand (h' C^-1 h, chi-square of 9 degrees of freedom); without them it is the affine model.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.checks import axis_vectors, check_axis_order, check_saturation, check_scale_factor
+from undrift.errors import Implausible, InputError, NotObservable
+from undrift.fit.least_squares import (
+    TriadFit,
+    Wandering,
+    block_size,
+    fit_forward,
+    fit_paper,
+    fit_wandering,
+    inverse_jacobian,
+    noise_of_means,
+    offset_warning,
+    scaled_condition,
+    triad_from_forward,
+)
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Status, TriadModel, Verdict
+from undrift.record import Axis, Record, Still, Turn
+from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+
+# ---- Dwells: the steady stretches of a rate table, filtered and averaged.
+
+_LEAST_SAMPLES = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DwellSettings:
+    """How a dwell is turned into a mean."""
+
+    # Start of each dwell that is thrown away, s; a second-order filter at 11 Hz settles to 0.1 % in 0.15 s
+    settle_s: float = 0.3
+    # Where the note's smoothing spline halves the signal, Hz; None leaves it out, which changes no mean
+    cutoff_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DwellMeans:
+    """Mean readings at steady rates."""
+
+    reading: FloatArray  # (N, 3), mean of each dwell, ``unit``
+    turn_rate: FloatArray  # (N,), achieved rate about +axis, rad/s
+    axis: tuple[Axis, ...]  # Axis of each dwell
+    noise: FloatArray | None = None  # (N, 3), standard deviation of each mean; None when it is not known
+    # (N,), 1 where +axis points up, -1 where it points down, 0 where it is not vertical; all 1 by default
+    up: FloatArray = field(default_factory=lambda: np.ones(1))
+    unit: str = "rad/s"  # Unit of the readings
+    # (N,), middle of each dwell on one clock, s: recordings follow each other. None when it is not known
+    time: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.axis)
+        if self.reading.shape != (n, 3) or self.turn_rate.shape != (n,):
+            raise InputError(
+                f"dwells: wanted readings (N, 3) and rates (N,) for {n} axes, got {self.reading.shape} and {self.turn_rate.shape}"
+            )
+
+    def less(self, offset: FloatArray) -> "DwellMeans":
+        """Return the same dwells with an offset taken off the readings.
+
+        Arrays: offset (3,).
+        """
+        return replace(self, reading=self.reading - offset)
+
+
+def dwell_means(
+    records: Sequence[Record], turns: Sequence[Turn], settings: DwellSettings = DwellSettings()
+) -> DwellMeans:
+    """Filter and average the steady turns of a session."""
+    used = [t for t in turns if t.axis is not None and t.turn_rate is not None]
+    unit = records[used[0].recording].gyro_unit if used else "rad/s"
+    blocks = {k: block_size(records[k].sample_rate_hz) for k in {t.recording for t in used}}
+    means, windows, sizes, up = [], [], [], []
+    for turn in used:
+        record = records[turn.recording]
+        if record.gyro is None or record.gyro_unit != unit:
+            raise InputError(
+                f"rate table: wanted gyroscope readings in {unit} in every recording, got "
+                f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}; map the columns alike"
+            )
+        part = _settled(record, turn, settings.settle_s)
+        values = part.gyro if part.gyro is not None else np.empty((0, 3))
+        check_saturation(values, f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
+        cutoff = settings.cutoff_hz
+        means.append((values if cutoff is None else spline_filter(part.time, values, cutoff)).mean(axis=0))
+        windows.append(values)
+        sizes.append(blocks[turn.recording])
+        up.append(_points_up(part, AXES.index(turn.axis or "x")))
+    return DwellMeans(
+        reading=np.array(means).reshape(-1, 3),
+        turn_rate=np.array([t.turn_rate for t in used], float),
+        axis=tuple(t.axis for t in used if t.axis is not None),
+        noise=noise_of_means(windows, sizes),
+        up=np.array(up),
+        unit=unit,
+        time=middles(records, used),
+    )
+
+
+def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the middle of each stretch on one clock on which the recordings follow each other.
+
+    Arrays:  -> (P,) s.
+    """
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    clocks = [record.time - record.time[0] for record in records]
+    return np.array(
+        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
+    )
+
+
+def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> FloatArray:
+    """Smooth each column with a cubic spline.
+
+    Arrays: time (N,) s, values (N, 3) -> (N, 3).
+    """
+    from scipy.interpolate import make_smoothing_spline
+
+    step = float(np.median(np.diff(time)))
+    stiffness = 1.0 / (step * (2.0 * np.pi * cutoff_hz) ** 4)
+    own = time - time[0]
+    return np.column_stack([make_smoothing_spline(own, column, lam=stiffness)(own) for column in values.T])
+
+
+def _settled(record: Record, turn: Turn, settle_s: float) -> Record:
+    part = record.part(turn.start, turn.stop)
+    start = int(np.searchsorted(part.time, part.time[0] + settle_s))
+    if len(part) - start < _LEAST_SAMPLES:
+        raise InputError(
+            f"dwell [{turn.start}, {turn.stop}): wanted {_LEAST_SAMPLES} samples or more after {settle_s:g} s of settling, got "
+            f"{len(part) - start}; dwell longer"
+        )
+    part = part.part(start, len(part))
+    gap = np.isnan(part.gyro).any(axis=1) if part.gyro is not None else np.zeros(len(part), bool)
+    if gap.any():
+        raise InputError(
+            f"dwell [{turn.start}, {turn.stop}): wanted readings without gaps, got {int(gap.sum())}; shorten it"
+        )
+    return part
+
+
+def _points_up(part: Record, axis: int) -> float:
+    if part.accel is None or part.accel_unit in ("count", "v"):
+        return 1.0
+    mean = np.nanmean(part.accel, axis=0)
+    share = float(mean[axis] / np.linalg.norm(mean)) if np.linalg.norm(mean) > 0.0 else 0.0
+    return float(np.sign(share)) if abs(share) > 0.9 else 0.0
+
+
+# ---- Linearity of one rate axis: how far its dwells are from the best straight line (IEEE Std 1431, clause 12 terms).
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linearity:
+    """Table of one axis: imposed rate, and how far the reading is from the line."""
+
+    axis: Axis  # x, y or z
+    turn_rate: FloatArray  # (N,), imposed, rad/s, increasing
+    error: FloatArray  # (N,), reading less line, in rad/s of input
+    scale_factor: float  # Slope of the line, reading per rad/s
+    offset: float  # Reading of the line at zero rate
+    scale_factor_nonlinearity: float  # Largest departure from the line, rad/s
+    scale_factor_nonlinearity_percent: float  # The same in per cent of the largest imposed rate
+    scale_factor_asymmetry: float  # Dimensionless; NaN where one sign is missing
+
+
+def linearity(reading: FloatArray, turn_rate: FloatArray, axis: Axis) -> Linearity:
+    """Compare the dwells of one axis with their best straight line.
+
+    Arrays: reading (N,), turn_rate (N,) rad/s.
+    """
+    if len(np.unique(turn_rate)) < 2:
+        raise NotObservable(
+            f"rate axis {axis}: wanted dwells at two different rates or more, got {len(np.unique(turn_rate))}; "
+            "record both signs of several rates"
+        )
+    order = np.argsort(turn_rate)
+    rate, value = turn_rate[order], reading[order]
+    line = np.column_stack((np.ones_like(rate), rate))
+    offset, slope = np.linalg.lstsq(line, value, rcond=None)[0]
+    error = (value - offset - slope * rate) / slope
+    worst = float(np.abs(error).max())
+    return Linearity(
+        axis=axis,
+        turn_rate=rate,
+        error=error,
+        scale_factor=float(slope),
+        offset=float(offset),
+        scale_factor_nonlinearity=worst,
+        scale_factor_nonlinearity_percent=100.0 * worst / float(np.abs(rate).max()),
+        scale_factor_asymmetry=_asymmetry(value, rate),
+    )
+
+
+def _asymmetry(reading: FloatArray, rate: FloatArray) -> float:
+    if len(np.unique(rate)) < 3 or not ((rate > 0.0).any() and (rate < 0.0).any()):
+        return float("nan")
+    bent = np.column_stack((np.ones_like(rate), np.maximum(rate, 0.0), np.minimum(rate, 0.0)))
+    _, plus, minus = np.linalg.lstsq(bent, reading, rcond=None)[0]
+    return float(2.0 * (plus - minus) / (plus + minus))
+
+
+# ---- rate table
+
+_AXES: tuple[Axis, ...] = ("x", "y", "z")
+
+RateTableMode = Literal["paper", "affine"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateTableSettings:
+    """How dwells are fitted."""
+
+    mode: RateTableMode = "affine"  # paper or affine
+    # Where the table stands, deg, to add the Earth's rate to a vertical axis; None leaves it out
+    latitude_deg: float | None = None
+    # Sensitivity the maker states, reading per rad/s; None takes the unit's own where it is physical
+    stated_scale: float | None = None
+    scale_tolerance: float = 0.25  # Relative tolerance of the sensitivity: 0.03 for a part of +-3 %
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RateTableFit(TriadFit):
+    """Gyroscopes fitted to a rate table; ``residuals`` are corrected less imposed rate, rad/s, one row a dwell."""
+
+    axis: tuple[Axis, ...]  # Axis of each dwell
+    turn_rate: FloatArray  # (N,), achieved rate of each dwell, rad/s
+    linearity: tuple[Linearity, ...]  # Own-axis table, nonlinearity and asymmetry of each axis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RateAxisFit:
+    """What turns about one axis alone determine: one column of the forward matrix, and the offsets."""
+
+    axis: Axis  # Axis of the turns
+    # (3,), reading of each sensor per rad/s about the axis: scale factor on the axis, cross-axis sensitivity off it
+    column: FloatArray
+    offset: FloatArray  # (3,), reading of each sensor at zero rate
+    covariance: FloatArray  # (6, 6), of column, then offset
+    residuals: FloatArray  # (N, 3), reading less model
+    linearity: Linearity  # Own-axis table
+    unit_in: str  # Unit of the readings
+    verdict: Verdict  # Names what was not observable and which recording would show it
+
+    @property
+    def scale_factor(self) -> float:
+        """Reading of the axis' own sensor per rad/s."""
+        return float(self.column[AXES.index(self.axis)])
+
+
+def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> RateTableFit:
+    """Fit gyroscopes to the dwells of a rate table."""
+    lacking = [axis for axis in AXES if axis not in dwells.axis]
+    if lacking:
+        raise NotObservable(
+            f"rate table: wanted dwells about x, y and z, got none about {', '.join(lacking)}; mount the device with "
+            f"{', '.join(lacking)} along the table's axis",
+            missing=tuple(lacking),
+        )
+    rates = imposed_rates(dwells, settings.latitude_deg)
+    method = f"rate-table/{settings.mode}"
+    if settings.mode == "paper":
+        fit = fit_paper(rates, dwells.reading, dwells.noise, method=method, unit_in=dwells.unit, unit_out="rad/s")
+        verdict = offset_warning(fit, rates, dwells.reading, dwells.noise)
+    else:
+        forward = fit_forward(rates, dwells.reading, dwells.noise)
+        span = (float(rates.min()), float(rates.max()))
+        fit = triad_from_forward(
+            forward, method=method, unit_in=dwells.unit, unit_out="rad/s", valid_range=span, verdict=Verdict()
+        )
+        verdict = Verdict()
+    check_axis_order(fit.model.forward_matrix, "rate table", against="turns")
+    _check_scale(fit.model.scale_factor, dwells.unit, settings, "gyroscope")
+    return RateTableFit(
+        model=fit.model,
+        residuals=fit.residuals,
+        verdict=verdict,
+        axis=dwells.axis,
+        turn_rate=dwells.turn_rate,
+        linearity=tuple(_own_axis(dwells, axis) for axis in _AXES),
+    )
+
+
+def fit_rate_axis(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> RateAxisFit:
+    """Fit what turns about a single axis show: scale factor, cross-axis column and offsets."""
+    axes = sorted(set(dwells.axis))
+    if len(axes) != 1:
+        raise InputError(f"rate axis: wanted turns about one axis, got {', '.join(axes) or 'none'}; use fit_rate_table")
+    axis, own = dwells.axis[0], AXES.index(dwells.axis[0])
+    table = linearity(dwells.reading[:, own], dwells.turn_rate, axis)
+    rate = imposed_rates(dwells, settings.latitude_deg)[:, own]
+    design = np.column_stack((rate, np.ones_like(rate)))
+    theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
+    residuals = dwells.reading - design @ theta
+    spare = len(rate) - 2
+    variance = (residuals**2).sum(axis=0) / (spare - 2 if spare > 2 else np.nan)
+    _check_scale(np.abs(theta[0, own : own + 1]), dwells.unit, settings, f"gyroscope {axis}")
+    others = " and ".join(a for a in AXES if a != axis)
+    return RateAxisFit(
+        axis=axis,
+        column=theta[0],
+        offset=theta[1],
+        covariance=np.kron(np.linalg.inv(design.T @ design), np.diag(variance)),
+        residuals=residuals,
+        linearity=table,
+        unit_in=dwells.unit,
+        verdict=Verdict(
+            status="marginal",
+            remarks=(
+                f"turns about {axis} alone do not show the scale factors of {others}, nor how they see each other's axis: "
+                f"mount the device with {others} along the table's axis and turn again",
+            ),
+        ),
+    )
+
+
+def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
+    """Return the true rate of each dwell in b: L of eq. 4, transposed.
+
+    Arrays:  -> (N, 3) rad/s.
+    """
+    earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
+    rates: FloatArray = axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None]
+    return rates
+
+
+def _own_axis(dwells: DwellMeans, axis: Axis) -> Linearity:
+    rows = np.array([a == axis for a in dwells.axis])
+    return linearity(dwells.reading[rows, AXES.index(axis)], dwells.turn_rate[rows], axis)
+
+
+def _check_scale(scale: FloatArray, unit: str, settings: RateTableSettings, what: str) -> None:
+    stated = settings.stated_scale
+    if stated is None and is_physical(unit):
+        stated = 1.0 / si_factor(unit, "rate")
+    if stated is not None:
+        check_scale_factor(scale, stated, settings.scale_tolerance, what)
+
+
+# ---- Rate table with an axis missing: what the turns about the others show, in words for a verdict.
+
+OWN_SCALE = 0.05  # a part that is trimmed in the factory is within 1 to 3 % of its sensitivity; no word of its maker allows more
+
+
+def fit_rate_axes(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> tuple[RateAxisFit, ...]:
+    """Fit each axis that was turned, alone."""
+    fits = []
+    for axis in AXES:
+        rows = [k for k, name in enumerate(dwells.axis) if name == axis]
+        if len(np.unique(dwells.turn_rate[rows])) > 1:
+            fit = fit_rate_axis(_only(dwells, rows), replace(settings, scale_tolerance=float("inf")))
+            _check_sees(fit)
+            fits.append(fit_rate_axis(_only(dwells, rows), settings))
+    return tuple(fits)
+
+
+def told_axis(fit: RateAxisFit) -> str:
+    """Return what the turns about one axis show, as one sentence."""
+    line, own = fit.linearity, AXES.index(fit.axis)
+    sigma = float(np.sqrt(fit.covariance[own, own])) / abs(fit.scale_factor)
+    bent = "" if np.isnan(line.scale_factor_asymmetry) else f", asymmetry {100.0 * line.scale_factor_asymmetry:.2g} %"
+    doubt = "" if np.isnan(sigma) else f" to within {100.0 * sigma:.2g} %"
+    if is_physical(fit.unit_in):
+        scale = f"{fit.scale_factor * si_factor(fit.unit_in, 'rate'):.4f} of the unit's own"
+    else:
+        scale = f"{fit.scale_factor * RADIAN_PER_DEGREE:.5g} {fit.unit_in} per deg/s"
+    return (
+        f"turns about {fit.axis}: scale factor {scale}{doubt}, departure from a straight line up to "
+        f"{line.scale_factor_nonlinearity / RADIAN_PER_DEGREE:.2g} deg/s ({line.scale_factor_nonlinearity_percent:.2g} %){bent}"
+    )
+
+
+def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Verdict:
+    """Return marginal where a scale factor is further from the unit's own than makers allow, good elsewhere.
+
+    Arrays: scale_factor (K,).
+    """
+    if not is_physical(unit):
+        return Verdict()
+    ratio = np.asarray(scale_factor) * si_factor(unit, "rate")
+    worst = int(np.abs(ratio - 1.0).argmax())
+    off = float(ratio[worst] - 1.0)
+    if abs(off) <= OWN_SCALE:
+        return Verdict()
+    return Verdict(
+        status="marginal",
+        remarks=(
+            f"the scale factor of {axes[worst]} is {100.0 * off:+.1f} % off the unit's own scale: implausible for any sensor of a "
+            "few per cent; check the conversion from counts, the range setting, the stated rates or angles and the sample rate",
+        ),
+    )
+
+
+def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
+    up = np.broadcast_to(dwells.up, len(dwells.axis))
+    return replace(
+        dwells,
+        reading=dwells.reading[rows],
+        turn_rate=dwells.turn_rate[rows],
+        axis=tuple(dwells.axis[k] for k in rows),
+        noise=None if dwells.noise is None else dwells.noise[rows],
+        up=up[rows],
+        time=None if dwells.time is None else dwells.time[rows],
+    )
+
+
+def _check_sees(fit: RateAxisFit) -> None:
+    own, most = AXES.index(fit.axis), int(np.abs(fit.column).argmax())
+    if most != own or fit.scale_factor < 0.0:
+        reads = f"{'-' if fit.column[most] < 0.0 else '+'}{AXES[most]}"
+        raise Implausible(
+            f"turns about {fit.axis}: wanted the {fit.axis} gyroscope to read + for turns about +{fit.axis}, got column "
+            f"{AXES[most]} that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
+            reads=reads,
+        )
+
+
+# ---- Rate table with rests: offsets that wander during the session, and gyroscopes that feel specific force.
+
+CHANCE = 1e-3
+# Limits of a verdict: above the first it is marginal, above the second bad.
+DOUBT_PERCENT = (0.5, 5.0)  # of scale, 1 sigma: 0.5 % is 2 deg in a full turn; 5 % is no better than most makers' word
+WANDER_DPS = (0.1, 2.0)  # in a minute: 0.1 deg/s ends 3 deg off after that minute; no warm-up reaches 2 deg/s
+MISS_PERCENT = (
+    0.5,
+    3.0,
+)  # rms, of the largest rate: parts are linear within 0.2 %; 3 % is a false rate or a stuck table
+_STAYS = 0.5  # of the walk: what is left of it with an offset for each axis of the table, where it went with the axis
+_MINUTE_S = 60.0
+_ROUNDING = 1e-9  # of the largest reading: a mean is not known better than the filter's arithmetic, whatever its noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestMeans:
+    """Readings at rest, and the specific force of rests and dwells."""
+
+    dwell_force: FloatArray  # (N, 3), mean corrected specific force of each dwell, m/s2, frame b
+    reading: FloatArray  # (P, 3), mean gyroscope reading of each rest, unit of the dwells
+    force: FloatArray  # (P, 3), mean corrected specific force of each rest, m/s2
+    noise: FloatArray  # (P, 3), standard deviation of each mean reading
+    time: FloatArray  # (P,), middle of each rest, s, on the clock of the dwells
+
+
+def fit_with_rests(
+    fit: RateTableFit, dwells: DwellMeans, rests: RestMeans | None, *, latitude_deg: float | None = None
+) -> RateTableFit:
+    """Refine an affine fit: let its offset wander, and add a g-sensitivity where dwells and rests show one."""
+    if dwells.noise is None:
+        return fit
+    rates = imposed_rates(dwells, latitude_deg)
+    readings, sigma = dwells.reading, np.broadcast_to(dwells.noise, dwells.reading.shape)
+    time, forces = dwells.time, None
+    if rests is not None:
+        rates = np.vstack((rates, np.zeros_like(rests.reading)))
+        readings, sigma = np.vstack((readings, rests.reading)), np.vstack((sigma, rests.noise))
+        time = None if time is None else np.concatenate((time, rests.time))
+        forces = np.vstack((rests.dwell_force, rests.force))
+    sigma = np.maximum(sigma, _ROUNDING * np.abs(readings).max(axis=0))
+    if forces is not None:
+        full = np.column_stack((rates, forces, np.ones(len(rates))))
+        if scaled_condition(full)[0] == 7:
+            felt = [fit_wandering(full, readings[:, k], sigma[:, k], time) for k in range(3)]
+            if _feels_force(felt, readings.size - 21):
+                return _refined(fit, full, readings, felt)
+    plain = np.column_stack((rates, np.ones(len(rates))))
+    found = [fit_wandering(plain, readings[:, k], sigma[:, k], time) for k in range(3)]
+    by_axis = _by_axis(dwells, rates, sigma) if forces is None and any(one.walk > 0.0 for one in found) else None
+    return _refined(fit, plain, readings, found, by_axis)
+
+
+def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[Wandering] | None:
+    """Solve with an offset of its own for each axis of the table, parameters 4 to 6, and a trend."""
+    if dwells.time is None:
+        return None
+    own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
+    away = dwells.time - dwells.time.mean()
+    design = np.column_stack((rates, own, away))
+    if scaled_condition(design)[0] < 7:
+        return None
+    solved = [fit_wandering(design, dwells.reading[:, k], sigma[:, k], dwells.time) for k in range(3)]
+    trend = np.array([one.theta[6] for one in solved]) * float(np.ptp(away @ own / own.sum(axis=0)))
+    apart = np.array([np.ptp(one.theta[3:6]) for one in solved])
+    return None if (np.abs(trend) > _STAYS * apart)[np.argmax(apart)] else solved
+
+
+def _feels_force(felt: list[Wandering], spare: int) -> bool:
+    size = sum(float(one.theta[3:6] @ np.linalg.solve(one.covariance[3:6, 3:6], one.theta[3:6])) for one in felt)
+    return size > _chance(9) * _excess(felt, spare)
+
+
+def _excess(found: list[Wandering], spare: int) -> float:
+    # Variance of the residuals over that of the noise; 1 where chance explains it.
+    square = sum(one.square for one in found)
+    return square / spare if spare > 0 and square > _chance(spare) else 1.0
+
+
+def _refined(
+    fit: RateTableFit,
+    design: FloatArray,
+    readings: FloatArray,
+    found: list[Wandering],
+    by_axis: list[Wandering] | None = None,
+) -> RateTableFit:
+    theta = np.array([one.theta for one in found])
+    residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
+    rank, condition = scaled_condition(design)
+    widen = _excess(found, readings.size - theta.size)
+    covariance = [one.covariance * widen for one in found]
+    model = replace(
+        _model(fit.model, theta, covariance),
+        rms_residual=float(np.sqrt((residuals**2).mean())),
+        count=readings.size,
+        rank=3 * rank,
+        condition=condition,
+    )
+    verdict = fit.verdict.also(_judged(model, (found, by_axis), widen, float(np.abs(fit.turn_rate).max())))
+    return replace(fit, model=model, residuals=residuals, verdict=verdict)
+
+
+def _judged(
+    model: TriadModel, solved: tuple[list[Wandering], list[Wandering] | None], widen: float, largest: float
+) -> Verdict:
+    said, marks = [], []
+    found, by_axis = solved
+    if model.g_sensitivity is not None:
+        felt = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
+        said.append(
+            f"the gyroscopes feel gravity, by up to {felt:.2g} (deg/s)/g: fitted from dwells and rests, and taken off by the "
+            "corrected specific force"
+        )
+    moved, why = _moved(model, found, by_axis)
+    if why:
+        marks.append(_mark(moved, WANDER_DPS))
+        said.append(why)
+    misses = 100.0 * model.rms_residual / largest
+    marks.append(_mark(misses, MISS_PERCENT))
+    if widen > 1.0 or misses > MISS_PERCENT[0]:
+        said.append(
+            f"the readings scatter {widen**0.5:.1f} times as much about the model as their noise explains, and miss it by "
+            f"{misses:.2g} % of the largest rate{_wanted(misses, MISS_PERCENT, ' %', ' (', ')')} (vibration, non-linearity, or a "
+            "table that turns unevenly): the uncertainty is widened by that"
+        )
+    sigma = model.standard_uncertainty[:9].reshape(3, 3)
+    doubt = 100.0 * float((sigma @ np.abs(model.forward_matrix)).max())
+    marks.append(_mark(doubt, DOUBT_PERCENT))
+    if doubt > DOUBT_PERCENT[0]:
+        said.append(
+            f"an element of the gyroscope matrix is uncertain by {doubt:.2g} % (wanted {DOUBT_PERCENT[0]:g}): turn at more rates, "
+            "dwell longer, and look at the residual of each dwell"
+        )
+    return Verdict(status=max(marks, key=("good", "marginal", "bad").index, default="good"), remarks=tuple(said))
+
+
+def _moved(model: TriadModel, found: list[Wandering], by_axis: list[Wandering] | None) -> tuple[float, str]:
+    """Return how far the offset moved, deg/s, and whether with time or with the axis of the table; nothing where it stayed."""
+    gain = float(np.linalg.norm(model.matrix, 2)) / RADIAN_PER_DEGREE
+    walk, within = (gain * max(one.walk for one in part) for part in (found, by_axis or found))
+    wander = walk * _MINUTE_S**0.5
+    if walk == 0.0:
+        return 0.0, ""
+    if by_axis is None or within > _STAYS * walk:
+        return wander, (
+            f"the offset wandered during the session, by {wander:.2g} deg/s in a minute "
+            f"(1 sigma{_wanted(wander, WANDER_DPS, '')}): "
+            "it holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
+        )
+    offsets = np.array([one.theta[3:6] for one in by_axis])  # sensor, axis of the table
+    apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
+    return apart, (
+        f"the offset differs between the axes of the table by up to {apart:.2g} deg/s"
+        f"{_wanted(apart, WANDER_DPS, '', ' (', ')')} and hardly moves while one of them turns, as it does where gyroscopes feel "
+        "gravity: it is a mean over these poses; rest on six faces in the same session, which tells the g-sensitivity apart"
+    )
+
+
+def _mark(value: float, limits: tuple[float, float]) -> Status:
+    return "bad" if value > limits[1] else "marginal" if value > limits[0] else "good"
+
+
+def _wanted(value: float, limits: tuple[float, float], unit: str, before: str = "; ", after: str = "") -> str:
+    return f"{before}wanted {limits[0]:g}{unit}{after}" if value > limits[0] else ""
+
+
+def _chance(degrees_of_freedom: int) -> float:
+    from scipy.special import chdtri
+
+    return float(chdtri(degrees_of_freedom, CHANCE))
+
+
+def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> TriadModel:
+    """Return the inverse model of forward rows (K_k, H_k, b_k) or (K_k, b_k)."""
+    gravity = theta.shape[1] == 7
+    matrix, offset = np.linalg.inv(theta[:, :3]), theta[:, -1]
+    size = 21 if gravity else 12
+    covariance = np.zeros((size, size))  # of K row by row, b, H row by row
+    for k in range(3):
+        felt = [12 + 3 * k, 13 + 3 * k, 14 + 3 * k] if gravity else []
+        places = np.array([3 * k, 3 * k + 1, 3 * k + 2, *felt, 9 + k])
+        covariance[np.ix_(places, places)] = own[k]
+    jacobian = np.eye(size)
+    jacobian[:9, :9] = inverse_jacobian(matrix)
+    names, g = (*MATRIX_NAMES, *OFFSET_NAMES), None
+    if gravity:
+        g = matrix @ theta[:, 3:6]
+        jacobian[12:, :9] = -np.kron(matrix, g.T)
+        jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
+        names = (*names, *G_NAMES)
+    return replace(
+        plain,
+        matrix=matrix,
+        offset=offset,
+        g_sensitivity=g,
+        parameters=names,
+        covariance=jacobian @ covariance @ jacobian.T,
+    )
+
+
+# ---- Dwells of a rate table that no straight line through the others explains: a rate stated with a wrong sign, value or axis.
+
+SCATTERS = 8.0  # times the typical error: beyond any tail that noise, wobble or drift makes of a few tens of dwells
+SHARE = 0.005  # of the largest rate
+_LEAST_SPARE = 4  # equations beyond the four parameters of a sensor; with fewer, no dwell can be told from the others
+_ROUNDS = 60
+
+
+def check_dwells(
+    dwells: DwellMeans,
+    rates: FloatArray,
+    *,
+    rests: RestMeans | None = None,
+    numbers: tuple[int, ...] | None = None,
+) -> None:
+    """Raise when the reading of a dwell contradicts all the others.
+
+    Arrays: rates (N, 3) rad/s.
+    """
+    design, reading = _equations(dwells, rates, rests)
+    spare = len(design) - design.shape[1]
+    if spare < _LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
+        return
+    theta = np.array([_least_deviations(design, column) for column in reading.T])
+    if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
+        return  # two columns that read the same; the fit itself says so
+    away = (reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
+    error = np.linalg.norm(away, axis=1)
+    typical = float(np.median(np.sort(error)[design.shape[1] :]))
+    limit = max(SCATTERS * typical, SHARE * float(np.abs(rates).max()))
+    wrong = np.flatnonzero(error[: len(rates)] > limit)
+    if len(wrong):
+        numbers = tuple(range(1, len(rates) + 1)) if numbers is None else numbers
+        named = "; ".join(_named(dwells, rates[k] + away[k], k, numbers[k]) for k in wrong[:3])
+        more = f"; and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        raise Implausible(
+            f"rate table: wanted dwells that agree within {limit / RADIAN_PER_DEGREE:.2g} deg/s, got {named}{more}; check its "
+            "sign, value, axis and times, or leave it out",
+            turns=tuple(numbers[k] for k in wrong),
+        )
+
+
+def _equations(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None) -> tuple[FloatArray, FloatArray]:
+    if rests is None:
+        return np.column_stack((rates, np.ones(len(rates)))), dwells.reading
+    imposed = np.vstack((rates, np.zeros_like(rests.reading)))
+    reading = np.vstack((dwells.reading, rests.reading))
+    plain = np.column_stack((imposed, np.ones(len(imposed))))
+    full = np.column_stack((plain, np.vstack((rests.dwell_force, rests.force))))
+    enough = len(full) - full.shape[1] >= _LEAST_SPARE and scaled_condition(full)[0] == full.shape[1]
+    return (full if enough else plain), reading
+
+
+def _named(dwells: DwellMeans, read: FloatArray, k: int, number: int) -> str:
+    said = dwells.turn_rate[k] / RADIAN_PER_DEGREE
+    own = AXES.index(dwells.axis[k])
+    most = int(np.abs(read).argmax())
+    about = "" if most == own or abs(read[most]) < 2.0 * abs(read[own]) else f" about {AXES[most]}"
+    value = read[most if about else own] / RADIAN_PER_DEGREE
+    return f"turn {number}, {dwells.axis[k]} at {said:+.4g} deg/s: reads as {value:+.4g}{about}"
+
+
+def _least_deviations(design: FloatArray, reading: FloatArray) -> FloatArray:
+    # Iteratively reweighted least squares; the floor shrinks until the deviations that stay are the false ones.
+    theta = np.linalg.lstsq(design, reading, rcond=None)[0]
+    for step in range(_ROUNDS):
+        away = np.abs(reading - design @ theta)
+        floor = max(float(np.median(away)) * 0.9**step, 1e-12 * float(np.abs(reading).max()), 1e-300)
+        root = 1.0 / np.sqrt(np.maximum(away, floor))
+        theta = np.linalg.lstsq(design * root[:, None], reading * root, rcond=None)[0]
+    solution: FloatArray = theta
+    return solution

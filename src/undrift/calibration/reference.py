@@ -1,0 +1,781 @@
+"""Gyroscope against an orientation reference: mocap, a robot arm, anything that gives poses of the same body.
+
+For readings u, the model is w = M (u - o) - G a with w the body rate that the reference saw. Rates are never
+differentiated from poses: the readings are integrated over windows and compared with how far the reference turned
+(``reference_windows``), so pose noise enters twice a window whatever the rate. Windows grow from 2 s, where the
+linearisation is safe for a raw device, by doubling to 16 s: pose errors of 0.1 deg at both ends do not grow with the window,
+the rotation that an error of M or o causes does. Recordings of one device are pooled. Long windows suit real optics, whose
+errors wander with the pose; where pose and reading noise are white, ``weights="noise"`` reaches the least error that the
+poses allow (``reference_chain``), a quarter less than long windows.
+
+The offset at rest and the offset in motion are not the same number on real devices (rounding, vibration, g-sensitivity: 0.01
+to 0.05 deg/s). So the offset of a recording is its own mean at rest plus a change from rest to motion that all recordings of
+the device share, fitted jointly with M. A new recording needs only its own rest for the fit to apply.
+
+Window equations of the reference fit: what the gyroscope turned by against what the reference turned by.
+
+Over a window from pose i to pose j, with M, offset and d at their present values::
+
+    w  = M (u - offset) - d - G a                         readings u, specific force a
+    R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
+    y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
+    y  = J (dM, dd, dG) + pose noise                      J from one running sum of R regressor dt along the recording
+
+Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
+
+Robust linear least squares of overlapping windows, with a covariance that knows that they overlap.
+
+Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. Neighbouring
+windows share readings and pose errors, so the covariance is the sandwich N^-1 S N^-1 with S the long-run covariance of the
+scores g = J^T w r, lags up to the window length and beyond under Bartlett's triangle [1]_. The triangle is what the squares
+of all sliding sums of B neighbours give, which is how it is computed here.
+
+References
+----------
+.. [1] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
+   covariance matrix", 1987.
+.. [2] J. G. MacKinnon, H. White, "Some heteroskedasticity-consistent covariance matrix estimators with improved finite
+   sample properties", 1985.
+
+The reference fit as efficient as white noise allows: all poses in one chain, weighed by where the noise sits.
+
+From pose i to the next pose j the reference turns by what the gyroscope integrated, but for the noise of both poses and that
+of the readings in between. Seen in n, with e the noise of a pose and h that of one step::
+
+    y_j = A_j x + e_j - e_i + h_j        var e = s^2 (1 - kappa),  var h = s^2 kappa,  per axis
+
+Neighbouring equations share a pose, so their covariance is tridiagonal. kappa maximises the restricted likelihood: near 0
+the poses are the worse witness and the chain acts like one long window, near 1 the readings are and it acts like many short
+ones. Each equation is whitened by the Cholesky factor; a whitened residual beyond k standard deviations counts k / |r|
+(Huber [1]_).
+
+References
+----------
+.. [1] P. J. Huber, "Robust estimation of a location parameter", 1964.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.adc import without_truncation
+from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
+from undrift.fit.least_squares import TriadFit, scaled_condition
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
+from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
+from undrift.record import Record, Reference
+from undrift.sync import LONGEST_STEP, Lag, LagSettings, Motion, box_sums, find_lag, find_motion, native_poses
+
+# ---- Values of the reference fit: how it is asked, what it returns, and how it does on a recording that it has not seen.
+
+Offset = Literal["motion", "rest", "common"]
+Weights = Literal["windows", "noise"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceSettings:
+    """How a device is fitted to a reference."""
+
+    window_s: float = 2.0  # First window, s: the error of the raw readings over it must stay below about 0.5 rad
+    # Last window, s. Longer weighs pose noise less and slow changes of the offset more
+    longest_window_s: float = 16.0
+    stride_s: float = 0.5  # From the start of one window to the next, s
+    huber: float = 1.345  # Residuals up to this many standard deviations count fully
+    # "motion": rest offset of each recording plus one fitted change from rest to motion. "rest": rest offsets alone.
+    # "common": one fitted offset for all, whatever they read at rest
+    offset: Offset = "motion"
+    g_sensitivity: bool = False  # Fit G as well; needs accelerometer readings
+    # "windows": long windows, each alike. "noise": after the first windows, neighbouring poses as one chain weighed
+    # by the white noise of poses and readings
+    weights: Weights = "windows"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.stride_s <= self.window_s <= self.longest_window_s:
+            raise InputError(
+                "reference: wanted 0 < stride_s <= window_s <= longest_window_s, got "
+                f"{self.stride_s:g}, {self.window_s:g}, {self.longest_window_s:g} s"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReferenceFit:
+    """A gyroscope fitted to references, pooled over recordings of one device."""
+
+    # Model, residuals of the longest windows (rad, shape (n, 3)), verdict. The model's offset is the mean in-motion
+    # offset of the recordings
+    triad: TriadFit
+    # (3,), reading in motion less reading at rest, at zero rate, raw unit; zero unless ``offset`` is "motion"
+    motion_offset: FloatArray
+    rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit
+    lags_s: FloatArray  # (R,), lag of each recording and its standard uncertainty, s
+    lag_uncertainties_s: FloatArray  # (R,), lag of each recording and its standard uncertainty, s
+    turn_rates_rms: FloatArray  # (R,), root-mean-square body rate of each recording in motion, rad/s
+    window_s: float  # Length of the longest windows that the recordings were long enough for, s
+    window_rms: float  # Robust standard deviation of the residual rotation of the longest windows, rad
+    offset_mode: Offset  # As in the settings
+
+    def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
+        """Return the model for a recording that reads ``rest_offset`` at rest.
+
+        Arrays: rest_offset (3,).
+        """
+        if self.offset_mode == "common":
+            return self.triad.model
+        return replace(self.triad.model, offset=rest_offset + self.motion_offset)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldOut:
+    """A recording judged by a fit to the others."""
+
+    recording: int  # Its number
+    fit: ReferenceFit  # Fit to all others
+    # That fit with the held-out recording's own rest offset: nothing in it knows the held-out reference
+    model: TriadModel
+    # Root-mean-square rotation that is left over windows of ``window_s`` in the held-out recording, with the rest
+    # offset alone and with the model, rad
+    before: float
+    # Root-mean-square rotation that is left over windows of ``window_s`` in the held-out recording, with the rest
+    # offset alone and with the model, rad
+    after: float
+    extrapolation: str  # Where the held-out rates exceed what the others saw; "" where they do not
+
+
+# ---- Window equations of the reference fit: what the gyroscope turned by against what the reference turned by.
+
+_MARGIN_S = 0.5  # of rest that belongs to the motion on either side
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """One recording made ready for the fit."""
+
+    time: FloatArray  # (N,), s, record clock
+    gyro: FloatArray  # (N, 3), readings, raw unit, after ADC correction; gaps are zero
+    accel: FloatArray | None  # (N, 3), m/s2, where a g-sensitivity is wanted
+    gaps: IntArray  # (N,), gaps counted from the start: a window without one has the same count at both ends
+    lag: Lag  # Of the record against the reference
+    motion: Motion  # On the record's clock
+    rest_offset: FloatArray  # (3,), mean reading at rest before the motion, raw unit
+    rest_uncertainty: FloatArray  # (3,), standard uncertainty of that mean, raw unit, from blocks of one second
+    # (L,), times of the poses at which windows start and end, s, record clock as the integration needs it
+    at: FloatArray
+    q_nb: FloatArray  # (L, 4), those poses; NaN rows are gaps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GyroGuess:
+    """Present values of the parameters."""
+
+    matrix: FloatArray  # (3, 3), M, rad/s per raw unit
+    constant: FloatArray  # (3,), d, rad/s
+    g_sensitivity: FloatArray  # (3, 3), G, rad/s per m/s2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Windows:
+    """Equations of one recording."""
+
+    turn: FloatArray  # (n, 3), y, rad
+    design: FloatArray  # (n, 3, P), J: matrix row by row, then d, then G where accel readings are given
+    first: IntArray  # (n,), number of the pose at which each window starts
+
+
+def prepare(
+    record: Record,
+    reference: Reference,
+    *,
+    stride_s: float,
+    adc: AdcModel | None,
+    with_accel: bool,
+    lag_settings: LagSettings,
+) -> Recording:
+    """Find lag, motion, rest and poses of one recording."""
+    poses = native_poses(reference)
+    lag = find_lag(record, poses, lag_settings)
+    readings = record.gyro
+    if readings is None or (with_accel and record.accel is None):
+        raise InputError("reference: wanted gyro and accel for a g-sensitivity, got one only; map the other's columns")
+    gyro = restored(readings, adc)
+    motion = find_motion(record, poses, lag_s=lag.seconds)
+    gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
+    step = np.diff(record.time)
+    late = np.concatenate(([False], step > LONGEST_STEP * np.median(step)))
+    rest, rest_uncertainty = _rest(record.time, gyro, motion)
+    half_sample = 0.5 * float(np.median(step))  # strapdown holds each reading over the step before its stamp
+    at, q = _window_poses(poses, lag.seconds - half_sample, stride_s, motion, record.time)
+    return Recording(
+        time=record.time,
+        gyro=np.where(gap[:, None], 0.0, gyro),
+        accel=record.in_units(record.gyro_unit, "m/s2").accel if with_accel else None,
+        gaps=np.cumsum(gap | late),
+        lag=lag,
+        motion=motion,
+        rest_offset=rest,
+        rest_uncertainty=rest_uncertainty,
+        at=at,
+        q_nb=q,
+    )
+
+
+def restored(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
+    """Return readings with the mean loss of the ADC's rounding given back.
+
+    Arrays: gyro (N, 3) -> (N, 3).
+    """
+    if adc is None or adc.gyro_lsb is None:
+        return gyro
+    return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
+
+
+def window_equations(recording: Recording, guess: GyroGuess, offset: FloatArray, reach: int) -> Windows:
+    """Return the equations of all windows that span ``reach`` strides.
+
+    Arrays: offset (3,).
+    """
+    from undrift.kernels.rotation import accumulate
+
+    u = recording.gyro - offset
+    rate = u @ guess.matrix.T - guess.constant
+    columns: list[FloatArray] = [u, np.ones((len(u), 1))]
+    if recording.accel is not None:
+        accel = np.nan_to_num(recording.accel)
+        rate = rate - accel @ guess.g_sensitivity.T
+        columns.append(accel)
+    regressors = np.concatenate(columns, axis=1)
+    points, channels = len(recording.at), regressors.shape[1]
+    q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
+    accumulate(
+        np.ascontiguousarray(rate).reshape(-1),
+        np.ascontiguousarray(regressors).reshape(-1),
+        np.ascontiguousarray(recording.time),
+        recording.at,
+        q.reshape(-1),
+        total.reshape(-1),
+    )
+    first = np.flatnonzero(_whole(recording, reach))
+    last = first + reach
+    turned = quaternion_product(quaternion_conjugate(q[first]), q[last])
+    seen = quaternion_product(quaternion_conjugate(recording.q_nb[first]), recording.q_nb[last])
+    turn = rotation_vector(quaternion_product(quaternion_conjugate(turned), seen))
+    gain = total[last] - total[first]
+    back = quaternion_conjugate(q[last])[:, None, None, :]
+    design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
+    n = len(first)
+    blocks = [design[..., :3].reshape(n, 3, 9), -design[..., 3]]
+    if recording.accel is not None:
+        blocks.append(-design[..., 4:].reshape(n, 3, 9))
+    return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
+
+
+def _whole(recording: Recording, reach: int) -> BoolArray:
+    if len(recording.at) <= reach:
+        return np.zeros(0, bool)
+    seen = np.isfinite(recording.q_nb[:, 0])
+    sample = np.clip(np.searchsorted(recording.time, recording.at), 0, len(recording.time) - 1)
+    count = recording.gaps[sample]
+    whole: BoolArray = seen[:-reach] & seen[reach:] & (count[:-reach] == count[reach:])
+    return whole
+
+
+def _rest(time: FloatArray, gyro: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray]:
+    at_rest = (time < motion.start_s - _MARGIN_S) & np.isfinite(gyro).all(axis=1)
+    readings, second = gyro[at_rest], np.floor(time[at_rest] - time[0]).astype(np.int64)
+    if len(readings) < 2 or second[-1] == second[0]:
+        raise InputError(
+            "reference: wanted two seconds of rest readings before the motion, got fewer; record a rest first"
+        )
+    blocks = np.flatnonzero(np.concatenate(([True], np.diff(second) > 0)))
+    means = np.add.reduceat(readings, blocks) / np.diff(np.append(blocks, len(readings)))[:, None]
+    return readings.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(means))
+
+
+def _window_poses(
+    poses: Reference, shift_s: float, stride_s: float, motion: Motion, time: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    at = poses.time + shift_s
+    inside = (at >= max(motion.start_s - _MARGIN_S, time[0])) & (at <= min(motion.stop_s + _MARGIN_S, time[-1]))
+    step = max(1, round(stride_s * poses.sample_rate_hz))
+    chosen = np.flatnonzero(inside)[::step]
+    return np.ascontiguousarray(at[chosen]), np.ascontiguousarray(poses.q_nb[chosen])
+
+
+# ---- Robust linear least squares of overlapping windows, with a covariance that knows that they overlap.
+
+_REWEIGHTINGS = 15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """One linear solution."""
+
+    step: FloatArray  # (P,), change of the parameters
+    covariance: FloatArray  # (P, P), sandwich
+    residuals: FloatArray  # (n, 3), rad, all windows
+    scale: float  # Robust standard deviation of the residuals, rad
+    rank: int  # Of the design with columns scaled to one
+    condition: float  # Of the design with columns scaled to one
+
+
+def independent_windows(windows: Sequence[Windows], reach: int) -> int:
+    """Return how many windows that do not overlap the recordings hold."""
+    return sum(-(-len(w.first) // reach) for w in windows)
+
+
+def solve(windows: Sequence[Windows], *, keep: FloatArray, huber: float, reach: int) -> Solution:
+    """Solve the equations of several recordings.
+
+    Arrays: keep (P,).
+    """
+    kept = np.flatnonzero(keep)
+    a = np.concatenate([w.design for w in windows])[:, :, kept]
+    y = np.concatenate([w.turn for w in windows])
+    independent = independent_windows(windows, reach)
+    if 3 * independent <= len(kept):
+        raise NotObservable(
+            f"reference: wanted more than {len(kept) // 3} windows that do not overlap, got {independent}; "
+            "record longer motion, or ask for shorter windows",
+            windows=independent,
+        )
+    rank, condition = scaled_condition(a.reshape(-1, len(kept)))
+    if rank < len(kept):
+        raise NotObservable(
+            f"reference: wanted motion about all three axes, got a design of rank {rank} for {len(kept)} parameters; "
+            "turn the device about every axis",
+            rank=rank,
+        )
+    x, weight, scale = _huber(a.reshape(-1, len(kept)), y.reshape(-1), huber)
+    residual = y - a @ x
+    bread = np.linalg.inv((a.reshape(-1, len(kept)).T * weight) @ a.reshape(-1, len(kept)))
+    scores = np.einsum("nap,na->np", a, weight.reshape(-1, 3) * residual)
+    meat = _long_run(scores, windows, 2 * reach)
+    # Residuals are short of errors by their leverage, P / n on average; HC3's square of it, not HC1's first power [2]_.
+    covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept))) ** 2
+    return Solution(
+        step=_spread(x, kept, len(keep)),
+        covariance=_spread(_spread(covariance, kept, len(keep)).T, kept, len(keep)),
+        residuals=residual,
+        scale=scale,
+        rank=rank,
+        condition=condition,
+    )
+
+
+def _huber(a: FloatArray, y: FloatArray, k: float) -> tuple[FloatArray, FloatArray, float]:
+    length = np.linalg.norm(a, axis=0)
+    scaled = a / length
+    weight = np.ones(len(y))
+    x, scale = np.zeros(a.shape[1]), 0.0
+    for _ in range(_REWEIGHTINGS):
+        previous = x
+        x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * y))
+        size = np.abs(y - scaled @ x)
+        scale = 1.4826 * float(np.median(size))
+        weight = np.minimum(1.0, k * scale / np.maximum(size, 1e-15)) if scale > 0.0 else weight
+        if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
+            break
+    return x / length, weight, scale
+
+
+def _long_run(scores: FloatArray, windows: Sequence[Windows], width: int) -> FloatArray:
+    size = scores.shape[1]
+    meat = np.zeros((size, size))
+    row = 0
+    for w in windows:
+        if not len(w.first):
+            continue
+        line = np.zeros((int(w.first[-1] - w.first[0]) + 2 * width - 1, size))
+        line[w.first - w.first[0] + width - 1] = scores[row : row + len(w.first)]
+        row += len(w.first)
+        sums = box_sums(line, width)
+        meat += sums.T @ sums / width
+    return meat
+
+
+def _spread(values: FloatArray, kept: np.ndarray, size: int) -> FloatArray:
+    full = np.zeros((size, *values.shape[1:]))
+    full[kept] = values
+    return full
+
+
+# ---- The reference fit as efficient as white noise allows: all poses in one chain, weighed by where the noise sits.
+
+_SEARCH = 24  # steps of golden section: kappa's logit to 1e-3
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+def solve_chain(
+    recordings: Sequence[Recording], steps: Sequence[Windows], *, keep: FloatArray, huber: float
+) -> Solution:
+    """Solve the chains of several recordings.
+
+    Arrays: keep (P,).
+    """
+    kept = np.flatnonzero(keep)
+    tables = [_in_level(r, w, kept) for r, w in zip(recordings, steps, strict=True)]
+    links = [np.diff(w.first) == 1 for w in steps]
+    rows = 3 * sum(len(t) for t in tables)
+    if rows <= 2 * len(kept):
+        raise NotObservable(
+            f"reference: wanted more than {2 * len(kept) // 3} steps between poses, got {rows // 3}; record longer motion",
+            steps=rows // 3,
+        )
+    plain = np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables])
+    rank, condition = scaled_condition(plain)
+    if rank < len(kept):
+        raise NotObservable(
+            f"reference: wanted motion about all three axes, got a design of rank {rank} for {len(kept)} parameters; "
+            "turn the device about every axis",
+            rank=rank,
+        )
+    kappa = _most_likely(tables, links)
+    x, covariance, residual, scale = _huber_reference_chain(_whitened(tables, links, kappa), huber)
+    step, full = np.zeros(len(keep)), np.zeros((len(keep), len(keep)))
+    step[kept] = x
+    full[np.ix_(kept, kept)] = covariance
+    return Solution(
+        step=step, covariance=full, residuals=residual.reshape(-1, 3), scale=scale, rank=rank, condition=condition
+    )
+
+
+def _in_level(recording: Recording, steps: Windows, kept: IntArray) -> FloatArray:
+    """Return y and A side by side, (n, 3, 1 + P), turned from the body at the later pose into n."""
+    q = recording.q_nb[steps.first + 1][:, None, :]
+    table = np.concatenate((steps.turn[:, :, None], steps.design[:, :, kept]), axis=2)
+    return np.moveaxis(rotate(q, np.moveaxis(table, 1, 2)), 2, 1)
+
+
+def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> float:
+    """Return kappa by golden section over its logit."""
+    runs = [run for t, linked in zip(tables, links, strict=True) for run in np.split(t, np.flatnonzero(~linked) + 1)]
+    waves = np.concatenate([_sine_transform(run).reshape(-1, run.shape[2]) for run in runs])
+    value = np.concatenate([2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(r) + 1) / (len(r) + 1)) for r in runs])
+    y, a = waves[:, 0], waves[:, 1:]
+
+    def cost(logit: float) -> float:
+        kappa = 1.0 / (1.0 + np.exp(-logit))
+        variance = np.repeat((1.0 - kappa) * value + kappa, 3)
+        weighted = a / variance[:, None]
+        normal = weighted.T @ a
+        residual = y - a @ np.linalg.solve(normal, weighted.T @ y)
+        square = max(float((residual**2 / variance).sum()), 1e-300)
+        return float((len(y) - a.shape[1]) * np.log(square) + np.log(variance).sum() + np.linalg.slogdet(normal)[1])
+
+    low, high = -12.0, 12.0
+    inner, outer = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    cost_inner, cost_outer = cost(inner), cost(outer)
+    for _ in range(_SEARCH):
+        if cost_inner < cost_outer:
+            high, outer, cost_outer = outer, inner, cost_inner
+            inner = high - _GOLDEN * (high - low)
+            cost_inner = cost(inner)
+        else:
+            low, inner, cost_inner = inner, outer, cost_outer
+            outer = low + _GOLDEN * (high - low)
+            cost_outer = cost(outer)
+    return float(1.0 / (1.0 + np.exp(-0.5 * (low + high))))
+
+
+def _sine_transform(run: FloatArray) -> FloatArray:
+    """Return the orthonormal sine transform (type I) over axis 0, by an FFT of the odd continuation."""
+    n = len(run)
+    zero = np.zeros_like(run[:1])
+    odd = np.concatenate((zero, run, zero, -run[::-1]))
+    waves: FloatArray = np.fft.rfft(odd, axis=0)[1 : n + 1].imag * (-np.sqrt(0.5 / (n + 1)))
+    return waves
+
+
+def _whitened(tables: Sequence[FloatArray], links: Sequence[BoolArray], kappa: float) -> FloatArray:
+    """Return rows (3 n, 1 + P) with covariance s^2 I, each of them local in time, so that one bad pose stays few rows."""
+    blocks = []
+    diagonal = 2.0 * (1.0 - kappa) + kappa
+    for table, linked in zip(tables, links, strict=True):
+        white = np.empty_like(table)
+        root, before = 1.0, np.zeros_like(table[0])
+        for k in range(len(table)):
+            shared = -(1.0 - kappa) if k and linked[k - 1] else 0.0
+            below = shared / root
+            root = float(np.sqrt(diagonal - below * below))
+            white[k] = (table[k] - below * before) / root
+            before = white[k]
+        blocks.append(white.reshape(-1, table.shape[2]))
+    return np.concatenate(blocks)
+
+
+def _huber_reference_chain(white: FloatArray, k: float) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return parameters, covariance, residuals and scale; the covariance is that of Huber's estimate at the normal."""
+    y, a = white[:, 0], white[:, 1:]
+    length = np.linalg.norm(a, axis=0)
+    scaled, weight = a / length, np.ones(len(y))
+    x, scale = np.zeros(a.shape[1]), 0.0
+    for _ in range(_REWEIGHTINGS):
+        previous = x
+        x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * y))
+        size = np.abs(y - scaled @ x)
+        scale = 1.4826 * float(np.median(size))
+        if scale == 0.0:
+            break
+        weight = np.minimum(1.0, k * scale / np.maximum(size, 1e-300))
+        if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
+            break
+    residual = y - scaled @ x
+    spare = len(y) - len(x)
+    fully = float(np.mean(weight == 1.0))
+    variance = float(((weight * residual) ** 2).sum()) / spare / max(fully, 0.1) ** 2
+    covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
+    return x / length, covariance, residual, scale
+
+
+# ---- reference
+
+LAG_SETTINGS = LagSettings()
+REFERENCE_SETTINGS = ReferenceSettings()
+_REFINEMENTS = 2  # passes at the longest window
+_MOUNTING = 0.05  # matrices of single recordings may differ by this share before their mounting is taken to differ
+
+
+def fit_reference(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    *,
+    settings: ReferenceSettings = REFERENCE_SETTINGS,
+    adc: AdcModel | None = None,
+    lag_settings: LagSettings = LAG_SETTINGS,
+) -> ReferenceFit:
+    """Fit matrix, in-motion offset and, on request, g-sensitivity of a gyroscope to references."""
+    prepared = prepare_all(records, references, settings=settings, adc=adc, lag_settings=lag_settings)
+    return _fit(prepared, settings, records[0].gyro_unit)
+
+
+def leave_one_out(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    *,
+    settings: ReferenceSettings = REFERENCE_SETTINGS,
+    adc: AdcModel | None = None,
+    lag_settings: LagSettings = LAG_SETTINGS,
+) -> tuple[HeldOut, ...]:
+    """Fit every recording's model to all others of the device, and judge it there."""
+    if len(records) < 2:
+        raise InputError(
+            f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
+        )
+    prepared = prepare_all(records, references, settings=settings, adc=adc, lag_settings=lag_settings)
+    unit = records[0].gyro_unit
+    return tuple(
+        _judge(i, prepared[i], _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit), settings)
+        for i in range(len(prepared))
+    )
+
+
+def prepare_all(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    *,
+    settings: ReferenceSettings,
+    adc: AdcModel | None,
+    lag_settings: LagSettings,
+) -> list[Recording]:
+    """Make the recordings of one device ready for the fit."""
+    if not records or len(records) != len(references):
+        raise InputError(
+            f"reference: wanted one reference for each record, got {len(records)} records and {len(references)} references"
+        )
+    units = sorted({r.gyro_unit for r in records})
+    if len(units) > 1:
+        raise InputError(
+            f"reference: wanted one unit for all recordings of a device, got {', '.join(units)}; convert them"
+        )
+    return [
+        prepare(
+            record,
+            reference,
+            stride_s=settings.stride_s,
+            adc=adc,
+            with_accel=settings.g_sensitivity,
+            lag_settings=lag_settings,
+        )
+        for record, reference in zip(records, references, strict=True)
+    ]
+
+
+def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) -> ReferenceFit:
+    offsets = [np.zeros(3) if settings.offset == "common" else p.rest_offset for p in prepared]
+    guess = _first_guess(prepared, settings)
+    keep = np.ones(21 if settings.g_sensitivity else 12)
+    keep[9:12] = settings.offset != "rest"
+    solution, used = None, settings.window_s
+    for length in _lengths(settings):
+        reach = max(1, round(length / settings.stride_s))
+        windows = [window_equations(p, guess, o, reach) for p, o in zip(prepared, offsets, strict=True)]
+        if solution is not None and independent_windows(windows, reach) <= keep.sum() / 3.0:
+            break  # too short for longer windows: stay with the last ones
+        solution, used = solve(windows, keep=keep, huber=settings.huber, reach=reach), length
+        guess = _moved(guess, solution.step)
+    for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
+        windows = [window_equations(p, guess, o, 1) for p, o in zip(prepared, offsets, strict=True)]
+        solution, used = solve_chain(prepared, windows, keep=keep, huber=settings.huber), settings.stride_s
+        guess = _moved(guess, solution.step)
+    if solution is None or np.linalg.det(guess.matrix) <= 0.0:
+        raise Implausible(
+            f"reference: wanted a right-handed matrix, got a determinant of {np.linalg.det(guess.matrix):.3g}; "
+            "one axis of the readings or of the reference is reversed"
+        )
+    return _result(prepared, settings, unit, guess, solution, used)
+
+
+def _lengths(settings: ReferenceSettings) -> list[float]:
+    lengths = [settings.window_s]
+    if settings.weights == "noise":
+        return lengths  # a start for the chain
+    while lengths[-1] * 2.0 <= settings.longest_window_s:
+        lengths.append(lengths[-1] * 2.0)
+    if lengths[-1] < settings.longest_window_s:
+        lengths.append(settings.longest_window_s)
+    return lengths + [lengths[-1]] * _REFINEMENTS
+
+
+def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> GyroGuess:
+    # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
+    matrices = np.array([p.lag.matrix for p in prepared])
+    matrix = matrices.mean(axis=0)
+    size = float(np.linalg.norm(matrix, 2))
+    worst = float(np.abs(matrices - matrix).max()) / size
+    if worst > _MOUNTING:
+        raise AlignmentError(
+            f"reference: wanted one mounting for all recordings, got matrices that differ by {worst:.0%}; fit recordings with "
+            "other marker clusters or other sensors apart",
+            difference=worst,
+        )
+    constants = [
+        np.zeros(3)
+        if settings.offset == "rest"
+        else -p.lag.constant - matrix @ p.rest_offset * (settings.offset == "motion")
+        for p in prepared
+    ]
+    return GyroGuess(matrix=matrix, constant=np.mean(constants, axis=0), g_sensitivity=np.zeros((3, 3)))
+
+
+def _moved(guess: GyroGuess, step: FloatArray) -> GyroGuess:
+    g = step[12:].reshape(3, 3) if len(step) > 12 else np.zeros((3, 3))
+    return GyroGuess(
+        matrix=guess.matrix + step[:9].reshape(3, 3),
+        constant=guess.constant + step[9:12],
+        g_sensitivity=guess.g_sensitivity + g,
+    )
+
+
+def _result(
+    prepared: Sequence[Recording],
+    settings: ReferenceSettings,
+    unit: str,
+    guess: GyroGuess,
+    solution: Solution,
+    window_s: float,
+) -> ReferenceFit:
+    inverse = np.linalg.inv(guess.matrix)
+    motion_offset = inverse @ guess.constant
+    rest = np.array([p.rest_offset for p in prepared])
+    base = np.zeros(3) if settings.offset == "common" else rest.mean(axis=0)
+    covariance = _carried(guess, inverse, solution.covariance)
+    if settings.offset != "common":
+        spread = np.array([p.rest_uncertainty for p in prepared])
+        covariance[range(9, 12), range(9, 12)] += (spread**2).sum(axis=0) / len(prepared) ** 2
+    seen = [(p.gyro[m] - base - motion_offset) @ guess.matrix.T for p in prepared for m in (_moving(p),)]
+    model = TriadModel(
+        method=f"reference/{settings.offset}",
+        unit_in=unit,
+        unit_out="rad/s",
+        matrix=guess.matrix,
+        offset=base + motion_offset,
+        g_sensitivity=guess.g_sensitivity if settings.g_sensitivity else None,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *(G_NAMES if settings.g_sensitivity else ())),
+        covariance=covariance,
+        rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
+        count=solution.residuals.size,
+        rank=solution.rank,
+        condition=solution.condition,
+        valid_range=(min(float(w.min()) for w in seen), max(float(w.max()) for w in seen)),
+    )
+    return ReferenceFit(
+        triad=TriadFit(model=model, residuals=solution.residuals, verdict=_verdict(model, solution, rest, settings)),
+        motion_offset=np.zeros(3) if settings.offset == "common" else motion_offset,
+        rest_offsets=rest,
+        lags_s=np.array([p.lag.seconds for p in prepared]),
+        lag_uncertainties_s=np.array([p.lag.standard_uncertainty for p in prepared]),
+        turn_rates_rms=np.array([np.sqrt((w**2).sum(axis=1).mean()) for w in seen]),
+        window_s=window_s,
+        window_rms=solution.scale,
+        offset_mode=settings.offset,
+    )
+
+
+def _carried(guess: GyroGuess, inverse: FloatArray, covariance: FloatArray) -> FloatArray:
+    # From (M, d, G) to (M, o, G) with o = M^-1 d: do = M^-1 dd - M^-1 dM o.
+    jacobian = np.eye(len(covariance))
+    jacobian[9:12, 9:12] = inverse
+    jacobian[9:12, :9] = -np.kron(inverse, inverse @ guess.constant)
+    carried: FloatArray = jacobian @ covariance @ jacobian.T
+    return carried
+
+
+def _moving(recording: Recording) -> BoolArray:
+    inside: BoolArray = (recording.time >= recording.motion.start_s) & (recording.time < recording.motion.stop_s)
+    return inside
+
+
+def _verdict(model: TriadModel, solution: Solution, rest: FloatArray, settings: ReferenceSettings) -> Verdict:
+    reasons = []
+    sigma = model.standard_uncertainty
+    scale = float(np.linalg.norm(model.matrix, 2))
+    if sigma[:9].max() > 2e-3 * scale:
+        reasons.append(
+            f"the matrix is known to {sigma[:9].max() / scale:.2%} only; record longer, with more turning about every axis"
+        )
+    if settings.offset == "motion" and len(rest) > 1:
+        spread = rest.std(axis=0, ddof=1).max() * scale
+        if spread > 5e-4:  # rad/s: 0.03 deg/s
+            reasons.append(
+                f"the offset at rest differs by {np.degrees(spread):.3f} deg/s between recordings; warm the device up before each"
+            )
+    if model.g_sensitivity is not None and (np.abs(model.g_sensitivity).reshape(-1) < 3.0 * sigma[12:]).all():
+        reasons.append("no g-sensitivity could be told from zero; leave it out")
+    return Verdict(status="marginal" if reasons else "good", remarks=tuple(reasons))
+
+
+def _judge(number: int, recording: Recording, fit: ReferenceFit, settings: ReferenceSettings) -> HeldOut:
+    model = fit.model_at_rest_offset(recording.rest_offset)
+    reach = max(1, round(settings.window_s / settings.stride_s))
+    g = np.zeros((3, 3)) if model.g_sensitivity is None else model.g_sensitivity
+    plain = GyroGuess(matrix=_rigid(model.matrix), constant=np.zeros(3), g_sensitivity=np.zeros((3, 3)))
+    fitted = GyroGuess(matrix=model.matrix, constant=np.zeros(3), g_sensitivity=g)
+    before = _rms(window_equations(recording, plain, recording.rest_offset, reach))
+    after = _rms(window_equations(recording, fitted, model.offset, reach))
+    rate = np.abs((recording.gyro[_moving(recording)] - model.offset) @ model.matrix.T)
+    limit = max(abs(model.valid_range[0]), abs(model.valid_range[1]))
+    beyond = float((rate > limit).any(axis=1).mean())
+    rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
+    most = float(fit.turn_rates_rms.max())
+    extrapolation = ""
+    if beyond > 0.0 or rms > 1.5 * most:
+        extrapolation = (
+            f"turns at up to {np.degrees(rate.max()):.0f} deg/s, {np.degrees(rms):.0f} rms; the fit has seen "
+            f"{np.degrees(limit):.0f} deg/s, {np.degrees(most):.0f} rms: extrapolated"
+        )
+    return HeldOut(recording=number, fit=fit, model=model, before=before, after=after, extrapolation=extrapolation)
+
+
+def _rigid(matrix: FloatArray) -> FloatArray:
+    # The nearest rotation times the nominal scale: what a raw device in that mounting would have been taken for.
+    left, singular, right = np.linalg.svd(matrix)
+    scale = float(np.exp(np.log(singular).mean()))
+    nominal = 1.0 if 0.5 < scale < 2.0 else scale
+    rigid: FloatArray = nominal * left @ right
+    return rigid
+
+
+def _rms(windows: Windows) -> float:
+    return float(np.sqrt((windows.turn**2).sum(axis=1).mean()))

@@ -1,0 +1,300 @@
+"""Correct a record: the only place where a calibration is applied.
+
+For a reading u (3,) at temperature T, in this order::
+
+    1  u1 = u + h sign(u)         codes truncated toward zero; u + h where they were rounded down; h is half a step
+    2  u2 = u1 - offset(T) - o(t) tuning table of absolute offsets, else the constant offset; o is the warm-up of a device that
+                                  was switched on t ago, gyroscopes only, where t is known
+    3  w  = M(T) u2               matrix, constant or over temperature
+    4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
+    5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
+
+A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, the thermometer's lag
+taken off where the calibration knows it (correction/plan.py). Tables are held at their ends; a temperature beyond
+them is an error, is held, or becomes a gap, as ``policy`` says; where none was recorded the result is a gap under every policy,
+and a warning says for how long; nodes that no data were near are part of the table and give a
+warning, whatever it says.
+
+``_evaluate_triad`` is where these lines are. Around it: correction/plan.py turns the calibration into what the kernels
+take, correction/coverage.py looks for what it does not cover, correction/plan.py and correction/plan.py say where
+to and on how many threads, and correction/stream.py does the same chunk by chunk.
+"""
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray
+from undrift.correction.coverage import (
+    NOWHERE,
+    UNMOVED,
+    Reach,
+    Span,
+    find_extrapolated,
+    find_missing,
+    find_outside,
+    notes_on,
+    seconds_of,
+    temperature_reach,
+    warnings_on,
+)
+from undrift.correction.plan import (
+    UNKNOWN,
+    Buffers,
+    Carry,
+    Conditions,
+    Plans,
+    TriadPlan,
+    adopt,
+    conditions_of,
+    flat,
+    in_pieces,
+    out_buffers,
+    plan_record,
+    switched_on,
+)
+from undrift.model import Calibration
+from undrift.record import Record
+
+Policy = Literal["raise", "hold", "nan"]
+
+REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
+NOTHING = np.empty(0)
+
+
+def _evaluate_triad(
+    plan: TriadPlan, u: FloatArray, temp: FloatArray, since: FloatArray, a: FloatArray, w: FloatArray
+) -> Span:
+    """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do, since without warm-up."""
+    from undrift.kernels.correct import affine, subtract_g, tabulated, warmed
+
+    g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
+    h = plan.half_step
+    if plan.warm_up is not None and since.size:  # step 1, and o of step 2
+        warmed(u, since, w, h, *plan.warm_up)
+        u, h = w, np.zeros(3)
+    if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
+        least, greatest = tabulated(u, temp, a, w, plan.matrix, plan.offset, h, g, plan.tables)
+        return float(least), float(greatest)
+    affine(u, w, plan.matrix, plan.offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
+    if a.size:
+        subtract_g(a, w, g)  # step 4: w - G a
+    return NOWHERE
+
+
+def _evaluate(record: Record, plans: Plans, at: Conditions, outputs: Buffers, start: int, stop: int) -> Span:
+    """Evaluate the model for the samples [start, stop) and return the least and greatest rate that met the dynamic table."""
+    from undrift.kernels.correct import affine_pair
+
+    gyro, accel = plans
+    u, v = flat(record.gyro, start, stop), flat(record.accel, start, stop)
+    w, a = flat(outputs[0], start, stop), flat(outputs[1], start, stop)
+    temp, since = at.temp_c[start:stop], at.power_on_s[start:stop]
+    g = None if gyro is None else gyro.g_sensitivity
+    plain = all(plan is not None and plan.tables is None for plan in plans) and not since.size
+    if gyro is not None and accel is not None and g is not None and plain:
+        of_accel = (accel.matrix, accel.offset, accel.half_step)  # both triads in one pass over the memory
+        affine_pair(u, v, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
+        return NOWHERE
+    if accel is not None:  # first, since step 4 wants a
+        _evaluate_triad(accel, v, temp, NOTHING, NOTHING, a)
+    return NOWHERE if gyro is None else _evaluate_triad(gyro, u, temp, since, NOTHING if g is None else a, w)
+
+
+class DriftRangeWarning(UserWarning):
+    """Readings were corrected beyond what the calibration covers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Corrected:
+    """A corrected record, and where the calibration did not cover it.
+
+    Parameters
+    ----------
+    record : Record
+        rad/s and m/s2 in frame b, state corrected.
+    outside : array, shape (N,)
+        True where the temperature lay outside a tuning table.
+    extrapolated : array, shape (N,)
+        True where it lay inside, at nodes that no data were near.
+    missing : array, shape (N,)
+        True where a tuning table found no temperature: what it corrects is NaN there, whatever the policy.
+    warnings : tuple of str
+        What went beyond the calibration: temperature, span of the constant offsets, rate.
+    notes : tuple of str
+        What was done that a reader may not expect: a triad without a model, another serial number, hysteresis that is left, a
+        warm-up that was not subtracted.
+    reach : Reach
+        How far temperature and rate went, where the calibration cares.
+    carry : Carry
+        What the next chunk of a stream needs.
+    """
+
+    record: Record
+    outside: BoolArray
+    extrapolated: BoolArray
+    missing: BoolArray
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    reach: Reach = UNMOVED
+    carry: Carry = UNKNOWN
+
+    @property
+    def seconds_outside(self) -> float:
+        """Time spent outside the tuning tables, s."""
+        return self.reach.seconds_outside
+
+    @property
+    def seconds_extrapolated(self) -> float:
+        """Time spent inside the tuning tables at nodes that no data were near, s."""
+        return self.reach.seconds_extrapolated
+
+    @property
+    def seconds_without_temperature(self) -> float:
+        """Time without the temperature that the tuning tables want, s."""
+        return self.reach.seconds_without_temperature
+
+
+def correct(
+    record: Record,
+    calibration: Calibration,
+    *,
+    policy: Policy = "raise",
+    out: Buffers | None = None,
+    power_on_s: float | None = None,
+) -> Record:
+    """Turn a device's readings into rate and specific force.
+
+    Parameters
+    ----------
+    record : Record
+        Raw readings, in the calibration's unit or another physical one; temperatures where the calibration has tables.
+    calibration : Calibration
+        The device's model.
+    policy : str
+        What becomes of samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan". Samples
+        without a temperature are gaps under each: no value is made up for them.
+    out : tuple of two arrays, shape (N, 3), optional
+        Where to write rate and specific force; saves fresh arrays, and the record then lives on these.
+    power_on_s : float, optional
+        Time since power-on at the first sample, s; without it no warm-up is subtracted, and a note of ``correct_checked`` says
+        how large it is.
+
+    Returns
+    -------
+    Record
+        rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's range.
+
+    Raises
+    ------
+    InputError
+        Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs; a
+        negative power_on_s.
+    DriftRangeError
+        Temperatures outside a table under policy "raise".
+    """
+    corrected = correct_checked(record, calibration, policy=policy, out=out, power_on_s=power_on_s)
+    for text in corrected.warnings:
+        warnings.warn(text, DriftRangeWarning, stacklevel=2)
+    return corrected.record
+
+
+def correct_checked(
+    record: Record,
+    calibration: Calibration,
+    *,
+    policy: Policy = "raise",
+    out: Buffers | None = None,
+    reference_span_c: float = REFERENCE_SPAN_C,
+    threads: int | None = None,
+    power_on_s: float | None = None,
+) -> Corrected:
+    """Correct a record and say where the calibration did not cover it.
+
+    Parameters
+    ----------
+    record : Record
+        As for ``correct``.
+    calibration : Calibration
+        The device's model.
+    policy : str
+        "raise", "hold" or "nan".
+    out : tuple of two arrays, shape (N, 3), optional
+        Where to write rate and specific force.
+    reference_span_c : float
+        Without a table, warn where the temperature departs from the reference by more than this, degC.
+    threads : int, optional
+        Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
+    power_on_s : float, optional
+        As for ``correct``, s.
+
+    Returns
+    -------
+    Corrected
+        The record, the masks, warnings and notes.
+
+    Raises
+    ------
+    InputError
+        As for ``correct``.
+    DriftRangeError
+        As for ``correct``.
+    """
+    plans, carry = plan_record(record, calibration), switched_on(float(record.time[0]), power_on_s)
+    return correct_planned(
+        record,
+        calibration,
+        plans,
+        policy=policy,
+        out=out,
+        reference_span_c=reference_span_c,
+        threads=threads,
+        carry=carry,
+    )
+
+
+def correct_planned(
+    record: Record,
+    calibration: Calibration,
+    plans: Plans,
+    *,
+    policy: Policy = "raise",
+    out: Buffers | None = None,
+    reference_span_c: float = REFERENCE_SPAN_C,
+    threads: int | None = None,
+    carry: Carry = UNKNOWN,
+) -> Corrected:
+    """Correct a record with plans made beforehand, as a stream has them.
+
+    Arrays: out (N, 3).
+    """
+    at = conditions_of(record, calibration, plans, carry)
+    before, missing = carry.last_time, find_missing(record, at.temp_c, plans)
+    outside = find_outside(record, at.temp_c, plans, allowed=policy != "raise", before=before)
+    outputs = out_buffers(len(record), plans, out)
+    spans = in_pieces(lambda start, stop: _evaluate(record, plans, at, outputs, start, stop), len(record), threads)
+    extrapolated, stated = find_extrapolated(record, at.temp_c, plans, outputs, threads)
+    if policy == "nan" and outside.any():
+        for plan, values in zip(plans, outputs, strict=True):
+            if plan is not None and plan.tables is not None:
+                values[outside] = np.nan
+    reach = replace(
+        temperature_reach(at.temp_c, calibration, plans),
+        seconds_outside=seconds_of(outside, record.time, before),
+        turn_rate=(min(low for low, _ in spans), max(high for _, high in spans)),
+        seconds_extrapolated=seconds_of(extrapolated, record.time, before),
+        stated=stated,
+        seconds_without_temperature=seconds_of(missing, record.time, before),
+    )
+    return Corrected(
+        record=adopt(record, plans, outputs),
+        outside=outside,
+        extrapolated=extrapolated,
+        missing=missing,
+        warnings=warnings_on(reach, calibration, reference_span_c),
+        notes=notes_on(record, calibration, power_on_known=carry.power_on_time is not None),
+        reach=reach,
+        carry=at.carry,
+    )

@@ -1,0 +1,151 @@
+"""Correct a stream: the model of correction/correct.py, chunk by chunk.
+
+No step of the model looks at another sample but the lead that takes off a thermometer's lag, and that one hands its state on; so
+chunks of any length give the bits of the batch. What is kept between chunks are the plans (the calibration made ready for the
+kernels) and the state, which may be saved and put back. Chunks from a file can be
+read ahead: the next one while this one is corrected.
+"""
+
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.correction.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
+from undrift.correction.coverage import UNMOVED, Reach, warnings_on
+from undrift.correction.plan import UNKNOWN, Carry, Plans, plan_record, switched_on
+from undrift.errors import InputError
+from undrift.model import Calibration
+from undrift.record import Record
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectorState:
+    """How far a stream has come: enough to go on elsewhere."""
+
+    samples: int = 0  # Corrected so far
+    samples_outside: int = 0  # Of those, outside the tuning tables
+    samples_extrapolated: int = 0  # Of those, inside them at nodes that no data were near
+    samples_without_temperature: int = 0  # Of those, without the temperature that the tables want
+    last_time: float = -np.inf  # Time of the last sample, s; minus infinity before the first
+    reach: Reach = UNMOVED  # How far temperature and rate went so far, where the calibration cares
+    carry: Carry = UNKNOWN  # When the device was switched on, and where taking off the thermometer's lag has come to
+
+
+class Corrector:
+    """Correct a stream chunk by chunk; the result equals the batch to the last bit.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The device's model.
+    policy : str
+        "raise", "hold" or "nan", as for ``correct``.
+    reference_span_c : float
+        As for ``correct_checked``, degC.
+    power_on_s : float, optional
+        Time since power-on at the first sample of the stream, s, as for ``correct``.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        policy: Policy = "raise",
+        *,
+        reference_span_c: float = REFERENCE_SPAN_C,
+        power_on_s: float | None = None,
+    ) -> None:
+        switched_on(0.0, power_on_s)  # refuses now what it would refuse at the first chunk
+        self._calibration, self._policy, self._span = calibration, policy, reference_span_c
+        self._power_on_s = power_on_s
+        self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
+        self.state = CorrectorState()  # may be saved, and put back by assignment
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Where the stream so far went beyond the calibration: what the batch would say, each once."""
+        return warnings_on(self.state.reach, self._calibration, self._span)
+
+    def push(self, chunk: Record) -> Record:
+        """Correct the next chunk.
+
+        Parameters
+        ----------
+        chunk : Record
+            Raw readings that follow the last chunk.
+
+        Returns
+        -------
+        Record
+            The same samples, corrected.
+
+        Raises
+        ------
+        InputError
+            As for ``correct``, or a chunk that does not follow the last one in time; the state is as before.
+        DriftRangeError
+            As for ``correct``; the state is as before.
+        """
+        corrected = self.push_checked(chunk)
+        for text in corrected.warnings:
+            warnings.warn(text, DriftRangeWarning, stacklevel=2)
+        return corrected.record
+
+    def push_checked(self, chunk: Record) -> Corrected:
+        """Correct the next chunk and say where the calibration did not cover it.
+
+        Parameters
+        ----------
+        chunk : Record
+            Raw readings that follow the last chunk.
+
+        Returns
+        -------
+        Corrected
+            The same samples, corrected, with mask, warnings and notes of this chunk.
+
+        Raises
+        ------
+        InputError
+            As for ``push``.
+        DriftRangeError
+            As for ``push``.
+        """
+        if chunk.time[0] <= self.state.last_time:
+            raise InputError(
+                f"corrector: wanted a chunk that begins after {self.state.last_time:.6g} s, got one from {chunk.time[0]:.6g} s; "
+                "push chunks in order, each once"
+            )
+        key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
+        if key not in self._plans or chunk.state == "corrected":
+            self._plans[key] = plan_record(chunk, self._calibration)
+        begun = self.state.samples > 0
+        done = correct_planned(
+            chunk,
+            self._calibration,
+            self._plans[key],
+            policy=self._policy,
+            reference_span_c=self._span,
+            carry=self.state.carry if begun else switched_on(float(chunk.time[0]), self._power_on_s),
+        )
+        self.state = CorrectorState(
+            samples=self.state.samples + len(chunk),
+            samples_outside=self.state.samples_outside + int(done.outside.sum()),
+            samples_extrapolated=self.state.samples_extrapolated + int(done.extrapolated.sum()),
+            samples_without_temperature=self.state.samples_without_temperature + int(done.missing.sum()),
+            last_time=float(chunk.time[-1]),
+            reach=self.state.reach.joined(done.reach),
+            carry=done.carry,
+        )
+        return done
+
+
+def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
+    """Read the next chunk in a second thread while the caller works on this one."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, chunks, None)
+        while (chunk := coming.result()) is not None:
+            coming = pool.submit(next, chunks, None)
+            yield chunk

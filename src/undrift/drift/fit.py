@@ -1,0 +1,442 @@
+"""Procedure: from thermal sessions and a calibration to tuning tables, the note's Figure 2.
+
+    temperature     trusted, smoothed; its lag estimated from ramps and taken off
+    static drift    offset(T) from rests, absolute, raw unit                       blocks 2 to 5
+    matrix          M(T) from rate steps at two soaks or more
+    dynamic drift   e(w, T) of what is left                                        blocks 6 to 9
+    accelerometers  offset(T) and M(T) from poses at several temperatures, else offset(T) from rests
+
+Matrix and dynamic table are chosen by what they foretell of steps that were left out. Codes that the calibration knows to be
+truncated get their half step back first, as ``correct`` does, so that a table is over the same numbers that it is taken off. What
+the sessions cannot tell is a reason in the verdict, with the recording that would.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import reduce
+from importlib.metadata import version
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.observe import in_one_unit
+from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
+from undrift.drift.checks import (
+    ScaleSummary,
+    TriadSummary,
+    accel_verdict,
+    check_sessions,
+    check_turns,
+    choice_verdict,
+    lag_verdict,
+    mark_before,
+    offsets_verdict,
+    one_way_verdict,
+    poses_verdict,
+    static_verdict,
+    summarise_accel,
+    summarise_gyro,
+    summarise_scale,
+    temperature_verdict,
+    verdict_before,
+    with_set_points,
+)
+from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks, observe_rests, observe_steps
+from undrift.drift.scale import Asymmetry, scale_asymmetry
+from undrift.drift.select import Alternative, Choice, choose_tables, cropped_choice, cropped_static, widened
+from undrift.drift.sessions import (
+    accel_unit_of,
+    check_at_rest,
+    check_once,
+    in_units_of,
+    met_in_use,
+    nominal_models,
+    since_power_on,
+)
+from undrift.drift.static import StaticFit, StaticSettings, fit_static, with_felt_gravity
+from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
+from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
+from undrift.errors import InputError, NotObservable
+from undrift.model import Calibration, DriftTables, Provenance, Verdict
+from undrift.record import Session
+
+# ---- Where tuning tables came from: files, choices, versions; those of an earlier thermal fit go with its tables.
+
+_INPUTS = "drift_inputs_before"
+
+
+def drift_provenance(
+    device: Calibration, sessions: Sequence[Session], *, spline: str, lag_s: float, tables: str
+) -> Provenance:
+    """Return the provenance of a calibration with tuning tables."""
+    held = device.provenance
+    known = dict(held.settings).get(_INPUTS, "")
+    before = held.inputs[: int(known)] if known.isdigit() else held.inputs
+    inputs = dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))
+    return Provenance(
+        inputs=tuple(inputs),
+        settings=(
+            *(entry for entry in held.settings if not entry[0].startswith("drift_")),
+            ("drift_spline", spline),
+            ("drift_lag_s", f"{lag_s:.4g}"),
+            ("drift_tables", "static" if tables == "none" else f"static, {tables}"),
+            ("drift_sessions", f"{len(sessions)}"),
+            (_INPUTS, f"{len(before)}"),
+            mark_before(device.verdict),
+        ),
+        versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+# ---- fit
+
+RANGE_C = (18.0, 75.0)  # the note's
+STEP_C = 0.5
+_WIDE = 0.8  # of the note's range: sessions that saw less have tables over what they saw
+_SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
+
+TableChoice = Literal["auto"] | Alternative
+Told = Callable[[str, float], None]  # what is being done now, and which share of the work lies behind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriftSettings:
+    """Choices that a session does not make."""
+
+    # First and last node, degC; None takes 18 to 75, widened to what was seen, or, where less than 80 % of that was
+    # seen, the span seen
+    range_c: tuple[float, float] | None = None
+    step_c: float = STEP_C  # From node to node, K
+    lag_s: float | None = None  # Lag of the thermometer, s; None estimates it from ramps, 0 leaves it in
+    # Which of scale and dynamic tables: auto chooses, none, scale, dynamic, scale + dynamic
+    tables: TableChoice = "auto"
+    temperature: TemperatureSettings = field(default_factory=TemperatureSettings)  # Of the stages
+    observe: ObserveSettings = field(default_factory=ObserveSettings)  # Of the stages
+    static: StaticSettings = field(default_factory=StaticSettings)  # Of the stages
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriftFit:
+    """Tuning tables and how they came about.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The given one with the tables in it.
+    static : StaticFit
+        Offsets over temperature.
+    choice : Choice or None
+        Matrix and dynamic drift; None without rate steps at two soaks.
+    accel : AccelDriftFit or None
+        Accelerometers from poses; None without poses at two temperatures.
+    asymmetry : Asymmetry or None
+        Of the scale factors for the two ways round; None without rate steps.
+    lag : LagFit or None
+        Of the thermometer; None where it was stated.
+    rests : RestBlocks
+        What the static tables rest on.
+    steps : RateSteps
+        What the others rest on; may have no rows.
+    temperatures : tuple of Temperature
+        Of each recording, session after session.
+    gyro_summary, accel_summary : TriadSummary or None
+        Offsets over temperature in SI units, as they are shown.
+    scale_summary : ScaleSummary or None
+        Scale factors over temperature, whether a table of them was taken or not.
+    verdict : Verdict
+        Of the thermal fit alone; that of ``calibration`` has what was known before, too.
+    """
+
+    calibration: Calibration
+    static: StaticFit
+    choice: Choice | None
+    accel: AccelDriftFit | None
+    asymmetry: Asymmetry | None
+    lag: LagFit | None
+    rests: RestBlocks
+    steps: RateSteps
+    temperatures: tuple[Temperature, ...]
+    gyro_summary: TriadSummary | None
+    accel_summary: TriadSummary | None
+    scale_summary: ScaleSummary | None
+    verdict: Verdict
+
+
+def fit_drift(
+    sessions: Sequence[Session],
+    calibration: Calibration | None = None,
+    *,
+    settings: DriftSettings = DriftSettings(),
+    told: Told | None = None,
+) -> DriftFit:
+    """Fit the tuning tables of a device.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Of one device, one or several; their scatter then counts as uncertainty.
+    calibration : Calibration, optional
+        Of the same device. Without one, readings in a physical unit keep their nominal scale; counts are refused.
+    settings : DriftSettings
+        Nodes, lag, tables.
+    told : callable, optional
+        Called with what is done next and the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    DriftFit
+        The calibration with its tables, and what they rest on.
+
+    Raises
+    ------
+    InputError
+        No session, another device than the calibration's, data given twice, temperature missing or on another scale, units that
+        do not agree.
+    NotObservable
+        A temperature that is constant or spans too little; no rests; counts without a calibration; a table that was asked for
+        and that the sessions do not tell.
+    Implausible
+        Turns about other axes than the calibration's or the other way round; sessions further apart than one device's.
+    """
+    say = told or _silent
+    _check(sessions, calibration, settings)
+    sessions, device, settings = _made_ready(sessions, calibration, settings)
+    say("smoothing the temperature", 0.0)
+    trusted, together = _trusted(sessions, settings.temperature)
+    say("gathering rests and turns", 0.15)
+    lag, lag_s, rests, course = _without_lag(sessions, trusted, settings)
+    device, felt = _rested(rests, device)
+    steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
+    say("fitting offsets over temperature", 0.4)
+    smooth_s = _smooth_s(lag_s, sessions, together)
+    seen = np.concatenate([rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, lag_s, smooth_s)])
+    nodes = table_nodes(seen, settings)
+    wider = widened(nodes, _whole_range(seen, settings.step_c))  # the judgement hangs on no range asked for
+    wide = fit_static(rests, nodes=wider, calibration=device, settings=settings.static)
+    agrees = _agrees(steps, device, wide)
+    say("judging scale and dynamic tables on soaks left out", 0.5)
+    choice, not_chosen = _chosen(steps, device, wide, rests, settings)
+    static, choice = cropped_static(wide, nodes), choice and cropped_choice(choice, nodes)
+    say("fitting accelerometers over temperature", 0.95)
+    accel = _accelerometers(rests, device, nodes)
+    told_of_tables = choice_verdict(choice, not_chosen), _of_offsets((static, wide), accel, rests, device), felt
+    gyro = summarise_gyro(static, rests, device, settings.static)
+    of_poses = poses_verdict(accel, device), accel_verdict(accel)
+    told_of_rest = _of_way(gyro, rests, static), *of_poses, lag_verdict(lag, lag_s)
+    verdict = reduce(Verdict.also, (agrees, temperature_verdict(together), *told_of_tables, *told_of_rest))
+    return DriftFit(
+        calibration=replace(
+            device,
+            drift=_tables(static, choice, accel, (lag_s, smooth_s)),
+            verdict=device.verdict.also(verdict),
+            provenance=drift_provenance(
+                device,
+                sessions,
+                spline="not-a-knot" if settings.static.not_a_knot else "smoothing",
+                lag_s=lag_s,
+                tables="none" if choice is None else choice.alternatives.chosen,
+            ),
+        ),
+        static=static,
+        choice=choice,
+        accel=accel,
+        asymmetry=scale_asymmetry(steps, device, static=wide.table) if len(steps) and device.gyro else None,
+        lag=lag,
+        rests=rests,
+        steps=steps,
+        temperatures=together,
+        gyro_summary=gyro,
+        accel_summary=summarise_accel(static, accel, rests, device, settings.static),
+        scale_summary=None if choice is None or choice.scale is None else summarise_scale(choice.scale, device),
+        verdict=verdict if calibration is not None else device.verdict.also(verdict),
+    )
+
+
+def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
+    """Return the temperatures of the tables.
+
+    Arrays: seen_c (k,) degC -> (n,) degC.
+    """
+    step = settings.step_c
+    low, high = settings.range_c or _whole_range(seen_c, step)
+    count = (high - low) / step if step > 0.0 else 0.0
+    if count < 1.0 or abs(count - round(count)) > 1e-6:
+        raise InputError(
+            f"drift tables: wanted a range that the step divides, got {low:g} to {high:g} degC by {step:g}; "
+            "for example 18 to 75 by 0.5"
+        )
+    return np.linspace(low, high, round(count) + 1)
+
+
+def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
+    """Return the range where none was asked for: all that was seen is in it."""
+    least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
+    outward = (float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step))
+    if greatest - least < _WIDE * (RANGE_C[1] - RANGE_C[0]):
+        return outward
+    return min(outward[0], RANGE_C[0]), max(outward[1], RANGE_C[1])
+
+
+def _check(sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings) -> None:
+    if not sessions:
+        raise InputError("drift: wanted a session or more, got none; name its folder")
+    names = dict.fromkeys(s.serial or s.records[0].device for s in sessions)
+    if calibration is not None:
+        names[calibration.device] = None
+    named = [name for name in names if name]
+    if len(named) > 1:
+        raise InputError(f"drift: wanted sessions and calibration of one device, got {', '.join(named)}; sort them")
+    if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
+        raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
+    check_once(sessions)
+
+
+def _made_ready(
+    sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings
+) -> tuple[list[Session], Calibration, DriftSettings]:
+    """Return sessions in the units of the device's constant model, that model, and the settings that go with both."""
+    sessions = [in_one_unit(session) for session in sessions]
+    device = nominal_models(sessions) if calibration is None else calibration
+    device = replace(device, verdict=verdict_before(device))
+    ready = [in_units_of(session, device) for session in sessions]
+    return ready, device, replace(settings, static=replace(settings.static, accel_unit=accel_unit_of(ready, device)))
+
+
+def _trusted(
+    sessions: Sequence[Session], settings: TemperatureSettings
+) -> tuple[list[list[Temperature]], tuple[Temperature, ...]]:
+    wide = replace(settings, least_span_c=0.0)
+    trusted = [[trusted_temperature(s, k, settings=wide) for k in range(len(s.records))] for s in sessions]
+    together = tuple(temperature for of_session in trusted for temperature in of_session)
+    check_span(together, settings=settings)
+    return trusted, together
+
+
+def _agrees(steps: RateSteps, device: Calibration, static: StaticFit) -> Verdict:
+    check_sessions(static, device)
+    return check_turns(steps, device, static).also(offsets_verdict(static, device))
+
+
+def _rested(rests: RestBlocks, device: Calibration) -> tuple[Calibration, Verdict]:
+    """Return the device with the g-sensitivity that its rests show, where it has none yet."""
+    check_at_rest(rests, device)
+    return with_felt_gravity(rests, device)
+
+
+def _of_offsets(
+    fits: tuple[StaticFit, StaticFit], accel: AccelDriftFit | None, rests: RestBlocks, device: Calibration
+) -> Verdict:
+    """Return what is to be said of the tables asked for, and of all that was seen."""
+    return with_set_points(static_verdict(fits[0], accel, len(np.unique(rests.pose))), fits[1], rests, device)
+
+
+def _of_way(gyro: TriadSummary | None, rests: RestBlocks, static: StaticFit) -> Verdict:
+    return one_way_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
+
+
+def _silent(what: str, share: float) -> None:
+    """Tell nobody."""
+
+
+def _without_lag(
+    sessions: Sequence[Session], trusted: list[list[Temperature]], settings: DriftSettings
+) -> tuple[LagFit | None, float, RestBlocks, list[list[FloatArray]]]:
+    """Estimate the lag from the rests, and gather them anew without it."""
+    course = [[temperature.temp_c for temperature in of_session] for of_session in trusted]
+    rests = since_power_on(observe_rests(sessions, temperatures=course, settings=settings.observe), sessions)
+    measured = any(temperature.source == "column" for of_session in trusted for temperature in of_session)
+    lag = estimate_lag(rests) if settings.lag_s is None and measured else None
+    lag_s = settings.lag_s or 0.0
+    # One speed alone does not tell lag from hysteresis: then it is reported and left in.
+    if lag is not None and lag.observable and lag.two_speeds and lag.lag_s > _SURE_LAG * lag.uncertainty_s:
+        lag_s = lag.lag_s
+    if lag_s == 0.0:
+        return lag, 0.0, rests, course
+    led = [
+        [
+            temperature.temp_c
+            if temperature.source == "set-points"
+            else without_lag_smooth(temperature.temp_c, record.time, lag_s=lag_s)
+            for temperature, record in zip(of_session, session.records, strict=True)
+        ]
+        for of_session, session in zip(trusted, sessions, strict=True)
+    ]
+    rests = since_power_on(observe_rests(sessions, temperatures=led, settings=settings.observe), sessions)
+    return lag, lag_s, rests, led
+
+
+def _chosen(
+    steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
+) -> tuple[Choice | None, str]:
+    """Return the choice of tables, or why there is none."""
+    told = ""
+    if device.gyro is None or static.table.gyro_offset is None:
+        told = "scale and dynamic drift of the gyroscopes are not observable: no gyroscopes in calibration or sessions"
+    elif not len(steps):
+        told = "gyroscope scale over temperature is not observable from rests; turn the device at known rates at two temperatures"
+    else:
+        try:
+            choice = choose_tables(steps, device, static=static.table, temp_c=static.table.temp_c, rests=rests)
+            return (choice if settings.tables == "auto" else _asked_for(choice, settings.tables)), ""
+        except NotObservable as error:
+            told = str(error)
+    if settings.tables not in ("auto", "none"):
+        raise NotObservable(f"tables: wanted {settings.tables}, got sessions that do not tell: {told}")
+    return None, told if settings.tables == "auto" else ""
+
+
+def _asked_for(choice: Choice, tables: Alternative) -> Choice:
+    """Return the choice with the tables that were asked for, whatever was foretold best."""
+    before = choice.alternatives
+    reason = f"{tables} was asked for; " + (
+        "so it would have been chosen" if before.chosen == tables else f"the choice would be {before.reason}"
+    )
+    taken = replace(choice, alternatives=replace(before, chosen=tables, reason=reason))
+    if ("scale" in tables and taken.scale_drift is None) or ("dynamic" in tables and taken.dynamic_drift is None):
+        raise NotObservable(
+            f"{tables} cannot be fitted to these steps; turn about each axis at three rates at each soak"
+        )
+    verdict = Verdict(remarks=(reason,))
+    if "scale" in tables and choice.scale is not None:
+        verdict = verdict.also(choice.scale.verdict)
+    dynamic = {"dynamic": choice.dynamic, "scale + dynamic": choice.both}.get(tables)
+    return replace(taken, verdict=verdict if dynamic is None else verdict.also(dynamic.verdict))
+
+
+def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> AccelDriftFit | None:
+    """Return the accelerometers' fit to poses; None where the poses do not tell, and those of one pose stand in."""
+    if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
+        return None
+    try:
+        return fit_accel_drift(rests, device, temp_c=nodes)
+    except NotObservable:
+        return None
+
+
+def _tables(
+    static: StaticFit, choice: Choice | None, accel: AccelDriftFit | None, lags_s: tuple[float, float]
+) -> DriftTables:
+    tables = DriftTables(
+        static=static.table,
+        scale=None if choice is None else choice.scale_drift,
+        dynamic=None if choice is None else choice.dynamic_drift,
+        lag_s=lags_s[0],
+        lag_smooth_s=lags_s[1],
+    )
+    return tables if accel is None else with_accel(tables, accel)
+
+
+def _smooth_s(lag_s: float, sessions: Sequence[Session], temperatures: tuple[Temperature, ...]) -> float:
+    """Smoothing that taking the lag off needs in use, for the noisiest of the columns."""
+    if lag_s == 0.0:
+        return 0.0
+    records = [record for session in sessions for record in session.records]
+    return max(
+        default_smooth_s(
+            lag_s, noise_c=seen.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=seen.step_c
+        )
+        for record, seen in zip(records, temperatures, strict=True)
+    )

@@ -1,0 +1,470 @@
+"""Observations: what thermal sessions show, gathered into blocks of rest (``drift/observe.py``) and dwells at a steady rate.
+
+Blocks of rest: means over ten seconds or so, torn lines and spikes left out.
+
+A mean over a block leaves out samples that lie more than six robust standard deviations from the median of their block. Its
+variance comes from the differences of neighbouring half-second means, pooled over the rest::
+
+    var of a block's mean = mean((m_(k+1) - m_k)^2) / 2 / number of half seconds
+
+so that a ramp does not count as noise; what wanders from block to block is left to the fit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.rate_table import DwellSettings, dwell_means
+from undrift.errors import InputError, NotObservable
+from undrift.fit.least_squares import block_size
+from undrift.record import Record, Session, Still, Turn
+from undrift.segments import StillSettings, find_still
+from undrift.units import RADIAN_PER_DEGREE
+
+# ---- What a thermal session shows, one row each: blocks of rest, and dwells at a steady rate, with their temperatures.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestBlocks:
+    """Means over blocks of rest, n rows in the order of session and time."""
+
+    session: IntArray  # (n,), which session, from 0
+    # (n,), which orientation; blocks of one number lay the same way throughout, and numbers are not shared by
+    # sessions
+    pose: IntArray
+    # (n,), middle of the block, s, on a clock on which the recordings of its session follow each other
+    time: FloatArray
+    # (n,), time since the block's recording began, s: the device was switched on then, if it was
+    power_on_s: FloatArray
+    temp_c: FloatArray  # (n,), mean temperature, degC, lag taken off
+    ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
+    gyro: FloatArray  # (n, 3), mean reading, raw unit; NaN where the session has no such sensors
+    accel: FloatArray  # (n, 3), mean reading, raw unit; NaN where the session has no such sensors
+    gyro_variance: FloatArray  # (n, 3), variance of that mean from the scatter inside the block, raw unit squared
+    accel_variance: FloatArray  # (n, 3), variance of that mean from the scatter inside the block, raw unit squared
+    # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: it does not average out at
+    # one level
+    gyro_step_error: FloatArray | None = None
+    # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: it does not average out at
+    # one level
+    accel_step_error: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.temp_c)
+
+    def taken(self, which: FloatArray | IntArray | slice) -> "RestBlocks":
+        """Return some of the rows.
+
+        Arrays: which (k,).
+        """
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        taken: dict[str, Any] = {name: None if value is None else value[which] for name, value in own.items()}
+        return RestBlocks(**taken)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RateSteps:
+    """Means over dwells at a steady rate, n rows in the order of session and time."""
+
+    session: IntArray  # (n,), which session, from 0
+    soak: IntArray  # (n,), which soak: dwells of one number were made at one temperature
+    # (n,), middle of the dwell, s, on a clock on which the recordings of its session follow each other
+    time: FloatArray
+    temp_c: FloatArray  # (n,), mean temperature, degC, lag taken off
+    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
+    gyro: FloatArray  # (n, 3), mean reading, raw unit
+    accel: FloatArray  # (n, 3), mean reading, raw unit
+    gyro_variance: FloatArray  # (n, 3), variance of the mean from the scatter inside the dwell, raw unit squared
+
+    def __len__(self) -> int:
+        return len(self.temp_c)
+
+    def taken(self, which: FloatArray | IntArray | slice) -> "RateSteps":
+        """Return some of the rows.
+
+        Arrays: which (k,).
+        """
+        return RateSteps(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
+
+
+# ---- Blocks of rest: means over ten seconds or so, torn lines and spikes left out.
+
+_FAR = 6.0  # robust standard deviations: further samples are dirty
+_ROBUST = 1.4826  # standard deviation of normal noise over its median absolute deviation
+_LEAST_SHARE = 0.5  # of a block's samples that have to be there
+_JUMP = 1.0  # degC: a temperature this far off its block, and far off its scatter, is dirty
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Whole:
+    """What a rest shares with the rest of its recording."""
+
+    begin_s: float  # When the recording begins on its session's clock, s
+    gyro_step: FloatArray  # (3,), least step between readings, raw unit; 0 where there is one reading only
+    accel_step: FloatArray  # (3,), least step between readings, raw unit; 0 where there is one reading only
+
+
+def whole_of(record: Record, begin_s: float) -> Whole:
+    """Return what the rests of a recording share."""
+    steps = [np.zeros(3) if v is None else _step(v[np.isfinite(v).all(axis=1)]) for v in (record.gyro, record.accel)]
+    return Whole(begin_s=begin_s, gyro_step=steps[0], accel_step=steps[1])
+
+
+def rest_blocks(
+    record: Record,
+    temp_c: FloatArray,
+    still: Still,
+    whole: Whole,
+    *,
+    block_s: float,
+    ramp_s: float,
+    session: int,
+    pose: int,
+) -> RestBlocks:
+    """Return the blocks of one rest.
+
+    Arrays: temp_c (N,) degC.
+    """
+    inside = slice(still.start, still.stop)
+    time, temp = record.time[inside], temp_c[inside]
+    edges = _edges(time, block_s)
+    count, size = len(edges) - 1, block_size(record.sample_rate_hz)
+    gyro, gyro_variance, gyro_step = _means(record.gyro, inside, edges, size, whole.gyro_step)
+    accel, accel_variance, accel_step = _means(record.accel, inside, edges, size, whole.accel_step)
+    middle = np.array([0.5 * (time[a] + time[b - 1]) for a, b in pairwise(edges)])
+    own = np.array([_temperature(temp[a:b]) for a, b in pairwise(edges)])
+    ramp = np.array([_slope(time, temp, at, ramp_s) for at in middle])
+    made = RestBlocks(
+        session=np.full(count, session, np.int64),
+        pose=np.full(count, pose, np.int64),
+        time=middle - record.time[0] + whole.begin_s,
+        power_on_s=middle - record.time[0],
+        temp_c=own,
+        ramp_c_per_min=ramp,
+        gyro=gyro,
+        accel=accel,
+        gyro_variance=gyro_variance,
+        accel_variance=accel_variance,
+        gyro_step_error=gyro_step,
+        accel_step_error=accel_step,
+    )
+    seen = np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)
+    return made.taken(np.flatnonzero(np.isfinite(own) & seen))
+
+
+def _temperature(temp: FloatArray) -> float:
+    known = temp[np.isfinite(temp)]
+    if len(known) < _LEAST_SHARE * len(temp):
+        return float("nan")
+    off = np.abs(known - np.median(known))
+    return float(known[off <= _JUMP + _FAR * _ROBUST * np.median(off)].mean())
+
+
+def _edges(time: FloatArray, block_s: float) -> IntArray:
+    # As many blocks of about block_s as fit; a still shorter than two blocks is one.
+    count = max(1, int((time[-1] - time[0]) / block_s + 0.05))
+    edges = np.searchsorted(time, time[0] + (time[-1] - time[0]) * np.arange(1, count) / count)
+    return np.unique(np.concatenate(([0], edges, [len(time)])))
+
+
+def _means(
+    readings: FloatArray | None, inside: slice, edges: IntArray, size: int, step: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean, its variance and its step error of each block, shape (B, 3); NaN where too many samples are missing."""
+    means = np.full((len(edges) - 1, 3), np.nan)
+    if readings is None:
+        return means, means.copy(), np.zeros_like(means)
+    values = readings[inside]
+    counts = np.zeros(len(edges) - 1)
+    square, pairs = np.zeros(3), 0
+    own_variance: list[FloatArray] = []
+    for k, (start, stop) in enumerate(pairwise(edges)):
+        part = values[start:stop]
+        good = _clean(part)
+        if good.mean() < _LEAST_SHARE:
+            continue
+        part = part[good]
+        means[k], counts[k] = part.mean(axis=0), len(part)
+        own_variance.append(part.var(axis=0))
+        own = min(size, max(1, len(part) // 2))
+        halves = part[: len(part) // own * own].reshape(-1, own, 3).mean(axis=1)
+        steps = np.diff(halves, axis=0)
+        square += (steps**2).sum(axis=0) * own
+        pairs += len(steps)
+    if not own_variance:
+        return means, means.copy(), np.zeros_like(means)
+    variance = square / (2.0 * pairs) if pairs else np.full(3, np.nan)  # of a sample with the noise of a half second
+    seen = np.isfinite(means)
+    error = step_error(step, np.mean(own_variance, axis=0))
+    return means, np.where(seen, variance / np.maximum(counts, 1.0)[:, None], np.nan), np.where(seen, error, np.nan)
+
+
+def step_error(step: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return what the steps of a converter leave in a mean at a level that may be anywhere between two codes.
+
+    Noise of deviation s before a converter of step q blurs its steps. Over all levels, the mean reading is off with variance
+    ``B2(s) = sum over k of (q / pi k)^2 / 2 exp(-4 pi^2 k^2 s^2 / q^2)``, and the readings scatter by ``s^2 + q^2 / 12 - B2(s)``.
+
+    Arrays: step (3,), variance (3,) -> (3,).
+    """
+    blur = np.linspace(0.0, 1.5, 151)  # s / q
+    order = np.arange(1, 60)[:, None]
+    left = ((1.0 / (np.pi * order)) ** 2 / 2.0 * np.exp(-4.0 * np.pi**2 * order**2 * blur**2)).sum(axis=0)
+    seen = np.maximum.accumulate(blur**2 + 1.0 / 12.0 - left)
+    scaled = np.where(step > 0.0, variance / np.where(step > 0.0, step, 1.0) ** 2, np.inf)
+    return np.asarray(step * np.sqrt(np.interp(scaled, seen, left, right=0.0)))
+
+
+def _clean(part: FloatArray) -> BoolArray:
+    finite: BoolArray = np.asarray(np.isfinite(part).all(axis=1))
+    if not finite.any():
+        return finite
+    middle = np.median(part[finite], axis=0)
+    off = np.abs(part - middle)
+    deviation = np.maximum(_ROBUST * np.median(off[finite], axis=0), _step(part[finite]))
+    good: BoolArray = np.asarray(finite & (off <= _FAR * deviation).all(axis=1))
+    return good
+
+
+def _step(part: FloatArray) -> FloatArray:
+    # The least step between readings of each axis: a converter whose noise is below one code has no median deviation.
+    steps = [np.diff(np.unique(column)) for column in part.T]
+    return np.array([float(s.min()) if len(s) else 0.0 for s in steps])
+
+
+def _slope(time: FloatArray, temp: FloatArray, middle: float, span_s: float) -> float:
+    """Return the slope of the temperature about a moment, degC/min."""
+    start, stop = np.searchsorted(time, (middle - 0.5 * span_s, middle + 0.5 * span_s))
+    known = np.isfinite(temp[start:stop])
+    t, y = time[start:stop][known], temp[start:stop][known]
+    if len(t) < 2:
+        return 0.0
+    t = t - t.mean()
+    return float(60.0 * (t @ (y - y.mean())) / (t @ t))
+
+
+# ---- observe
+
+Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: shape (N,), degC, lag taken off
+
+_SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
+_STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which wanders within a soak, K
+_EVEN = 4.0  # a log that never moves: the spread of nearly all blocks lies within this factor of the median
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObserveSettings:
+    """How a thermal session is cut up."""
+
+    block_s: float = 10.0  # Length of a block of rest, s. Shorter follows a fast ramp, longer averages more noise
+    ramp_s: float = 60.0  # Stretch over which the slope of the temperature is taken, s
+    settle_s: float = 0.3  # Start of each dwell that is thrown away, s
+    soak_c: float = 1.5  # A dwell further than this from the first one of its soak begins another soak, degC
+
+
+def observe_rests(
+    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
+) -> RestBlocks:
+    """Gather the rests of thermal sessions into blocks.
+
+    Arrays: temperatures (N,) degC.
+    """
+    parts: list[RestBlocks] = []
+    poses = 0
+    for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
+        _check_lengths(session, temps)
+        begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
+        wholes = [whole_of(record, float(begin)) for record, begin in zip(session.records, begins, strict=False)]
+        stills = _rests(session)
+        numbers = poses + _poses(session, stills)
+        poses = int(numbers.max()) + 1
+        parts.extend(
+            rest_blocks(
+                session.records[still.recording],
+                temps[still.recording],
+                still,
+                wholes[still.recording],
+                block_s=settings.block_s,
+                ramp_s=settings.ramp_s,
+                session=number,
+                pose=int(pose),
+            )
+            for still, pose in zip(stills, numbers, strict=True)
+        )
+    if not any(len(part) for part in parts):
+        raise NotObservable(
+            "rests: wanted stretches at rest with a known temperature, got none; leave the device still while its temperature "
+            "changes, and record the temperature or state temp_c"
+        )
+    return RestBlocks(**{name: _stacked(parts, name) for name in RestBlocks.__dataclass_fields__})
+
+
+def observe_steps(
+    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
+) -> RateSteps:
+    """Gather the dwells at known rates of thermal sessions.
+
+    Arrays: temperatures (N,) degC.
+    """
+    parts: list[RateSteps] = []
+    soaks = 0
+    for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
+        _check_lengths(session, temps)
+        turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
+        if not turns:
+            continue
+        turns.sort(key=lambda t: (t.recording, t.start))
+        part = _steps(session, turns, temps, settings)
+        soak = soaks + _soaks(turns, part.temp_c, settings.soak_c)
+        soaks = int(soak.max()) + 1
+        parts.append(_numbered(part, number, soak))
+    if not parts:
+        return _no_steps()
+    return RateSteps(**{name: _stacked(parts, name) for name in RateSteps.__dataclass_fields__})
+
+
+def _stacked(parts: Sequence[RestBlocks | RateSteps], name: str) -> Any:
+    if any(getattr(part, name) is None for part in parts):
+        return None
+    return np.concatenate([getattr(part, name) for part in parts])
+
+
+def _rests(session: Session) -> tuple[Still, ...]:
+    if session.stills:
+        return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
+    turning = [(t.recording, t.start, t.stop) for t in session.turns]
+    found: list[Still] = []
+    for number, record in enumerate(session.records):
+        spans = [(a, b) for r, a, b in turning if r == number]
+        if not spans and _never_moves(record):
+            found.append(Still(start=0, stop=len(record), recording=number))
+            continue
+        stills = find_still(record, StillSettings(), recording=number).stills
+        found.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
+    if not found:
+        raise NotObservable(
+            "rests: wanted stretches at rest, got none; leave the device still while its temperature changes, or state [[still]]"
+        )
+    return tuple(found)
+
+
+def _never_moves(record: Record) -> bool:
+    """Tell whether nearly all seconds of a record are as quiet as the median second, and the specific force stays."""
+    size = max(4, round(record.sample_rate_hz))
+    for values in (record.gyro, record.accel):
+        if values is None:
+            continue
+        values = values[np.isfinite(values).all(axis=1)]
+        if len(values) < 8 * size:
+            return False
+        seconds = values[: len(values) // size * size].reshape(-1, size, 3)
+        middle = np.median(seconds, axis=1)
+        spread = np.median(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
+        usual = max(float(np.median(spread)), 1e-300)
+        steps = np.abs(np.diff(middle, axis=0)).sum(axis=1)
+        if np.quantile(spread, 0.98) > _EVEN * usual or np.quantile(steps, 0.98) > _EVEN * usual:
+            return False
+    return _direction_stays(record)
+
+
+def _direction_stays(record: Record) -> bool:
+    if record.accel is None:
+        return True
+    known = record.accel[np.isfinite(record.accel).all(axis=1)]
+    means = np.array([np.median(part, axis=0) for part in np.array_split(known, 8)])
+    return all(_angle(means[0], mean) < _SAME_POSE for mean in means)
+
+
+def _angle(one: FloatArray, two: FloatArray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two))
+
+
+def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
+    """Return which pose each still is in, from 0."""
+    numbers = np.zeros(len(stills), np.int64)
+    faces: dict[str, int] = {}
+    following = 0
+    before: tuple[int, FloatArray | None, int] | None = None
+    for k, still in enumerate(stills):
+        accel = session.records[still.recording].accel
+        mean = None if accel is None else np.nanmedian(accel[still.start : still.stop], axis=0)
+        if still.face is not None and still.face in faces:
+            numbers[k] = faces[still.face]
+        elif before is not None and before[0] == still.recording and still.face is None and _lies_like(before[1], mean):
+            numbers[k] = before[2]
+        else:
+            numbers[k], following = following, following + 1
+        if still.face is not None:
+            faces[still.face] = int(numbers[k])
+        before = (still.recording, mean, int(numbers[k]))
+    return numbers
+
+
+def _lies_like(one: FloatArray | None, two: FloatArray | None) -> bool:
+    return (one is None and two is None) or (one is not None and two is not None and _angle(one, two) < _SAME_POSE)
+
+
+def _check_lengths(session: Session, temps: Sequence[FloatArray]) -> None:
+    for k, (record, temp) in enumerate(zip(session.records, temps, strict=True)):
+        if len(record) != len(temp):
+            raise InputError(
+                f"temperature of recording {k}: wanted {len(record)} values, got {len(temp)}; one a sample, NaN where unknown"
+            )
+
+
+def _steps(session: Session, turns: list[Turn], temps: Sequence[FloatArray], settings: ObserveSettings) -> RateSteps:
+    dwells = dwell_means(session.records, turns, DwellSettings(settle_s=settings.settle_s))
+    count = len(turns)
+    temp, accel = np.zeros(count), np.full((count, 3), np.nan)
+    for k, turn in enumerate(turns):
+        own = temps[turn.recording][turn.start : turn.stop]
+        if not np.isfinite(own).any():
+            raise InputError(
+                f"dwell [{turn.start}, {turn.stop}) of recording {turn.recording}: wanted a temperature, got none; map its column "
+                "or state temp_c"
+            )
+        temp[k] = float(np.nanmean(own))
+        values = session.records[turn.recording].accel
+        if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
+            accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
+    imposed = np.zeros((count, 3))
+    imposed[np.arange(count), ["xyz".index(axis) for axis in dwells.axis]] = dwells.turn_rate
+    zeros = np.zeros(count, np.int64)
+    return RateSteps(
+        session=zeros,
+        soak=zeros,
+        time=dwells.time if dwells.time is not None else np.zeros(count),
+        temp_c=temp,
+        rate_b=imposed,
+        gyro=dwells.reading,
+        accel=accel,
+        gyro_variance=np.full((count, 3), np.nan) if dwells.noise is None else dwells.noise**2,
+    )
+
+
+def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
+    """Return which soak each dwell belongs to: by the temperature that is stated where one is, else by the thermometer."""
+    numbers = np.zeros(len(turns), np.int64)
+    first = 0
+    for k in range(1, len(turns)):
+        here, there = turns[k].temp_c, turns[first].temp_c
+        apart = abs(temp_c[k] - temp_c[first]) - apart_c
+        another = bool((apart if here is None or there is None else abs(here - there) - _STATED_C) > 0.0)
+        first = k if another else first
+        numbers[k] = numbers[k - 1] + another
+    return numbers
+
+
+def _numbered(part: RateSteps, session: int, soak: IntArray) -> RateSteps:
+    return replace(part, session=np.full(len(part), session, np.int64), soak=soak)
+
+
+def _no_steps() -> RateSteps:
+    none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
+    return RateSteps(
+        session=whole, soak=whole, time=none, temp_c=none, rate_b=three, gyro=three, accel=three, gyro_variance=three
+    )

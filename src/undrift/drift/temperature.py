@@ -1,0 +1,605 @@
+"""Temperature: what a recording says of the sensors' temperature, how far it is to be trusted, and its smooth course.
+
+A board thermometer comes noisy, in steps of up to 1 degC, with gaps, stale or on the wrong scale. What a fit cannot use raises;
+what it can use with care is named in the notes; the rest is smoothed over time (``course.py``). Its lag stays in
+(``lag.py`` takes it off).
+
+Course: the temperature of a board is a smooth function of time, found from readings that are noisy or come in steps.
+
+Noise that blurs the steps is smoothed: block means y_i with variance s^2 / n_i of a curve g whose second derivative is white noise
+of density q, so that g is the natural cubic smoothing spline with stiffness l = s^2 / q [1]_::
+
+    g = y - l W^-1 Q c,   (R + l Q^T W^-1 Q) c = Q^T y        Q second divided differences, R their tent functions
+
+The stiffness is the likeliest one: Q^T y has the covariance q R + s^2 Q^T W^-1 Q whatever level and slope are, and one banded
+factor gives its likelihood. Time may be uneven.
+
+Steps that no noise blurs hold no more than the moments at which they change: there the temperature is midway between two steps.
+A monotone cubic joins those moments.
+
+References
+----------
+.. [1] P. J. Green, B. W. Silverman, "Nonparametric Regression and Generalized Linear Models", 1994, section 2.3.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.errors import InputError, NotObservable
+from undrift.record import Session, Still, Turn
+
+# ---- Course: the temperature of a board is a smooth function of time, found from readings that are noisy or come in steps.
+
+MOST_BLOCKS = 4000
+BLOCK_S = 1.0  # a board does not warm and cool within a second
+FEWEST_BLOCKS = 200
+STIFFNESS = np.geomspace(1e-3, 1e13, 49)  # s^3, in means of one reading: from no smoothing to a straight line over days
+BLURRED = 0.35  # of a step: where the scatter of readings, steps included, is larger, their mean tells no step
+MOVING = 0.35  # uncertainty where steps follow each other, over that of one step by itself
+CHATTER = 0.25  # of the time to the next step: crossings closer than that are noise
+SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Course:
+    """A temperature over time."""
+
+    temp_c: FloatArray  # (N,), degC
+    uncertainty_c: float  # Standard uncertainty, root-mean-square over the record, K
+    noise_c: float  # Standard deviation of one reading, K
+
+
+def step_of(temp_c: FloatArray) -> float:
+    """Return the step in which readings come.
+
+    Arrays: temp_c (N,) degC.
+    """
+    values = np.unique(temp_c)
+    if len(values) < 2 or len(values) > max(2, len(temp_c) // 4):
+        return 0.0
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-9 * np.abs(values).max()]
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    off = np.abs(gaps / step - np.round(gaps / step))
+    return step if (off < SAME_STEP * np.maximum(gaps / step, 1.0)).mean() > 0.95 else 0.0
+
+
+def noise_of(temp_c: FloatArray, step_c: float) -> float:
+    """Return the standard deviation of one reading, from the differences of neighbours.
+
+    Arrays: temp_c (N,) degC.
+    """
+    if len(temp_c) < 3:
+        return 0.0
+    bend = np.diff(temp_c, 2)
+    size = np.sort(np.abs(bend))[: max(2, int(0.99 * len(bend)))]  # without what stands alone
+    both = float(np.sqrt(np.mean(size**2) / 6.0))
+    return both if step_c == 0.0 or both >= BLURRED * step_c else both**2 / step_c * math.sqrt(math.pi)
+
+
+def find_course(temp_c: FloatArray, time: FloatArray, step_c: float) -> Course:
+    """Return the smooth course behind readings.
+
+    Arrays: temp_c (N,) degC, time (N,) s.
+    """
+    noise = noise_of(temp_c, step_c)
+    if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
+        return Course(temp_c=temp_c, uncertainty_c=math.hypot(noise, step_c / math.sqrt(12.0)), noise_c=noise)
+    if step_c > 0.0 and noise < BLURRED * step_c:
+        return _between_steps(temp_c, time, step_c, noise)
+    return _smoothed(temp_c, time, noise, step_c)
+
+
+def _smoothed(temp_c: FloatArray, time: FloatArray, noise: float, step: float) -> Course:
+    from scipy.interpolate import CubicSpline
+
+    t, y, count = block_means(time, temp_c)
+    g, variance = smoothing_spline(t, y, count)
+    spline = CubicSpline(t, g, bc_type="natural")
+    course = np.asarray(spline(np.clip(time, t[0], t[-1])))
+    for end, out in ((0, time < t[0]), (-1, time > t[-1])):  # straight on over the half block at each end
+        course[out] = g[end] + spline(t[end], 1) * (time[out] - t[end])
+    ripple = 0.0  # what noise s leaves of the steps in a mean: step / pi exp(-2 pi^2 s^2 / step^2), a sine of the temperature
+    if step > 0.0:
+        blur = max(noise**2 / step**2 - 1.0 / 12.0, 0.0)
+        ripple = step / math.pi * math.exp(-2.0 * math.pi**2 * blur) / math.sqrt(2.0)
+    return Course(temp_c=course, uncertainty_c=math.hypot(math.sqrt(variance), ripple), noise_c=noise)
+
+
+def block_means(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return means over blocks of a second or so; an empty stretch makes no block.
+
+    Arrays: time (N,) s, values (N,) -> (n,).
+    """
+    span = float(time[-1] - time[0])
+    width = max(min(BLOCK_S, span / FEWEST_BLOCKS), span / MOST_BLOCKS)
+    number = np.floor((time - time[0]) / width).astype(np.int64)
+    first = np.flatnonzero(np.concatenate(([True], np.diff(number) > 0)))
+    count = np.diff(np.append(first, len(time))).astype(np.float64)
+    return np.add.reduceat(time, first) / count, np.add.reduceat(values, first) / count, count
+
+
+def smoothing_spline(t: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
+    """Return the values of the likeliest natural cubic smoothing spline at its knots.
+
+    Arrays: t (n,) s, y (n,), weight (n,) -> (n,).
+    """
+    h = np.diff(t)
+    bend, second = _bands(h, weight)
+    z = np.diff(np.diff(y) / h)
+    found = [_likelihood(bend, second, z, stiffness) for stiffness in STIFFNESS]
+    best = int(np.argmax([likelihood for likelihood, _, _ in found]))
+    _, c, variance = found[best]
+    pad = np.concatenate(([0.0], c, [0.0]))
+    pull = np.diff(np.concatenate(([0.0], np.diff(pad) / h, [0.0])))  # Q c
+    free = _freedom(bend, second, STIFFNESS[best])
+    return y - STIFFNESS[best] * pull / weight, float(variance / weight.mean() * free / len(t))
+
+
+def _bands(h: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R and Q^T W^-1 Q as upper bands, shape (3, n - 2)."""
+    n = len(h) - 1
+    tents, differences = np.zeros((3, n)), np.zeros((3, n))
+    tents[2] = (h[:-1] + h[1:]) / 3.0
+    tents[1, 1:] = h[1:-1] / 6.0
+    left, right = 1.0 / h[:-1], 1.0 / h[1:]
+    middle = -(left + right)
+    v = 1.0 / weight
+    differences[2] = left**2 * v[:-2] + middle**2 * v[1:-1] + right**2 * v[2:]
+    differences[1, 1:] = middle[:-1] * left[1:] * v[1:-2] + right[:-1] * middle[1:] * v[2:-1]
+    differences[0, 2:] = right[:-2] * left[2:] * v[2:-2]
+    return tents, differences
+
+
+def _likelihood(
+    tents: FloatArray, differences: FloatArray, z: FloatArray, stiffness: float
+) -> tuple[float, FloatArray, float]:
+    """Return log-likelihood, c, and the variance of a reading, for z = Q^T y with covariance s^2 (R / l + Q^T W^-1 Q)."""
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    factor = cholesky_banded(tents / stiffness + differences)
+    c = cho_solve_banded((factor, False), z)
+    variance = float(z @ c) / len(z)
+    if variance <= 0.0:  # a straight line without noise
+        return -math.inf, c / stiffness, 0.0
+    likelihood = -0.5 * len(z) * math.log(variance) - float(np.log(factor[2]).sum())
+    return likelihood, np.asarray(c) / stiffness, variance
+
+
+def _freedom(tents: FloatArray, differences: FloatArray, stiffness: float) -> float:
+    """Return the trace of the smoother: n - d log|R + l D| / d log l."""
+    from scipy.linalg import cholesky_banded
+
+    def half_log(x: float) -> float:
+        return float(np.log(cholesky_banded(tents + x * differences)[2]).sum())
+
+    step = 1e-3  # of the logarithm of the stiffness
+    slope = 2.0 * (half_log(stiffness * (1.0 + step)) - half_log(stiffness * (1.0 - step))) / (2.0 * step)
+    return float(tents.shape[1] + 2 - slope)
+
+
+def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> Course:
+    from scipy.interpolate import PchipInterpolator
+
+    level = np.round((temp_c - temp_c.min()) / step)
+    at, height, up = _crossings(level, time)
+    half = np.where(up, 0.5, -0.5)
+    course = np.empty(len(time))
+    if len(at) == 0:
+        course[:] = level.mean()
+    else:
+        t, y = _with_turns(at, height, half)
+        if len(t) > 1:
+            course[:] = PchipInterpolator(t, y)(np.clip(time, t[0], t[-1]))
+        before, after = time < t[0], time > t[-1]
+        course[before] = _fading(t[0] - time[before], t, y, height[0] - half[0])
+        course[after] = _fading(time[after] - t[-1], t[::-1], y[::-1], height[-1] + half[-1])
+        course[(time == t[0]) & (len(t) == 1)] = y[0]
+    return Course(temp_c=temp_c.min() + step * course, uncertainty_c=_doubt(at, time) * step, noise_c=noise)
+
+
+def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return when a running mean of the steps passes midway between two of them, at which height, and whether upward."""
+    from scipy.ndimage import median_filter
+
+    span = float(time[-1] - time[0])
+    passed, ref = [float(time[0])], level[0]
+    calm = median_filter(level, size=9, mode="nearest")  # without single readings two steps off
+    for k in np.flatnonzero(np.diff(calm)) + 1:
+        if abs(calm[k] - ref) >= 2.0:  # two steps on: no chatter between neighbours
+            passed.append(float(time[k]))
+            ref = calm[k]
+    dwell = 0.5 * float(np.quantile(np.diff(passed), 0.1)) if len(passed) > 1 else 0.2 * span
+    mean = _running_mean(level, time, 0.25 * dwell)
+    code = np.floor(mean + 0.5)
+    at, height, up = [], [], []
+    for k in np.flatnonzero(np.diff(code)):
+        rising = bool(code[k + 1] > code[k])
+        for between in np.arange(min(code[k], code[k + 1]), max(code[k], code[k + 1]))[:: 1 if rising else -1] + 0.5:
+            part = (between - mean[k]) / (mean[k + 1] - mean[k])
+            at.append(float(time[k] + part * (time[k + 1] - time[k])))
+            height.append(float(between))
+            up.append(rising)
+    return _without_chatter(np.array(at), np.array(height), np.array(up, dtype=bool), span)
+
+
+def _without_chatter(
+    at: FloatArray, height: FloatArray, up: BoolArray, span: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the crossings with those that noise repeats made one, at their mean time; there and back makes two."""
+    bounds = np.concatenate(([0], np.flatnonzero(np.diff(height)) + 1, [len(at)]))
+    times, first = [], []
+    for start, stop in pairwise(bounds.tolist()):
+        if start == stop:
+            continue
+        stays = [at[start] - at[start - 1]] if start > 0 else []
+        stays += [at[stop] - at[stop - 1]] if stop < len(at) else []
+        near = CHATTER * float(np.mean(stays) if stays else span)
+        cuts = np.flatnonzero(np.diff(at[start:stop]) >= near) + start + 1
+        for group in np.split(np.arange(start, stop), cuts - start):
+            if len(group) % 2 == 1:
+                times.append(float(at[group].mean()))
+                first.append(int(group[0]))
+            elif (
+                at[group[-1]] > at[group[0]]
+            ):  # it touched the height and went back: both ends stay, or a slow end of the record would lose it
+                times += [float(at[group[0]]), float(at[group[-1]])]
+                first += [int(group[0]), int(group[-1])]
+    return np.array(times), height[first], up[first]
+
+
+def _running_mean(values: FloatArray, time: FloatArray, width: float) -> FloatArray:
+    """Return the mean over a window of time around each sample, cut off at the ends of the record."""
+    if width < 3.0 * float(np.median(np.diff(time))):
+        return values
+    total = np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))))
+    reach = np.minimum(0.5 * width, np.minimum(time - time[0], time[-1] - time))  # even on both sides: no shift
+    inside = reach > 0.0
+    wide = np.interp(time + reach, time, total) - np.interp(time - reach, time, total)
+    return np.where(inside, wide / np.where(inside, 2.0 * reach, 1.0), values)
+
+
+def _with_turns(at: FloatArray, height: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the crossings with points between two at one height, where the temperature turned or stayed."""
+    t, y = [at[0]], [height[0]]
+    for k in range(1, len(at)):
+        if height[k] == height[k - 1]:
+            stay = at[k] - at[k - 1]
+            slope = max(_slope(at[k - 1 :: -1], height[k - 1 :: -1]), _slope(at[k:], height[k:]))
+            rise = math.copysign(min(0.5, slope * stay / 3.0), half[k - 1])
+            if rise != 0.0:
+                aside = min(0.5 * stay, 1.5 * abs(rise) / slope)
+                t += [at[k - 1] + aside] + ([at[k] - aside] if aside < 0.45 * stay else [])
+                y += [height[k] + rise] * (2 if aside < 0.45 * stay else 1)
+        t.append(at[k])
+        y.append(height[k])
+    return np.array(t), np.array(y)
+
+
+def _fading(away: FloatArray, t: FloatArray, y: FloatArray, code: float) -> FloatArray:
+    """Return the way on from the last crossing: the slope there, fading toward the middle of the step."""
+    if len(away) == 0:
+        return away
+    room = code - y[0]
+    slope = _slope(t, y) or 2.0 * abs(room) / float(away.max())
+    return np.asarray(y[0] - room * np.expm1(-away * slope / abs(room)))
+
+
+def _slope(t: FloatArray, y: FloatArray) -> float:
+    """Return the size of the slope from the first point to the first at another height, steps/s; 0 where there is none."""
+    other = np.flatnonzero(y != y[0])
+    return float(abs((y[other[0]] - y[0]) / (t[other[0]] - t[0]))) if len(other) else 0.0
+
+
+def _doubt(at: FloatArray, time: FloatArray) -> float:
+    """Return the standard uncertainty of a temperature told by steps alone, in steps, root-mean-square over time."""
+    stays = np.diff(np.concatenate((time[:1], at, time[-1:])))
+    usual = 3.0 * float(np.median(stays))
+    long = float(stays[stays > usual].sum()) / float(stays.sum())
+    return math.sqrt((long + (1.0 - long) * MOVING**2) / 12.0)
+
+
+# ---- Doubts about a temperature column: what looks stale, sudden, coarse or too hot, each with its numbers.
+
+STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
+JUMP_C = 1.0  # K within a second: more than a board changes
+BESIDE = 5  # readings on either side of a jump
+HOT_C = 45.0  # above it all along: no room, and no body
+COARSE_C = 0.5
+ALONE = 8.0  # times the scatter about the running median
+LEAST_ALONE_C = 0.5
+
+
+def standing_alone(temp_c: FloatArray, step_c: float) -> BoolArray:
+    """Return the readings that lie apart from those before and after.
+
+    Arrays: temp_c (N,) degC -> (N,).
+    """
+    from scipy.ndimage import median_filter
+
+    known = np.flatnonzero(np.isfinite(temp_c))
+    alone = np.zeros(len(temp_c), dtype=bool)
+    if len(known) < 5:
+        return alone
+    values = temp_c[known]
+    off = np.abs(values - median_filter(values, size=5, mode="nearest"))
+    usual = 1.4826 * float(np.median(off))
+    alone[known] = off > max(ALONE * usual, 2.5 * step_c, LEAST_ALONE_C)
+    return alone
+
+
+def find_stale(temp_c: FloatArray, time: FloatArray, step_c: float) -> tuple[BoolArray, list[str]]:
+    """Return the readings that repeat an old one, and a sentence on them.
+
+    Arrays: temp_c (N,) degC, time (N,) s -> (N,).
+    """
+    known = np.flatnonzero(np.isfinite(temp_c))
+    values, at = temp_c[known], time[known]
+    first = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0.0)))
+    last = np.append(first[1:], len(values)) - 1
+    stay = at[last] - at[first]
+    jump = np.append(np.abs(np.diff(values[first])), 0.0)
+    wait = np.append(at[first[1:]] - at[last[:-1]], 0.0)  # a gap between may have hidden the way
+    sudden = (jump > max(1.5 * step_c, 0.2)) & (wait < 5.0 * float(np.median(np.diff(at))))
+    lively = len(first) > 0.3 * len(values)  # noise changes most readings
+    long = (stay >= STALE_S) & (sudden | lively)
+    stale = np.zeros(len(temp_c), dtype=bool)
+    for run in np.flatnonzero(long):
+        stale[known[first[run] + 1 : last[run] + 1]] = True
+    if not long.any():
+        return stale, []
+    worst = int(np.flatnonzero(long)[np.argmax(stay[long])])
+    text = (
+        f"stale, it stays at {values[first[worst]]:.2f} degC for {stay[worst]:.0f} s from {at[first[worst]]:.6g} s on"
+    )
+    text += f" and then jumps by {jump[worst]:.2f} K" if jump[worst] else ""
+    return stale, [text + f" ({int(long.sum())} such): left out"]
+
+
+def find_doubts(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: float) -> list[str]:
+    """Return what else looks wrong: coarse steps, jumps, a temperature of no room.
+
+    Arrays: temp_c (N,) degC, time (N,) s.
+    """
+    said: list[str] = []
+    if step_c >= COARSE_C:
+        said.append(f"quantised, it comes in steps of {step_c:g} K; smoothed over time")
+    said += _jumps(temp_c, time, step_c, noise_c)
+    if temp_c.min() > HOT_C:
+        said.append(
+            f"implausible unless a chamber held it, {temp_c.min():.1f} to {temp_c.max():.1f} degC throughout: the warmth of a "
+            "chip, or a wrong scale; a table counts in the degrees of this column"
+        )
+    return said
+
+
+def _jumps(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: float) -> list[str]:
+    """Return a sentence on medians of five readings that differ from the next five by more than a board changes."""
+    if len(temp_c) < 2 * BESIDE:
+        return []
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(temp_c, BESIDE), axis=1)
+    change = np.abs(middle[BESIDE:] - middle[:-BESIDE])
+    lasts = time[2 * BESIDE - 1 :] - time[: 1 - 2 * BESIDE]
+    jumps = np.flatnonzero(change > np.maximum(JUMP_C * np.maximum(lasts, 1.0), max(1.5 * step_c, 6.0 * noise_c)))
+    if len(jumps) == 0:
+        return []
+    groups = np.split(jumps, np.flatnonzero(np.diff(jumps) > BESIDE) + 1)
+    first = groups[0][len(groups[0]) // 2] + BESIDE  # the medians differ while most of one side is beyond the jump
+    return [
+        f"jumps by {change[jumps].max():.2f} K, faster than a board changes, first at {time[first]:.6g} s ({len(groups)} such)"
+    ]
+
+
+# ---- temperature
+
+BOARD_C = (-40.0, 125.0)  # where parts of a board work
+
+Source = Literal["column", "set-points"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureSettings:
+    """How a temperature is taken."""
+
+    # Span that all recordings of the session together must have, K; 0 asks for none, where :func:`check_span` judges
+    # several sessions together
+    least_span_c: float = 2.0
+    longest_gap_s: float = 10.0  # Gaps up to this are bridged, s; longer ones stay NaN
+    most_missing: float = 0.5  # Share of the readings that may be missing, 0 to 1
+    set_point_uncertainty_c: float = 0.5  # Standard uncertainty of a stated set-point, K
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Temperature:
+    """The temperature of one recording, N samples."""
+
+    temp_c: FloatArray  # (N,), smooth course, degC; NaN where it is not known
+    # Standard uncertainty of the course, root-mean-square, K; the thermometer's own trim and lag are not in it
+    uncertainty_c: float
+    noise_c: float  # Standard deviation of one reading, K; 0 for set-points
+    step_c: float  # Step in which the readings come, K; 0 where there is none
+    source: Source  # "column" or "set-points"
+    notes: tuple[str, ...]  # What looks wrong, a sentence each
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "temp_c", frozen(self.temp_c, (None,), "temp_c"))
+
+
+def trusted_temperature(
+    session: Session, index: int, *, settings: TemperatureSettings = TemperatureSettings()
+) -> Temperature:
+    """Return the temperature of one recording, smoothed, with what looks wrong about it."""
+    if not 0 <= index < len(session.records):
+        raise InputError(f"temperature: wanted recording 0 to {len(session.records) - 1}, got {index}")
+    found = _found(session, index, settings)
+    if settings.least_span_c > 0.0:
+        _check_spans([_ends(session, k, found if k == index else None) for k in range(len(session.records))], settings)
+    return found
+
+
+def check_span(temperatures: Sequence[Temperature], *, settings: TemperatureSettings = TemperatureSettings()) -> float:
+    """Return the span of temperatures together; raise where it is too small for a thermal fit."""
+    return _check_spans([_extremes(temperature.temp_c) for temperature in temperatures], settings)
+
+
+def _found(session: Session, index: int, settings: TemperatureSettings) -> Temperature:
+    record = session.records[index]
+    pieces = _pieces(session, index)
+    if record.temp_c is not None:
+        return _from_column(record.temp_c, record.time, pieces, f"temperature of recording {index}", settings)
+    stated = [(piece, piece.temp_c) for piece in pieces if piece.temp_c is not None]
+    if not stated:
+        raise InputError(
+            f"temperature of recording {index}: wanted a column (columns.temp) or set-points (temp_c of its stills and turns), got "
+            "neither; map the thermometer's column or state temp_c"
+        )
+    temp_c = np.full(len(record), np.nan)
+    for piece, set_point in stated:
+        temp_c[piece.start : piece.stop] = set_point
+    _check_board(temp_c, record.time, f"temperature of recording {index}")
+    return Temperature(
+        temp_c=temp_c,
+        uncertainty_c=settings.set_point_uncertainty_c,
+        noise_c=0.0,
+        step_c=0.0,
+        source="set-points",
+        notes=(
+            f"temperature of recording {index} is the chamber's set-point in {len(stated)} pieces: the sensors have it only "
+            "once they have settled",
+        ),
+    )
+
+
+def _pieces(session: Session, index: int) -> list[Still | Turn]:
+    every: list[Still | Turn] = [*session.stills, *session.turns]
+    return [piece for piece in every if piece.recording == index]
+
+
+def _from_column(
+    raw: FloatArray, time: FloatArray, pieces: list[Still | Turn], name: str, settings: TemperatureSettings
+) -> Temperature:
+    known = np.isfinite(raw)
+    missing = 1.0 - float(known.mean())
+    if missing > settings.most_missing or known.sum() < 2:
+        raise InputError(
+            f"{name}: wanted readings in {100 * (1 - settings.most_missing):g} % of the rows or more, got "
+            f"{int(known.sum())} of {len(raw)} (the others NaN); map another column or leave it out and state set-points",
+            missing=missing,
+        )
+    _check_board(raw, time, name)
+    notes: list[str] = []
+    step = step_of(raw[known])
+    alone = standing_alone(raw, step)
+    if alone.any():
+        worst = float(np.ptp(raw[alone | np.roll(alone, 1)]))
+        notes.append(
+            f"{name}: {int(alone.sum())} readings stand alone, the first at {time[alone][0]:.6g} s, up to {worst:.3g} K apart: "
+            "left out"
+        )
+    stale, said = find_stale(np.where(alone, np.nan, raw), time, step)
+    notes += [f"{name}: {text}" for text in said]
+    used = known & ~alone & ~stale
+    course = find_course(raw[used], time[used], step)
+    notes += [f"{name}: {text}" for text in find_doubts(raw[used], time[used], step, course.noise_c)]
+    notes += _against_set_points(raw, pieces, name)
+    temp_c, gaps = _bridged(course, used, time, settings.longest_gap_s)
+    notes += [f"{name}: {text}" for text in gaps]
+    return Temperature(
+        temp_c=temp_c,
+        uncertainty_c=course.uncertainty_c,
+        noise_c=course.noise_c,
+        step_c=step,
+        source="column",
+        notes=tuple(notes),
+    )
+
+
+def _check_board(temp_c: FloatArray, time: FloatArray, name: str) -> None:
+    bad = np.flatnonzero((temp_c < BOARD_C[0]) | (temp_c > BOARD_C[1]))
+    if len(bad):
+        raise InputError(
+            f"{name}: wanted {BOARD_C[0]:g} to {BOARD_C[1]:g} degC of a board, got {temp_c[bad[0]]:g} degC at {time[bad[0]]:.6g} s "
+            f"({len(bad)} such); check units.temp and scale.temp",
+            temp_c=float(temp_c[bad[0]]),
+        )
+
+
+def _against_set_points(raw: FloatArray, pieces: list[Still | Turn], name: str) -> list[str]:
+    apart = [
+        (float(np.nanmedian(raw[p.start : p.stop])) - p.temp_c, p.temp_c)
+        for p in pieces
+        if p.temp_c is not None and np.isfinite(raw[p.start : p.stop]).any()
+    ]
+    far = [(difference, stated) for difference, stated in apart if abs(difference) > 5.0]
+    if not far:
+        return []
+    worst, stated = max(far, key=lambda pair: abs(pair[0]))
+    return [
+        f"{name}: implausible, the column reads {stated + worst:.1f} degC at a set-point of {stated:.1f} ({len(far)} of "
+        f"{len(apart)} pieces over 5 K apart)"
+    ]
+
+
+def _bridged(course: Course, used: BoolArray, time: FloatArray, longest_s: float) -> tuple[FloatArray, list[str]]:
+    """Return the course at every sample: gaps up to a length bridged, longer ones NaN."""
+    temp_c = np.full(len(time), np.nan)
+    temp_c[used] = course.temp_c
+    gone = np.flatnonzero(~used)
+    if len(gone) == 0:
+        return temp_c, []
+    at = np.flatnonzero(used)
+    after = np.searchsorted(at, gone)
+    inside = (after > 0) & (after < len(at))
+    length = np.full(len(gone), np.inf)
+    length[inside] = time[at[after[inside]]] - time[at[after[inside] - 1]]
+    short = gone[length <= longest_s]
+    temp_c[short] = np.interp(time[short], time[at], course.temp_c)
+    left = len(gone) - len(short)
+    said = f"{len(gone)} readings missing, {len(short)} in gaps of up to {longest_s:g} s bridged"
+    return temp_c, [said + (f", {left} in longer ones left out" if left else "")]
+
+
+def _ends(session: Session, index: int, found: Temperature | None) -> tuple[float, float]:
+    """Return the lowest and highest temperature of a recording, noise averaged out; NaN where it says nothing."""
+    if found is not None:
+        return _extremes(found.temp_c)
+    record = session.records[index]
+    if record.temp_c is None:
+        stated = [p.temp_c for p in _pieces(session, index) if p.temp_c is not None]
+        return (min(stated), max(stated)) if stated else (np.nan, np.nan)
+    known = np.isfinite(record.temp_c)
+    if known.sum() < 2:
+        return np.nan, np.nan
+    return _extremes(block_means(record.time[known], record.temp_c[known])[1])
+
+
+def _extremes(temp_c: FloatArray) -> tuple[float, float]:
+    known = temp_c[np.isfinite(temp_c)]
+    return (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+
+
+def _check_spans(ends: list[tuple[float, float]], settings: TemperatureSettings) -> float:
+    known = [pair for pair in ends if pair[0] == pair[0]]
+    if not known:
+        raise NotObservable("thermal drift: wanted a recording with a known temperature, got none; map its column")
+    low, high = min(pair[0] for pair in known), max(pair[1] for pair in known)
+    span = high - low
+    if span == 0.0:
+        raise NotObservable(
+            f"thermal drift: wanted temperatures that differ, got {low:.2f} degC throughout (constant); check that the column is "
+            "the thermometer's, and record while the device warms",
+            span_c=span,
+        )
+    if span < settings.least_span_c:
+        raise NotObservable(
+            f"thermal drift: wanted a span of {settings.least_span_c:g} degC or more, got {span:.2g} ({low:.2f} to {high:.2f}); "
+            "record while the device warms or cools further",
+            span_c=span,
+        )
+    return span

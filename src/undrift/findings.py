@@ -1,0 +1,123 @@
+"""Findings: what a fit noticed, as a code with numbers; this file alone turns a code into sentences.
+
+A fit returns ``finding("rate_table.mounting", "warn", angle_deg=0.3)``. Its text has three parts: a headline, one line of detail,
+and one action. A verdict shows the most consequential findings first: by level (fail, warn, info), then by the rank of the code::
+
+    1  numbers may be wrong          2  uncertainty is larger, or not complete
+    3  something was not observable  4  what was done, for the record
+
+Templates are ``str.format`` strings over the finding's values; a tuple prints element by element: (0.1, 0.2) as "0.1, 0.2".
+"""
+
+import string
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+Level = Literal["info", "warn", "fail"]
+Value = float | int | str | bool | tuple[float, ...] | tuple[str, ...]
+
+SHOWN_FIRST = 3  # findings that a person sees without asking for details
+_LEVELS = ("fail", "warn", "info")
+
+
+class Entry(NamedTuple):
+    """The sentences of one code."""
+
+    rank: int  # 1 to 4, see the module
+    headline: str
+    detail: str = ""
+    action: str = ""
+
+
+class _Template(string.Formatter):
+    """``str.format`` that prints tuples element by element."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, tuple):
+            return ", ".join(self.format_field(item, format_spec) for item in value)
+        return str(super().format_field(value, "" if isinstance(value, str) else format_spec))
+
+
+_TEMPLATE = _Template()
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a fit noticed: a code, how much it matters, and its numbers.
+
+    Parameters
+    ----------
+    code : str
+        Stage and matter, "six_face.tilt".
+    level : str
+        info, warn or fail.
+    values : mapping
+        Numbers and names that the sentences need; the unit stands in the key ("tilt_deg") unless SI.
+    """
+
+    code: str
+    level: Level
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    @property
+    def headline(self) -> str:
+        """What it is, in a few words."""
+        return self._filled(CATALOGUE[self.code].headline)
+
+    @property
+    def detail(self) -> str:
+        """One line with the numbers; may be empty."""
+        return self._filled(CATALOGUE[self.code].detail)
+
+    @property
+    def action(self) -> str:
+        """What to do about it; may be empty."""
+        return self._filled(CATALOGUE[self.code].action)
+
+    @property
+    def text(self) -> str:
+        """Headline, detail and action in one line."""
+        head = ": ".join(part for part in (self.headline, self.detail) if part)
+        return "; ".join(part for part in (head, self.action) if part)
+
+    def _filled(self, template: str) -> str:
+        return _TEMPLATE.vformat(template, (), self.values)
+
+
+def finding(code: str, level: Level, /, **values: Any) -> Finding:
+    """Return a finding; arrays become tuples, numpy scalars become numbers."""
+    return Finding(code, level, {name: _plain(value) for name, value in values.items()})
+
+
+def _plain(value: Any) -> Value:
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value  # type: ignore[return-value]
+
+
+def most_consequential_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings by level and rank, each text once."""
+    once = {item.text: item for item in findings}.values()
+    return tuple(sorted(once, key=lambda item: (_LEVELS.index(item.level), CATALOGUE[item.code].rank)))
+
+
+CATALOGUE: dict[str, Entry] = {
+    # ---- any file written before findings had codes
+    "earlier.text": Entry(4, "{text}"),
+    # ---- calibration: session, stills, temperature
+    # ---- calibration: six faces
+    # ---- calibration: rate table
+    # ---- calibration: known rotation
+    # ---- calibration: multi-position
+    # ---- calibration: reference
+    # ---- calibration: noise and ADC
+    # ---- drift: sessions and temperature
+    # ---- drift: offsets over temperature
+    # ---- drift: scale and dynamic drift
+    # ---- drift: accelerometers
+    # ---- correction
+    # ---- validation
+    # ---- twin
+    # ---- recordings (undrift info)
+    # ---- study
+}

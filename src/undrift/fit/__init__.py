@@ -1,0 +1,1 @@
+"""What all fits share: weighted least squares with covariance, and smoothing."""

@@ -1,0 +1,468 @@
+"""Markers: what the optics measured point by point, and the pose of a rigid cluster of them.
+
+Points are in n, the level frame with z up, in m; NaN is a gap. A cluster of three or more markers that do not lie on one line
+is a body with frame m: origin at the centroid of the cluster, axes parallel to n in the first frame in which all of its
+markers are seen. Its pose in each frame solves
+
+    minimise over R, p    sum_k | R c_k + p - x_k |^2        c_k marker k in m, x_k as seen
+
+by the singular value decomposition of sum_k x_k c_k^T (Kabsch); frames with fewer than three markers are gaps.
+
+C3D files, plain or gzip: marker points, and analog channels at their own rate.
+
+Integer and real storage, Intel, DEC and MIPS byte orders. A point with a negative residual, or at exactly 0, 0, 0, was not
+seen: NaN. Labels that repeat get #2, #3, ...; points without a label are called ``unlabelled``.
+
+TRC marker files, plain or gzip: four or five header lines, then frame, time and x, y, z of every marker.
+
+Header tabs differ between programs (labels every three columns, or every two), so a label belongs to the next
+triple in order. Rows are tab separated; an empty cell, a row that ends early, and the point 0, 0, 0 that some programs write
+for a marker they lost, are gaps.
+
+BROAD trials: one HDF5 file holds the sensor and the optics on one clock.
+
+Datasets imu_gyr (rad/s), imu_acc (m/s2, specific force), imu_mag (uT), opt_quat (w-x-y-z, body to east-north-up), opt_pos
+(m), movement (0 or 1), all of the same length; the attribute sampling_rate gives the clock. Where the optics lost the body
+its pose is NaN.
+"""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.errors import FileFormatError, InputError
+from undrift.files import checked_file, is_gzip, read_bytes
+from undrift.io.arrays import open_hdf5, read_array
+from undrift.record import Record, Reference, check_time, sample_rate_of
+from undrift.units import si_factor
+
+Up = Literal["y", "z"]
+_ROUNDS = 4  # of the average shape: it settles in two
+_FLAT = 1e-2  # a cluster's width over its length, under which the turn about the long axis is not seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Markers:
+    """Marker trajectories."""
+
+    labels: tuple[str, ...]  # One for each marker, all different
+    time: FloatArray  # (N,), s, strictly increasing
+    points: FloatArray  # (N, M, 3), positions in n (z up), m; NaN is a gap
+    name: str = ""  # Where they came from
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "time", frozen(self.time, (None,), "time"))
+        set_(self, "points", frozen(self.points, (len(self.time), len(self.labels), 3), "points"))
+        if len(set(self.labels)) != len(self.labels):
+            twice = sorted({label for label in self.labels if self.labels.count(label) > 1})
+            raise InputError(f"markers: wanted different labels, got {', '.join(twice)} more than once; number them")
+        check_time(self.time)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Frames per second."""
+        return sample_rate_of(self.time)
+
+    def pick(self, labels: tuple[str, ...] | list[str]) -> FloatArray:
+        """Return the trajectories of some markers.
+
+        Arrays:  -> (N, K, 3) m.
+        """
+        for label in labels:
+            if label not in self.labels:
+                near = [other for other in self.labels if label.lower() in other.lower()]
+                hint = f"say {' or '.join(near[:3])}" if near else "check the label"
+                raise InputError(
+                    f"{self.name or 'markers'}: wanted marker {label!r}, got {', '.join(self.labels)}; {hint}"
+                )
+        return self.points[:, [self.labels.index(label) for label in labels]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClusterPose:
+    """Pose of a rigid cluster and how rigid it was."""
+
+    reference: Reference  # q_nb with b the frame m of the cluster, and position of its centroid
+    template: FloatArray  # (K, 3), markers in m, m
+    residual: FloatArray  # (N,), root mean square over the seen markers of what the pose leaves, m; NaN in gaps
+    visible: FloatArray  # (N,), markers seen in each frame
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residual over all frames with a pose, m."""
+        return float(np.sqrt(np.nanmean(self.residual**2)))
+
+
+def pose_from_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Reference:
+    """Return the pose of a rigid cluster of markers; :func:`fit_cluster` also tells how rigid it was."""
+    return fit_cluster(markers, labels).reference
+
+
+def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> ClusterPose:
+    """Fit a rigid body to a cluster of markers, frame by frame [1]_.
+
+    References
+    ----------
+    .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32, 1976.
+    """
+    if len(labels) < 3 or len(set(labels)) != len(labels):
+        raise InputError(
+            f"cluster: wanted three different markers or more, got {', '.join(labels) or 'none'}; name them"
+        )
+    points = markers.pick(labels)
+    seen: BoolArray = np.all(np.isfinite(points), axis=2)
+    whole: BoolArray = np.all(seen, axis=1)
+    if not whole.any():
+        rarest = labels[int(seen.sum(axis=0).argmin())]
+        raise InputError(f"cluster: wanted a frame with all of {', '.join(labels)}, got none; leave out {rarest}")
+    template = _mean_shape(points, whole)
+    spread = np.linalg.svd(template, compute_uv=False)
+    if spread[1] < _FLAT * spread[0]:
+        raise InputError(
+            f"cluster: wanted markers that span a plane, got {', '.join(labels)} on one line; add one beside it"
+        )
+    turn, shift, good = _fit(points, seen, template)
+    left = points - (np.einsum("nij,kj->nki", turn, template) + shift[:, None])
+    square = np.where(seen, (left**2).sum(axis=2), 0.0).sum(axis=1)
+    residual = np.where(good, np.sqrt(square / np.maximum(seen.sum(axis=1), 1)), np.nan)
+    rms_mm = 1e3 * float(np.sqrt(np.nanmean(residual**2)))
+    reference = Reference(
+        time=markers.time,
+        q_nb=_quaternions(turn, good),
+        position=np.where(good[:, None], shift, np.nan),
+        name=f"{markers.name} cluster {' '.join(labels)} (rigid within {rms_mm:.2f} mm rms)".strip(),
+    )
+    return ClusterPose(
+        reference=reference, template=template, residual=residual, visible=seen.sum(axis=1).astype(np.float64)
+    )
+
+
+def level_from(points: FloatArray, up: Up) -> FloatArray:
+    """Return points in n from a laboratory frame whose y or z axis points up.
+
+    Arrays: points (..., 3) -> (..., 3).
+    """
+    if up == "z":
+        return points
+    if up == "y":
+        return np.stack((points[..., 0], -points[..., 2], points[..., 1]), axis=-1)
+    raise InputError(f'up: wanted "y" or "z", got {up!r}; name the axis of the laboratory that points up')
+
+
+def unique_labels(labels: tuple[str, ...] | list[str]) -> tuple[str, ...]:
+    """Return labels made different: the second and later of a name get #2, #3, ..."""
+    out: list[str] = []
+    for label in labels:
+        count, name = 1, label
+        while name in out:
+            count += 1
+            name = f"{label}#{count}"
+        out.append(name)
+    return tuple(out)
+
+
+def _mean_shape(points: FloatArray, whole: BoolArray) -> FloatArray:
+    """Return the cluster's average shape over the frames that show all of it, in the axes of the first of them."""
+    full = points[whole]
+    template: FloatArray = full[0] - full[0].mean(axis=0)
+    all_seen = np.ones(full.shape[:2], dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        turn, shift, good = _fit(full, all_seen, template)
+        if not good.any():
+            break
+        back = np.einsum("nji,nkj->nki", turn[good], full[good] - shift[good][:, None])
+        template = back.mean(axis=0)
+        template = template - template.mean(axis=0)
+    # Averaging may have turned the shape by the noise of one frame: put it back on the first.
+    turn, _, good = _fit(full[:1], all_seen[:1], template)
+    if good[0]:
+        template = np.asarray(np.einsum("ij,kj->ki", turn[0], template))
+    return template
+
+
+def _fit(points: FloatArray, seen: BoolArray, template: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return rotation (N, 3, 3), position (N, 3) and whether there is one (N,), of the template in each frame."""
+    weight = seen.astype(np.float64)[..., None]
+    count = np.maximum(weight.sum(axis=1), 1.0)
+    x = np.where(seen[..., None], points, 0.0)
+    centre_x = x.sum(axis=1) / count
+    centre_c = (weight * template).sum(axis=1) / count
+    c = weight * (template - centre_c[:, None])
+    u, s, vt = np.linalg.svd(np.einsum("nki,nkj->nij", weight * (x - centre_x[:, None]), c))
+    sign = np.ones((len(points), 3))
+    sign[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    turn = (u * sign[:, None]) @ vt
+    good = (seen.sum(axis=1) >= 3) & (s[:, 1] > _FLAT**2 * s[:, 0])
+    return turn, centre_x - np.einsum("nij,nj->ni", turn, centre_c), good
+
+
+def _quaternions(turn: FloatArray, good: BoolArray) -> FloatArray:
+    """Return w-x-y-z of the rotations, NaN in gaps, without jumps of sign."""
+    from scipy.spatial.transform import Rotation
+
+    q = np.full((len(turn), 4), np.nan)
+    some = Rotation.from_matrix(turn[good]).as_quat(scalar_first=True)
+    flips = np.where((some[1:] * some[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    some[1:] *= np.cumprod(flips)[:, None]
+    q[good] = some
+    return q
+
+
+# ---- C3D files, plain or gzip: marker points, and analog channels at their own rate.
+
+_MAGIC = 0x50
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Analog:
+    """Analog channels of a C3D file, in the unit the file states."""
+
+    labels: tuple[str, ...]  # One for each channel, all different
+    units: tuple[str, ...]  # As the file spells them
+    time: FloatArray  # (N,), s, on the clock of the points
+    values: FloatArray  # (N, K), readings, scaled as the file says
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "time", frozen(self.time, (None,), "time"))
+        set_(self, "values", frozen(self.values, (len(self.time), len(self.labels)), "values"))
+
+
+def read_c3d(path: str | Path, *, up: Up | None = None) -> Markers:
+    """Read marker trajectories from a C3D file."""
+    path = Path(path)
+    held = _load(path)
+    point = held["parameters"]["POINT"]
+    xyz = np.moveaxis(np.asarray(held["data"]["points"], dtype=np.float64)[:3], 0, 2)  # (M, N, 3)
+    count, frames = xyz.shape[:2]
+    if count == 0 or frames < 2:
+        raise FileFormatError(
+            f"{path}: wanted marker points over two frames or more, got {count} markers, {frames} frames"
+        )
+    lost = np.asarray(held["data"]["meta_points"]["residuals"])[0] < 0.0
+    xyz[lost | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
+    rate, first = float(held["header"]["points"]["frame_rate"]), int(held["header"]["points"]["first_frame"])
+    if not rate > 0.0:
+        raise FileFormatError(f"{path}: wanted a frame rate above 0, got {rate:g} Hz; the header is damaged")
+    unit = next(iter(point["UNITS"]["value"]), "") if "UNITS" in point else ""
+    points = np.moveaxis(xyz, 0, 1) * _length_factor(unit, path)
+    return Markers(
+        labels=_labels(point, count),
+        time=(first + np.arange(frames)) / rate,
+        points=level_from(points, up or _stated_up(point, path)),
+        name=path.name,
+    )
+
+
+def read_c3d_analog(path: str | Path) -> Analog:
+    """Read the analog channels of a C3D file."""
+    path = Path(path)
+    held = _load(path)
+    values = np.asarray(held["data"]["analogs"], dtype=np.float64)[0].T
+    if values.shape[1] == 0:
+        raise FileFormatError(f"{path}: wanted analog channels, got none; the file holds points only")
+    analog, header = held["parameters"]["ANALOG"], held["header"]
+    rate = float(header["analogs"]["frame_rate"])
+    start = int(header["points"]["first_frame"]) / float(header["points"]["frame_rate"])
+    units = [str(unit).strip() for unit in analog["UNITS"]["value"]] if "UNITS" in analog else []
+    return Analog(
+        labels=_labels(analog, values.shape[1]),
+        units=tuple((units + [""] * values.shape[1])[: values.shape[1]]),
+        time=start + np.arange(len(values)) / rate,
+        values=values,
+    )
+
+
+def is_c3d(head: bytes) -> bool:
+    """Tell a C3D file by its first bytes."""
+    return len(head) > 512 and head[1] == _MAGIC and 2 <= head[0] < 128
+
+
+def _load(path: Path) -> Any:
+    try:
+        import ezc3d
+    except ImportError as error:  # pragma: no cover - the io extra is installed where the tests run
+        raise InputError(f"{path}: C3D files need ezc3d; install undrift[io]") from error
+    content = read_bytes(path)
+    _check_size(content, path)
+    try:
+        if not is_gzip(checked_file(path)):
+            return ezc3d.c3d(str(path))
+        with tempfile.TemporaryDirectory() as folder:
+            plain = Path(folder) / "unpacked.c3d"
+            plain.write_bytes(content)
+            return ezc3d.c3d(str(plain))
+    except (OSError, RuntimeError, ValueError, IndexError, KeyError) as error:
+        raise FileFormatError(
+            f"{path}: wanted a sound C3D file, got a damaged one; {str(error).splitlines()[0]}"
+        ) from error
+
+
+def _check_size(content: bytes, path: Path) -> None:
+    """Refuse what is not C3D, and a file shorter than its header promises, before the parser sees it."""
+    if not is_c3d(content):
+        raise FileFormatError(f"{path}: wanted a C3D file, got other content; check the path")
+    block = (content[0] - 1) * 512
+    if len(content) < block + 4:
+        raise FileFormatError(f"{path}: wanted a whole C3D file, got one cut before its parameters; copy it again")
+    processor = content[block + 3] - 83  # 1 Intel, 2 DEC (Intel's order of bytes in words), 3 MIPS
+    words = np.frombuffer(content[:512], dtype=">u2" if processor == 3 else "<u2")
+    points, analogs, first, last, start = (int(words[k]) for k in (1, 2, 3, 4, 8))
+    real = bool(words[7 if processor == 1 else 6] & 0x8000)  # a negative scale marks storage in reals
+    frames = last - first + 1 if last < 65535 else 0  # longer trials state their length in the parameters
+    need = 512 * (start - 1) + frames * (4 * points + analogs) * (4 if real else 2)
+    if len(content) < need:
+        raise FileFormatError(
+            f"{path}: wanted {need} bytes as its header promises, got {len(content)}; the file is cut, copy it again"
+        )
+
+
+def _stated_up(point: Any, path: Path) -> Up:
+    stated = str(next(iter(point["Y_SCREEN"]["value"]), "")) if "Y_SCREEN" in point else ""
+    if stated == "+Z":
+        return "z"
+    if stated == "+Y":
+        return "y"
+    raise InputError(
+        f'{path}: wanted the axis that points up, got no POINT:Y_SCREEN of +Y or +Z; state up = "y" or "z"'
+    )
+
+
+def _length_factor(unit: str, path: Path) -> float:
+    if not unit.strip():
+        raise FileFormatError(f"{path}: wanted the unit of length in POINT:UNITS, got none; the parameters are damaged")
+    return si_factor(unit, "length")
+
+
+def _labels(group: Any, count: int) -> tuple[str, ...]:
+    """Return ``count`` different labels; LABELS2, LABELS3, ... go on where LABELS ends."""
+    held: list[str] = []
+    for k in range(1, 100):
+        name = "LABELS" if k == 1 else f"LABELS{k}"
+        if name not in group or len(held) >= count:
+            break
+        held += [str(label).strip() for label in group[name]["value"]]
+    return unique_labels([label or "unlabelled" for label in (held + [""] * count)[:count]])
+
+
+# ---- TRC marker files, plain or gzip: four or five header lines, then frame, time and x, y, z of every marker.
+
+_HEAD = ("DataRate", "NumMarkers", "Units")
+
+
+def read_trc(path: str | Path, *, up: Up) -> Markers:
+    """Read marker trajectories from a TRC file."""
+    path = Path(path)
+    lines = _lines(path)
+    keys, values = lines[1].split("\t"), lines[2].split("\t")
+    head = dict(zip((key.strip() for key in keys), (value.strip() for value in values), strict=False))
+    if not all(head.get(key) for key in _HEAD):
+        raise FileFormatError(
+            f"{path}: wanted {', '.join(_HEAD)} in lines 2 and 3, got {', '.join(filter(None, head))}"
+        )
+    labels = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+    wanted = _whole(head["NumMarkers"], path)
+    if len(labels) != wanted:
+        raise FileFormatError(f"{path}: wanted {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
+    time, cells = _rows(lines, 2 + 3 * wanted, path)
+    if len(time) < 2:
+        raise FileFormatError(f"{path}: wanted two frames or more, got {len(time)}; the file is cut")
+    points = cells.reshape(len(time), wanted, 3) * si_factor(head["Units"], "length")
+    points[~np.isfinite(points).all(axis=2) | (points == 0.0).all(axis=2)] = np.nan
+    try:
+        return Markers(labels=unique_labels(labels), time=time, points=level_from(points, up), name=path.name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        text = read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(
+            f"{path}: wanted a TRC file in UTF-8, got other bytes at {error.start}; save it again"
+        ) from error
+    lines = text.splitlines()
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise FileFormatError(
+            f"{path}: wanted a TRC file (first word PathFileType), got {lines[0][:40] if lines else ''!r}"
+        )
+    return lines
+
+
+def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return time (N,) and cells (N, width - 2), short rows filled with NaN."""
+    rows = [(number, line.split("\t")) for number, line in enumerate(lines[5:], start=6) if line.strip()]
+    out = np.full((len(rows), width), np.nan)
+    for row, (number, cells) in enumerate(rows):
+        extra = [cell for cell in cells[width:] if cell.strip()]
+        if extra or len(cells) < 2:
+            raise FileFormatError(
+                f"{path}: wanted {width} columns in line {number}, got {len(cells)}; the header disagrees"
+            )
+        try:
+            out[row, : min(width, len(cells))] = [float(cell) if cell.strip() else np.nan for cell in cells[:width]]
+        except ValueError as error:
+            raise FileFormatError(
+                f"{path}: wanted numbers in line {number}, got text ({error}); repair the line"
+            ) from error
+    return out[:, 1], out[:, 2:]
+
+
+def _whole(text: str, path: Path) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise FileFormatError(f"{path}: wanted NumMarkers of 1 or more in line 3, got {text!r}")
+    return int(text)
+
+
+# ---- BROAD trials: one HDF5 file holds the sensor and the optics on one clock.
+
+WIDTHS = (("imu_gyr", 3), ("imu_acc", 3), ("imu_mag", 3), ("opt_quat", 4), ("opt_pos", 3))
+
+
+def read_broad(path: str | Path) -> tuple[Record, Reference]:
+    """Read one trial of the BROAD data set [1]_.
+
+    References
+    ----------
+    .. [1] D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation",
+       Data 6(7), 72, 2021.
+    """
+    path = Path(path)
+    with open_hdf5(path) as handle:
+        if "sampling_rate" not in handle.attrs:
+            raise FileFormatError(f"{path}: wanted the attribute sampling_rate, got none; this is not a BROAD trial")
+        sample_rate_hz = float(handle.attrs["sampling_rate"])
+        gyro, accel, mag, quat, position = (
+            _columns(read_array(handle, name, path), name, n, path) for name, n in WIDTHS
+        )
+        moving = read_array(handle, "movement", path)
+    if not sample_rate_hz > 0.0:
+        raise FileFormatError(f"{path}: wanted sampling_rate in Hz above 0, got {sample_rate_hz:g}")
+    time = np.arange(len(gyro)) / sample_rate_hz
+    record = Record(time=time, gyro=gyro, accel=accel, mag_ut=mag)
+    reference = Reference(
+        time=time, q_nb=_seen(quat), position=position, moving=(moving > 0.0).astype(float), name=path.name
+    )
+    return record, reference
+
+
+def _columns(values: FloatArray, name: str, width: int, path: Path) -> FloatArray:
+    if values.ndim != 2 or values.shape[1] != width:
+        raise FileFormatError(f"{path}: {name}: wanted shape (N, {width}), got {values.shape}; time is axis 0")
+    return values
+
+
+def _seen(quat: FloatArray) -> FloatArray:
+    """Return the quaternions with whole NaN rows where any element is missing."""
+    seen = np.array(quat)
+    seen[np.isnan(quat).any(axis=1)] = np.nan
+    return seen

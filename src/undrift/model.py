@@ -1,0 +1,386 @@
+"""Calibration: the one object that owns the correction model, and the values it is made of.
+
+In symbols, for a reading u (3,) at temperature T::
+
+    u1 = u + rounding(u)          adc      half an LSB back for truncated codes
+    u2 = u1 - offset(T) - o(t)    static   table of absolute offsets, else the constant offset; warm-up over time since power-on
+    w  = M(T) u2                  matrix   constant, or a table over temperature
+    w  = w - G a                  g-sensitivity, gyroscopes only
+    w  = w - e(w, T)              dynamic  table over measured rate and temperature
+
+``correction/correct.py`` is the only place that evaluates it. The maps are inverse models: raw to physical. A forward model
+(physical to raw) is S = K a + b with K = M^-1 and b = offset.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.errors import InputError
+from undrift.findings import Finding, most_consequential_first
+
+Rounding = Literal["nearest", "floor", "toward_zero"]
+Status = Literal["good", "marginal", "bad"]
+
+AXES = ("x", "y", "z")
+MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
+OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
+G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verdict:
+    """What a fit is worth: good, marginal or bad, and the findings that say why.
+
+    Parameters
+    ----------
+    status : str
+        good, marginal or bad.
+    findings : tuple of Finding
+        Why; also what was not observable and which recording would show it.
+    remarks : tuple of str
+        Sentences of stages that have no codes yet.
+    """
+
+    status: Status = "good"
+    findings: tuple[Finding, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The findings as texts, most consequential first."""
+        return (*(item.text for item in most_consequential_first(self.findings)), *self.remarks)
+
+    def also(self, other: "Verdict") -> "Verdict":
+        """Return both verdicts as one: the worse status, all findings, each once."""
+        worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
+        known = {item.text for item in self.findings}
+        return Verdict(
+            status=worse,
+            findings=(*self.findings, *(item for item in other.findings if item.text not in known)),
+            remarks=(*self.remarks, *(r for r in other.remarks if r not in self.remarks)),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadModel:
+    """Inverse model of three sensors: corrected = matrix @ (raw - offset) - g_sensitivity @ accel.
+
+    Parameters
+    ----------
+    method : str
+        How it was found: six-face, rate-table, known-rotation, multi-position, reference; mode behind a slash.
+    unit_in, unit_out : str
+        Unit of the raw reading and of the corrected value.
+    matrix : array, shape (3, 3)
+        unit_out per unit_in; sensor axes s to case b.
+    offset : array, shape (3,)
+        Reading at zero input and reference temperature, unit_in.
+    g_sensitivity : array, shape (3, 3), or None
+        Rate that one m/s2 of specific force feigns, unit_out per m/s2; gyroscopes only.
+    parameters : tuple of str
+        Names of the parameters that ``covariance`` speaks of: m_xx..m_zz row by row, offset_x.., g_xx..
+    covariance : array, shape (P, P)
+        Of those parameters, in their units; a parameter that was held fixed has zeros.
+    rms_residual : float
+        Root-mean-square residual of the fit, unit_out.
+    count : int
+        Equations in the fit.
+    rank : int
+        Rank of the fit's normal matrix; full rank means that every parameter was observable.
+    condition : float
+        Condition number of the design after its columns were scaled to one.
+    valid_range : tuple of float
+        Least and greatest corrected value per axis that the fit has seen, unit_out.
+    """
+
+    method: str
+    unit_in: str
+    unit_out: str
+    matrix: FloatArray
+    offset: FloatArray
+    g_sensitivity: FloatArray | None = None
+    parameters: tuple[str, ...] = (*MATRIX_NAMES, *OFFSET_NAMES)
+    covariance: FloatArray
+    rms_residual: float
+    count: int
+    rank: int
+    condition: float
+    valid_range: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        p = len(self.parameters)
+        _freeze(self, matrix=(3, 3), offset=(3,), covariance=(p, p))
+        if self.g_sensitivity is not None:
+            _freeze(self, g_sensitivity=(3, 3))
+
+    @property
+    def standard_uncertainty(self) -> FloatArray:
+        """Standard uncertainty of each parameter, shape (P,), in its own unit."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def forward_matrix(self) -> FloatArray:
+        """K of the forward model raw = K w + offset, unit_in per unit_out, shape (3, 3)."""
+        forward: FloatArray = np.linalg.inv(self.matrix)
+        return forward
+
+    @property
+    def scale_factor(self) -> FloatArray:
+        """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K."""
+        length: FloatArray = np.linalg.norm(self.forward_matrix, axis=1)
+        return length
+
+    @property
+    def sensor_axes(self) -> FloatArray:
+        """Unit vector of each sensor's axis in b, one a row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""
+        axes: FloatArray = self.forward_matrix / self.scale_factor[:, None]
+        return axes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WarmUp:
+    """Extra offset of a device that was switched on a short while ago; it dies away to zero."""
+
+    power_on_s: FloatArray  # (k,), nodes of the time since power-on, s, increasing from 0
+    gyro_offset: FloatArray  # (k, 3), to be added to the settled offset, raw unit; the last row is zero
+
+    def __post_init__(self) -> None:
+        _freeze(self, power_on_s=(None,))
+        _check_nodes(self.power_on_s, "warm-up power_on_s")
+        _freeze(self, gyro_offset=(len(self.power_on_s), 3))
+        if self.power_on_s[0] != 0.0 or self.gyro_offset[-1].any():
+            raise InputError(
+                f"warm-up: wanted nodes from 0 s to an offset of zero, got {self.power_on_s[0]:g} s and "
+                f"{np.abs(self.gyro_offset[-1]).max():g} at the end; the settled offset belongs into the static table"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StaticDrift:
+    """Tuning table of absolute offsets over temperature, linear between nodes."""
+
+    temp_c: FloatArray  # (n,), nodes, degC, increasing
+    gyro_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
+    accel_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
+    gyro_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node, raw unit
+    accel_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node, raw unit
+    gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
+    accel_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
+    # (3,), half the loop: offset while cooling minus offset while warming, over two, raw unit; the table holds the
+    # middle
+    gyro_hysteresis: FloatArray | None = None
+    warm_up: WarmUp | None = None  # Extra offset after power-on
+
+    def __post_init__(self) -> None:
+        _freeze(self, temp_c=(None,))
+        n = len(self.temp_c)
+        _check_nodes(self.temp_c, "static drift temp_c")
+        _freeze_some(self, (n, 3), "gyro_offset", "accel_offset", "gyro_uncertainty", "accel_uncertainty")
+        _freeze_some(self, (3,), "gyro_hysteresis")
+        _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScaleDrift:
+    """Matrix over temperature (thermal scale factor and cross-axis), linear between nodes."""
+
+    temp_c: FloatArray  # (n,), nodes, degC, increasing
+    gyro_matrix: FloatArray | None = None  # (n, 3, 3), unit_out per unit_in
+    accel_matrix: FloatArray | None = None  # (n, 3, 3), unit_out per unit_in
+    gyro_uncertainty: FloatArray | None = None  # (n, 3, 3), standard uncertainty of each element
+    accel_uncertainty: FloatArray | None = None  # (n, 3, 3), standard uncertainty of each element
+    gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
+    accel_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
+
+    def __post_init__(self) -> None:
+        _freeze(self, temp_c=(None,))
+        n = len(self.temp_c)
+        _check_nodes(self.temp_c, "scale drift temp_c")
+        _freeze_some(self, (n, 3, 3), "gyro_matrix", "accel_matrix", "gyro_uncertainty", "accel_uncertainty")
+        _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DynamicDrift:
+    """Rate error left over after static and matrix correction: e(measured rate, T), bilinear."""
+
+    temp_c: FloatArray  # (m,), nodes, degC, increasing
+    turn_rate: FloatArray  # (k,), nodes of the measured rate, rad/s, increasing
+    error: FloatArray  # (m, k, 3), measured minus true rate per axis, rad/s
+    uncertainty: FloatArray | None = None  # (m, k, 3), standard uncertainty of each node, rad/s
+    extrapolated: BoolArray | None = None  # (m, k), true where no data were near the node
+
+    def __post_init__(self) -> None:
+        _freeze(self, temp_c=(None,), turn_rate=(None,))
+        m, k = len(self.temp_c), len(self.turn_rate)
+        _check_nodes(self.temp_c, "dynamic drift temp_c")
+        _check_nodes(self.turn_rate, "dynamic drift turn_rate")
+        _freeze(self, error=(m, k, 3))
+        _freeze_some(self, (m, k, 3), "uncertainty")
+        _freeze_marks(self, (m, k), "extrapolated")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriftTables:
+    """The tuning tables of one device.
+
+    Parameters
+    ----------
+    static : StaticDrift or None
+        Offsets over temperature.
+    scale : ScaleDrift or None
+        Matrices over temperature.
+    dynamic : DynamicDrift or None
+        Rate-dependent error over temperature.
+    lag_s : float
+        Time constant by which the thermometer trails the sensors, s; the tables are over the temperature without it.
+    lag_smooth_s : float
+        Time constant of the smoothing that taking the lag off needs, s; above 0 where there is a lag.
+    """
+
+    static: StaticDrift | None = None
+    scale: ScaleDrift | None = None
+    dynamic: DynamicDrift | None = None
+    lag_s: float = 0.0
+    lag_smooth_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        lag, smooth = self.lag_s, self.lag_smooth_s
+        if not (0.0 <= lag < np.inf and 0.0 <= smooth < np.inf) or (lag > 0.0 and smooth == 0.0):
+            raise InputError(
+                "drift tables: wanted lag_s and lag_smooth_s of 0 s or more, with a lag the smoothing above 0, "
+                f"got {lag:g} and {smooth:g}; drift.lag.default_smooth_s gives one"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AdcModel:
+    """How codes were made of voltages: the step and the rounding of each triad.
+
+    Parameters
+    ----------
+    gyro_lsb, accel_lsb : array, shape (3,), or None
+        One code step, raw unit; None where it was not identified.
+    gyro_rounding, accel_rounding : str
+        nearest, floor or toward_zero.
+    """
+
+    gyro_lsb: FloatArray | None = None
+    accel_lsb: FloatArray | None = None
+    gyro_rounding: Rounding = "nearest"
+    accel_rounding: Rounding = "nearest"
+
+    def __post_init__(self) -> None:
+        for name in ("gyro_lsb", "accel_lsb"):
+            if getattr(self, name) is not None:
+                _freeze(self, **{name: (3,)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoiseModel:
+    """Noise coefficients of both triads at rest, as IEEE Std 952 names them; NaN where the record was too short to tell."""
+
+    angle_random_walk: FloatArray  # (3,), gyroscopes: rad/s/sqrt(Hz), rad/s, rad/s/sqrt(s)
+    bias_instability: FloatArray  # (3,), gyroscopes: rad/s/sqrt(Hz), rad/s, rad/s/sqrt(s)
+    rate_random_walk: FloatArray  # (3,), gyroscopes: rad/s/sqrt(Hz), rad/s, rad/s/sqrt(s)
+    velocity_random_walk: FloatArray  # (3,), accelerometers: m/s2/sqrt(Hz), m/s2, m/s2/sqrt(s)
+    accel_bias_instability: FloatArray  # (3,), accelerometers: m/s2/sqrt(Hz), m/s2, m/s2/sqrt(s)
+    accel_random_walk: FloatArray  # (3,), accelerometers: m/s2/sqrt(Hz), m/s2, m/s2/sqrt(s)
+
+    def __post_init__(self) -> None:
+        _freeze(self, angle_random_walk=(3,), bias_instability=(3,), rate_random_walk=(3,))
+        _freeze(self, velocity_random_walk=(3,), accel_bias_instability=(3,), accel_random_walk=(3,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Provenance:
+    """Where a calibration came from.
+
+    Parameters
+    ----------
+    inputs : tuple of (str, str)
+        File name and sha256 of each input.
+    settings : tuple of (str, str)
+        Name and value of each choice that was made.
+    versions : tuple of (str, str)
+        Package and version.
+    created : str
+        ISO 8601 time, UTC.
+    """
+
+    inputs: tuple[tuple[str, str], ...] = ()
+    settings: tuple[tuple[str, str], ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    created: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibration:
+    """Everything that is needed to turn one device's readings into rad/s and m/s2.
+
+    Parameters
+    ----------
+    device : str
+        Serial number.
+    reference_temp_c : float
+        Temperature at which the constant offsets hold, degC; NaN when no temperature was recorded.
+    gravity_m_s2 : float
+        Local gravity that the accelerometer fit used, m/s2.
+    gyro, accel : TriadModel or None
+        None where the session did not observe it.
+    drift : DriftTables or None
+        None for constant offsets.
+    adc : AdcModel or None
+        None when the codes' rounding is not known.
+    noise : NoiseModel or None
+        None when no noise was measured.
+    verdict : Verdict
+        What it is worth.
+    provenance : Provenance
+        Where it came from.
+    """
+
+    device: str
+    reference_temp_c: float
+    gravity_m_s2: float
+    gyro: TriadModel | None = None
+    accel: TriadModel | None = None
+    drift: DriftTables | None = None
+    adc: AdcModel | None = None
+    noise: NoiseModel | None = None
+    verdict: Verdict = Verdict()
+    provenance: Provenance = Provenance()
+
+
+def _freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
+    for name, shape in shapes.items():
+        array: ArrayLike = getattr(value, name)
+        object.__setattr__(value, name, frozen(array, shape, f"{type(value).__name__}.{name}"))
+
+
+def _freeze_some(value: object, shape: tuple[int, ...], *names: str) -> None:
+    for name in names:
+        if getattr(value, name) is not None:
+            _freeze(value, **{name: shape})
+
+
+def _freeze_marks(value: object, shape: tuple[int, ...], *names: str) -> None:
+    for name in names:
+        marks = getattr(value, name)
+        if marks is not None:
+            held = np.array(marks, dtype=bool)
+            if held.shape != shape:
+                raise InputError(
+                    f"{type(value).__name__}.{name}: wanted shape {shape}, got {held.shape}; one mark for each node"
+                )
+            held.flags.writeable = False
+            object.__setattr__(value, name, held)
+
+
+def _check_nodes(nodes: FloatArray, name: str) -> None:
+    if len(nodes) < 2 or not (np.diff(nodes) > 0.0).all():
+        raise InputError(f"{name}: wanted two or more increasing nodes, got {len(nodes)}; sort and merge them")

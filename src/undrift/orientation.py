@@ -1,0 +1,477 @@
+"""Orient a record: initial tilt at a still phase, strapdown from there forward and back.
+
+The tilt holds at the last sample of the still phase. Before it, each step is undone: q_(k-1) = q_k exp(-w_k (t_k - t_(k-1))).
+
+Initial tilt from the averaged accelerometer, and how well it is known.
+
+At rest the specific force f in b points up. The tilt is the shortest rotation that takes f to n's z::
+
+    q_nb ~ (1 + f_z, f_y, -f_x, 0) for f of length one, then a turn about n's z to the wanted heading
+
+Its quaternion has no z part, so heading = 2 atan2(z, w) is zero before that turn. To first order the tilt errs by the part of
+the error of f that is level, over |f|. That error has the scatter of the mean (with the correlation between samples: a mean of
+n samples is worth n / (1 + 2 sum of autocorrelations)) and what the calibration leaves uncertain.
+
+Strapdown: integrate rate into orientation by the exact exponential of each step.
+
+::
+
+    q_nb[k] = q_nb[k-1] (x) exp(w_b[k] (t[k] - t[k-1]))
+
+The rate of sample k holds on (k-1, k]. With bounded rates the error of this rule against the true motion is one half-sample
+lag, which the lag search of validation takes up.
+
+Angles of an orientation q_nb = (w, x, y, z): inclination, heading, sagittal pitch, and Cardan angles for segments.
+
+::
+
+    inclination = 2 acos sqrt(w^2 + z^2)         angle of the body's z from the vertical
+    heading     = 2 atan(z / w)                  turn about the vertical
+    pitch       = atan2(-u . forward, u . up)    u the vertical seen in b: forward lean is positive
+
+The pitch has no singularity until the vertical leaves the sagittal plane, where it is a gap (NaN).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.errors import InputError
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.model import AXES, TriadModel
+from undrift.record import FACES, Face, Record, Still
+from undrift.units import STANDARD_GRAVITY, si_factor
+
+# ---- Initial tilt from the averaged accelerometer, and how well it is known.
+
+GRAVITY_WITHIN = 0.2  # of standard gravity: beyond it the readings are no specific force at rest in m/s2
+FEWEST = 10  # samples: below it their scatter says nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tilt:
+    """Orientation at rest."""
+
+    q_nb: FloatArray  # (4,), b to n, w-x-y-z
+    specific_force: FloatArray  # (3,), mean over the still phase, m/s2, frame b
+    covariance: FloatArray  # (3, 3), of that mean, (m/s2)^2: its scatter and the calibration's uncertainty
+    inclination_uncertainty: float  # Standard uncertainty of the direction of gravity, both level axes together, rad
+    scatter_uncertainty: float  # The share of it that comes from the scatter of the samples, rad
+
+    def __post_init__(self) -> None:
+        for name, shape in (("q_nb", (4,)), ("specific_force", (3,)), ("covariance", (3, 3))):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Tilt.{name}"))
+
+
+def initial_tilt(record: Record, still: Still, *, heading: float = 0.0, accel_model: TriadModel | None = None) -> Tilt:
+    """Find the orientation of a device at rest."""
+    force = _readings_at_rest(record, still)
+    mean = force.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    if abs(length / STANDARD_GRAVITY - 1.0) > GRAVITY_WITHIN:
+        raise InputError(
+            f"tilt: wanted a mean specific force within {GRAVITY_WITHIN:.0%} of gravity, got {length:.3g} m/s2; "
+            "check the unit of the accelerometer and that the device stood still",
+            length=length,
+        )
+    scatter = np.diag([mean_variance(axis) for axis in force.T])
+    covariance = scatter if accel_model is None else scatter + _model_covariance(accel_model, mean)
+    half = 0.5 * heading
+    turn = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+    return Tilt(
+        q_nb=quaternion_product(turn, shortest_rotation_up(mean)),
+        specific_force=mean,
+        covariance=covariance,
+        inclination_uncertainty=_direction_uncertainty(mean, covariance),
+        scatter_uncertainty=_direction_uncertainty(mean, scatter),
+    )
+
+
+def shortest_rotation_up(force: FloatArray) -> FloatArray:
+    """Return the shortest rotation that takes a vector to n's z.
+
+    Arrays: force (3,) -> (4,).
+    """
+    x, y, z = force / np.linalg.norm(force)
+    level = math.hypot(x, y)
+    if z > -0.5:
+        q = np.array([1.0 + z, y, -x, 0.0])
+    elif (
+        level > 0.0
+    ):  # near half a turn 1 + z cancels: multiply by (1 - z) / level, which leaves the direction as it is
+        q = np.array([level, y / level * (1.0 - z), -x / level * (1.0 - z), 0.0])
+    else:
+        q = np.array([0.0, 1.0, 0.0, 0.0])
+    unit: FloatArray = q / np.linalg.norm(q)
+    return unit
+
+
+def mean_variance(x: FloatArray) -> float:
+    """Estimate the variance of the mean of correlated samples.
+
+    The autocovariances c_k are summed up to the first negative pair c_(2k) + c_(2k+1), which for a reversible process is
+    noise [1]_: var = (c_0 + 2 sum c_k) / n.
+
+    References
+    ----------
+    .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7 (1992), section 3.3.
+
+    Arrays: x (N,).
+    """
+    n = len(x)
+    spectrum = np.fft.rfft(x - x.mean(), 2 * n)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n] / n
+    pairs = covariance[: n - n % 2].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0.0)
+    kept = pairs[: negative[0]] if negative.size else pairs
+    total = 2.0 * float(kept.sum()) - float(covariance[0])
+    return max(total, float(covariance[0])) / (n - 1)
+
+
+def _readings_at_rest(record: Record, still: Still) -> FloatArray:
+    if record.accel is None:
+        raise InputError("tilt: wanted accelerometer readings, got none; map the columns that hold them")
+    force = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
+    if len(force) < FEWEST:
+        raise InputError(f"tilt: wanted {FEWEST} samples at rest or more, got {len(force)}; give a longer still phase")
+    if np.isnan(force).any():
+        raise InputError("tilt: wanted readings without gaps, got NaN in the still phase; choose another one")
+    return force
+
+
+def _direction_uncertainty(mean: FloatArray, covariance: FloatArray) -> float:
+    up = mean / np.linalg.norm(mean)
+    level = np.eye(3) - np.outer(up, up)
+    return float(np.sqrt(np.trace(level @ covariance @ level)) / np.linalg.norm(mean))
+
+
+def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
+    """Covariance of the corrected mean that comes from the model: f = M (s - o), df = dM (s - o) - M do."""
+    matrix = model.matrix * si_factor(model.unit_out, "accel")
+    centred = np.linalg.solve(matrix, force)
+    factor = si_factor(model.unit_out, "accel")
+    jacobian = np.zeros((3, len(model.parameters)))
+    for column, name in enumerate(model.parameters):
+        kind, _, axes = name.partition("_")
+        if kind == "m":
+            jacobian[AXES.index(axes[0]), column] = factor * centred[AXES.index(axes[1])]
+        elif kind == "offset":
+            jacobian[:, column] = -matrix[:, AXES.index(axes)]
+    covariance: FloatArray = jacobian @ model.covariance @ jacobian.T
+    return covariance
+
+
+# ---- Strapdown: integrate rate into orientation by the exact exponential of each step.
+
+
+def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
+    """Refuse a rate with gaps: no orientation can be carried over one.
+
+    Arrays: gyro_b (N, 3) rad/s, time (N,) s.
+    """
+    gap: BoolArray = ~np.isfinite(gyro_b).all(axis=1).reshape(-1)
+    if not gap.any():
+        return
+    first = int(gap.argmax())
+    after = np.flatnonzero(~gap[first:])
+    last = first + int(after[0]) - 1 if len(after) else len(gap) - 1
+    raise InputError(
+        f"{what}: wanted a rate at every sample, got a gap (NaN) at {int(gap.sum())} of {len(gap)}, the first stretch from "
+        f"{time[first]:.6g} to {time[last]:.6g} s; after a gap the orientation is unknown: correct without gaps (policy hold, "
+        "temperatures filled in), or take each stretch between gaps with a rest of its own",
+        gaps=int(gap.sum()),
+        first_s=float(time[first]),
+        last_s=float(time[last]),
+    )
+
+
+def integrate_strapdown(
+    gyro_b: FloatArray, time: FloatArray, q_nb: FloatArray, *, out: FloatArray | None = None
+) -> FloatArray:
+    """Integrate angular rate from an initial orientation.
+
+    Parameters
+    ----------
+    gyro_b : array, shape (N, 3)
+        Corrected rate, rad/s, frame b, no gaps.
+    time : array, shape (N,)
+        s, strictly increasing.
+    q_nb : array, shape (4,)
+        Orientation at the first sample, w-x-y-z.
+    out : array, shape (N, 4), optional
+        Where to write, float64 in C order; saves a fresh array.
+
+    Returns
+    -------
+    array, shape (N, 4)
+        q_nb at every sample, unit length.
+
+    Raises
+    ------
+    InputError
+        Shapes that disagree, or gaps in the rate.
+
+    References
+    ----------
+    .. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", 1971: constant-axis case.
+    """
+    from undrift.kernels.rotation import strapdown
+
+    if gyro_b.shape != (len(time), 3) or np.shape(q_nb) != (4,):
+        raise InputError(
+            f"strapdown: wanted gyro (N, 3), time (N,), q (4,), got {gyro_b.shape}, {time.shape}, {np.shape(q_nb)}"
+        )
+    q = np.empty((len(time), 4)) if out is None else out
+    if q.shape != (len(time), 4) or q.dtype != np.float64 or not q.flags.c_contiguous:
+        raise InputError(
+            f"strapdown: wanted a float64 buffer of shape ({len(time)}, 4) in C order, got {q.dtype} {q.shape}; make it "
+            "with numpy.empty"
+        )
+    gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
+    strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))
+    if not np.isfinite(q[-1]).all():  # a gap never leaves the product, so the last sample tells of all
+        raise InputError(
+            "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
+        )
+    return q
+
+
+# ---- Angles of an orientation q_nb = (w, x, y, z): inclination, heading, sagittal pitch, and Cardan angles for segments.
+
+IN_PLANE = np.sin(np.radians(5.0))  # shortest part of the vertical in the sagittal plane that still has a direction
+SEQUENCE = "ZXY"
+
+
+class CardanAngles(NamedTuple):
+    """Angles about moving axes and the order in which they were taken."""
+
+    angles: FloatArray  # (N, 3), rad, in the order of the sequence
+    sequence: str  # Moving axes, first to last
+
+
+def inclination_of(q_nb: FloatArray) -> FloatArray:
+    """Return the angle between the body's z and the vertical.
+
+    Arrays: q_nb (N, 4) -> (N,) rad.
+    """
+    w, x, y, z = np.moveaxis(q_nb, -1, 0)
+    angle: FloatArray = 2.0 * np.arctan2(
+        np.hypot(x, y), np.hypot(w, z)
+    )  # the arc cosine loses half its digits near zero
+    return angle
+
+
+def heading_of(q_nb: FloatArray) -> FloatArray:
+    """Return the turn about the vertical.
+
+    Arrays: q_nb (N, 4) -> (N,) rad.
+    """
+    w, _, _, z = np.moveaxis(q_nb, -1, 0)
+    flip = np.where(w < 0.0, -1.0, 1.0)  # q and -q are one orientation
+    angle: FloatArray = 2.0 * np.arctan2(flip * z, flip * w)
+    return angle
+
+
+def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -> FloatArray:
+    """Return the direction of gravity in the segment's sagittal plane.
+
+    Arrays: q_nb (N, 4) -> (N,) rad.
+    """
+    if forward not in FACES or up not in FACES or forward[1] == up[1]:
+        raise InputError(
+            f"pitch: wanted two different axes of {', '.join(FACES)}, got forward {forward} and up {up}; "
+            "name the axes that point forward and up"
+        )
+    vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
+    along, upward = _component(vertical, forward), _component(vertical, up)
+    pitch: FloatArray = np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
+    return pitch
+
+
+def cardan_angles(q: FloatArray) -> CardanAngles:
+    """Return Cardan angles of a segment, or of one against another, in the sequence for joints [1]_.
+
+    R = R_z(a) R_x(b) R_y(c), moving axes: flexion about z, ab- or adduction about x, axial rotation about y.
+
+    References
+    ----------
+    .. [1] G. Wu and P. R. Cavanagh, "ISB recommendations for standardization in the reporting of kinematic data",
+       J. Biomechanics 28 (1995) 1257.
+
+    Arrays: q (N, 4).
+    """
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    a = np.arctan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z))
+    b = np.arcsin(np.clip(2.0 * (y * z + w * x), -1.0, 1.0))
+    c = np.arctan2(2.0 * (w * y - x * z), 1.0 - 2.0 * (x * x + y * y))
+    return CardanAngles(np.stack((a, b, c), axis=-1), SEQUENCE)
+
+
+def _component(vector: FloatArray, face: Face) -> FloatArray:
+    part: FloatArray = vector[..., "xyz".index(face[1])] * (1.0 if face[0] == "+" else -1.0)
+    return part
+
+
+# ---- orientation
+
+LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrientSettings:
+    """How a record is oriented.
+
+    Parameters
+    ----------
+    offset : str
+        "none", or "rest": the mean rate of the still phase is taken off, which also takes off a true slow turn.
+    heading : float
+        Heading at the still phase, rad.
+    forward, up : str
+        Device axes that point forward and up on the upright segment; they define the pitch.
+    """
+
+    offset: Literal["none", "rest"] = "none"
+    heading: float = 0.0
+    forward: Face = "+x"
+    up: Face = "+z"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Orientation:
+    """Orientation of the device case over time.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        s, the record's clock.
+    q_nb : array, shape (N, 4)
+        b to n, w-x-y-z.
+    inclination : array, shape (N,)
+        Angle of the body's z from the vertical, rad.
+    heading : array, shape (N,)
+        Turn about the vertical, rad.
+    pitch : array, shape (N,)
+        Gravity in the sagittal plane, forward lean positive, rad.
+    tilt : Tilt
+        Orientation at the still phase, with its uncertainty.
+    still : Still
+        That phase.
+    offset : array, shape (3,)
+        Rate that was taken off, rad/s.
+    """
+
+    time: FloatArray
+    q_nb: FloatArray
+    inclination: FloatArray
+    heading: FloatArray
+    pitch: FloatArray
+    tilt: Tilt
+    still: Still
+    offset: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.time)
+        shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
+            ("time", (n,)),
+            ("q_nb", (n, 4)),
+            ("inclination", (n,)),
+            ("heading", (n,)),
+            ("pitch", (n,)),
+            ("offset", (3,)),
+        )
+        for name, shape in shapes:
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Orientation.{name}"))
+
+
+def orient(
+    record: Record,
+    still: Still | None = None,
+    settings: OrientSettings = OrientSettings(),
+    *,
+    accel_model: TriadModel | None = None,
+) -> Orientation:
+    """Find the orientation of the device at every sample.
+
+    Parameters
+    ----------
+    record : Record
+        Rate and specific force in physical units, best corrected.
+    still : Still, optional
+        Where the device stood still; the first still phase that is found when absent.
+    settings : OrientSettings
+        Offset, heading and axes.
+    accel_model : TriadModel, optional
+        The accelerometer's model, whose covariance then counts in the uncertainty of the tilt.
+
+    Returns
+    -------
+    Orientation
+        Quaternions, angles, and the tilt that they rest on.
+
+    Raises
+    ------
+    InputError
+        No gyroscope, no still phase, gaps, holes in time, a dead axis, or readings in counts.
+    """
+    record = record.in_si()
+    if record.gyro is None:
+        raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
+    _check_whole(record.time, record.gyro)
+    still = _first_still(record) if still is None else still
+    tilt = initial_tilt(record, still, heading=settings.heading, accel_model=accel_model)
+    offset = record.gyro[still.start : still.stop].mean(axis=0) if settings.offset == "rest" else np.zeros(3)
+    q = _both_ways(record.gyro - offset, record.time, tilt.q_nb, still.stop - 1)
+    return Orientation(
+        time=record.time,
+        q_nb=q,
+        inclination=inclination_of(q),
+        heading=heading_of(q),
+        pitch=sagittal_pitch(q, forward=settings.forward, up=settings.up),
+        tilt=tilt,
+        still=still,
+        offset=offset,
+    )
+
+
+def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
+    """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
+    check_gaps(gyro, time, "orient")
+    steps = np.diff(time)
+    holes = np.flatnonzero(steps > max(LONGEST_HOLE_S, 5.0 * float(np.median(steps))))
+    if len(holes):
+        at = int(holes[0])
+        raise InputError(
+            f"orient: wanted readings without holes over {LONGEST_HOLE_S:g} s, got {len(holes)}, the first of {steps[at]:.3g} s at "
+            f"{time[at]:.6g} s; after a hole the orientation is unknown: orient each stretch with a rest of its own",
+            hole_s=float(steps[at]),
+        )
+    dead = [axis for axis, moves in zip("xyz", np.ptp(gyro, axis=0) > 0.0, strict=True) if not moves]
+    if dead and len(dead) < 3:
+        raise InputError(
+            f"orient: wanted three gyroscopes that turn, got {', '.join(dead)} at one value throughout; check them"
+        )
+
+
+def _first_still(record: Record) -> Still:
+    from undrift.segments import find_still
+
+    found = find_still(record)
+    if not found.stills:
+        reason = found.reason.removeprefix("no still phase: ")
+        raise InputError(
+            f"orient: wanted a still phase, got none: {reason}; name a stretch at rest (--still-start-s, --still-stop-s), or "
+            "record with a pause"
+        )
+    return found.stills[0]
+
+
+def _both_ways(gyro: FloatArray, time: FloatArray, q_nb: FloatArray, anchor: int) -> FloatArray:
+    q = np.empty((len(time), 4))
+    q[anchor:] = integrate_strapdown(gyro[anchor:], time[anchor:], q_nb)
+    undone = np.vstack((np.zeros(3), -gyro[anchor:0:-1]))  # the step that led to sample k, backwards, leads to k - 1
+    q[: anchor + 1] = integrate_strapdown(undone, -time[anchor::-1], q_nb)[::-1]
+    return q

@@ -1,1 +1,0 @@
-"""Galil motion controllers, by their two-letter ASCII language."""

@@ -1,1 +1,0 @@
-"""GRBL boards: a stepper axis by jogs and status reports."""

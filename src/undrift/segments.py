@@ -1,0 +1,468 @@
+"""Segments: where in a record the device stood still, turned at a steady rate, or was moved from one pose to the next.
+
+``find_still`` -> Still, ``find_turns`` -> Turn, ``label_faces`` names the axis that points up. Ranges are [start, stop).
+
+Still phases: when did the device not move?
+
+Stillness of a triad at sample k is the sliding standard deviation of its smoothed reading y, three axes together::
+
+    y_k = mean of u over smooth_s            d_k^2 = sum over axes of var(y over the window centred at k)
+
+The smoothing lets white noise average out and leaves what a hand or a body does. The threshold comes from the data: at rest
+log d piles up in one narrow heap at the noise floor, motion lies decades above, and the threshold is the emptiest place
+between the two. Where there is no such gap there is no still phase, and none is invented. Sums run along the record once:
+O(N), whatever the window.
+
+Turns: plateaus of constant rate, and the rotations between one still phase and the next.
+
+A plateau is a stretch where the smoothed rate r, less the offset at rest, is far from zero and steady::
+
+    |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)        d as in ``segments.py``
+
+where no window is four times as unsteady as the quiet quarter of the stretch: a ramp is trimmed off, a step cuts it in two.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.errors import InputError
+from undrift.record import FACES, Axis, Face, Record, Still, Turn
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+
+# ---- Still phases: when did the device not move?
+
+# A device at rest wanders less than this within a window, in physical units: rms of three axes after smoothing. Benches
+# and hands that rest on something give 0.02-0.6 deg/s and 0.01-0.06 m/s2; a person who stands or sits gives more.
+BENCH_RATE_LIMIT = 0.7 * RADIAN_PER_DEGREE  # rad/s
+BENCH_ACCEL_LIMIT = 0.1  # m/s2
+LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s; no gyroscope of this class is off by more at rest
+
+FLOOR_QUANTILE = 0.005  # of d: the level of the quietest windows
+_HEAP = 4.0  # a noise heap spans at most this factor above its floor
+_DECADES = (0.4, 2.2)  # where to look for the gap, decades above the floor
+_BIN = 0.05  # decades
+_GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of the heaps beside it
+_WHITE = 8.0  # in counts no limit is known: one heap this far above what white noise makes of it is motion, not rest
+_TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillSettings:
+    """How still phases are looked for.
+
+    Parameters
+    ----------
+    window_s : float
+        Length of the sliding window, s. Longer is more certain and loses short pauses.
+    smooth_s : float
+        Averaging before the spread is taken, s. Longer forgives noise and vibration.
+    min_duration_s : float
+        Shortest still phase kept, s; the stretch around it is one window longer.
+    gyro_threshold, accel_threshold : float or None
+        Threshold on d in the record's unit; None to find it in the data.
+    """
+
+    window_s: float = 1.0
+    smooth_s: float = 0.1
+    min_duration_s: float = 1.0
+    gyro_threshold: float | None = None
+    accel_threshold: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillThreshold:
+    """The threshold of one triad and where it came from."""
+
+    channel: Literal["gyro", "accel"]  # gyro or accel
+    value: float  # Largest spread d of a still window, in ``unit``; NaN where none could be found
+    unit: str  # Unit of the record's channel
+    noise_floor: float  # Spread of the quietest windows, in ``unit``
+    # gap (between two heaps), all still, given, limit (what a bench allows), or none
+    basis: Literal["gap", "all still", "given", "limit", "none"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillSearch:
+    """Still phases and how they were told from motion."""
+
+    stills: tuple[Still, ...]  # In order of time, without faces
+    thresholds: tuple[StillThreshold, ...]  # One for each triad of the record
+    window_s: float  # Window used, s
+    reason: str = ""  # Why there is none; "" when there is one or more
+
+
+def find_still(record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0) -> StillSearch:
+    """Find the stretches in which the device did not move.
+
+    A sample is still when the window centred at it is quiet in every triad and the mean rate reading is that of the
+    quietest windows (a steady turn is not a still phase). Half a window is lost at each end of a phase, on purpose.
+
+    Parameters
+    ----------
+    record : Record
+        Any units, either triad may be missing.
+    settings : StillSettings
+        Window and thresholds.
+    recording : int
+        Number of the record in its session, written into each Still.
+
+    Returns
+    -------
+    StillSearch
+        Phases, thresholds with unit and basis, and a reason where there is none.
+
+    Raises
+    ------
+    InputError
+        The record is shorter than one window.
+    """
+    fs = record.sample_rate_hz
+    window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
+    if len(record) < window + smooth:
+        raise InputError(
+            f"find_still: wanted a record longer than one window of {settings.window_s:g} s, got {record.duration_s:.2f} s; "
+            "record for longer, or find still phases with a shorter window_s"
+        )
+    quiet = np.ones(len(record) - window - smooth + 2, bool)
+    thresholds: list[StillThreshold] = []
+    for channel, given in (("gyro", settings.gyro_threshold), ("accel", settings.accel_threshold)):
+        values = record.gyro if channel == "gyro" else record.accel
+        if values is None:
+            continue
+        mean, spread = sliding_moments(values, window, smooth)
+        unit = record.gyro_unit if channel == "gyro" else record.accel_unit
+        found = _threshold(spread, channel == "gyro", unit, given)
+        if (
+            found.basis == "all still"
+            and not is_physical(unit)
+            and float(np.median(spread)) > _WHITE * _white(values, smooth)
+        ):
+            found = replace(found, value=np.nan, basis="none")
+        thresholds.append(found)
+        if found.basis == "none":
+            continue
+        quiet &= spread <= found.value
+        if channel == "gyro":
+            quiet &= ~_turning(mean, spread, found)
+    if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
+        quiet[:] = False
+    edge = (window + smooth - 1) // 2
+    stills = _phases(quiet, len(record), edge, sample_count(settings.min_duration_s, fs), recording)
+    return StillSearch(
+        stills=stills,
+        thresholds=tuple(thresholds),
+        window_s=settings.window_s,
+        reason="" if stills else _why_none(thresholds, settings),
+    )
+
+
+def _white(values: FloatArray, smooth: int) -> float:
+    """Return the spread that white noise alone would have after smoothing, judged by the steps from sample to sample."""
+    return float(np.sqrt(np.nanvar(np.diff(values, axis=0), axis=0).sum() / 2.0 / smooth))
+
+
+def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[FloatArray, FloatArray]:
+    """Return the mean and the spread of every window of a smoothed triad.
+
+    Arrays: values (N, 3) -> (M, 3), (M,).
+    """
+    gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
+    centre = values[~gap].mean(axis=0) if (~gap).any() else np.zeros(3)
+    smoothed = _running_mean(np.where(gap[:, None], 0.0, values - centre), smooth)
+    mean = _running_mean(smoothed, window)
+    variance = (_running_mean(smoothed * smoothed, window) - mean * mean).sum(axis=1)
+    spread = np.sqrt(np.maximum(variance, 0.0))
+    if gap.any():
+        spread[_running_mean(gap.astype(float)[:, None], window + smooth - 1)[:, 0] > 0.0] = np.inf
+    return mean + centre, spread
+
+
+def sample_count(seconds: float, sample_rate_hz: float) -> int:
+    """Return a length of time in samples, two at least."""
+    return max(2, round(seconds * sample_rate_hz))
+
+
+def _running_mean(values: FloatArray, width: int) -> FloatArray:
+    total = np.empty((len(values) + 1, values.shape[1]))
+    total[0] = 0.0
+    np.cumsum(values, axis=0, out=total[1:])
+    mean: FloatArray = (total[width:] - total[:-width]) / width
+    return mean
+
+
+def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None) -> StillThreshold:
+    finite = spread[np.isfinite(spread)]
+    floor = float(np.quantile(finite, FLOOR_QUANTILE)) if len(finite) else np.inf
+    channel: Literal["gyro", "accel"] = "gyro" if is_gyro else "accel"
+    if given is not None:
+        return StillThreshold(channel=channel, value=given, unit=unit, noise_floor=floor, basis="given")
+    found = StillThreshold(channel=channel, value=np.nan, unit=unit, noise_floor=floor, basis="none")
+    if not len(finite):
+        return found
+    value = _gap_above(finite, floor)
+    if value is not None:
+        found = replace(found, value=value, basis="gap")
+    elif np.quantile(finite, 0.99) <= _HEAP * max(floor, np.finfo(float).tiny):
+        found = replace(found, value=max(float(finite.max()), _HEAP * floor), basis="all still")
+    limit = _bench_limit(is_gyro, unit)
+    if limit is not None and found.value > limit:
+        found = replace(found, value=limit, basis="limit")
+    return found
+
+
+def _gap_above(spread: FloatArray, floor: float) -> float | None:
+    # Density of log10(d / floor), smoothed; the threshold is its emptiest place with a heap on either side.
+    positive = spread[spread > 0.0]
+    if floor <= 0.0 or not len(positive):
+        return None
+    decades = np.log10(positive / floor)
+    edges = np.arange(-1.0, 6.0, _BIN)
+    density = np.histogram(decades, edges)[0].astype(float)
+    kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
+    density = np.convolve(density, kernel / kernel.sum(), mode="same")
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    inside = np.flatnonzero((centre >= _DECADES[0]) & (centre <= _DECADES[1]))
+    below = np.maximum.accumulate(density)[inside]
+    above = np.maximum.accumulate(density[::-1])[::-1][inside]
+    depth = density[inside] / np.minimum(below, above).clip(np.finfo(float).tiny)
+    depth[(above <= 0.0) | (below <= 0.0)] = np.inf
+    least = int(np.argmin(depth))
+    if depth[least] > _GAP_DEPTH:
+        return None
+    emptiest = inside[np.flatnonzero(depth <= depth[least] + 1e-12)]
+    return floor * float(10.0 ** centre[emptiest].mean())
+
+
+def _bench_limit(is_gyro: bool, unit: str) -> float | None:
+    if not is_physical(unit):
+        return None
+    return BENCH_RATE_LIMIT / si_factor(unit, "rate") if is_gyro else BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
+
+
+def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> BoolArray:
+    quiet = spread <= min(found.value, 2.0 * found.noise_floor)
+    if is_physical(found.unit):
+        small = np.abs(mean).max(axis=1) <= LARGEST_OFFSET / si_factor(found.unit, "rate")
+        if not (quiet & small).any():
+            return np.ones(len(mean), bool)
+        quiet &= small
+    if not quiet.any():
+        return np.zeros(len(mean), bool)
+    offset = np.median(mean[quiet], axis=0)
+    # A steady turn is off the offset throughout; the slow drift of a warm-up meets the offset somewhere in its stretch.
+    far = np.abs(mean - offset).max(axis=1) > max(_TURNING * found.noise_floor, found.value)
+    turning = np.zeros(len(mean), bool)
+    for first, last in runs(spread <= found.value):
+        turning[first:last] = far[first:last].all()
+    return turning
+
+
+def _phases(quiet: BoolArray, count: int, edge: int, shortest: int, recording: int) -> tuple[Still, ...]:
+    stills: list[Still] = []
+    for first, last in runs(quiet):
+        start = 0 if first == 0 else int(first) + edge
+        stop = count if last == len(quiet) else int(last) + edge
+        if stop - start >= shortest:
+            stills.append(Still(start=start, stop=stop, recording=recording))
+    return tuple(stills)
+
+
+def runs(flag: BoolArray) -> IntArray:
+    """Return the stretches where a flag is up.
+
+    Arrays: flag (N,) -> (R, 2).
+    """
+    change = np.flatnonzero(np.diff(np.concatenate(([False], flag, [False])).astype(np.int8)))
+    return change.reshape(-1, 2)
+
+
+def _why_none(thresholds: list[StillThreshold], settings: StillSettings) -> str:
+    told = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
+    if any(t.basis == "limit" and t.value < t.noise_floor for t in thresholds):
+        why = "a device at rest wanders less than " + " and ".join(
+            f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor
+        )
+    elif all(t.basis == "none" for t in thresholds):
+        why = "no gap sets quiet windows apart from motion"
+    else:
+        why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s"
+    return f"no still phase: the quietest {settings.window_s:g} s windows wander by {told} rms, and {why}"
+
+
+# ---- Faces: which sensor axis points up in a still phase, told by gravity.
+
+
+def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
+    """Return the mean reading of each still phase, gaps left out.
+
+    Arrays: values (N, 3) -> (P, 3).
+    """
+    for still in stills:
+        if np.isnan(values[still.start : still.stop]).all(axis=0).any():
+            raise InputError(
+                f"still [{still.start}, {still.stop}): wanted readings, got nothing but gaps; choose another stretch"
+            )
+    return np.array([np.nanmean(values[s.start : s.stop], axis=0) for s in stills]).reshape(-1, 3)
+
+
+def label_faces(record: Record, stills: Sequence[Still], *, margin_deg: float = 15.0) -> tuple[Still, ...]:
+    """Name the sensor axis that points up in each still phase."""
+    if record.accel is None:
+        raise InputError("label_faces: wanted an accelerometer, got a record without; map the accel columns")
+    if not stills:
+        return ()
+    faces = faces_of(still_means(record.accel, stills), centred=is_physical(record.accel_unit), margin_deg=margin_deg)
+    return tuple(replace(still, face=face) for still, face in zip(stills, faces, strict=True))
+
+
+def faces_of(means: FloatArray, *, centred: bool, margin_deg: float = 15.0) -> tuple[Face | None, ...]:
+    """Name the axis that points up for each mean reading.
+
+    Arrays: means (P, 3).
+    """
+    up = means if centred else means - _sphere_centre(means)
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    faces: list[Face | None] = []
+    for direction in up:
+        axis = int(np.argmax(np.abs(direction)))
+        near = abs(direction[axis]) >= np.cos(margin_deg * RADIAN_PER_DEGREE)
+        faces.append(FACES[2 * axis + (0 if direction[axis] > 0.0 else 1)] if near else None)
+    return tuple(faces)
+
+
+def _sphere_centre(points: FloatArray) -> FloatArray:
+    # |p|^2 = 2 c.p + (r^2 - |c|^2): linear in c.
+    if len(points) < 5:
+        raise InputError(
+            f"label_faces: wanted five poses or more to find the zero of readings in counts, got {len(points)}; "
+            "label the faces in session.toml"
+        )
+    shift = points.mean(axis=0)
+    p = points - shift
+    design = np.column_stack((2.0 * p, np.ones(len(p))))
+    solution = np.linalg.lstsq(design, (p * p).sum(axis=1), rcond=None)[0]
+    centre: FloatArray = solution[:3] + shift
+    return centre
+
+
+# ---- Turns: plateaus of constant rate, and the rotations between one still phase and the next.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurnSettings:
+    """How steady turns and rotations are looked for."""
+
+    window_s: float = 1.0  # Length over which a rate must be steady, s
+    smooth_s: float = 0.1  # Averaging before the spread is taken, s
+    min_duration_s: float = 1.0  # Shortest plateau kept, s
+    steadiness: float = 0.05  # Largest spread of a plateau as a share of its rate
+    least_floors: float = 10.0  # A plateau or rotation must exceed this many noise floors
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TurnSearch:
+    """Steady turns and rotations found in a record; what they truly were, only the rig or the protocol knows."""
+
+    # Stretches of constant rate; ``axis`` is the sensor axis that reads most, ``turn_rate`` is left open
+    plateaus: tuple[Turn, ...]
+    plateau_rate: FloatArray  # (P, 3), mean reading of each less the offset at rest, gyro unit
+    rotations: tuple[Turn, ...]  # Motions between one still phase and the next; ``angle`` is left open
+    rotation_angle: FloatArray  # (R, 3), integral of each reading less the offset at rest, gyro unit times s
+
+
+def find_turns(record: Record, stills: Sequence[Still], settings: TurnSettings = TurnSettings()) -> TurnSearch:
+    """Find plateaus of constant rate, and the rotations between still phases.
+
+    Parameters
+    ----------
+    record : Record
+        With gyroscope, any unit.
+    stills : sequence of Still
+        Still phases of this record, in order of time; they give the offset and bound the rotations.
+    settings : TurnSettings
+        Window and limits.
+
+    Returns
+    -------
+    TurnSearch
+        Plateaus and rotations with what the gyroscope read.
+
+    Raises
+    ------
+    InputError
+        The record has no gyroscope.
+    """
+    if record.gyro is None:
+        raise InputError("find_turns: wanted a gyroscope, got a record without; map the gyro columns")
+    fs = record.sample_rate_hz
+    window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
+    mean, spread = sliding_moments(record.gyro, window, smooth)
+    offset, floor = _rest(record.gyro, stills, mean, spread)
+    plateaus, rates = _plateaus(record.gyro, mean - offset, spread, (offset, floor), stills, settings, fs)
+    rotations, angles = _rotations(record, stills, offset, settings.least_floors * floor)
+    return TurnSearch(plateaus=plateaus, plateau_rate=rates, rotations=rotations, rotation_angle=angles)
+
+
+def _rest(gyro: FloatArray, stills: Sequence[Still], mean: FloatArray, spread: FloatArray) -> tuple[FloatArray, float]:
+    floor = float(np.quantile(spread[np.isfinite(spread)], FLOOR_QUANTILE))
+    if stills:
+        rest = np.concatenate([gyro[s.start : s.stop] for s in stills])
+        return np.nanmean(rest, axis=0), floor
+    return np.median(mean[np.isfinite(spread)], axis=0), floor
+
+
+def _plateaus(
+    gyro: FloatArray,
+    rate: FloatArray,
+    spread: FloatArray,
+    rest: tuple[FloatArray, float],
+    stills: Sequence[Still],
+    settings: TurnSettings,
+    fs: float,
+) -> tuple[tuple[Turn, ...], FloatArray]:
+    offset, floor = rest
+    edge = (len(gyro) - len(rate)) // 2
+    size = np.linalg.norm(rate, axis=1)
+    steady = (size > settings.least_floors * floor) & (spread <= np.maximum(settings.steadiness * size, 4.0 * floor))
+    for still in stills:
+        steady[max(0, still.start - edge) : max(0, still.stop - edge)] = False
+    turns: list[Turn] = []
+    rates: list[FloatArray] = []
+    for first, last in runs(steady):
+        # A ramp at an end, or a step between two rates, stands out from the run's own quiet windows.
+        own = spread[first:last]
+        for start, stop in runs(own <= max(4.0 * float(np.quantile(own, 0.25)), 4.0 * floor)):
+            begin = int(first + start) + edge if first + start else 0
+            end = int(first + stop) + edge if first + stop < len(rate) else len(gyro)
+            if end - begin < sample_count(settings.min_duration_s, fs):
+                continue
+            reading = np.nanmean(gyro[begin:end], axis=0) - offset
+            axis: Axis = ("x", "y", "z")[int(np.argmax(np.abs(reading)))]
+            turns.append(Turn(start=begin, stop=end, axis=axis, recording=stills[0].recording if stills else 0))
+            rates.append(reading)
+    return tuple(turns), np.array(rates).reshape(-1, 3)
+
+
+def _rotations(
+    record: Record, stills: Sequence[Still], offset: FloatArray, least: float
+) -> tuple[tuple[Turn, ...], FloatArray]:
+    turns: list[Turn] = []
+    angles: list[FloatArray] = []
+    gyro = record.gyro
+    for before, after in itertools.pairwise(stills):
+        if gyro is None or after.start <= before.stop:
+            continue
+        reading = gyro[before.stop : after.start] - offset
+        if not np.nanmax(np.linalg.norm(reading, axis=1)) > least:
+            continue
+        angle = np.asarray(np.trapezoid(np.nan_to_num(reading), record.time[before.stop : after.start], axis=0))
+        share = np.abs(angle) / max(float(np.linalg.norm(angle)), np.finfo(float).tiny)
+        axis: Axis | None = ("x", "y", "z")[int(np.argmax(share))] if share.max() > 0.9 else None
+        turns.append(Turn(start=before.stop, stop=after.start, axis=axis, recording=before.recording))
+        angles.append(angle)
+    return tuple(turns), np.array(angles).reshape(-1, 3)

@@ -1,0 +1,968 @@
+"""SensorChain: three sensors of one kind, as the effects that lie between motion and reading, left to right.
+
+::
+
+    lever arm -> scale -> non-linearity -> g-sensitivity -> offset -> thermal scale -> rate drift -> warm-up -> hysteresis
+    -> white noise -> bias instability -> random walk -> amplifier -> low-pass -> sampling -> ADC
+
+An effect that is None is switched off. Up to the low-pass, signals are in nominal input units (rad/s, m/s2): what the nominal
+sensitivity would make of the output. The reading at zero noise, linear, at the reference temperature, is
+``u = S (C x + o) + null`` with S the gain of the whole chain and C the scale's matrix.
+
+ADC: ``code = round(v / step + inl(v))``, held to the codes there are.
+
+step = span / 2^bits; signed converters span -reference to reference, unsigned ones 0 to reference. The integral
+non-linearity is a bow of 4 p (1 - p) times its height, p the place in the span.
+
+Thermal hysteresis: the offset differs between warming and cooling: ``y = x + A (z - T) / w``.
+
+z follows T with a play of half-width w: ``z_k = min(max(z_(k-1), T_k - w), T_k + w)``. So the offset is -A while the device
+warms, +A while it cools, and goes straight from one to the other over 2 w after a turn; it does not depend on speed.
+
+Bias instability: noise of spectral density B^2 / (2 pi f), whose Allan deviation is flat at sqrt(2 ln 2 / pi) B [1]_.
+
+Made of first-order Gauss-Markov processes with time constants tau_j a factor r apart and variance B^2 ln(r) / pi each: their
+densities add up to the flicker's between 1 / (2 pi longest) and 1 / (2 pi shortest), with a ripple below 2 % for r = sqrt(10).
+Each process is sampled exactly and starts in its stationary state.
+
+References
+----------
+.. [1] IEEE Std 952-1997, annex C.
+
+Lever arm: an accelerometer away from the body's origin feels the rotation, each sensor at its own place.
+
+``d_i = alpha x r_i + omega x (omega x r_i)``, to be added to the specific force at sensor i [1]_.
+
+References
+----------
+.. [1] any text on rigid-body kinematics: the acceleration of a point fixed in a rotating body.
+
+Low-pass: second order, Sallen-Key, ``H(s) = w^2 / (s^2 + w s / Q + w^2)``; Butterworth for Q = 1 / sqrt(2).
+
+In state space, ``x' = A x + B u`` with x = (y, y' / w), the response to an input that is straight between samples (first-order
+hold) is exact [1]_: with E = expm(h [[A, B, 0], [0, 0, 1 / h], [0, 0, 0]]) in blocks,
+``x_(k+1) = E11 x_k + E12 u_k + E13 (u_(k+1) - u_k)``.
+The group delay at zero frequency is 1 / (Q w), sqrt(2) / w for Butterworth.
+
+Unity gain: w = 1 / sqrt(R1 R2 C1 C2), Q = sqrt(R1 R2 C1 C2) / (C2 (R1 + R2)) [2]_.
+
+References
+----------
+.. [1] C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automatic Control 23(3), 1978.
+.. [2] R. P. Sallen and E. L. Key, "A practical method of designing RC active filters", IRE Trans. Circuit Theory 2(1), 1955.
+
+White noise and random walk: ``y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j``, f the samples per second.
+
+N and K as IEEE Std 952 states them: Allan deviation N / sqrt(tau) and K sqrt(tau / 3). Behind a
+low-pass white noise is drawn on the motion's grid, else on the device's own samples: f is the rate of these.
+
+Non-linearity and asymmetry: ``y = x + q x^2 + c x^3 + (a / 2) |x|``, per channel.
+
+a is 2 (S+ - S-) / (S+ + S-), the asymmetry of the scale factor as IEEE Std 528 names it.
+
+Sampling: when the readings are truly taken, and over which interval.
+
+Sample j is stamped t_j = t_0 + j / f. Channel i is taken at t_0 + (j / f) / (1 + c) + d_i + jitter_j: c is how much too fast
+the device's clock runs, d_i the delay of a converter that takes its channels in turn. An "instant" reading is the signal at
+that time; an "interval" reading is its mean since the sample before, from the running integral of the signal.
+
+Scale, cross-axis and misalignment: ``y = (I + X) diag(1 + s) E x``, E the sensors' unit vectors in b, one a row.
+
+y is in nominal input units: what the nominal sensitivity would make of the output.
+
+Board thermometer, an LM335 for one: 10 mV/K, trimmed once, slow, warmed by its own current.
+
+::
+
+    felt'    = (T + s (1 - exp(-t / lag)) - felt) / lag     lag; s self-heating, t time since power-on
+    reading  = felt + trim error + slope error (felt - 25 degC) + noise
+    code     = round((reading - zero) / step)               zero = -273.15 degC for a sensor that counts kelvins
+
+The lag is solved exactly for a temperature that is straight between samples.
+
+Warm-up: what a young device still lacks of its settled offset: ``y = x - A (1 + k D) exp(-t / tau)`` [1]_.
+
+The form C1 (1 - exp(-t / tau)) + C2 of the source with A = C1 and C1 + C2 counted as the settled offset.
+
+References
+----------
+.. [1] B. Barshan and H. F. Durrant-Whyte, "Inertial navigation systems for mobile robots", IEEE Trans. Robotics and
+   Automation 11(3):328-342, 1995.
+
+Fields of effects: every number knows its unit and shape, so that files can say the unit in the key.
+
+In a unit, ``{x}`` stands for what the sensor measures (rad_s or m_s2) and ``{out}`` for the unit it puts out (v, count,
+dps, g ...). Scalars are spread over the three axes.
+"""
+
+import math
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.errors import InputError
+from undrift.sim.motion.motion import Motion
+
+# ---- Fields of effects: every number knows its unit and shape, so that files can say the unit in the key.
+
+Shape = tuple[int | None, ...]
+
+
+def quantity(unit: str = "", shape: Shape | None = None, default: Any = MISSING, *, least: float | None = None) -> Any:
+    """Return a dataclass field that knows its unit and shape."""
+    return field(default=default, metadata={"unit": unit, "shape": shape, "least": least})
+
+
+def settle(value: Any) -> None:
+    """Check the fields of an effect and make its arrays read-only; to be called at its birth."""
+    for f in fields(value):
+        shape, least, given = f.metadata.get("shape"), f.metadata.get("least"), getattr(value, f.name)
+        name = f"{type(value).__name__}.{f.name}"
+        if shape is not None:
+            spread = given if None in shape or np.ndim(given) else np.full(shape, given)
+            spread = spread if np.size(spread) else np.zeros([n or 0 for n in shape])
+            given = frozen(spread, shape, name)
+            object.__setattr__(value, f.name, given)
+        if least is not None and given is not None and not np.all(np.asarray(given) >= least):
+            raise InputError(f"{name}: wanted {least:g} or more, got {np.min(given):g}; correct the device")
+
+
+# ---- ADC: ``code = round(v / step + inl(v))``, held to the codes there are.
+
+Rounding = Literal["nearest", "floor", "toward_zero"]
+ROUNDINGS = ("nearest", "floor", "toward_zero")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Adc:
+    """Converter of one triad."""
+
+    bits: int = quantity("", least=1)  # Width of a code
+    reference: float = quantity("{out}", least=1e-300)  # Output unit of the stage before it
+    # Codes run from -2^(bits - 1) to 2^(bits - 1) - 1, else from 0 to 2^bits - 1
+    signed: bool = quantity("", None, True)
+    rounding: Rounding = quantity("", None, "nearest")  # nearest, floor or toward_zero
+    inl_lsb: FloatArray = quantity("", (3,), 0.0)  # (3,), height of the bow of the integral non-linearity, steps
+    # The reading is the code (count); else the code times the step, in the unit of the stage before it
+    codes: bool = quantity("", None, True)
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if self.rounding not in ROUNDINGS:
+            raise InputError(f"adc: wanted rounding {', '.join(ROUNDINGS)}, got '{self.rounding}'; name one of them")
+
+    @property
+    def step(self) -> float:
+        """One code step, output unit of the stage before it."""
+        return (2.0 if self.signed else 1.0) * self.reference / 2.0**self.bits
+
+    @property
+    def code_limits(self) -> tuple[float, float]:
+        """Least and greatest code."""
+        half = 2.0 ** (self.bits - 1)
+        return (-half, half - 1.0) if self.signed else (0.0, 2.0 * half - 1.0)
+
+
+def converted(v: FloatArray, effect: Adc) -> tuple[FloatArray, BoolArray]:
+    """Return the readings of a converter.
+
+    Arrays: v (N, 3) -> (N, 3), (N, 3).
+    """
+    steps = v / effect.step
+    low, high = effect.code_limits
+    if effect.inl_lsb.any():
+        place = (steps - low) / (high + 1.0 - low)
+        steps = steps + effect.inl_lsb * 4.0 * place * (1.0 - place)
+    code = rounded(steps, effect.rounding)
+    held: BoolArray = (code < low) | (code > high)
+    code = np.clip(code, low, high)
+    return (code if effect.codes else code * effect.step), held
+
+
+def rounded(steps: FloatArray, rounding: Rounding) -> FloatArray:
+    """Return whole steps."""
+    if rounding == "nearest":
+        return np.rint(steps)
+    whole: FloatArray = np.floor(steps) if rounding == "floor" else np.trunc(steps)
+    return whole
+
+
+# ---- Amplifier: ``v = null + gain S x``, held between its rails. S is the sensor's nominal sensitivity.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Amplifier:
+    """Gain and rails."""
+
+    gain: float = quantity("", None, 1.0)  # Output unit per output unit of the sensor
+    null: float = quantity("{out}", None, 0.0)  # Output at zero signal, output unit
+    low: float = quantity("{out}", None, -math.inf)  # Rails, output unit; infinite for none
+    high: float = quantity("{out}", None, math.inf)  # Rails, output unit; infinite for none
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if not (self.gain > 0.0 and self.low < self.null < self.high):
+            raise InputError(
+                f"amplifier: wanted a gain above 0 and a null between the rails, got gain {self.gain:g} and null {self.null:g} "
+                f"between {self.low:g} and {self.high:g}; correct the device"
+            )
+
+
+def amplified(x: FloatArray, effect: Amplifier, sensitivity: float) -> tuple[FloatArray, BoolArray]:
+    """Return a signal held to what the amplifier can put out.
+
+    Arrays: x (N, 3) -> (N, 3), (N, 3).
+    """
+    total = effect.gain * sensitivity
+    low, high = (effect.low - effect.null) / total, (effect.high - effect.null) / total
+    held: BoolArray = (x < low) | (x > high)
+    return np.clip(x, low, high), held
+
+
+# ---- Scene: what surrounds the sensors while they are read: the motion on an even grid, the temperature, the age.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """What every effect may look at, N samples."""
+
+    time: FloatArray  # (N,), s
+    step_s: float  # Mean step of time, s
+    temp_c: FloatArray  # (N,), temperature of the board, degC
+    warmth: FloatArray  # (N,), the same above the device's reference temperature, K
+    age_s: FloatArray  # (N,), time since power-on, s
+    rate_b: FloatArray  # (N, 3), angular rate at the sample, rad/s
+    angular_acceleration_b: FloatArray | None  # (N, 3), rad/s2
+    force_b: FloatArray  # (N, 3), specific force at the body's origin, m/s2
+
+
+def scene_of(motion: Motion, temp_c: FloatArray, reference_temp_c: float, power_on_s: float) -> Scene:
+    """Return the scene of a motion.
+
+    Arrays: temp_c (N,) degC.
+    """
+    time = motion.time
+    return Scene(
+        time=time,
+        step_s=float((time[-1] - time[0]) / (len(time) - 1)),
+        temp_c=temp_c,
+        warmth=temp_c - reference_temp_c,
+        age_s=time - time[0] + power_on_s,
+        rate_b=motion.rate_b,
+        angular_acceleration_b=motion.angular_acceleration_b,
+        force_b=motion.force_b,
+    )
+
+
+def check_even(scene: Scene, what: str) -> None:
+    """Raise unless the samples are evenly spaced."""
+    steps = np.diff(scene.time)
+    if np.abs(steps - scene.step_s).max() > 1e-3 * scene.step_s:
+        raise InputError(
+            f"{what}: wanted evenly spaced samples of the motion, got steps from {steps.min():.6g} to {steps.max():.6g} s; "
+            "make the motion on an even grid"
+        )
+
+
+# ---- g-sensitivity: specific force feigns a rate: ``y = x + G f``.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GSensitivity:
+    """What a gyroscope makes of specific force."""
+
+    # (3, 3), rate feigned, rad/s per m/s2: row i for sensor i, columns x, y, z of b
+    matrix: FloatArray = quantity("{x}_per_m_s2", (3, 3))
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+def with_g(x: FloatArray, effect: GSensitivity, scene: Scene) -> FloatArray:
+    """Return a signal with what specific force feigns.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    feigned: FloatArray = x + scene.force_b @ effect.matrix.T
+    return feigned
+
+
+# ---- Thermal hysteresis: the offset differs between warming and cooling: ``y = x + A (z - T) / w``.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hysteresis:
+    """Offset between warming and cooling."""
+
+    amplitude: FloatArray = quantity("{x}", (3,))  # (3,), half the width of the loop, rad/s or m/s2
+    play_k: float = quantity("", None, 2.0, least=1e-9)  # Half-width of the play, K
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+def play(temp_c: FloatArray, half_width: float) -> FloatArray:
+    """Return what follows a temperature with play.
+
+    Arrays: temp_c (N,) degC -> (N,) degC.
+    """
+    if np.ptp(temp_c) == 0.0:
+        return temp_c
+    follower, at = np.empty(len(temp_c)), float(temp_c[0])
+    for k, temp in enumerate(temp_c.tolist()):
+        at = min(max(at, temp - half_width), temp + half_width)
+        follower[k] = at
+    return follower
+
+
+def with_hysteresis(x: FloatArray, effect: Hysteresis, scene: Scene) -> FloatArray:
+    """Return a signal with thermal hysteresis.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    behind = (play(scene.temp_c, effect.play_k) - scene.temp_c) / effect.play_k
+    return x + np.outer(behind, effect.amplitude)
+
+
+# ---- Bias instability: noise of spectral density B^2 / (2 pi f), whose Allan deviation is flat at sqrt(2 ln 2 / pi) B [1]_.
+
+RATIO = math.sqrt(10.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BiasInstability:
+    """Flicker of the offset."""
+
+    instability: FloatArray = quantity("{x}", (3,), least=0.0)  # (3,), B, rad/s or m/s2
+    # Time constants of the fastest and the slowest process, s
+    shortest_s: float = quantity("", None, 0.1, least=1e-9)
+    longest_s: float = quantity("", None, 1e4, least=1e-9)  # Time constants of the fastest and the slowest process, s
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    @property
+    def time_constants_s(self) -> FloatArray:
+        """Time constants of the processes, s."""
+        count = round(math.log(self.longest_s / self.shortest_s) / math.log(RATIO)) + 1
+        constants: FloatArray = self.shortest_s * RATIO ** np.arange(count)
+        return constants
+
+
+def with_instability(x: FloatArray, effect: BiasInstability, scene: Scene, rng: np.random.Generator) -> FloatArray:
+    """Return a signal whose offset flickers.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    from scipy.signal import lfilter
+
+    sd = effect.instability * math.sqrt(math.log(RATIO) / math.pi)
+    total = np.array(x)
+    for constant in effect.time_constants_s.tolist():
+        keep = math.exp(-scene.step_s / constant)
+        draws = rng.standard_normal(x.shape)
+        draws[1:] *= math.sqrt(-math.expm1(-2.0 * scene.step_s / constant))
+        total += sd * np.asarray(lfilter([1.0], [1.0, -keep], draws, axis=0))
+    return total
+
+
+# ---- Lever arm: an accelerometer away from the body's origin feels the rotation, each sensor at its own place.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LeverArm:
+    """Where the sensors sit."""
+
+    # (3, 3), position of each sensor from the body's origin, one a row, m, frame b
+    arms: FloatArray = quantity("m", (3, 3))
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+def lever_arm_force(effect: LeverArm, scene: Scene) -> FloatArray:
+    """Return what each sensor feels beside the force at the origin.
+
+    Arrays:  -> (N, 3, 3).
+    """
+    if scene.angular_acceleration_b is None:
+        raise InputError(
+            "lever arm: wanted a motion with angular acceleration, got one without; take it from poses or a task, or "
+            "switch the lever arm off"
+        )
+    rate, arm = scene.rate_b[:, None, :], effect.arms[None, :, :]
+    felt: FloatArray = np.cross(scene.angular_acceleration_b[:, None, :], arm) + np.cross(rate, np.cross(rate, arm))
+    return felt
+
+
+# ---- Low-pass: second order, Sallen-Key, ``H(s) = w^2 / (s^2 + w s / Q + w^2)``; Butterworth for Q = 1 / sqrt(2).
+
+BUTTERWORTH = 1.0 / math.sqrt(2.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LowPass:
+    """Second-order low-pass of each channel."""
+
+    cutoff_hz: FloatArray = quantity("", (3,), least=1e-9)  # (3,), w / (2 pi), Hz
+    quality: FloatArray = quantity("", (3,), BUTTERWORTH, least=1e-9)  # (3,), Q
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    @property
+    def group_delay_s(self) -> FloatArray:
+        """Delay of slow signals, s, shape (3,)."""
+        delay: FloatArray = 1.0 / (self.quality * 2.0 * math.pi * self.cutoff_hz)
+        return delay
+
+
+def sallen_key(cutoff_hz: float, parts: FloatArray) -> LowPass:
+    """Return the low-pass that parts of a tolerance make of a Butterworth design with equal resistors and C1 = 2 C2.
+
+    Arrays: parts (3, 4).
+    """
+    r1, r2, c1, c2 = np.moveaxis(1.0 + np.asarray(parts, dtype=float), -1, 0)
+    root = np.sqrt(r1 * r2 * c1 * c2)
+    return LowPass(cutoff_hz=cutoff_hz / root, quality=BUTTERWORTH * 2.0 * root / (c2 * (r1 + r2)))
+
+
+def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients of ``y_k = b0 u_k + b1 u_(k-1) + b2 u_(k-2) - a1 y_(k-1) - a2 y_(k-2)``.
+
+    Arrays:  -> (3,), (3,).
+    """
+    from scipy.linalg import expm
+
+    w, h = 2.0 * math.pi * cutoff_hz, step_s
+    system = np.zeros((4, 4))
+    system[:2, :2] = h * w * np.array([[0.0, 1.0], [-1.0, -1.0 / quality]])
+    system[1, 2], system[2, 3] = h * w, 1.0
+    grown = expm(system)
+    e, now, rise = grown[:2, :2], grown[:2, 2], grown[:2, 3]
+    first, last = now - rise, rise  # x_(k+1) = e x_k + first u_k + last u_(k+1)
+    swap = np.array([[-e[1, 1], e[0, 1]], [e[1, 0], -e[0, 0]]])  # adj(z I - e) = z I + swap
+    b = np.array([last[0], first[0] + (swap @ last)[0], (swap @ first)[0]])
+    a = np.array([1.0, -float(np.trace(e)), float(np.linalg.det(e))])
+    return b, a
+
+
+def low_passed(x: FloatArray, effect: LowPass, scene: Scene) -> FloatArray:
+    """Return a signal after its low-pass, in which it had been resting before the first sample.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    from scipy.signal import lfilter
+
+    check_even(scene, "low-pass")
+    out = np.empty_like(x)
+    for axis in range(3):
+        b, a = difference_equation(float(effect.cutoff_hz[axis]), float(effect.quality[axis]), scene.step_s)
+        resting = np.array([1.0 - b[0], b[2] - a[2]]) * x[0, axis]
+        out[:, axis] = lfilter(b, a, x[:, axis], zi=resting)[0]
+    return out
+
+
+# ---- White noise and random walk: ``y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j``, f the samples per second.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WhiteNoise:
+    """Angle or velocity random walk."""
+
+    # (3,), N, rad/s/sqrt(Hz) or m/s2/sqrt(Hz): the standard deviation of one sample is N sqrt(sample rate). A
+    # datasheet's one-sided density is sqrt(2) times this
+    random_walk: FloatArray = quantity("{x}_per_sqrt_hz", (3,), least=0.0)
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RandomWalk:
+    """Random walk of the offset, from the first sample on."""
+
+    bias_walk: FloatArray = quantity("{x}_per_sqrt_s", (3,), least=0.0)  # (3,), K, rad/s/sqrt(s) or m/s2/sqrt(s)
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+def with_white_noise(x: FloatArray, effect: WhiteNoise, step_s: float, rng: np.random.Generator) -> FloatArray:
+    """Return a signal with white noise.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    noise: FloatArray = rng.standard_normal(x.shape) * (effect.random_walk / np.sqrt(step_s))
+    return x + noise
+
+
+def with_random_walk(x: FloatArray, effect: RandomWalk, scene: Scene, rng: np.random.Generator) -> FloatArray:
+    """Return a signal whose offset walks.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    steps = rng.standard_normal(x.shape) * (effect.bias_walk * np.sqrt(scene.step_s))
+    steps[0] = 0.0
+    walked: FloatArray = x + np.cumsum(steps, axis=0)
+    return walked
+
+
+# ---- Non-linearity and asymmetry: ``y = x + q x^2 + c x^3 + (a / 2) |x|``, per channel.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Nonlinearity:
+    """How the output departs from a straight line."""
+
+    quadratic: FloatArray = quantity("per_{x}", (3,), 0.0)  # (3,), q, per rad/s or per m/s2
+    cubic: FloatArray = quantity("per_{x}_squared", (3,), 0.0)  # (3,), c, per square of that
+    asymmetry: FloatArray = quantity("", (3,), 0.0)  # (3,), a, relative
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+def bent(x: FloatArray, effect: Nonlinearity) -> FloatArray:
+    """Return a signal after non-linearity and asymmetry.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    bend: FloatArray = x + x * x * (effect.quadratic + effect.cubic * x) + 0.5 * effect.asymmetry * np.abs(x)
+    return bend
+
+
+# ---- Offset and its thermal drift: ``y = x + o + c_1 D + c_2 D^2 + ...``, D the temperature above reference.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Offset:
+    """Output at zero input."""
+
+    constant: FloatArray = quantity("{x}", (3,), 0.0)  # (3,), at the reference temperature, rad/s or m/s2
+    # (K, 3), coefficient of D, D^2, ... D^K in a row each, rad/s or m/s2 per K to that power
+    per_k: FloatArray = quantity("{x}_by_power_of_k", (None, 3), ())
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    def at(self, warmth: FloatArray | float) -> FloatArray:
+        """Return the offset at a temperature.
+
+        Arrays:  -> (..., 3).
+        """
+        return self.constant + polynomial(self.per_k, np.asarray(warmth, dtype=float))
+
+
+def polynomial(coefficients: FloatArray, warmth: FloatArray) -> FloatArray:
+    """Return ``sum_k c_k D^k`` for k = 1, 2, ... per axis.
+
+    Arrays: coefficients (K, 3), warmth (...) -> (..., 3).
+    """
+    total = np.zeros((*warmth.shape, 3))
+    for row in coefficients[::-1]:
+        total = (total + row) * warmth[..., None]
+    return total
+
+
+def with_offset(x: FloatArray, effect: Offset, scene: Scene) -> FloatArray:
+    """Return a signal with its offset.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    if not len(effect.per_k):
+        return x + effect.constant
+    return x + effect.at(scene.warmth)
+
+
+# ---- Rate-dependent drift, the note's dynamic drift: ``y = x + e(x, T)`` with ``e = sum_pq c_pq x^p D^q``, p = 1, 2, ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RateDrift:
+    """Error that grows with the rate and changes with temperature."""
+
+    # (P, Q, 3), c_pq: power p = 1..P of the rate, q = 0..Q-1 of the warmth; rad/s over (rad/s)^p K^q
+    coefficients: FloatArray = quantity("{x}_by_powers_of_{x}_and_k", (None, None, 3))
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    def error(self, x: FloatArray, warmth: FloatArray) -> FloatArray:
+        """Return e(x, T).
+
+        Arrays: x (N, 3), warmth (N,) -> (N, 3).
+        """
+        total = np.zeros_like(x)
+        for powers in self.coefficients[::-1]:
+            inner = np.zeros_like(x)
+            for row in powers[::-1]:
+                inner = inner * warmth[:, None] + row
+            total = (total + inner) * x
+        return total
+
+
+# ---- Sampling: when the readings are truly taken, and over which interval.
+
+Averaging = Literal["instant", "interval"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sampling:
+    """The device's clock and its converters' timing."""
+
+    # Nominal rate; None takes a sample at each sample of the motion, where only jitter, clock and delays move it
+    sample_rate_hz: float | None = quantity("", None, None, least=1e-9)
+    clock_error: float = quantity("", None, 0.0, least=-0.5)  # c, relative; positive for a clock that runs fast
+    jitter_s: float = quantity("", None, 0.0, least=0.0)  # Standard deviation of the time of a sample, s
+    gyro_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
+    accel_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
+    gyro_averaging: Averaging = quantity("", None, "interval")  # instant or interval
+    accel_averaging: Averaging = quantity("", None, "instant")  # instant or interval
+
+    def __post_init__(self) -> None:
+        settle(self)
+        for name in ("gyro_averaging", "accel_averaging"):
+            if getattr(self, name) not in ("instant", "interval"):
+                raise InputError(f"{name}: wanted instant or interval, got '{getattr(self, name)}'; name one of them")
+
+    @property
+    def on_grid(self) -> bool:
+        """True where every reading is taken exactly at a sample of the motion."""
+        moved = self.clock_error or self.jitter_s or self.gyro_delay_s.any() or self.accel_delay_s.any()
+        return self.sample_rate_hz is None and not moved
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ticks:
+    """Times of M samples."""
+
+    stamped_s: FloatArray  # (M,), what the record says, s
+    true_s: FloatArray  # (M,), when they were taken, without the delay of a channel, s
+
+
+def ticks_of(effect: Sampling, time: FloatArray, rng: np.random.Generator) -> Ticks:
+    """Return the times of the samples that lie within a motion.
+
+    Arrays: time (N,) s.
+    """
+    if effect.on_grid:
+        return Ticks(stamped_s=time, true_s=time)
+    if effect.sample_rate_hz is None:
+        stamped = time
+    else:
+        stamped = (
+            time[0] + np.arange(int((time[-1] - time[0]) * effect.sample_rate_hz * 1.5) + 2) / effect.sample_rate_hz
+        )
+    true = time[0] + (stamped - time[0]) / (1.0 + effect.clock_error)
+    true = true + effect.jitter_s * rng.standard_normal(len(true))
+    delays = np.concatenate((effect.gyro_delay_s, effect.accel_delay_s, [0.0]))
+    margin = 1e-9 * (time[-1] - time[0])  # of rounding
+    inside = (true + delays.min() >= time[0] - margin) & (true + delays.max() <= time[-1] + margin)
+    if inside.sum() < 2 or (np.diff(true[inside]) <= 0.0).any():
+        raise InputError(
+            f"sampling: wanted two samples or more in order of time, got {int(inside.sum())} within the motion; "
+            "give a longer motion, or a jitter well below the sample period"
+        )
+    return Ticks(stamped_s=stamped[inside], true_s=true[inside])
+
+
+def instant(x: FloatArray, time: FloatArray, at: FloatArray, delay_s: FloatArray) -> FloatArray:
+    """Return a signal at other times, by a cubic spline.
+
+    Arrays: x (N, 3), time (N,) s, at (M,) s, delay_s (3,) s -> (M, 3).
+    """
+    from scipy.interpolate import CubicSpline
+
+    return np.stack([CubicSpline(time, x[:, k])(at + delay_s[k]) for k in range(3)], axis=1)
+
+
+def interval(means: FloatArray, time: FloatArray, at: FloatArray, delay_s: FloatArray) -> FloatArray:
+    """Return the mean of a signal since the sample before, from its means over the steps of its own grid.
+
+    Arrays: means (N, 3), time (N,) s, at (M,) s, delay_s (3,) s -> (M, 3).
+    """
+    from scipy.interpolate import CubicSpline
+
+    steps = np.diff(time, prepend=time[0])
+    integral = np.cumsum(means * steps[:, None], axis=0)
+    out = np.empty((len(at), 3))
+    for k in range(3):
+        taken = at + delay_s[k]
+        before = np.concatenate(([taken[0] - (taken[1] - taken[0])], taken[:-1]))
+        spline = CubicSpline(time, integral[:, k])
+        early = np.minimum(before - time[0], 0.0) * means[0, k]
+        out[:, k] = (spline(taken) - spline(np.maximum(before, time[0])) - early) / (taken - before)
+    return out
+
+
+def step_means(x: FloatArray, time: FloatArray) -> FloatArray:
+    """Return the mean of a smooth signal over each step of its grid, by the integral of its cubic spline.
+
+    Arrays: x (N, 3), time (N,) s -> (N, 3).
+    """
+    from scipy.interpolate import CubicSpline
+
+    integral = np.asarray(CubicSpline(time, x).antiderivative()(time))
+    return np.vstack((x[:1], np.diff(integral, axis=0) / np.diff(time)[:, None]))
+
+
+# ---- Scale, cross-axis and misalignment: ``y = (I + X) diag(1 + s) E x``, E the sensors' unit vectors in b, one a row.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scale:
+    """How motion becomes output."""
+
+    nominal_sensitivity: float = quantity("{out}_per_{x}")  # What the data sheet says, output unit per rad/s or m/s2
+    error: FloatArray = quantity("", (3,), 0.0)  # (3,), relative error of each sensor's sensitivity
+    # (3, 3), unit vector of each sensor in b, one a row
+    axes: FloatArray = quantity("", (3, 3), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    # (3, 3), crosstalk between the channels, relative; row i receives, column j gives
+    cross_axis: FloatArray = quantity("", (3, 3), 0.0)
+
+    def __post_init__(self) -> None:
+        settle(self)
+        length = np.linalg.norm(self.axes, axis=1)
+        if (np.abs(length - 1.0) > 1e-9).any():
+            raise InputError(
+                f"scale: wanted unit vectors as axes, got lengths {np.array2string(length, precision=4)}; "
+                "put the gain into the scale error"
+            )
+        if self.nominal_sensitivity <= 0.0:
+            raise InputError(
+                f"scale: wanted a nominal sensitivity above 0, got {self.nominal_sensitivity:g}; turn axes for a sign"
+            )
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(I + X) diag(1 + s) E, shape (3, 3)."""
+        matrix: FloatArray = (np.eye(3) + self.cross_axis) @ ((1.0 + self.error)[:, None] * self.axes)
+        return matrix
+
+
+def scaled(x: FloatArray, effect: Scale, extra: FloatArray | None = None) -> FloatArray:
+    """Return what the channels make of a motion.
+
+    Arrays: x (N, 3), extra (N, 3, 3) -> (N, 3).
+    """
+    if extra is None:
+        return np.asarray(x @ effect.matrix.T)
+    along = x @ effect.axes.T + np.einsum("ij,nij->ni", effect.axes, extra)
+    return np.asarray((along * (1.0 + effect.error)) @ (np.eye(3) + effect.cross_axis).T)
+
+
+# ---- Thermal scale: ``y = x (1 + k_1 D + k_2 D^2 + ...)``; it acts on the offset too, which passes the same element.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ThermalScale:
+    """Sensitivity over temperature."""
+
+    # (K, 3), relative change with D, D^2, ... D^K in a row each, per K to that power
+    per_k: FloatArray = quantity("by_power_of_k", (None, 3))
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    def factor(self, warmth: FloatArray | float) -> FloatArray:
+        """Return the factor at a temperature.
+
+        Arrays:  -> (..., 3).
+        """
+        return 1.0 + polynomial(self.per_k, np.asarray(warmth, dtype=float))
+
+
+def warmed(x: FloatArray, effect: ThermalScale, scene: Scene) -> FloatArray:
+    """Return a signal at the sensitivity of its temperature.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    return x * effect.factor(scene.warmth)
+
+
+# ---- Board thermometer, an LM335 for one: 10 mV/K, trimmed once, slow, warmed by its own current.
+
+TRIM_TEMP_C = 25.0
+LM335_V_PER_K = 0.010
+KELVIN_ZERO_C = -273.15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Thermometer:
+    """A board thermometer."""
+
+    trim_error_c: float = quantity("", None, 0.0)  # Reading minus truth at 25 degC, K
+    slope_error: float = quantity("", None, 0.0)  # Relative error of the slope
+    lag_s: float = quantity("", None, 0.0, least=0.0)  # Time constant, s; 0 for none
+    self_heating_c: float = quantity("", None, 0.0)  # Own warmth once settled, K
+    noise_c: float = quantity("", None, 0.0, least=0.0)  # Standard deviation of a sample, K
+    step_c: float = quantity("", None, 0.0, least=0.0)  # Step of the reading, K; 0 for none
+    zero_c: float = quantity("", None, 0.0)  # Temperature of code 0, degC
+    rounding: Rounding = quantity("", None, "nearest")  # nearest, floor or toward_zero
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+def lm335(*, bits: int = 12, reference_v: float = 5.0, lag_s: float = 80.0, self_heating_c: float = 0.6) -> Thermometer:
+    """Return an LM335 behind a converter, trimmed without error."""
+    step = reference_v / 2**bits / LM335_V_PER_K
+    return Thermometer(lag_s=lag_s, self_heating_c=self_heating_c, step_c=step, zero_c=KELVIN_ZERO_C)
+
+
+def thermometer_reading(effect: Thermometer, scene: Scene, rng: np.random.Generator) -> FloatArray:
+    """Return what the thermometer says.
+
+    Arrays:  -> (N,) degC.
+    """
+    felt = _felt(effect, scene)
+    said: FloatArray = felt + effect.trim_error_c + effect.slope_error * (felt - TRIM_TEMP_C)
+    if effect.noise_c > 0.0:
+        said = said + rng.normal(0.0, effect.noise_c, len(said))
+    if effect.step_c == 0.0:
+        return said
+    code: FloatArray = rounded((said - effect.zero_c) / effect.step_c, effect.rounding)
+    return code * effect.step_c + effect.zero_c
+
+
+def _felt(effect: Thermometer, scene: Scene) -> FloatArray:
+    if effect.lag_s == 0.0:
+        return scene.temp_c + effect.self_heating_c
+    own: FloatArray = effect.self_heating_c * -np.expm1(-scene.age_s / effect.lag_s)
+    if np.ptp(scene.temp_c) == 0.0:
+        return scene.temp_c + own
+    from scipy.signal import lfilter
+
+    check_even(scene, "thermometer")
+    ratio = scene.step_s / effect.lag_s
+    keep = math.exp(-ratio)
+    mean = -math.expm1(-ratio) / ratio  # of the weight over a step
+    b = [1.0 - mean, mean - keep]
+    lagging = lfilter(b, [1.0, -keep], scene.temp_c, zi=[keep * scene.temp_c[0] + b[1] * scene.temp_c[0]])[0]
+    return np.asarray(lagging) + own
+
+
+# ---- Warm-up: what a young device still lacks of its settled offset: ``y = x - A (1 + k D) exp(-t / tau)`` [1]_.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WarmUp:
+    """Offset over time since power-on."""
+
+    amplitude: FloatArray = quantity("{x}", (3,))  # (3,), change from power-on to the settled value, rad/s or m/s2
+    time_constant_s: float = quantity("", least=1e-9)  # s
+    per_k: FloatArray = quantity("", (3,), 0.0)  # (3,), relative change of the amplitude with temperature, per K
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+def warming_up(x: FloatArray, effect: WarmUp, scene: Scene) -> FloatArray:
+    """Return a signal of a device that warms up.
+
+    Arrays: x (N, 3) -> (N, 3).
+    """
+    fading = np.exp(-scene.age_s / effect.time_constant_s)[:, None]
+    lacking: FloatArray = effect.amplitude * (1.0 + np.outer(scene.warmth, effect.per_k)) * fading
+    return x - lacking
+
+
+# ---- effects
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SensorChain:
+    """Three sensors of one kind."""
+
+    unit: str = quantity("")  # Unit of the reading: count, v, dps, rad/s, g, m/s2
+    scale: Scale = quantity("")  # Sensitivity, axes, crosstalk
+    lever_arm: LeverArm | None = quantity("", None, None)  # Accelerometers
+    nonlinearity: Nonlinearity | None = quantity("", None, None)  # With asymmetry
+    g_sensitivity: GSensitivity | None = quantity("", None, None)  # Gyroscopes
+    offset: Offset | None = quantity("", None, None)  # With its thermal drift
+    thermal_scale: ThermalScale | None = quantity("", None, None)  # Sensitivity over temperature
+    rate_drift: RateDrift | None = quantity("", None, None)  # e(omega, T)
+    warm_up: WarmUp | None = quantity("", None, None)  # b(t, T)
+    hysteresis: Hysteresis | None = quantity("", None, None)  # Of the offset over temperature
+    white_noise: WhiteNoise | None = quantity("", None, None)  # Angle or velocity random walk
+    instability: BiasInstability | None = quantity("", None, None)  # Flicker of the offset
+    random_walk: RandomWalk | None = quantity("", None, None)  # Of the offset
+    amplifier: Amplifier | None = quantity("", None, None)  # Gain and rails
+    low_pass: LowPass | None = quantity("", None, None)  # Analogue, second order
+    adc: Adc | None = quantity("", None, None)  # Converter
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain of the whole chain, unit of the reading per rad/s or m/s2."""
+        return self.scale.nominal_sensitivity * (self.amplifier.gain if self.amplifier else 1.0) / self._per_code
+
+    @property
+    def null(self) -> float:
+        """Reading at zero signal, unit of the reading."""
+        return (self.amplifier.null if self.amplifier else 0.0) / self._per_code
+
+    @property
+    def forward_matrix(self) -> FloatArray:
+        """Unit of the reading per rad/s or m/s2 of each case axis at the reference temperature, shape (3, 3)."""
+        matrix: FloatArray = self.gain * self.scale.matrix
+        return matrix
+
+    @property
+    def raw_offset(self) -> FloatArray:
+        """Reading at zero input and reference temperature, unit of the reading, shape (3,)."""
+        offset = self.offset.constant if self.offset else np.zeros(3)
+        raw: FloatArray = self.null + self.gain * offset
+        return raw
+
+    @property
+    def raw_random_walk(self) -> FloatArray:
+        """White noise in the reading, its unit per sqrt(Hz), shape (3,)."""
+        walk = self.white_noise.random_walk if self.white_noise else np.zeros(3)
+        raw: FloatArray = self.gain * walk
+        return raw
+
+    @property
+    def full_scale(self) -> float:
+        """Largest rate or force either way that the amplifier and the converter take, rad/s or m/s2."""
+        limits = [np.inf]
+        total = self.scale.nominal_sensitivity * (self.amplifier.gain if self.amplifier else 1.0)
+        null = self.amplifier.null if self.amplifier else 0.0
+        if self.amplifier:
+            limits += [(null - self.amplifier.low) / total, (self.amplifier.high - null) / total]
+        if self.adc:
+            low, high = self.adc.code_limits
+            limits += [(null - low * self.adc.step) / total, (high * self.adc.step - null) / total]
+        return float(min(limits))
+
+    @property
+    def _per_code(self) -> float:
+        return self.adc.step if self.adc and self.adc.codes else 1.0
+
+    def without_noise(self) -> "SensorChain":
+        """Return the same sensors with no noise, no rounding and no end to their range; the reading keeps its unit."""
+        step = self._per_code
+        open_amplifier = Amplifier(
+            gain=(self.amplifier.gain if self.amplifier else 1.0) / step, null=self.null if self.amplifier else 0.0
+        )
+        needed = self.amplifier is not None or step != 1.0
+        return replace(
+            self,
+            white_noise=None,
+            instability=None,
+            random_walk=None,
+            amplifier=open_amplifier if needed else None,
+            adc=None,
+        )
+
+
+def effects_of(chain: SensorChain) -> tuple[str, ...]:
+    """Return the names of the effects that are switched on, in their order."""
+    names = [f.name for f in fields(chain) if f.name not in ("unit", "scale") and getattr(chain, f.name) is not None]
+    at = names.index("lever_arm") + 1 if "lever_arm" in names else 0
+    return (*names[:at], "scale", *names[at:])

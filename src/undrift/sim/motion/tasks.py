@@ -1,0 +1,467 @@
+"""Task: human-like motion of a worn device, as functions of time.
+
+Three angles and three coordinates are courses: sums of parts with analytic derivatives (course.py)::
+
+    R_nb = Rz(yaw) Ry(pitch) Rx(roll)                     x forward, y left, z up; pitch forward is positive
+    w_b  = (roll' - yaw' sin p,  pitch' cos r + yaw' cos p sin r,  yaw' cos p cos r - pitch' sin r),   w_b' from it
+    p    = c + R_nb r                                     c the coordinates, r the device's arm from what they follow
+    f_b  = R_nb^T (c'' + g z) + w' x r + w x (w x r)
+
+A task can be asked at any instants: the device and the optics each ask at their own.
+
+Library of tasks: what subjects do in a test trial, each drawn anew.
+
+``sit_to_stand``   trunk leans forward through a via-point and comes up again, then sways; up to 90 deg/s
+``step``           rising a step: lean, shift of weight, rise, the knock of each foot; up to 45 deg/s
+``posturography``  quiet stance on foam, eyes closed: a degree of sway for 50 s; up to 5 deg/s
+``free``           vigorous turns about all axes for a minute: what a fit against optics wants
+
+The three bounds are those that the note's Table 1 calibrates for: a performance beyond them is drawn again. docs/motions.md
+lists model, numbers and their sources.
+
+Sway of quiet stance: an inverted pendulum held up by a delayed controller and shaken by filtered noise.
+
+Linear, so that the angle is a Gaussian process with a known spectrum. With the controller's gains in units of m g h and
+J / (m g h) = 1.147 h / g, the torque noise white through a first-order low-pass of time constant tau_n::
+
+    theta / noise = 1 / ((1.147 h/g) s^2 - 1 + (kp + kd s + ki / s) exp(-s tau)) / (1 + tau_n s),   s = 2 pi j f
+
+The process is written as sinusoids in geometric bands, one in each, with that spectrum's power, Rayleigh amplitudes and
+random phases; every derivative is then exact, and the sum is scaled to the wanted rms.
+
+Subjects: who performs a task, and the two groups of thirty of the note's Table 2.
+
+A subject has an age, a height, a level of imbalance (an ordinal label that nothing is computed from) and habits: a root of
+random numbers of its own. A quantity of a performance is drawn as ::
+
+    x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time; 0.8^2 + 0.6^2 = 1
+
+and drawn again until it lies within its bounds, so that over many subjects it has the stated mean and sd (nearly: the
+bounds cut the tails), and one subject resembles itself.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.sim.device.simulate import Streams, draw_streams
+from undrift.sim.motion.motion import (
+    Burst,
+    Course,
+    Motion,
+    Part,
+    Step,
+    Sway,
+    ViaPoint,
+    Wave,
+    course_at,
+    mean_rate,
+    turn_quaternion,
+)
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """A motion that can be asked at any instant."""
+
+    name: str  # What is done
+    duration_s: float  # Length of a recording of it, s
+    moving_s: tuple[float, float]  # First and last instant of motion, s
+    roll: Course = ()  # Angles, rad
+    pitch: Course = ()  # Angles, rad
+    yaw: Course = ()  # Angles, rad
+    forward: Course = ()  # Coordinates in n of the point that ``arm_b`` starts from, m
+    left: Course = ()  # Coordinates in n of the point that ``arm_b`` starts from, m
+    up: Course = ()  # Coordinates in n of the point that ``arm_b`` starts from, m
+    # Device from that point, which is the device itself where it is zero, m
+    arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
+        """Return the motion at given instants.
+
+        Arrays: time (N,) s.
+        """
+        roll, pitch, yaw = course_at(self.roll, time), course_at(self.pitch, time), course_at(self.yaw, time)
+        q = self._orientation(roll[0], pitch[0], yaw[0])
+        rate, spin_up = _euler_rate(roll, pitch, yaw)
+        arm = np.array(self.arm_b)
+        push = np.stack([course_at(course, time)[2] for course in (self.forward, self.left, self.up)], axis=1)
+        force = rotate(quaternion_conjugate(q), push + np.array([0.0, 0.0, gravity_m_s2]))
+        force = force + np.cross(spin_up, arm) + np.cross(rate, np.cross(rate, arm))
+        moving = ((time >= self.moving_s[0]) & (time <= self.moving_s[1])).astype(float)
+        return Motion(
+            time=time,
+            q_nb=q,
+            rate_b=rate,
+            mean_rate_b=mean_rate(time, q, rate[0]),
+            angular_acceleration_b=spin_up,
+            force_b=force,
+            gravity_m_s2=gravity_m_s2,
+            moving=moving,
+        )
+
+    def position(self, time: FloatArray) -> FloatArray:
+        """Return where the device is.
+
+        Arrays: time (N,) s -> (N, 3) m.
+        """
+        base = np.stack([course_at(course, time)[0] for course in (self.forward, self.left, self.up)], axis=1)
+        q = self._orientation(*(course_at(course, time)[0] for course in (self.roll, self.pitch, self.yaw)))
+        return base + rotate(q, np.broadcast_to(self.arm_b, (len(time), 3)))
+
+    @staticmethod
+    def _orientation(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+        x, y, z = np.eye(3)
+        return quaternion_product(
+            turn_quaternion(z, yaw), quaternion_product(turn_quaternion(y, pitch), turn_quaternion(x, roll))
+        )
+
+
+def _euler_rate(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return w_b and its derivative from angles and their first two derivatives, each (3, N)."""
+    sr, cr, sp, cp = np.sin(roll[0]), np.cos(roll[0]), np.sin(pitch[0]), np.cos(pitch[0])
+    along, across = yaw[1] * cp, yaw[2] * cp - yaw[1] * pitch[1] * sp  # yaw' cos p and its derivative
+    rate = np.stack((roll[1] - yaw[1] * sp, pitch[1] * cr + along * sr, along * cr - pitch[1] * sr), axis=1)
+    spin_up = np.stack(
+        (
+            roll[2] - yaw[2] * sp - yaw[1] * pitch[1] * cp,
+            pitch[2] * cr + across * sr + roll[1] * rate[:, 2],
+            across * cr - pitch[2] * sr - roll[1] * rate[:, 1],
+        ),
+        axis=1,
+    )
+    return rate, spin_up
+
+
+# ---- Sway of quiet stance: an inverted pendulum held up by a delayed controller and shaken by filtered noise.
+
+BAND_HZ = (0.015, 2.5)
+LINES = 48
+SWELL_S = 2.5
+GYRATION = 1.147  # J / (m h^2) of 66 kg m2, 76 kg, 0.87 m [known-low]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Balance:
+    """A controller of stance."""
+
+    centre_height: float  # Height of the body's centre over the ankles, m
+    kp: float = 1.45  # [known-low] 1.1-1.7
+    kd: float = 0.40  # [known-low] 4-5 Nm s/deg over 649 Nm
+    ki: float = 0.05  # [assumed]
+    delay_s: float = 0.17  # [known-low]
+    noise_s: float = 1.5  # [assumed] so that rate over angle comes out as 1.2 / 0.9 rad/s
+
+
+def sway_spectrum(balance: Balance, frequency_hz: FloatArray) -> FloatArray:
+    """Return the power spectral density of the angle, up to a constant.
+
+    Arrays: frequency_hz (N,) Hz -> (N,).
+    """
+    s = 2.0j * math.pi * frequency_hz
+    torque = (balance.kp + balance.kd * s + balance.ki / s) * np.exp(-s * balance.delay_s)
+    pendulum = GYRATION * balance.centre_height / STANDARD_GRAVITY * s * s - 1.0
+    return np.asarray(np.abs((pendulum + torque) * (1.0 + balance.noise_s * s)) ** -2)
+
+
+def draw_sway(draw: np.random.Generator, balance: Balance, *, rms: float, span: tuple[float, float]) -> Sway:
+    """Draw a stretch of sway."""
+    return draw_lines(draw, lambda f: sway_spectrum(balance, f), band_hz=BAND_HZ, rms=rms, span=span)
+
+
+def draw_lines(
+    draw: np.random.Generator,
+    spectrum: Callable[[FloatArray], FloatArray],
+    *,
+    band_hz: tuple[float, float],
+    rms: float,
+    span: tuple[float, float],
+) -> Sway:
+    """Draw a stretch of Gaussian noise with a given spectrum, as sinusoids."""
+    edges = np.geomspace(*band_hz, LINES + 1)
+    frequencies = edges[:-1] + np.diff(edges) * draw.uniform(size=LINES)
+    amplitudes = np.sqrt(spectrum(frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
+    phases = draw.uniform(0.0, 2.0 * math.pi, LINES)
+    time = np.arange(span[0], span[1], 0.1 / band_hz[1])
+    plain = Sway(_floats(amplitudes), _floats(frequencies), _floats(phases), *span, SWELL_S)
+    scale = rms / float(np.std(plain.at(time)[0]))
+    return Sway(_floats(scale * amplitudes), plain.frequencies_hz, plain.phases, *span, SWELL_S)
+
+
+def _floats(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+# ---- Subjects: who performs a task, and the two groups of thirty of the note's Table 2.
+
+Group = Literal["simulation", "testing"]
+GROUP_SIZE = 30  # Table 2 and the text: thirty subjects
+HABIT, TRIAL = 0.8, 0.6  # shares of a habit and of the day: a choice
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Subject:
+    """One person."""
+
+    number: int  # In the group, from 1
+    group: Group  # simulation or testing
+    age_years: float  # Years
+    height: float  # m
+    tinetti_level: int  # 1 no imbalance ... 4 major imbalance: a label
+    habits: Streams  # What this person always does the same way
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableRow:
+    """A group as a table prints it."""
+
+    age_years: tuple[float, float, float]  # Lowest, mean, highest
+    height: tuple[float, float, float]  # Lowest, mean, highest, m
+
+
+TABLE_2: dict[Group, TableRow] = {  # [note] Table 2; both groups Tinetti level 2
+    "simulation": TableRow(age_years=(45.0, 62.0, 84.0), height=(1.50, 1.66, 1.85)),
+    "testing": TableRow(age_years=(45.0, 65.0, 83.0), height=(1.52, 1.67, 1.83)),
+}
+TYPICAL_AGE, TYPICAL_HEIGHT = 63.5, 1.665  # between the two groups' means; who performs where no subject is named
+
+
+def cohort(group: Group, *, rng: np.random.Generator) -> tuple[Subject, ...]:
+    """Draw the thirty subjects of one group."""
+    if group not in get_args(Group):
+        raise InputError(f"cohort: wanted one of {', '.join(get_args(Group))}, got '{group}'; name one of them")
+    streams = draw_streams(rng)
+    row = TABLE_2[group]
+    ages = _spread(row.age_years, streams.of(f"{group} age"))
+    heights = _spread(row.height, streams.of(f"{group} height"))
+    roots = streams.of(f"{group} habits")
+    return tuple(
+        Subject(
+            number=number,
+            group=group,
+            age_years=float(age),
+            height=float(height),
+            tinetti_level=2,
+            habits=draw_streams(roots),
+        )
+        for number, (age, height) in enumerate(zip(ages, heights, strict=True), start=1)
+    )
+
+
+def _spread(row: tuple[float, float, float], draw: np.random.Generator) -> np.ndarray:
+    low, mean, high = row
+    unit = np.concatenate(([0.0, 1.0], draw.beta(2.0, 2.0, GROUP_SIZE - 2)))
+    wanted = (mean - low) / (high - low)
+    small, large = 0.05, 20.0  # the mean of u^k falls as k grows
+    for _ in range(60):
+        k = 0.5 * (small + large)
+        small, large = (k, large) if np.mean(unit**k) > wanted else (small, k)
+    return np.asarray(draw.permutation(low + (high - low) * unit**k))
+
+
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """One performance by one person: where its numbers come from."""
+
+    draw: np.random.Generator  # What is new each time
+    subject: Subject | None = None  # Whose habits; None draws an unknown person of typical age and height
+
+    @property
+    def age_years(self) -> float:
+        """Age, years."""
+        return self.subject.age_years if self.subject else TYPICAL_AGE
+
+    @property
+    def height(self) -> float:
+        """Height, m."""
+        return self.subject.height if self.subject else TYPICAL_HEIGHT
+
+    def number(self, name: str, mean: float, sd: float, low: float, high: float) -> float:
+        """Draw one quantity within its bounds."""
+        habit = _bounded_normal(self.subject.habits.of(name)) if self.subject else None
+        while True:
+            z = float(self.draw.normal())
+            value = mean + sd * (z if habit is None else HABIT * habit + TRIAL * z)
+            if low <= value <= high:
+                return value
+
+
+def _bounded_normal(draw: np.random.Generator) -> float:
+    while True:  # within 2 sd: a habit far outside its bounds could never be performed
+        z = float(draw.normal())
+        if abs(z) <= 2.0:
+            return z
+
+
+# ---- Library of tasks: what subjects do in a test trial, each drawn anew.
+
+TaskName = Literal["sit_to_stand", "posturography", "free", "step"]
+DEGREE = RADIAN_PER_DEGREE
+POSTUROGRAPHY_S = 50.0
+LOUDEST = (
+    1.385  # peak of the acceleration's spectrum over the sine's frequency, where the envelope peaks at half a period
+)
+
+
+def draw_task(name: TaskName, *, rng: np.random.Generator, subject: Subject | None = None, rest_s: float = 6.0) -> Task:
+    """Draw one performance of a task."""
+    if name not in get_args(TaskName):
+        raise InputError(f"task: wanted one of {', '.join(get_args(TaskName))}, got '{name}'; name one of them")
+    who = Performance(draw_streams(rng).of(name), subject)
+    if name == "free":
+        return _free(who.draw, rest_s)
+    bound, perform = {
+        "sit_to_stand": (90.0 * DEGREE, _sit_to_stand),
+        "step": (45.0 * DEGREE, _step),
+        "posturography": (5.0 * DEGREE, _posturography),
+    }[name]
+    while True:
+        task = perform(who, rest_s)
+        if _peak_rate(task) <= bound:
+            return task
+
+
+def _peak_rate(task: Task) -> float:
+    time = np.arange(task.moving_s[0], task.moving_s[1], 0.02)
+    return float(np.abs(task.at(time, STANDARD_GRAVITY).rate_b).max())
+
+
+def _slowness(who: Performance) -> float:
+    return 1.0 + 0.003 * (who.age_years - TYPICAL_AGE)  # [assumed] 3 % in ten years
+
+
+def _sit_to_stand(who: Performance, rest_s: float) -> Task:
+    duration = who.number("sit_to_stand duration", 2.3, 0.5, 1.5, 4.0) * _slowness(who)
+    flexion = duration * who.number("sit_to_stand peak time", 0.40, 0.05, 0.3, 0.5)
+    lean = who.number("sit_to_stand lean", 32.0, 7.0, 15.0, 50.0) * DEGREE
+    sitting = who.number("sit_to_stand first pitch", 5.0, 5.0, -10.0, 20.0) * DEGREE
+    standing = who.number("sit_to_stand last pitch", 3.0, 3.0, -6.0, 12.0) * DEGREE
+    settle = who.draw.uniform(0.5, 1.5)
+    turn, stop = rest_s + flexion, rest_s + duration + settle
+    off = turn - 0.1  # the seat is left a little before the trunk turns back
+    return Task(
+        name="sit_to_stand",
+        duration_s=stop + rest_s,
+        moving_s=(rest_s, stop),
+        roll=(_there_and_back(who, "sit_to_stand roll", rest_s, duration), *_settling(who, 0.4, turn, stop)),
+        pitch=(
+            Step(-2.0, 1.0, sitting),
+            ViaPoint(rest_s, flexion, duration - flexion, lean, standing - sitting - lean),
+            *_settling(who, 0.5, turn, stop),
+        ),
+        yaw=(_there_and_back(who, "sit_to_stand yaw", rest_s, duration), *_settling(who, 0.3, turn, stop)),
+        forward=(Step(rest_s, 0.52 * duration, 0.18 * who.height),),
+        up=(Step(off, 0.42 * duration, 0.21 * who.height),),
+    )
+
+
+def _there_and_back(who: Performance, name: str, start_s: float, duration_s: float) -> Part:
+    size = who.number(name, 0.0, 1.5, -3.0, 3.0) * DEGREE
+    return ViaPoint(start_s, 0.45 * duration_s, 0.55 * duration_s, size, -size)
+
+
+def _settling(who: Performance, amplitude_deg: float, start_s: float, stop_s: float) -> tuple[Wave, ...]:
+    return _waves(who.draw, 2, 0.5 * amplitude_deg * DEGREE, (0.4, 1.2), (start_s, stop_s), 0.45 * (stop_s - start_s))
+
+
+def _step(who: Performance, rest_s: float) -> Task:
+    duration = who.number("step duration", 2.0, 0.4, 1.2, 3.2) * _slowness(who)
+    lean = who.number("step lean", 12.0, 4.0, 3.0, 25.0) * DEGREE
+    shift = who.number("step roll", 5.0, 2.0, 1.0, 10.0) * DEGREE * who.draw.choice((-1.0, 1.0))
+    first, second = rest_s + 0.35 * duration, rest_s + 0.95 * duration  # the two feet come down
+    stop = rest_s + duration + 1.0
+    side = 0.03 * np.sign(shift)
+    return Task(
+        name="step",
+        duration_s=stop + rest_s,
+        moving_s=(rest_s, stop),
+        roll=(
+            ViaPoint(rest_s, 0.22 * duration, 0.28 * duration, shift, -shift),
+            ViaPoint(rest_s + 0.5 * duration, 0.22 * duration, 0.28 * duration, -0.7 * shift, 0.7 * shift),
+        ),
+        pitch=(
+            Step(-2.0, 1.0, who.number("step pitch", 3.0, 3.0, -6.0, 12.0) * DEGREE),
+            ViaPoint(rest_s, 0.4 * duration, 0.6 * duration, lean, -lean),
+            *_settling(who, 0.5, rest_s + 0.5 * duration, stop),
+        ),
+        yaw=(_there_and_back(who, "step yaw", rest_s, duration),),
+        forward=(Step(rest_s + 0.1 * duration, 0.8 * duration, 0.28), *_knocks(who, 0.4, (first, second))),
+        left=(
+            ViaPoint(rest_s, 0.25 * duration, 0.25 * duration, -side, side),
+            ViaPoint(rest_s + 0.5 * duration, 0.25 * duration, 0.25 * duration, side, -side),
+        ),
+        up=(Step(first, 0.5 * duration, 0.17), *_knocks(who, 1.0, (first, second))),
+    )
+
+
+def _knocks(who: Performance, share: float, instants_s: tuple[float, ...]) -> tuple[Burst, ...]:
+    return tuple(_knock(share * who.draw.uniform(1.0, 2.0), who.draw.uniform(5.0, 15.0), at) for at in instants_s)
+
+
+def _knock(acceleration: float, frequency_hz: float, start_s: float) -> Burst:
+    """Return a burst of a given peak acceleration, m/s2, whose acceleration is loudest at a given frequency."""
+    peak_s = 0.5 * LOUDEST / frequency_hz
+    unit = Burst(1.0, frequency_hz / LOUDEST, 0.0, peak_s)
+    largest = float(np.abs(unit.at(np.linspace(0.0, 8.0 * peak_s, 2001))[2]).max())
+    return Burst(acceleration / largest, frequency_hz / LOUDEST, start_s, peak_s)
+
+
+def _posturography(who: Performance, rest_s: float) -> Task:
+    span = (rest_s, rest_s + POSTUROGRAPHY_S)
+    arm = 0.54 * who.height  # [assumed] L5 at 0.58 and ankles at 0.04 of the height; the body's centre is there too
+    older = 1.0 + 0.01 * (who.age_years - TYPICAL_AGE)  # [assumed] sway rises by a per cent a year
+    balance = Balance(centre_height=arm, kp=who.number("stance stiffness", 1.45, 0.08, 1.25, 1.6))
+    pitch = who.number("sway pitch", 0.9, 0.3, 0.3, 1.8) * older * DEGREE
+    roll = who.number("sway roll", 0.6, 0.2, 0.2, 1.2) * older * DEGREE
+    yaw = who.number("sway yaw", 0.4, 0.1, 0.1, 0.8) * older * DEGREE
+    return Task(
+        name="posturography",
+        duration_s=span[1] + rest_s,
+        moving_s=span,
+        roll=(draw_sway(who.draw, balance, rms=roll, span=span),),
+        pitch=(
+            Step(-2.0, 1.0, who.number("stance pitch", 3.0, 2.0, -3.0, 9.0) * DEGREE),
+            draw_sway(who.draw, balance, rms=pitch, span=span),
+        ),
+        yaw=(draw_sway(who.draw, balance, rms=yaw, span=span),),
+        arm_b=(0.0, 0.0, arm),
+    )
+
+
+def _free(draw: np.random.Generator, rest_s: float) -> Task:
+    span = (rest_s, rest_s + 60.0)
+    return Task(
+        name="free",
+        duration_s=span[1] + rest_s,
+        moving_s=span,
+        roll=_waves(draw, 6, 12.0 * DEGREE, (0.1, 0.9), span),
+        pitch=_waves(draw, 6, 12.0 * DEGREE, (0.1, 0.9), span),
+        yaw=_waves(draw, 6, 15.0 * DEGREE, (0.1, 0.9), span),
+        forward=_waves(draw, 4, 0.05, (0.2, 0.9), span),
+        left=_waves(draw, 4, 0.05, (0.2, 0.9), span),
+        up=_waves(draw, 4, 0.03, (0.2, 0.9), span),
+    )
+
+
+def _waves(
+    draw: np.random.Generator,
+    count: int,
+    amplitude: float,
+    band_hz: tuple[float, float],
+    span: tuple[float, float],
+    swell_s: float = 1.0,
+) -> tuple[Wave, ...]:
+    frequencies = draw.uniform(*band_hz, count)
+    amplitudes = amplitude * draw.uniform(0.5, 1.5, count)
+    phases = draw.uniform(0.0, 2.0 * math.pi, count)
+    return tuple(
+        Wave(float(a), float(f), float(p), *span, swell_s)
+        for a, f, p in zip(amplitudes, frequencies, phases, strict=True)
+    )

@@ -1,0 +1,337 @@
+"""Axis: the emulated shaft and its servo, brought up to a moment when someone looks.
+
+The state is advanced in whole samples of the card. Where the axis was is kept in a ring of 1 ms steps, read back by cubic
+interpolation from angle and rate.
+
+Servo: the position loop of a sampled motion controller, its margins, and a test move.
+
+    e    = reference - count                                 counts
+    word = 4 KP e + 4 KD (e - e_last) + KI/2 sum(e)          D(z) = 4 KP + 4 KD (1 - 1/z) + KI/2 / (1 - 1/z)
+    V    = clip(Kd word, 10)                                 converter, Kd volts a count
+    i    = Ka V, within (+-supply - Kt omega) / R            current amplifier
+    J alpha = Kt i - friction - cogging                      motor, M(s) = Kt / (J s^2)
+    count = floor(4N/2pi angle)                              encoder of N lines
+
+The defaults are the figures of the note, which are those of the makers' textbook example with N = 10,000 lines and T = 0.1 ms:
+crossover 522.8 rad/s, phase margin 44.2 deg, poles -189.4 +- 403.3j.
+"""
+
+import cmath
+import math
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.kernels import device as k
+from undrift.kernels.device import Coefficients
+
+# ---- Servo: the position loop of a sampled motion controller, its margins, and a test move.
+
+_POSITIVE = (
+    "torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage",
+    "encoder_lines", "period_s", "volts_per_count", "voltage_limit",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoSettings:
+    """Coefficients of the loop."""
+
+    torque_constant: float = 0.1  # Kt, N m/A
+    inertia: float = 2.0e-4  # J of motor and table, kg m2
+    payload_inertia: float = 0.0  # Device and fixture, kg m2; adds to J
+    # R of the winding, ohm; a current amplifier hides it from the loop until its supply is used up
+    resistance: float = 2.0
+    amplifier_gain: float = 4.0  # Ka, A/V
+    supply_voltage: float = 48.0  # Supply of the amplifier, V: sets the speed at which a motor runs away
+    encoder_lines: int = 10_000  # N, lines a turn; 4 N counts
+    period_s: float = 1.0e-4  # T, time between samples, s
+    gains: tuple[float, float, float] = (12.5, 245.0, 0.0)  # KP, KD, KI as the card's commands take them
+    volts_per_count: float = 3.0e-4  # Kd, V; 20/65536 as the manual rounds it
+    voltage_limit: float = 10.0  # Largest output either way, V
+    coulomb_friction: float = 2.0e-3  # N m; N m s/rad
+    viscous_friction: float = 0.0  # N m; N m s/rad
+    cogging_torque: float = 0.0  # Amplitude, N m
+    cogging_periods: int = 24  # Periods a turn
+    quantise: bool = True  # False gives an encoder without steps, for comparison with the linear loop
+
+    def __post_init__(self) -> None:
+        for name in _POSITIVE:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"servo {name}: wanted a positive number, got {value}; give the loop's own figure")
+        for name in ("payload_inertia", "coulomb_friction", "viscous_friction", "cogging_torque"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"servo {name}: wanted zero or more, got {value}; give the loop's own figure")
+
+    @property
+    def counts_per_turn(self) -> int:
+        """Encoder counts in one turn: four a line."""
+        return 4 * self.encoder_lines
+
+    @property
+    def counts_per_rad(self) -> float:
+        """Kf = 4N/2pi, counts/rad."""
+        return self.counts_per_turn / (2.0 * math.pi)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopMargins:
+    """What a loop's coefficients say about it."""
+
+    crossover: float  # Where the open loop's gain is one, rad/s
+    phase_margin_deg: float  # Phase above -180 deg there
+    poles_z: tuple[complex, ...]  # Closed loop, sampled exactly
+    poles_s: tuple[complex, ...]  # ln(z)/T, rad/s, slowest first
+    largest_z: float  # Largest abs(z): the loop is stable below 1
+
+
+def loop_margins(servo: ServoSettings) -> LoopMargins:
+    """Return crossover, phase margin and poles of the linear loop (no friction, no steps, no clip).
+
+    Crossover and margin are of L(s) = M(s) Ka Kd Kf (2/T)/(s + 2/T) D(s) with D(s) = 4 KP + 4 KD T s + KI/(2 T s), the
+    makers' way (DMC-2x00 manual, ch. 10). The poles are those of the sampled loop: (z-1)^2 + K T^2/2 (z+1) D(z) = 0.
+    """
+    gain = _plant_gain(servo)
+    kp, kd, ki = (4.0 * servo.gains[0], 4.0 * servo.gains[1], 0.5 * servo.gains[2])
+    period = servo.period_s
+
+    def open_loop(omega: float) -> complex:
+        s = 1j * omega
+        filtered = kp + kd * period * s + ki / (period * s)
+        return gain / s**2 * filtered / (1.0 + 0.5 * period * s)
+
+    low, high = 1e-6 / period, 1e3 / period
+    for _ in range(200):  # |L| falls all the way: bisection on a log scale
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if abs(open_loop(middle)) > 1.0 else (low, middle)
+    crossover = math.sqrt(low * high)
+    margin = math.pi + (cmath.phase(open_loop(crossover)) - 2.0 * math.pi) % (-2.0 * math.pi)
+    poles_z = closed_loop_poles(servo)
+    poles_s = sorted((cmath.log(complex(z)) / period for z in poles_z if abs(z) > 0.0), key=lambda s: -s.real)
+    return LoopMargins(
+        crossover=crossover,
+        phase_margin_deg=math.degrees(margin),
+        poles_z=tuple(complex(z) for z in poles_z),
+        poles_s=tuple(poles_s),
+        largest_z=float(np.abs(poles_z).max()),
+    )
+
+
+def closed_loop_poles(servo: ServoSettings) -> FloatArray:
+    """Return the poles of the sampled closed loop in z.
+
+    Arrays:  -> (3,).
+    """
+    kp, kd, ki = (4.0 * servo.gains[0], 4.0 * servo.gains[1], 0.5 * servo.gains[2])
+    half = 0.5 * _plant_gain(servo) * servo.period_s**2
+    plant, lag = np.array([1.0, -2.0, 1.0]), np.array([1.0, 0.0])
+    top = np.array([kp + kd, -kd])  # D(z) z
+    if ki:
+        plant = np.polymul(plant, [1.0, -1.0])
+        top = np.polyadd(np.polymul(top, [1.0, -1.0]), [ki, 0.0, 0.0])
+    return np.asarray(np.roots(np.polyadd(np.polymul(plant, lag), half * np.polymul([1.0, 1.0], top))))
+
+
+def ramp_error_counts(servo: ServoSettings, acceleration_counts: float) -> float:
+    """Return the steady following error under constant acceleration: a / (Kt/J Ka Kd Kf 4KP)."""
+    return acceleration_counts / (_plant_gain(servo) * 4.0 * servo.gains[0])
+
+
+def _plant_gain(servo: ServoSettings) -> float:
+    # counts/s2 per count of the filter's word
+    total = servo.inertia + servo.payload_inertia
+    return servo.torque_constant / total * servo.amplifier_gain * servo.volts_per_count * servo.counts_per_rad
+
+
+def resting_coefficients(servo: ServoSettings) -> Coefficients:
+    """Return the kernel's coefficients for a healthy card with its motor off."""
+    return Coefficients(
+        period=servo.period_s,
+        proportional=4.0 * servo.gains[0],
+        derivative=4.0 * servo.gains[1],
+        integral=0.5 * servo.gains[2],
+        volts_per_count=servo.volts_per_count,
+        clip=servo.voltage_limit,
+        torque_constant=servo.torque_constant,
+        amplifier_gain=servo.amplifier_gain,
+        supply=servo.supply_voltage,
+        resistance=servo.resistance,
+        inertia=servo.inertia + servo.payload_inertia,
+        counts_per_rad=servo.counts_per_rad,
+        coulomb=servo.coulomb_friction,
+        viscous=servo.viscous_friction,
+        cogging=servo.cogging_torque,
+        cogging_periods=float(servo.cogging_periods),
+        acceleration=256_000.0,
+        deceleration=256_000.0,
+        slew=25_000.0,
+        error_limit=16_384.0,
+        forward=2_147_483_647.0,
+        reverse=-2_147_483_648.0,
+        forward_at=math.inf,
+        reverse_at=-math.inf,
+        offset=0.0,
+        quantise=servo.quantise,
+        powered=True,
+        motor_on=False,
+        amplifier_good=True,
+        encoder_good=True,
+        forward_closed=False,
+        reverse_closed=False,
+        stride=max(1, round(1e-3 / servo.period_s)),
+    )
+
+
+# ---- Clocks of an emulated rig: the host's, sped up, or one that a test moves by hand.
+
+
+class Clock(Protocol):
+    """Emulated time, s from the start."""
+
+    def now(self) -> float:
+        """Return emulated time, s."""
+
+
+class HostClock:
+    """The host's monotonic clock, faster by a factor."""
+
+    def __init__(self, speed: float = 1.0) -> None:
+        if not speed > 0.0:
+            raise InputError(f"emulator speed: wanted a positive factor, got {speed}; 1 is real time")
+        self.speed = speed
+        self._start = time.monotonic()
+
+    def now(self) -> float:
+        """Return emulated time since the clock was made, s."""
+        return (time.monotonic() - self._start) * self.speed
+
+
+class HandClock:
+    """A clock that stands still until it is told to move on, for tests that must repeat to the last bit."""
+
+    def __init__(self) -> None:
+        self._time = 0.0
+
+    def now(self) -> float:
+        """Return emulated time, s."""
+        return self._time
+
+    def advance(self, duration_s: float) -> None:
+        """Move on."""
+        if duration_s < 0.0:
+            raise InputError(f"clock: wanted zero or more seconds, got {duration_s}; a clock does not go back")
+        self._time += duration_s
+
+
+# ---- axes
+
+TELL_VELOCITY_S = 0.25  # TV is a mean over about a quarter of a second
+
+
+class Axis:
+    """One shaft with motor, encoder and sampled loop."""
+
+    def __init__(self, servo: ServoSettings, history_s: float = 1200.0) -> None:
+        self.servo = servo
+        self.coefficients: Coefficients = resting_coefficients(servo)
+        self.values: FloatArray = np.zeros(k.SIZE)
+        length = max(16, round(history_s / (self.coefficients.stride * servo.period_s)))
+        self._log_time: FloatArray = np.empty(length)
+        self._log_angle: FloatArray = np.empty(length)
+        self._log_rate: FloatArray = np.empty(length)
+        self._log_time[0] = self._log_angle[0] = self._log_rate[0] = 0.0
+        self.values[k.LOGGED] = 1.0  # the axis at rest at time zero
+        self._tell: FloatArray = np.zeros(1)
+        self.set_period(servo.period_s)
+
+    def change(self, **coefficients: Any) -> None:
+        """Change coefficients of the loop or the state of its parts from the next sample on."""
+        self.coefficients = self.coefficients._replace(**coefficients)
+
+    def set_period(self, period_s: float) -> None:
+        """Change the time between samples."""
+        self.change(period=period_s)
+        self._tell = np.full(max(2, round(TELL_VELOCITY_S / period_s)), self.values[k.COUNT])
+
+    def warm(self) -> None:
+        """Compile the loop, so that the first look does not wait for it."""
+        k.servo(np.zeros(k.SIZE), self.coefficients, np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), 2)
+
+    def advance(self, time: float) -> int:
+        """Bring the axis up to a moment, or to the first event before it."""
+        samples = int((time - self.values[k.TIME]) / self.coefficients.period + 1e-6)
+        if samples <= 0:
+            return k.NOTHING
+        logs = (self._log_time, self._log_angle, self._log_rate)
+        return int(k.servo(self.values, self.coefficients, self._tell, *logs, samples))
+
+    @property
+    def time(self) -> float:
+        """Emulated time that the axis has reached, s."""
+        return float(self.values[k.TIME])
+
+    @property
+    def register(self) -> int:
+        """Position register, counts: what TP tells."""
+        return round(float(self.values[k.COUNT]) + self.coefficients.offset)
+
+    @property
+    def velocity_counts(self) -> int:
+        """Mean speed of the last quarter of a second, counts/s: what TV tells."""
+        newest: int = (int(self.values[k.SAMPLES]) - 1) % self._tell.size
+        oldest = (newest + 1) % self._tell.size
+        span = (self._tell.size - 1) * self.coefficients.period
+        return round(float(self._tell[newest] - self._tell[oldest]) / span)
+
+    def define(self, counts: int) -> None:
+        """Call where the axis stands a number; the axis and its loop notice nothing."""
+        shift = counts - (self.values[k.COUNT] + self.coefficients.offset)
+        self.values[k.REFERENCE] += shift
+        self.change(offset=self.coefficients.offset + shift)
+
+    def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the axis was.
+
+        Arrays: times (n,) s -> (n,) rad.
+        """
+        t = np.asarray(times, float)
+        time, angle, rate = self.history(max(self.time - t.min(initial=self.time), 0.0) + 0.1)
+        if t.size and (t.max() > time[-1] + self.coefficients.period or t.min() < time[0]):
+            raise InputError(
+                f"axis state: wanted times in {time[0]:.4f}..{time[-1]:.4f} s, got {t.min():.4f}..{t.max():.4f} s; "
+                "ask for what has been emulated and is still kept"
+            )
+        right = np.clip(np.searchsorted(time, t), 1, len(time) - 1)
+        left = right - 1
+        h = time[right] - time[left]
+        u = (t - time[left]) / h
+        rise = angle[right] - angle[left]
+        v0, v1 = rate[left] * h, rate[right] * h
+        square, cube = 3.0 * rise - 2.0 * v0 - v1, v0 + v1 - 2.0 * rise
+        return (
+            angle[left] + u * (v0 + u * (square + u * cube)),
+            (v0 + u * (2.0 * square + 3.0 * u * cube)) / h,
+        )
+
+    def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the kept past, the present last.
+
+        Arrays:  -> (n,) rad/s.
+        """
+        size, logged = self._log_time.size, int(self.values[k.LOGGED])
+        kept = min(size, logged)
+        if last_s is not None:
+            kept = min(kept, int(last_s / (self.coefficients.period * self.coefficients.stride)) + 3)
+        index = np.arange(logged - kept, logged) % size
+        present = (self.values[k.TIME], self.values[k.ANGLE], self.values[k.RATE])
+        logs = (self._log_time, self._log_angle, self._log_rate)
+        if self._log_time[index[-1]] >= present[0]:
+            return logs[0][index], logs[1][index], logs[2][index]
+        time, angle, rate = (np.append(log[index], value) for log, value in zip(logs, present, strict=True))
+        return time, angle, rate

@@ -1,1 +1,0 @@
-"""An emulated Galil card: its language, numbers, programs and what it tells."""

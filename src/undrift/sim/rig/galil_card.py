@@ -1,0 +1,565 @@
+"""An emulated Galil card: its language, numbers, programs and what it tells.
+
+Card: a one-axis motion controller: its settings, its motor, its motions and what ends them.
+
+Time is the axis's; `advance` brings both up to a moment and handles what happened on the way, in order.
+
+Words of the card's language: error texts, and the numbers that its settings take.
+
+Ranges, steps and defaults are those of the 1400 class as DOMAIN 3.1 gathers them; codes are those of its TC table.
+
+Expressions of the card's language: numbers, operands, variables and functions, worked from left to right.
+
+The card knows no precedence: 1+2*3 is 9. Comparisons give 1 or 0. Numbers lie within +-2147483647.9999.
+"""
+
+import math
+import re
+import struct
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from undrift.kernels import device as k
+from undrift.kernels.device import Coefficients
+from undrift.sim.rig.axes import Axis, ServoSettings
+
+# ---- Words of the card's language: error texts, and the numbers that its settings take.
+
+UNKNOWN, ONLY_IN_PROGRAM, NOT_IN_PROGRAM, OPERAND, BUFFER_FULL, OUT_OF_RANGE = 1, 2, 3, 4, 5, 6
+RUNNING, NOT_RUNNING, VARIABLE, NO_LABEL, JOG_ONLY, PROGRAM_RUNNING = 7, 8, 9, 10, 13, 17
+MOTOR_OFF, BEGIN_RUNNING, AT_LIMIT = 20, 21, 22
+NOT_ENOUGH, NO_QUESTION, PARENTHESES, LINE_TOO_LONG, NOT_A_NUMBER = 50, 51, 59, 60, 83
+SERIAL_TIMEOUT, PERIOD_TIMEOUT = 131, 143
+
+ERROR_TEXT = {
+    0: "",
+    UNKNOWN: "Unrecognized command",
+    ONLY_IN_PROGRAM: "Command only valid from program",
+    NOT_IN_PROGRAM: "Command not valid in program",
+    OPERAND: "Operand error",
+    BUFFER_FULL: "Input buffer full",
+    OUT_OF_RANGE: "Number out of range",
+    RUNNING: "Command not valid while running",
+    NOT_RUNNING: "Command not valid when not running",
+    VARIABLE: "Variable error",
+    NO_LABEL: "Empty program line or undefined label",
+    JOG_ONLY: "JG only valid when running in jog mode",
+    PROGRAM_RUNNING: "ED, BN and DL not valid while program running",
+    MOTOR_OFF: "Begin not valid with motor off",
+    BEGIN_RUNNING: "Begin not valid while running",
+    AT_LIMIT: "Begin not possible due to Limit Switch",
+    NOT_ENOUGH: "Not enough fields",
+    NO_QUESTION: "Question mark not valid",
+    PARENTHESES: "Mismatched parentheses",
+    LINE_TOO_LONG: "Download error - line too long or too many lines",
+    NOT_A_NUMBER: "Not a valid number",
+    SERIAL_TIMEOUT: "Serial port timeout",
+    PERIOD_TIMEOUT: "TM timed out",
+}
+
+STOP_RUNNING, STOP_DONE, STOP_FORWARD, STOP_REVERSE, STOP_ASKED = 0, 1, 2, 3, 4
+STOP_ABORT_INPUT, STOP_ABORTED, STOP_ERROR = 6, 7, 8
+
+LARGEST = 2_147_483_647.0
+
+
+class Refused(Exception):
+    """The card answers `?`; TC tells the code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(ERROR_TEXT[code])
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """One number that a command sets."""
+
+    default: float  # At power-up
+    low: float  # Range; beyond is error 6
+    high: float  # Range; beyond is error 6
+    step: float = 1.0  # The card rounds down to a multiple of it
+    digits: int = 8  # How `?` shows it
+    decimals: int = 0  # How `?` shows it
+    while_running: bool = True  # False is refused with error 7 during a motion
+    axis: bool = True  # True where an axis letter may follow
+
+
+SETTINGS = {
+    "KP": Setting(default=6.0, low=0.0, high=1023.875, step=0.125, digits=4, decimals=2),
+    "KI": Setting(default=0.0, low=0.0, high=2047.875, step=1.0 / 128.0, digits=4, decimals=4),
+    "KD": Setting(default=64.0, low=0.0, high=4095.875, step=0.125, digits=4, decimals=2),
+    "AC": Setting(default=256_000.0, low=1024.0, high=67_107_840.0, step=1024.0),
+    "DC": Setting(default=256_000.0, low=1024.0, high=67_107_840.0, step=1024.0),
+    "SP": Setting(default=25_000.0, low=0.0, high=12_000_000.0, step=2.0),
+    "ER": Setting(default=16_384.0, low=0.0, high=32_767.0),
+    "FL": Setting(default=LARGEST, low=-LARGEST - 1.0, high=LARGEST, digits=10),
+    "BL": Setting(default=-LARGEST - 1.0, low=-LARGEST - 1.0, high=LARGEST, digits=10),
+    "OE": Setting(default=0.0, low=0.0, high=3.0, digits=1),
+    "TL": Setting(default=9.9988, low=0.0, high=9.9988, step=20.0 / 65536.0, digits=1, decimals=4),
+    "TW": Setting(default=32_766.0, low=-1.0, high=32_766.0, digits=5),
+    "TM": Setting(default=1000.0, low=1.0, high=20_000.0, step=0.5, digits=5, while_running=False, axis=False),
+    "CN": Setting(default=-1.0, low=-1.0, high=1.0, digits=1, axis=False),
+    "LZ": Setting(default=0.0, low=0.0, high=1.0, digits=1, axis=False),
+    "PF": Setting(default=10.0, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
+    "VF": Setting(default=10.4, low=1.0, high=10.4, step=0.1, digits=2, decimals=1, axis=False),
+    "EO": Setting(default=0.0, low=0.0, high=1.0, digits=1, axis=False),
+    "CW": Setting(default=2.0, low=1.0, high=2.0, digits=1, axis=False),
+}
+
+
+def shown(value: float, digits: int, decimals: int, bare: bool) -> str:
+    """Return a number as the card prints it: a sign or a blank, leading zeros unless LZ1, a fixed count of decimals."""
+    text = f"{abs(value):.{decimals}f}"
+    whole, point, fraction = text.partition(".")
+    if len(whole) > digits:
+        whole, fraction = "9" * digits, "9" * len(fraction)
+    if not bare:
+        whole = whole.rjust(digits, "0")
+    sign = "-" if value < 0.0 and (whole + fraction).strip("0") else " "
+    return f"{sign}{whole}{point}{fraction}"
+
+
+# ---- Card: a one-axis motion controller: its settings, its motor, its motions and what ends them.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CardSettings:
+    """What kind of card it is."""
+
+    revision: str = "DMC1415 Rev 1.0u"  # Answer to ^R^V
+    speed_step: int = 1  # Resolution of JG, counts/s: 2 on older cards
+    minimum_sample_us: float = 62.5  # Shortest TM that the card can keep, us; shorter is error 143
+    speeds_follow_sample_time: bool = False  # True for old firmware: speeds scale with TM and are not corrected
+    line_length: int = 80  # Longest command, characters; longer is error 5
+    # A line begun over a serial link and not ended for so long is dropped with error 131, emulated s
+    serial_timeout_s: float = 5.0
+    # Axis angles at which the reverse and the forward limit switch close
+    switches_deg: tuple[float, float] | None = None
+    echo_serial: bool = False  # EO at power-up on a serial link
+
+
+@dataclass(slots=True)
+class Motion:
+    """What the next BG starts, and what the last motion did."""
+
+    kind: str = "PR"  # JG, PR or PA: the one commanded last
+    jog: float = 25_000.0  # counts/s
+    distance: float = 0.0  # Of PR and PA, counts
+    target: float = 0.0  # Of PR and PA, counts
+    running: bool = False  # A motion is in progress
+    reason: int = STOP_DONE  # Stop code that the present motion will end with
+    stop_code: int = STOP_DONE  # What SC tells
+
+
+@dataclass(slots=True)
+class Wiring:
+    """What is broken or pressed."""
+
+    amplifier_fault: bool = False  # No torque; a count that does not change
+    encoder_lost: bool = False  # No torque; a count that does not change
+    forward_pressed: bool = False  # Limit switches
+    reverse_pressed: bool = False  # Limit switches
+    powered: bool = True  # False after a power cut
+
+
+class Card:
+    """The controller's state and what may be done to it; the language stands in galil.py."""
+
+    def __init__(self, servo: ServoSettings, settings: CardSettings, history_s: float = 1200.0) -> None:
+        self.servo = servo
+        self.settings = settings
+        self.axis = Axis(servo, history_s)
+        self.wiring = Wiring()
+        self.unsolicited: deque[str] = deque(maxlen=1000)
+        self.set_up()
+
+    def set_up(self) -> None:
+        """Set everything to what it is at power-up: motor off, the burned gains, position zero where the axis stands."""
+        self.values = _power_up(self.servo)
+        self.motion = Motion()
+        self.motor_on = False
+        self.variables: dict[str, float] = {}
+        self.error_code = 0
+        self.auxiliary = 0
+        self.time_offset = self.axis.values[k.SAMPLES]
+        self.axis.values[k.MODE] = k.REST
+        self.axis.change(motor_on=False)
+        self.axis.set_period(self.servo.period_s)
+        self.apply()
+        self.axis.define(0)
+
+    def apply(self) -> None:
+        """Hand settings and wiring on to the loop."""
+        self.axis.coefficients = _coefficients(self)
+        if self.motion.running and self.motion.kind == "JG" and self.axis.values[k.MODE] == k.JOG:
+            self.axis.values[k.TARGET] = self.motion.jog * _speed_scale(self)
+
+    @property
+    def ticks(self) -> int:
+        """Operand TIME: samples since reset in units of TM/1000, which are ms only to 2.4 % on cards that count 1/1024 s."""
+        return int((self.axis.values[k.SAMPLES] - self.time_offset) * self.values["TM"] / 1000.0)
+
+    def advance(self, time: float) -> None:
+        """Bring the card up to a moment."""
+        self._watch_amplifier()
+        while (event := self.axis.advance(time)) != k.NOTHING:
+            if event == k.DONE and self.motion.running:
+                self._end(self.motion.reason)
+            elif event in (k.FORWARD_LIMIT, k.REVERSE_LIMIT):
+                self.motion.reason = STOP_FORWARD if event == k.FORWARD_LIMIT else STOP_REVERSE
+                if self.values["OE"] >= 2.0:
+                    self._off(self.motion.reason)
+            elif event == k.ERROR_LIMIT and self.values["OE"] in (1.0, 3.0):
+                self._off(STOP_ERROR)
+
+    def motor(self, on: bool) -> None:
+        """Switch the servo on where the axis stands, or off."""
+        if not on:
+            if self.motion.running:
+                raise Refused(RUNNING)
+            self._off(self.motion.stop_code)
+            return
+        if self.motor_on:
+            return
+        values = self.axis.values
+        values[k.REFERENCE], values[k.SPEED] = self.axis.register, 0.0
+        values[k.SUM] = values[k.LAST] = values[k.ERROR] = values[k.OVER] = 0.0
+        values[k.MODE] = k.REST
+        self.motor_on = True
+        self.axis.change(motor_on=True)
+        self._watch_amplifier()
+
+    def jog(self, speed: float) -> None:
+        """Take a jog speed; a jog that runs takes it at once."""
+        if self.motion.running and self.motion.kind != "JG":
+            raise Refused(JOG_ONLY)
+        if abs(speed) > SETTINGS["SP"].high:
+            raise Refused(OUT_OF_RANGE)
+        self.motion.jog = float(math.trunc(speed / self.settings.speed_step) * self.settings.speed_step)
+        self.motion.kind = "JG"
+        self.apply()
+
+    def aim(self, kind: str, counts: float) -> None:
+        """Take the target of a positioning move."""
+        if self.motion.running:
+            raise Refused(RUNNING)
+        if abs(counts) > LARGEST:
+            raise Refused(OUT_OF_RANGE)
+        self.motion.kind = kind
+        if kind == "PR":
+            self.motion.distance = float(math.trunc(counts))
+        else:
+            self.motion.target = float(math.trunc(counts))
+
+    def begin(self) -> None:
+        """Start the motion commanded last."""
+        if not self.motor_on:
+            raise Refused(MOTOR_OFF)
+        if self.motion.running:
+            raise Refused(BEGIN_RUNNING)
+        values = self.axis.values
+        target = self.motion.target if self.motion.kind == "PA" else values[k.REFERENCE] + self.motion.distance
+        way = self.motion.jog if self.motion.kind == "JG" else target - values[k.REFERENCE]
+        at_forward, at_reverse = limits_closed(self)
+        if (way > 0.0 and at_forward) or (way < 0.0 and at_reverse):
+            raise Refused(AT_LIMIT)
+        self.motion.running, self.motion.reason, self.motion.stop_code = True, STOP_DONE, STOP_RUNNING
+        values[k.MODE] = k.JOG if self.motion.kind == "JG" else k.MOVE
+        values[k.TARGET] = target
+        self.apply()
+
+    def stop(self) -> None:
+        """Slow down to rest; the motor stays on."""
+        if self.motion.running:
+            self.axis.values[k.MODE] = k.STOPPING
+            self.motion.reason = STOP_ASKED
+
+    def abort(self, stop_code: int = STOP_ABORTED) -> None:
+        """Stop the profile at once; the motor stays on."""
+        self.axis.values[k.MODE], self.axis.values[k.SPEED] = k.REST, 0.0
+        if self.motion.running:
+            self._end(stop_code)
+
+    def _end(self, stop_code: int) -> None:
+        self.motion.running = False
+        self.motion.stop_code = stop_code
+
+    def _off(self, stop_code: int) -> None:
+        self.motor_on = False
+        self.axis.change(motor_on=False)
+        self.axis.values[k.MODE], self.axis.values[k.SPEED] = k.REST, 0.0
+        self._end(stop_code)
+
+    def _watch_amplifier(self) -> None:
+        if self.wiring.amplifier_fault and self.motor_on and self.values["OE"] in (1.0, 3.0):
+            self._off(STOP_ERROR)
+
+
+def set_sample_time(card: Card, microseconds: float) -> None:
+    """Change TM. Multiples of 125 us are counted in 1/1024 s: TM 1000 is 976.6 us."""
+    if microseconds < card.settings.minimum_sample_us:
+        raise Refused(PERIOD_TIMEOUT)
+    ticks = card.ticks
+    old_card = microseconds % 125.0 == 0.0
+    card.axis.set_period(microseconds * (1e-3 / 1024.0 if old_card else 1e-6))
+    card.values["TM"] = microseconds
+    card.time_offset = card.axis.values[k.SAMPLES] - ticks * 1000.0 / microseconds
+    card.apply()
+
+
+def limits_closed(card: Card) -> tuple[bool, bool]:
+    """Tell whether the card may not go forward, or back: a switch is active, or the reference is beyond FL or BL."""
+    c, count, reference = card.axis.coefficients, card.axis.values[k.COUNT], card.axis.values[k.REFERENCE]
+    forward = c.forward_closed or count >= c.forward_at or reference > c.forward
+    reverse = c.reverse_closed or count <= c.reverse_at or reference < c.reverse
+    return bool(forward), bool(reverse)
+
+
+def _power_up(servo: ServoSettings) -> dict[str, float]:
+    values = {name: setting.default for name, setting in SETTINGS.items()}
+    values |= dict(zip(("KP", "KD", "KI"), servo.gains, strict=True))
+    return values | {"TM": servo.period_s * 1e6, "TL": min(servo.voltage_limit, SETTINGS["TL"].high)}
+
+
+def _speed_scale(card: Card) -> float:
+    period = card.axis.coefficients.period
+    return card.servo.period_s / period if card.settings.speeds_follow_sample_time else 1.0
+
+
+def _coefficients(card: Card) -> Coefficients:
+    v, w, scale = card.values, card.wiring, _speed_scale(card)
+    low, high = card.settings.switches_deg or (-math.inf, math.inf)
+    high_level = v["CN"] == 1.0  # then a switch that is not pressed counts as active
+    return card.axis.coefficients._replace(
+        proportional=4.0 * v["KP"],
+        derivative=4.0 * v["KD"],
+        integral=0.5 * v["KI"],
+        clip=card.servo.voltage_limit if v["TL"] >= SETTINGS["TL"].high else v["TL"],
+        acceleration=v["AC"] * scale**2,
+        deceleration=v["DC"] * scale**2,
+        slew=max(v["SP"] * scale, 1e-9),
+        error_limit=v["ER"] if v["ER"] > 0.0 else math.inf,
+        forward=v["FL"],
+        reverse=v["BL"],
+        powered=w.powered,
+        amplifier_good=not w.amplifier_fault,
+        encoder_good=not w.encoder_lost,
+        forward_closed=w.forward_pressed != high_level,
+        reverse_closed=w.reverse_pressed != high_level,
+        forward_at=math.radians(high) * card.servo.counts_per_rad,
+        reverse_at=math.radians(low) * card.servo.counts_per_rad,
+    )
+
+
+# ---- Expressions of the card's language: numbers, operands, variables and functions, worked from left to right.
+
+Look = Callable[[str], float]
+
+BOUND = 2_147_483_648.0
+DEEPEST = 20  # nested parentheses
+
+_NUMBER = re.compile(r"\$[0-9A-F]+(?:\.[0-9A-F]+)?|\d+(?:\.\d*)?|\.\d+")
+_WORD = re.compile(r"_?[A-Z][A-Z0-9]*")
+_SIGNS = ("<=", ">=", "<>", "+", "-", "*", "/", "&", "|", "%", "<", ">", "=")
+_FUNCTIONS: dict[str, Callable[[float], float]] = {
+    "@ABS": abs,
+    "@INT": lambda x: float(math.trunc(x)),
+    "@FRAC": lambda x: x - math.trunc(x),
+    "@RND": lambda x: float(math.floor(x + 0.5)),
+    "@SQR": lambda x: math.sqrt(abs(x)),
+    "@SIN": lambda x: math.sin(math.radians(x)),
+    "@COS": lambda x: math.cos(math.radians(x)),
+    "@COM": lambda x: float(~int(x)),
+    "@IN": lambda x: 1.0,  # inputs are pulled up
+}
+
+
+def evaluate(text: str, operand: Look, variable: Look) -> float:
+    """Return the value of an expression."""
+    reader = _Reader(text, operand, variable)
+    value = reader.expression(0)
+    if reader.rest():
+        raise Refused(PARENTHESES if reader.rest()[0] in ")]" else NOT_A_NUMBER)
+    return value
+
+
+class _Reader:
+    def __init__(self, text: str, operand: Look, variable: Look) -> None:
+        self._text = text.strip()
+        self._at = 0
+        self._operand = operand
+        self._variable = variable
+
+    def rest(self) -> str:
+        while self._at < len(self._text) and self._text[self._at] == " ":
+            self._at += 1
+        return self._text[self._at :]
+
+    def expression(self, depth: int) -> float:
+        if depth > DEEPEST:
+            raise Refused(PARENTHESES)
+        value = self._term(depth)
+        while (sign := next((s for s in _SIGNS if self.rest().startswith(s)), None)) is not None:
+            self._at += len(sign)
+            value = _bounded(_combine(sign, value, self._term(depth)))
+        return value
+
+    def _term(self, depth: int) -> float:
+        rest = self.rest()
+        if rest.startswith(("-", "+")):
+            self._at += 1
+            value = self._term(depth + 1) if depth < DEEPEST else 0.0
+            return -value if rest[0] == "-" else value
+        if rest.startswith("("):
+            self._at += 1
+            return self._closed(")", depth)
+        if rest.startswith("@"):
+            name = rest.split("[", 1)[0]
+            if name not in _FUNCTIONS or "[" not in rest:
+                raise Refused(UNKNOWN)
+            self._at += len(name) + 1
+            return _bounded(_FUNCTIONS[name](self._closed("]", depth)))
+        if match := _NUMBER.match(rest):
+            self._at += match.end()
+            return _bounded(_number(match.group()))
+        if match := _WORD.match(rest):
+            self._at += match.end()
+            name = match.group()
+            return self._operand(name) if name.startswith("_") or name == "TIME" else self._variable(name)
+        raise Refused(OPERAND if rest.startswith("_") else NOT_A_NUMBER)
+
+    def _closed(self, end: str, depth: int) -> float:
+        value = self.expression(depth + 1)
+        if not self.rest().startswith(end):
+            raise Refused(PARENTHESES)
+        self._at += 1
+        return value
+
+
+def _number(text: str) -> float:
+    if not text.startswith("$"):
+        return float(text)
+    whole, _, fraction = text[1:].partition(".")
+    return float(int(whole, 16)) + (int(fraction, 16) / 16.0 ** len(fraction) if fraction else 0.0)
+
+
+def _bounded(value: float) -> float:
+    if not abs(value) < BOUND:
+        raise Refused(OUT_OF_RANGE)
+    return value
+
+
+def _combine(sign: str, a: float, b: float) -> float:
+    if sign in ("/", "%") and b == 0.0:
+        raise Refused(OUT_OF_RANGE)
+    if sign in ("<", ">", "=", "<=", ">=", "<>"):
+        truth = {"<": a < b, ">": a > b, "=": a == b, "<=": a <= b, ">=": a >= b, "<>": a != b}
+        return float(truth[sign])
+    if sign in ("&", "|"):
+        return float(int(a) & int(b)) if sign == "&" else float(int(a) | int(b))
+    if sign == "%":
+        return math.fmod(a, b)
+    return {"+": a + b, "-": a - b, "*": a * b}[sign] if sign != "/" else a / b
+
+
+VARIABLE_NAME = re.compile(r"[A-Z][A-Z0-9]{0,7}")
+
+
+def look_up(variables: dict[str, float], name: str) -> float:
+    """Return a variable."""
+    if name not in variables:
+        raise Refused(VARIABLE)
+    return variables[name]
+
+
+# ---- Tell: what the card says about itself, as words, as operands of MG and as the binary record of QR.
+
+TELL = ("TP", "TE", "TV", "TT", "RP", "TD", "TS", "SC", "TB", "TI")
+_AXES = ("X", "A", "")
+
+
+def switches(card: Card) -> int:
+    """Return the byte of TS."""
+    forward, reverse = limits_closed(card)
+    bits = (
+        card.motion.running,
+        bool(card.axis.values[k.OVER]),
+        not card.motor_on,
+        False,
+        not forward,
+        not reverse,
+        True,
+    )
+    return sum(int(bit) << (7 - place) for place, bit in enumerate(bits))
+
+
+def value_of(card: Card, word: str) -> float:
+    """Return the number that a two-letter word stands for."""
+    motion, values = card.motion, card.axis.values
+    if word in card.values:
+        return card.values[word]
+    known = {
+        "TP": card.axis.register, "DP": card.axis.register, "TE": round(values[k.ERROR]), "TV": card.axis.velocity_counts,
+        "TT": values[k.VOLTAGE], "RP": int(values[k.REFERENCE] // 1), "TD": card.auxiliary, "DE": card.auxiliary,
+        "TS": switches(card), "SC": motion.stop_code, "TC": card.error_code, "BG": motion.running, "MO": not card.motor_on,
+        "JG": motion.jog, "PR": motion.distance, "PA": motion.target,
+        "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": 1, "TB": 1, "TI": 255, "AB": 1,
+    }  # fmt: skip
+    if word not in known:
+        raise Refused(OPERAND)
+    return float(known[word])
+
+
+def operand_value(card: Card, name: str) -> float:
+    """Return an operand such as _TPX, or TIME."""
+    if name == "TIME":
+        return float(card.ticks)
+    word, axis = name[1:3], name[3:]
+    if len(word) < 2 or axis not in _AXES:
+        raise Refused(OPERAND)
+    return value_of(card, word)
+
+
+def variable_value(card: Card, name: str) -> float:
+    """Return a variable."""
+    return look_up(card.variables, name)
+
+
+def told(card: Card, word: str) -> str:
+    """Return the answer to a tell word or to `word ?`, in its own format."""
+    bare = card.values["LZ"] == 1.0
+    value = value_of(card, word)
+    if word in SETTINGS:
+        return shown(value, SETTINGS[word].digits, SETTINGS[word].decimals, bare)
+    if word in ("TP", "TE", "RP", "TD", "PR", "PA", "DP", "DE"):
+        return shown(value, *places(card.values["PF"]), bare)
+    digits = {"TV": (7, 0), "JG": (8, 0), "TT": (1, 4)}.get(word, (3, 0))
+    return shown(value, *digits, bare)
+
+
+def places(number: float) -> tuple[int, int]:
+    """Return digits and decimals of a format such as 10.4."""
+    tenths = round(number * 10.0)
+    return tenths // 10, tenths % 10
+
+
+def record(card: Card) -> str:
+    """Return the binary record of QR: a header, the sample number, the inputs, one block of 28 bytes for the axis."""
+    values = card.axis.values
+    status = (int(card.motion.running) << 15) | int(not card.motor_on)
+    block = struct.pack(
+        "<HBBiiiiihH",
+        status, switches(card), card.motion.stop_code,
+        *(_long(value_of(card, word)) for word in ("RP", "TP", "TE", "TD", "TV")),
+        max(-32_768, min(32_767, round(values[k.VOLTAGE] * 32_767.0 / 10.0))), 0,
+    )  # fmt: skip
+    general = struct.pack("<HBBBB", card.ticks & 0xFFFF, 0xFF, 0, card.error_code & 0xFF, 0)
+    body = general + block
+    header = struct.pack("<BBH", 0x85, 0x01, len(body) + 4)
+    return (header + body).decode("latin-1")
+
+
+def _long(value: float) -> int:
+    return max(-(2**31), min(2**31 - 1, round(value)))

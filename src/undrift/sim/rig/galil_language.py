@@ -1,0 +1,608 @@
+r"""Galil: the ASCII language of a one-axis card, read by a parser of its own.
+
+Two upper-case letters and arguments; `;` or a carriage return ends a command. Each command is answered by its text, if it has
+one, with CR LF, and `:`; or by `?`, after which the rest of the line is dropped and TC tells why.
+
+Program: lines kept on the card and run there, with trippoints.
+
+DL .. \ loads, LS lists, XQ runs from a label, HX halts. JP, EN, AM and WT mean something only here. What a program prints nobody
+asked for; a command that fails ends it with `?`, the line number and the line.
+"""
+
+import math
+import re
+import threading
+from collections.abc import Callable
+
+from undrift.arrays import FloatArray
+from undrift.sim.rig.axes import Clock, ServoSettings
+from undrift.sim.rig.galil_card import (
+    BUFFER_FULL,
+    ERROR_TEXT,
+    LARGEST,
+    LINE_TOO_LONG,
+    NO_LABEL,
+    NO_QUESTION,
+    NOT_A_NUMBER,
+    NOT_ENOUGH,
+    NOT_IN_PROGRAM,
+    NOT_RUNNING,
+    ONLY_IN_PROGRAM,
+    OPERAND,
+    OUT_OF_RANGE,
+    PROGRAM_RUNNING,
+    RUNNING,
+    SERIAL_TIMEOUT,
+    SETTINGS,
+    STOP_ABORT_INPUT,
+    TELL,
+    UNKNOWN,
+    VARIABLE_NAME,
+    Card,
+    CardSettings,
+    Refused,
+    evaluate,
+    operand_value,
+    places,
+    record,
+    set_sample_time,
+    shown,
+    told,
+    variable_value,
+)
+
+ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "AD", "AT", "JP", "JS", "EN", "RE")
+NOT_PROGRAM_WORDS = ("DL", "LS", "UL", "ED", "RS", "QR")
+REVISION = "\x12\x16"
+CRLF = "\r\n"
+
+_AXIS_EQUALS = re.compile(r"\s*([A-Z*])\s*=(.*)", re.S)
+_MESSAGE_ITEM = re.compile(r"(\"[^\"]*\"|[^\"{}]*)((?:\{[^{}]*\}\s*)*)")
+_FORM = re.compile(r"\{([^{}]*)\}")
+_ASSIGNMENT = re.compile(r"([A-Z][A-Z0-9]*)\s*=(.*)", re.S)
+_WITH_VALUE = (*SETTINGS, "JG", "PR", "PA", "DP", "DE")
+
+
+def execute(card: Card, command: str, in_program: bool = False) -> str:
+    """Do one command."""
+    text = command.strip(" ")
+    if not text:
+        return ""
+    if text == REVISION:
+        return card.settings.revision + CRLF
+    word, rest = text[:2], text[2:]
+    if in_program and word in NOT_PROGRAM_WORDS:
+        raise Refused(NOT_IN_PROGRAM)
+    if not in_program and word in ONLY_PROGRAM_WORDS:
+        raise Refused(ONLY_IN_PROGRAM)
+    known = word in _WORDS or word in _WITH_VALUE or word in TELL
+    if not known or (re.match(r"[A-Z0-9]{2,}\s*=", rest) is not None):
+        return _assign(card, text)
+    if word in _WITH_VALUE:
+        return _valued(card, word, rest)
+    if word in TELL:
+        _axes(rest)
+        return told(card, word) + CRLF
+    return _WORDS[word](card, rest)
+
+
+def _assign(card: Card, text: str) -> str:
+    match = _ASSIGNMENT.fullmatch(text)
+    if match is None or not VARIABLE_NAME.fullmatch(match.group(1)):
+        raise Refused(UNKNOWN)
+    name, expression = match.group(1), match.group(2).strip()
+    if expression:
+        card.variables[name] = _number(card, expression)
+        return ""
+    value = variable_value(card, name)
+    return shown(value, *places(card.values["VF"]), card.values["LZ"] == 1.0) + CRLF
+
+
+def _number(card: Card, text: str) -> float:
+    return evaluate(text, lambda name: operand_value(card, name), lambda name: variable_value(card, name))
+
+
+def _argument(rest: str) -> str:
+    # the field of the only axis: "1000", " 1000,,", "X=1000", "*=1000" or "?"
+    match = _AXIS_EQUALS.fullmatch(rest)
+    if match is not None:
+        if match.group(1) not in "AX*":
+            raise Refused(OPERAND)
+        fields = [match.group(2)]
+    else:
+        fields = rest.lstrip(" =").split(",")
+    if any(field.strip() for field in fields[1:]):
+        raise Refused(OPERAND)
+    field = fields[0].strip()
+    if not field:
+        raise Refused(NOT_ENOUGH)
+    return field
+
+
+def _axes(rest: str) -> None:
+    letters = rest.strip().replace(",", "")
+    if "?" in letters:
+        raise Refused(NO_QUESTION)
+    if any(letter not in "AX" for letter in letters):
+        raise Refused(OPERAND)
+
+
+def _valued(card: Card, word: str, rest: str) -> str:
+    field = _argument(rest)
+    if field == "?":
+        return told(card, word) + CRLF
+    value = _number(card, field)
+    if word == "JG":
+        card.jog(value)
+    elif word in ("PR", "PA"):
+        card.aim(word, value)
+    elif word == "DP":
+        if card.motion.running:
+            raise Refused(RUNNING)
+        if abs(value) > LARGEST:
+            raise Refused(OUT_OF_RANGE)
+        card.axis.define(math.trunc(value))
+    elif word == "DE":
+        card.auxiliary = math.trunc(value)
+    else:
+        _set(card, word, value)
+    return ""
+
+
+def _set(card: Card, word: str, value: float) -> None:
+    setting = SETTINGS[word]
+    if not setting.low <= value <= setting.high:
+        raise Refused(OUT_OF_RANGE)
+    if card.motion.running and not setting.while_running:
+        raise Refused(RUNNING)
+    rounded = math.trunc(value / setting.step + 1e-9) * setting.step
+    if word == "TM":
+        set_sample_time(card, rounded)
+        return
+    card.values[word] = rounded
+    card.apply()
+
+
+def _switch(on: bool) -> Callable[[Card, str], str]:
+    def act(card: Card, rest: str) -> str:
+        _axes(rest)
+        card.motor(on)
+        return ""
+
+    return act
+
+
+def _begin(card: Card, rest: str) -> str:
+    _axes(rest)
+    card.begin()
+    return ""
+
+
+def _stop(card: Card, rest: str) -> str:
+    _axes(rest)
+    card.stop()
+    return ""
+
+
+def _abort(card: Card, rest: str) -> str:
+    if rest.strip() == "?":
+        return told(card, "AB") + CRLF
+    if rest.strip() not in ("", "0", "1"):
+        raise Refused(OUT_OF_RANGE if rest.strip().isdigit() else OPERAND)
+    card.abort()
+    return ""
+
+
+def _tell_code(card: Card, rest: str) -> str:
+    argument = rest.strip()
+    if argument not in ("", "0", "1"):
+        raise Refused(NO_QUESTION if argument == "?" else OUT_OF_RANGE)
+    code, card.error_code = card.error_code, 0
+    return (f"{code} {ERROR_TEXT[code]}".rstrip() if argument == "1" else str(code)) + CRLF
+
+
+def _reset(card: Card, rest: str) -> str:
+    _axes(rest)
+    card.abort()
+    card.set_up()
+    return ""
+
+
+def _nothing(_card: Card, rest: str) -> str:
+    if "?" in rest:
+        raise Refused(NO_QUESTION)
+    return ""
+
+
+def _no_editor(_card: Card, _rest: str) -> str:
+    raise Refused(UNKNOWN)
+
+
+def _message(card: Card, rest: str) -> str:
+    text, end = "", CRLF
+    items = _split(rest)
+    if not items:
+        raise Refused(NOT_ENOUGH)
+    for item in items:
+        match = _MESSAGE_ITEM.fullmatch(item)
+        if match is None:
+            raise Refused(OPERAND)
+        forms = _FORM.findall(match.group(2))
+        if "N" in forms:
+            end = ""
+        text += _item(card, match.group(1).strip(), [form for form in forms if form != "N"])
+    return text + end
+
+
+def _item(card: Card, body: str, forms: list[str]) -> str:
+    form = forms[0] if forms else ""
+    if body.startswith('"'):
+        return body[1:-1]
+    if not body:
+        if form.startswith("^") and form[1:].isdigit() and int(form[1:]) < 256:
+            return chr(int(form[1:]))
+        return ""  # {N}, or the name of a port, of which there is one
+    value = _number(card, body)
+    if not form or form[0] in "PEU":
+        return shown(value, *places(card.values["VF"]), True)
+    match = re.fullmatch(r"([FZ])(\d{1,2})(?:\.(\d))?", form)
+    if match is None:
+        raise Refused(OPERAND)
+    return shown(value, int(match.group(2)), int(match.group(3) or 0), match.group(1) == "Z")
+
+
+def _split(rest: str) -> list[str]:
+    # at commas, but not within quotes
+    items, quoted = [""], False
+    for letter in rest.strip():
+        if letter == '"':
+            quoted = not quoted
+        if letter == "," and not quoted:
+            items.append("")
+        else:
+            items[-1] += letter
+    if quoted:
+        raise Refused(NOT_A_NUMBER)
+    return [item.strip() for item in items if item.strip()]
+
+
+_WORDS: dict[str, Callable[[Card, str], str]] = {
+    "SH": _switch(True),
+    "MO": _switch(False),
+    "BG": _begin,
+    "ST": _stop,
+    "AB": _abort,
+    "TC": _tell_code,
+    "RS": _reset,
+    "MG": _message,
+    "QR": lambda card, rest: record(card) + _nothing(card, rest),
+    "ID": lambda card, rest: card.settings.revision + CRLF + _nothing(card, rest),
+    "BN": _nothing,
+    "BV": _nothing,
+    "CF": _nothing,
+    "ED": _no_editor,
+}
+
+
+# ---- Program: lines kept on the card and run there, with trippoints.
+
+SLICE_S = 1e-3  # emulated time between looks at a program
+AT_ONCE = 50  # commands in a slice
+LONGEST, MOST = 80, 250  # characters of a line, lines
+
+_STATEMENT = re.compile(r'(?:[^;"]|"[^"]*")+')
+
+
+class Program:
+    """The one program of a card."""
+
+    def __init__(self, card: Card) -> None:
+        self._card = card
+        self._lines: list[str] = []
+        self._todo: list[tuple[int, str]] = []
+        self._next: int | None = None  # next line; None when nothing runs
+        self._until: float | None = None  # operand TIME that WT waits for
+        self._waiting = False  # AM
+
+    @property
+    def running(self) -> bool:
+        """Whether lines are being executed."""
+        return self._next is not None
+
+    def halt(self) -> None:
+        """Stop executing lines."""
+        self._next, self._todo, self._until, self._waiting = None, [], None, False
+
+    def load(self, text: str) -> None:
+        """Replace the program."""
+        lines = text.strip("\r").split("\r")
+        if len(lines) > MOST or any(len(line) > LONGEST for line in lines):
+            raise Refused(LINE_TOO_LONG)
+        self._lines = lines
+
+    def command(self, line: str) -> str | None:
+        """Do a command about the program."""
+        text = line.strip()
+        word, rest = text[:2], text[2:].strip()
+        if word == "DL" and not rest:
+            if self.running:
+                raise Refused(PROGRAM_RUNNING)
+            return "DL"
+        if word == "LS" and not rest:
+            return "".join(f"{number} {line}{CRLF}" for number, line in enumerate(self._lines))
+        if word == "XQ":
+            self._next, self._todo = self._label(rest.split(",")[0]) if rest else 0, []
+            return ""
+        if word == "HX":
+            if not self.running:
+                raise Refused(NOT_RUNNING)
+            self.halt()
+            return ""
+        if word == "AB" and rest != "1":
+            self.halt()
+        return None
+
+    def advance(self, time: float) -> None:
+        """Bring card and program up to a moment."""
+        card = self._card
+        while self.running and card.axis.time < time - SLICE_S:
+            card.advance(card.axis.time + SLICE_S)
+            self._step()
+        card.advance(time)
+        if self.running:
+            self._step()
+
+    def _step(self) -> None:
+        for _ in range(AT_ONCE):
+            if self._next is None or (self._waiting and self._card.motion.running):
+                return
+            if self._until is not None and self._card.ticks < self._until:
+                return
+            self._waiting, self._until = False, None
+            if not self._todo:
+                if self._next >= len(self._lines):
+                    self.halt()
+                    return
+                number, self._next = self._next, self._next + 1
+                found = _STATEMENT.findall(self._lines[number])
+                self._todo = [(number, text.strip()) for text in found if not text.strip().startswith(("#", "'"))]
+                continue
+            self._do(*self._todo.pop(0))
+
+    def _do(self, number: int, text: str) -> None:
+        word, rest = text[:2], text[2:].strip()
+        try:
+            if word == "EN":
+                self.halt()
+            elif word in ("AM", "MC"):
+                self._waiting = True
+            elif word == "WT":
+                self._until = self._card.ticks + self._value(rest)
+            elif word == "JP":
+                label, _, condition = rest.partition(",")
+                if not condition or self._value(condition):
+                    self._next, self._todo = self._label(label), []
+            elif text:
+                answer = execute(self._card, text, in_program=True)
+                if answer:
+                    self._card.unsolicited.append(answer)
+        except Refused as refusal:
+            self._card.error_code = refusal.code
+            self._card.unsolicited.append(f"?{number:03d} {text}{CRLF}")
+            self.halt()
+
+    def _value(self, text: str) -> float:
+        return evaluate(text, lambda n: operand_value(self._card, n), lambda n: variable_value(self._card, n))
+
+    def _label(self, text: str) -> int:
+        for number, line in enumerate(self._lines):
+            if line.strip().split(";")[0].strip() == text.strip() and text.strip().startswith("#"):
+                return number
+        raise Refused(NO_LABEL)
+
+
+# ---- Session: the bytes of one client of a card, in both directions, and the machine that clients share.
+
+
+class GalilMachine:
+    """A card, its clock and its programs, for any number of clients."""
+
+    def __init__(self, servo: ServoSettings, settings: CardSettings, clock: Clock, history_s: float = 1200.0) -> None:
+        self.card = Card(servo, settings, history_s)
+        self.program = Program(self.card)
+        self.clock = clock
+        self.lock = threading.RLock()
+        self._sessions: list[GalilSession] = []
+
+    def open_session(self, serial: bool) -> "GalilSession":
+        """Return what a new client talks to."""
+        with self.lock:
+            session = GalilSession(self, serial)
+            self._sessions.append(session)
+            return session
+
+    def close_session(self, session: object) -> None:
+        """Forget a client; the card goes on with what it was told."""
+        with self.lock:
+            self._sessions = [kept for kept in self._sessions if kept is not session]
+
+    def tick(self) -> None:
+        """Bring card and programs up to now, and hand out what nobody asked for."""
+        with self.lock:
+            self.program.advance(self.clock.now())
+            while self.card.unsolicited:
+                text = self.card.unsolicited.popleft()
+                for session in self._sessions:
+                    session.tell(text)
+
+    @property
+    def motor_on(self) -> bool:
+        """Whether the servo holds the axis."""
+        with self.lock:
+            self.tick()
+            return self.card.motor_on and self.card.wiring.powered
+
+    def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return angle and rate of the axis, rad and rad/s, shape (n,).
+
+        Arrays: times (n,) s.
+        """
+        with self.lock:
+            self.tick()
+            return self.card.axis.states(times)
+
+    def present(self) -> tuple[float, float]:
+        """Return angle and rate of the axis now, rad and rad/s."""
+        with self.lock:
+            self.tick()
+            _, angle, rate = self.card.axis.history(0.0)
+            return float(angle[-1]), float(rate[-1])
+
+    def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return time and angle of the kept past, s and rad, shape (n,)."""
+        with self.lock:
+            self.tick()
+            time, angle, _ = self.card.axis.history(last_s)
+            return time, angle
+
+    def set_fault(self, name: str, on: bool) -> None:
+        """Break or mend a part of the card or of its wiring."""
+        with self.lock:
+            self.tick()
+            wiring = self.card.wiring
+            if name == "amplifier_fault":
+                wiring.amplifier_fault = on
+            elif name == "encoder_loss":
+                wiring.encoder_lost = on
+            elif name == "limit_switch":
+                wiring.forward_pressed = on
+            elif name == "limit_switch_reverse":
+                wiring.reverse_pressed = on
+            elif name == "power_cut":
+                self._power(not on)
+            elif name == "message" and on:
+                self.card.unsolicited.append("EMULATED MESSAGE\r\n")
+            elif name == "abort_input" and on:
+                self._abort_input()
+            self.card.apply()
+            self.tick()
+
+    def _power(self, on: bool) -> None:
+        self.card.wiring.powered = on
+        self.program.halt()
+        self.card.abort()
+        self.card.set_up()
+        for session in self._sessions:
+            session.forget()
+
+    def _abort_input(self) -> None:
+        self.program.halt()
+        self.card.abort(STOP_ABORT_INPUT)
+        if self.card.values["OE"] in (1.0, 3.0):
+            self.card.motor(False)
+
+
+class GalilSession:
+    """One client's bytes."""
+
+    def __init__(self, machine: GalilMachine, serial: bool) -> None:
+        self._machine = machine
+        self._serial = serial
+        self._unasked = b""
+        self.forget()
+        if serial and machine.card.settings.echo_serial:
+            machine.card.values["EO"] = 1.0
+
+    def forget(self) -> None:
+        """Drop the line in progress."""
+        self._line = ""
+        self._quoted = self._dropping = self._downloading = False
+        self._begun: float | None = None
+
+    def greet(self) -> bytes:
+        """Return what the card says to a new client: nothing."""
+        return b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes from the client."""
+        machine = self._machine
+        with machine.lock:
+            machine.tick()
+            if not machine.card.wiring.powered:
+                return []
+            answers = []
+            for letter in data.decode("latin-1"):
+                if self._serial and machine.card.values["EO"] == 1.0:
+                    answers.append(letter.encode("latin-1"))
+                answers += self._take(letter)
+            machine.tick()
+            return [answer for answer in answers if answer]
+
+    def unasked(self) -> bytes:
+        """Return what the card says without being asked, since the last look."""
+        with self._machine.lock:
+            self._time_out()
+            data, self._unasked = self._unasked, b""
+            return data
+
+    def tell(self, text: str) -> None:
+        """Queue a message; CW1 sets the high bit of each character."""
+        data = text.encode("latin-1", "replace")
+        if self._machine.card.values["CW"] == 1.0:
+            data = bytes(byte | 0x80 for byte in data)
+        self._unasked += data
+
+    def _take(self, letter: str) -> list[bytes]:
+        if letter == "\n":
+            return []
+        if self._downloading:
+            return self._download(letter)
+        if letter == "\r" or (letter == ";" and not self._quoted):
+            line, self._line, self._quoted, self._begun = self._line, "", False, None
+            dropped, self._dropping = self._dropping, self._dropping and letter == ";"
+            return [] if dropped else [self._answer(line, letter)]
+        if self._dropping:
+            return []
+        if not self._line:
+            self._begun = self._machine.clock.now()
+        self._line += letter
+        self._quoted ^= letter == '"'
+        if len(self._line) > self._machine.card.settings.line_length:
+            return [self._refuse(BUFFER_FULL, ";")]
+        return []
+
+    def _answer(self, line: str, end: str) -> bytes:
+        card = self._machine.card
+        try:
+            text = self._machine.program.command(line)
+            if text == "DL":  # no prompt until the program has come
+                self._downloading = True
+                return b""
+            if text is None:
+                text = execute(card, line)
+        except Refused as refusal:
+            return self._refuse(refusal.code, end)
+        return (text + ":").encode("latin-1", "replace")
+
+    def _refuse(self, code: int, end: str) -> bytes:
+        self._machine.card.error_code = code
+        self._line, self._quoted, self._begun = "", False, None
+        self._dropping = end == ";"
+        return b"?"
+
+    def _download(self, letter: str) -> list[bytes]:
+        if letter not in "\\\x1a":
+            self._line += letter
+            return []
+        text, self._line, self._downloading = self._line, "", False
+        try:
+            self._machine.program.load(text)
+        except Refused as refusal:
+            return [self._refuse(refusal.code, "\r")]
+        return [b":"]
+
+    def _time_out(self) -> None:
+        machine = self._machine
+        late = self._begun is not None and machine.clock.now() - self._begun > machine.card.settings.serial_timeout_s
+        if self._serial and late:
+            self._unasked += self._refuse(SERIAL_TIMEOUT, "\r")

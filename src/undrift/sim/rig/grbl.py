@@ -1,0 +1,737 @@
+"""An emulated GRBL board: its language, planner and reports.
+
+Grbl: an emulated stepper board behind the bytes of its clients, and the faults it may suffer.
+
+Lines end with a line feed and are answered `ok` or `error:n`; `?` `!` `~` 0x18 0x85 are taken at once, wherever they stand.
+
+Stepper: a shaft that follows a planned path, a ripple of its detents apart.
+
+A path is a list of pieces of constant acceleration, x = x0 + v0 t + a t^2/2 from the start of each; what the pulses say and what
+the shaft does are two paths, since a motor without current loses steps.
+
+Planner: moves that follow each other on one axis without a rest between, where they go the same way.
+
+The speed at a joint is the slower feed of the two moves, or zero where the way turns; no move may be entered faster than it can be
+left, v_in^2 <= v_out^2 + 2 a d. An axis that is too fast for what is left, or goes the other way, comes to rest first and returns.
+"""
+
+import bisect
+import math
+import re
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.sim.rig.axes import Clock
+from undrift.units import RADIAN_PER_DEGREE
+
+# ---- Words of a stepper board: lines of letters and numbers, `$n=value`, and the codes of what is wrong with them.
+
+ERROR_MEANING = {
+    1: "a word without its letter",
+    2: "a number that is missing or not one",
+    3: "a $ command that is not known",
+    4: "a negative setting",
+    5: "homing is not enabled",
+    8: "not unless idle",
+    9: "locked: an alarm, or a jog in progress",
+    11: "line too long",
+    15: "jog beyond the travel of the table",
+    16: "jog with a forbidden word, or without `=`",
+    20: "a command that is not supported",
+    21: "two commands of one group",
+    22: "no feed rate",
+    25: "a word twice",
+    26: "no axis word",
+}
+
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+_SETTING = re.compile(r"\$(\d+)=(.*)")
+_DISTANCE = {"G90": False, "G91": True}
+_HARMLESS = ("G21", "G94", "G54", "G17", "M5", "M9")
+_MOVES = {"G0": True, "G1": False}
+
+
+class Denied(Exception):
+    """The board answers `error:n`."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(ERROR_MEANING[code])
+        self.code = code
+
+
+@dataclass(slots=True)
+class Move:
+    """What a line asks for."""
+
+    target: dict[str, float] = field(default_factory=dict)  # Axis letter to angle, deg
+    feed: float = 0.0  # deg/min; 0 where the line gives none
+    relative: bool | None = None  # G91, G90, or neither
+    rapid: bool = False  # G0
+
+
+def parse_line(text: str, axes: str, *, jog: bool) -> Move:
+    """Read a line, or what stands behind `$J=`."""
+    move, seen = Move(), set[str]()
+    groups: set[str] = set()
+    for letter, number in _words(text):
+        name = f"{letter}{number:g}"
+        key = name if letter in "GM" else letter
+        if key in seen:
+            raise Denied(25)
+        seen.add(key)
+        if letter in axes:
+            move.target[letter] = number
+        elif letter == "F":
+            if number < 0.0:
+                raise Denied(4)
+            move.feed = number
+        elif name in _DISTANCE or (name in _MOVES and not jog):
+            group = "distance" if name in _DISTANCE else "motion"
+            if group in groups:
+                raise Denied(21)
+            groups.add(group)
+            move.relative = _DISTANCE.get(name, move.relative)
+            move.rapid = _MOVES.get(name, move.rapid)
+        elif name not in _HARMLESS:
+            raise Denied(16 if jog else 20)
+    if jog:
+        if not move.target:
+            raise Denied(26)
+        if not move.feed:
+            raise Denied(22)
+    return move
+
+
+def _words(text: str) -> list[tuple[str, float]]:
+    words, at = [], 0
+    while at < len(text):
+        match = _WORD.match(text, at)
+        if match is None:
+            raise Denied(2 if text[at].isalpha() else 1)
+        words.append((match.group(1), float(match.group(2))))
+        at = match.end()
+    return words
+
+
+def parse_setting(text: str, known: dict[int, float]) -> tuple[int, float]:
+    """Read `$n=value`."""
+    match = _SETTING.fullmatch(text)
+    if match is None or len(match.group(1)) > 3 or int(match.group(1)) not in known:
+        raise Denied(3)
+    try:
+        value = float(match.group(2))
+    except ValueError:
+        raise Denied(2) from None
+    if not value >= 0.0 or value > 1e9:
+        raise Denied(4)
+    number = int(match.group(1))
+    if value == 0.0 and number >= 100:
+        raise Denied(4)
+    return number, value
+
+
+# ---- Stepper: a shaft that follows a planned path, a ripple of its detents apart.
+
+GRIP = 1e6  # deg/s2: a motor that gets its current back holds at once
+
+
+@dataclass(slots=True)
+class Path:
+    """Pieces of constant acceleration, deg."""
+
+    start: list[float] = field(default_factory=lambda: [0.0])  # When each begins, s
+    angle: list[float] = field(default_factory=lambda: [0.0])  # deg, deg/s, deg/s2 at its beginning
+    rate: list[float] = field(default_factory=lambda: [0.0])  # deg, deg/s, deg/s2 at its beginning
+    acceleration: list[float] = field(default_factory=lambda: [0.0])  # deg, deg/s, deg/s2 at its beginning
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Return angle and rate at a moment."""
+        i = max(bisect.bisect_right(self.start, time) - 1, 0)
+        t = time - self.start[i]
+        return (
+            self.angle[i] + t * (self.rate[i] + 0.5 * self.acceleration[i] * t),
+            self.rate[i] + self.acceleration[i] * t,
+        )
+
+    def many(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return angle and rate at many moments.
+
+        Arrays: times (n,) s -> (n,) deg.
+        """
+        first = max(
+            bisect.bisect_right(self.start, float(times.min(initial=math.inf))) - 1, 0
+        )  # only what is asked for
+        start, angle = np.array(self.start[first:]), np.array(self.angle[first:])
+        rate, acceleration = np.array(self.rate[first:]), np.array(self.acceleration[first:])
+        i = np.clip(np.searchsorted(start, times, side="right") - 1, 0, None)
+        t = times - start[i]
+        return angle[i] + t * (rate[i] + 0.5 * acceleration[i] * t), rate[i] + acceleration[i] * t
+
+    def cut(self, time: float) -> None:
+        """Forget what was planned after a moment; what is under way there goes on without end."""
+        keep = max(bisect.bisect_right(self.start, time), 1)
+        for column in (self.start, self.angle, self.rate, self.acceleration):
+            del column[keep:]
+
+    def go(self, time: float, angle: float, rate: float, acceleration: float) -> None:
+        """Add a piece at the end."""
+        self.start.append(time)
+        self.angle.append(angle)
+        self.rate.append(rate)
+        self.acceleration.append(acceleration)
+
+    def slow(self, time: float, deceleration: float) -> float:
+        """Come to rest from whatever goes on at a moment."""
+        angle, rate = self.at(time)
+        self.cut(time)
+        duration = abs(rate) / deceleration
+        self.go(time, angle, rate, -math.copysign(deceleration, rate) if rate else 0.0)
+        self.go(time + duration, angle + 0.5 * rate * duration, 0.0, 0.0)
+        return time + duration
+
+    def follow(self, time: float, rate: float, legs: list[tuple[float, float]]) -> float:
+        """Replace what was planned by legs of constant acceleration, after which the axis rests."""
+        angle, _ = self.at(time)
+        self.cut(time)
+        for duration, acceleration in legs:
+            self.go(time, angle, rate, acceleration)
+            angle += duration * (rate + 0.5 * acceleration * duration)
+            rate += acceleration * duration
+            time += duration
+        self.go(time, angle, 0.0, 0.0)
+        return time
+
+
+class Stepper:
+    """The pulses of a board and the shaft that follows them while its motor has current."""
+
+    def __init__(self) -> None:
+        self.pulses, self.shaft = Path(), Path()
+        self.energised = True
+        self.ratio = (
+            1.0  # deg of the shaft in a deg of the pulses: what the steps-per-degree setting makes of a true step
+        )
+
+    def follow(self, time: float, legs: list[tuple[float, float]]) -> None:
+        """Replace what was planned."""
+        _, rate = self.pulses.at(time)
+        self.pulses.follow(time, rate, legs)
+        if self.energised:
+            self.shaft.follow(time, self.ratio * rate, [(duration, self.ratio * a) for duration, a in legs])
+
+    def slow(self, time: float, deceleration: float) -> float:
+        """Come to rest."""
+        if self.energised:
+            self.shaft.slow(time, self.ratio * deceleration)
+        return self.pulses.slow(time, deceleration)
+
+    def set_current(self, time: float, on: bool, coast: float) -> None:
+        """Switch the motor's current; without it the shaft coasts and the pulses go on by themselves."""
+        if self.energised != on:
+            self.shaft.slow(time, GRIP if on else coast)
+        self.energised = on
+
+    def count_from_zero(self, time: float) -> None:
+        """Forget the pulses: the board has started afresh."""
+        self.pulses.cut(time)
+        self.pulses.go(time, 0.0, 0.0, 0.0)
+
+
+def rippled(angle: FloatArray, rate: FloatArray, amplitude: float, period: float) -> tuple[FloatArray, FloatArray]:
+    """Add the ripple of the detents: x + A sin(2 pi x / p).
+
+    Arrays: angle (n,) deg, rate (n,) deg -> (n,) deg.
+    """
+    phase = 2.0 * math.pi * angle / period
+    factor = 1.0 + amplitude * 2.0 * math.pi / period * np.cos(phase)
+    return angle + amplitude * np.sin(phase), rate * factor
+
+
+# ---- Planner: moves that follow each other on one axis without a rest between, where they go the same way.
+
+Leg = tuple[float, float]
+DONE = 1e-6  # deg: a move with less to go is over; far less than a step
+ROUNDING = 1e-6  # of a speed
+
+
+def plan(moves: list[tuple[float, float]], rate: float, acceleration: float) -> tuple[list[Leg], list[float]]:
+    """Return the legs of constant acceleration that a chain of moves is made of: they end at rest, where the last move ends."""
+    todo, part_of = _merged(moves)
+    ends: list[float] = [0.0]
+    speeds = _speeds(todo, abs(rate), acceleration)
+    allowed = _reach(speeds[1], todo[0][0], acceleration) * (1.0 + ROUNDING)
+    legs: list[Leg] = []
+    if rate != 0.0 and (rate * todo[0][0] <= 0.0 or abs(rate) > allowed):
+        legs.append((abs(rate) / acceleration, -math.copysign(acceleration, rate)))
+        todo[0] = (todo[0][0] - 0.5 * rate * abs(rate) / acceleration, todo[0][1])
+        speeds = _speeds(todo, 0.0, acceleration)
+    time = sum(duration for duration, _ in legs)
+    for (distance, feed), enter, leave in zip(todo, speeds[:-1], speeds[1:], strict=True):
+        for duration, change in _legs(abs(distance), feed, enter, leave, acceleration):
+            legs.append((duration, math.copysign(1.0, distance) * change))
+            time += duration
+        ends.append(time)
+    return legs, [ends[part] for part in part_of]
+
+
+def _merged(moves: list[tuple[float, float]]) -> tuple[list[tuple[float, float]], list[int]]:
+    """Return the chain with moves shorter than a step joined to a neighbour, and how many of the chain end with each move."""
+    todo: list[tuple[float, float]] = []
+    part_of: list[int] = []
+    carried = 0.0
+    for distance, feed in moves:
+        carried += distance
+        if abs(carried) >= DONE:
+            todo.append((carried, feed))
+            carried = 0.0
+        part_of.append(len(todo))
+    if todo:
+        todo[-1] = (todo[-1][0] + carried, todo[-1][1])
+        return todo, part_of
+    return [(carried, moves[-1][1])], [*part_of[:-1], 1]
+
+
+def _speeds(moves: list[tuple[float, float]], enter: float, acceleration: float) -> list[float]:
+    """Return the speeds at the joints: none that cannot be braked from, none that cannot be reached."""
+    count = len(moves)
+    speeds = [enter] + [_joint(moves[i], moves[i + 1]) for i in range(count - 1)] + [0.0]
+    for i in range(count - 1, 0, -1):
+        speeds[i] = min(speeds[i], _reach(speeds[i + 1], moves[i][0], acceleration))
+    for i in range(count):
+        speeds[i + 1] = min(speeds[i + 1], _reach(speeds[i], moves[i][0], acceleration))
+    return speeds
+
+
+def _joint(before: tuple[float, float], after: tuple[float, float]) -> float:
+    return min(before[1], after[1]) if before[0] * after[0] > 0.0 else 0.0
+
+
+def _reach(speed: float, distance: float, acceleration: float) -> float:
+    return math.sqrt(speed * speed + 2.0 * acceleration * abs(distance))
+
+
+def _legs(distance: float, feed: float, enter: float, leave: float, a: float) -> list[Leg]:
+    if distance == 0.0:
+        return []
+    if enter >= _reach(leave, distance, a):  # by rounding: brake that little harder
+        duration = 2.0 * distance / (enter + leave)
+        return [(duration, (leave - enter) / duration)]
+    peak = min(feed, math.sqrt(a * distance + 0.5 * (enter * enter + leave * leave)))
+    peak = max(peak, leave)
+    change = abs(peak - enter) / a
+    down = (peak - leave) / a
+    level = (distance - 0.5 * (enter + peak) * change - 0.5 * (peak + leave) * down) / peak
+    legs = ((change, math.copysign(a, peak - enter)), (max(level, 0.0), 0.0), (down, -a))
+    return [leg for leg in legs if leg[0] > 0.0]
+
+
+# ---- Board: what a stepper board does with its lines and its real-time characters: states, moves, settings, alarms.
+
+BUFFER = 15  # moves that may wait
+EOL = "\r\n"
+AT_ONCE = 1e6  # deg/s2: a reset or a limit cuts the pulses
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrblSettings:
+    """What kind of board, motor and table it is."""
+
+    axes: str = "XYZA"  # Letters of the board's axes, in the order of its reports
+    axis: str = "A"  # The one that turns the table
+    version: str = "1.1h"  # In its greeting
+    full_step_deg: float = 1.8  # Of the table, deg
+    microsteps: int = 16  # In a full step
+    ripple_deg: float = 0.02  # Detent ripple, amplitude, deg
+    max_rate_deg_per_min: float = 21_600.0  # $11n and $12n at power-up
+    acceleration_deg_s2: float = 500.0  # $11n and $12n at power-up
+    coast_deg_s2: float = 400.0  # How fast friction stops the table without current, deg/s2
+
+    def __post_init__(self) -> None:
+        if len(self.axis) != 1 or self.axis not in self.axes:
+            raise InputError(f"grbl axis: wanted one of {', '.join(self.axes)}, got '{self.axis}'; name one of them")
+
+
+class Board:
+    """The controller; time is the clock's."""
+
+    def __init__(self, settings: GrblSettings, clock: Clock) -> None:
+        self.settings, self.clock = settings, clock
+        self.stepper = Stepper()
+        self.limit_pressed = False
+        self.values = _defaults(settings)
+        self.start()
+
+    def start(self) -> None:
+        """Start afresh: idle, nothing waiting, settings kept."""
+        self.state = "Idle"
+        self.relative = False
+        self.feed = 0.0
+        self._queue: deque[tuple[float, float]] = deque()  # goal, deg, and feed, deg/s; the first is under way
+        self._joints: deque[float] = deque()  # when each is over, s
+        self._ends = -1e9  # when the pulses rest
+
+    def of_axis(self, family: int) -> float:
+        """Return the axis's own value of a family of settings: 100 steps/deg, 110 deg/min, 120 deg/s2, 130 deg."""
+        return self.values[family + self.settings.axes.index(self.settings.axis)]
+
+    def advance(self) -> None:
+        """Come up to now: moves that are over leave the queue."""
+        now = self.clock.now()
+        _drop_done(self._queue, self._joints, now)
+        if self.state in ("Jog", "Run") and not self._queue and now >= self._ends:
+            self.state = "Idle"
+
+    @property
+    def full(self) -> bool:
+        """Whether another move has to wait: its line is not answered until there is room."""
+        return len(self._queue) > BUFFER
+
+    @property
+    def moving(self) -> bool:
+        """Whether pulses are being sent."""
+        return self.clock.now() < self._ends
+
+    @property
+    def energised(self) -> bool:
+        """Whether the motor has current: always with $1=255, else while it moves and for $1 ms after."""
+        if not self.stepper.energised or self.state == "Sleep":
+            return False
+        now = self.clock.now()
+        return now < self._ends or self.values[1] == 255.0 or now - self._ends < self.values[1] * 1e-3
+
+    def do(self, text: str) -> str:
+        """Do one line of upper case without blanks; return what it prints, or raise Denied."""
+        if not text:
+            return ""
+        if text.startswith("$J="):
+            if self.state not in ("Idle", "Jog"):
+                raise Denied(9 if self.state in ("Alarm", "Sleep") else 8)
+            self._add(parse_line(text[3:], self.settings.axes, jog=True), "Jog")
+            return ""
+        if text.startswith("$"):
+            return self._dollar(text)
+        if self.state in ("Alarm", "Sleep", "Jog"):
+            raise Denied(9)
+        move = parse_line(text, self.settings.axes, jog=False)
+        if move.relative is not None:
+            self.relative = move.relative
+        self.feed = move.feed or self.feed
+        if move.target:
+            self._add(move, "Run")
+        return ""
+
+    def _dollar(self, text: str) -> str:
+        if text in _INFORMATION:
+            return _INFORMATION[text](self)
+        if text == "$X":
+            self.state = "Idle" if self.state == "Alarm" else self.state
+            return f"[MSG:Caution: Unlocked]{EOL}"
+        if text == "$H":
+            raise Denied(5)
+        if self.state not in ("Idle", "Alarm"):
+            raise Denied(8)
+        if text == "$SLP":
+            self.state = "Sleep"
+            return f"[MSG:Sleeping]{EOL}"
+        number, value = parse_setting(text, self.values)
+        self.values[number] = value
+        return ""
+
+    def _add(self, move: Move, state: str) -> None:
+        feed = (move.feed or self.feed) if state == "Run" and not move.rapid else move.feed
+        if move.rapid:
+            feed = self.of_axis(110)
+        if not feed:
+            raise Denied(22)
+        wanted = move.target.get(self.settings.axis)
+        end = self._queue[-1][0] if self._queue else self.stepper.pulses.at(max(self.clock.now(), self._ends))[0]
+        relative = self.relative if move.relative is None else move.relative
+        goal = end if wanted is None else (end + wanted if relative else wanted)
+        if state == "Jog" and self.values[20] == 1.0 and not -self.of_axis(130) <= goal <= 0.0:
+            raise Denied(15)
+        steps = self.of_axis(100)
+        self._queue.append((round(goal * steps) / steps, min(feed, self.of_axis(110)) / 60.0))
+        if self.state == "Idle":
+            self.state = state
+        if self.state == state:
+            self._plan()
+
+    def _plan(self) -> None:
+        # from where the pulses are now, or from where they will rest after a stop
+        now = self.clock.now()
+        _drop_done(self._queue, self._joints, now)
+        begin = now if self._joints else max(now, self._ends)
+        angle, rate = self.stepper.pulses.at(begin)
+        moves, at = [], angle
+        for goal, feed in self._queue:
+            moves.append((goal - at, feed))
+            at = goal
+        legs, ends = plan(moves, rate, self.of_axis(120))
+        self.stepper.ratio = self.of_axis(100) * self.settings.full_step_deg / self.settings.microsteps
+        self.stepper.follow(begin, legs)
+        self._joints = deque(begin + end for end in ends)
+        self._ends = self._joints[-1]
+
+    def _slow(self, deceleration: float) -> None:
+        self._queue.clear()
+        self._joints.clear()
+        self._ends = self.stepper.slow(self.clock.now(), deceleration)
+
+    def at_once(self, letter: str) -> str:
+        """Do a real-time character."""
+        if letter == "?":
+            return _report(self)
+        if letter in ("!", "\x85") and self.state == "Jog":
+            self._slow(self.of_axis(120))
+        elif letter == "!" and self.state == "Run":
+            waiting = list(self._queue)
+            self._slow(self.of_axis(120))
+            self._queue.extend(waiting)
+            self.state = "Hold"
+        elif letter == "~" and self.state == "Hold" and not self.moving:
+            self.state = "Run"
+            self._plan()
+        elif letter == "\x18":
+            return self.reset()
+        return ""
+
+    def reset(self) -> str:
+        """Start afresh; a reset in motion loses the position and locks."""
+        lost = self.moving
+        if lost:
+            self._slow(AT_ONCE)
+        self.start()
+        if lost:
+            self.state = "Alarm"
+        return (f"ALARM:3{EOL}" if lost else "") + greeting(self.settings)
+
+    def alarm(self, number: int) -> str:
+        """Stop at once and lock."""
+        self._slow(AT_ONCE)
+        self.state = "Alarm"
+        return f"ALARM:{number}{EOL}[MSG:Reset to continue]{EOL}"
+
+
+def answer(board: Board, text: str) -> str:
+    """Do one line."""
+    try:
+        return board.do(text.strip().upper().replace(" ", "")) + "ok" + EOL
+    except Denied as denial:
+        return f"error:{denial.code}{EOL}"
+
+
+def greeting(settings: GrblSettings) -> str:
+    """Return what a board prints when it starts."""
+    return f"{EOL}Grbl {settings.version} ['$' for help]{EOL}"
+
+
+def _report(board: Board) -> str:
+    now, axis, steps = board.clock.now(), board.settings.axis, board.of_axis(100)
+    angle, rate = board.stepper.pulses.at(now)
+    places = [round(angle * steps) / steps if letter == axis else 0.0 for letter in board.settings.axes]
+    state = f"Hold:{int(board.moving)}" if board.state == "Hold" else board.state
+    pins = f"|Pn:{axis}" if board.limit_pressed else ""
+    shown = ",".join(f"{place:.3f}" for place in places)
+    return f"<{state}|MPos:{shown}|FS:{round(abs(rate) * 60.0)},0{pins}>{EOL}"
+
+
+def _list_settings(board: Board) -> str:
+    decimals = {number: 3 if number >= 100 or number in (11, 12, 24, 25, 27) else 0 for number in board.values}
+    return "".join(f"${number}={value:.{decimals[number]}f}{EOL}" for number, value in board.values.items())
+
+
+_INFORMATION: dict[str, Callable[[Board], str]] = {
+    "$$": _list_settings,
+    "$": lambda board: f"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]{EOL}",
+    "$I": lambda board: f"[VER:{board.settings.version}.20190825:]{EOL}[OPT:V,15,128]{EOL}",
+    "$G": lambda board: (
+        f"[GC:G0 G54 G17 G21 {'G91' if board.relative else 'G90'} G94 M5 M9 T0 F{board.feed:g} S0]{EOL}"
+    ),
+}
+
+
+def _defaults(s: GrblSettings) -> dict[int, float]:
+    values = {0: 10.0, 1: 25.0, 2: 0.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: 0.0, 10: 1.0, 11: 0.01, 12: 0.002, 13: 0.0}
+    values |= {20: 0.0, 21: 1.0, 22: 0.0, 23: 0.0, 24: 25.0, 25: 500.0, 26: 250.0, 27: 1.0}
+    values |= {30: 1000.0, 31: 0.0, 32: 0.0}
+    for place in range(len(s.axes)):
+        values[100 + place] = round(s.microsteps / s.full_step_deg, 3)
+        values[110 + place] = s.max_rate_deg_per_min
+        values[120 + place] = s.acceleration_deg_s2
+        values[130 + place] = 360.0
+    return dict(sorted(values.items()))
+
+
+def _drop_done(queue: "deque[tuple[float, float]]", joints: "deque[float]", now: float) -> None:
+    """Let moves that are over leave the queue."""
+    while queue and joints and now >= joints[0]:
+        queue.popleft()
+        joints.popleft()
+
+
+# ---- Grbl: an emulated stepper board behind the bytes of its clients, and the faults it may suffer.
+
+LINE_LENGTH = 80
+
+
+class GrblMachine:
+    """A board, its clock and its motor, for any number of clients."""
+
+    def __init__(self, settings: GrblSettings, clock: Clock, history_s: float = 1200.0) -> None:
+        self.settings, self.clock = settings, clock
+        self.board = Board(settings, clock)
+        self.lock = threading.RLock()
+        self._history_s = history_s
+        self._sessions: list[GrblSession] = []
+        self._broken: set[str] = set()
+
+    def open_session(self, serial: bool) -> "GrblSession":
+        """Return what a new client talks to."""
+        with self.lock:
+            session = GrblSession(self)
+            self._sessions.append(session)
+            return session
+
+    def close_session(self, session: object) -> None:
+        """Forget a client; the board goes on."""
+        with self.lock:
+            self._sessions = [kept for kept in self._sessions if kept is not session]
+
+    def tick(self) -> None:
+        """Come up to now."""
+        with self.lock:
+            self.board.advance()
+
+    @property
+    def motor_on(self) -> bool:
+        """Whether the motor has current."""
+        with self.lock:
+            self.tick()
+            return self.board.energised
+
+    @property
+    def powered(self) -> bool:
+        """Whether it has power."""
+        return "power_cut" not in self._broken
+
+    def present(self) -> tuple[float, float]:
+        """Return angle and rate of the axis now, rad and rad/s."""
+        angle, rate = self.states(np.array([self.clock.now()]))
+        return float(angle[0]), float(rate[0])
+
+    def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return angle and rate of the axis, rad and rad/s, shape (n,).
+
+        Arrays: times (n,) s.
+        """
+        with self.lock:
+            now = self.clock.now()
+            self.tick()
+            t = np.asarray(times, float)
+            if t.size and (t.max() > now or t.min() < 0.0):
+                raise InputError(
+                    f"axis state: wanted times in 0..{now:.4f} s, got {t.min():.4f}..{t.max():.4f} s; ask for the past"
+                )
+            angle, rate = rippled(
+                *self.board.stepper.shaft.many(t), self.settings.ripple_deg, self.settings.full_step_deg
+            )
+            return angle * RADIAN_PER_DEGREE, rate * RADIAN_PER_DEGREE
+
+    def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return time and angle of the past in 1 ms steps, s and rad, shape (n,)."""
+        with self.lock:
+            now = self.clock.now()
+            first = max(0.0, now - (self._history_s if last_s is None else last_s))
+            times = np.append(np.arange(first, now, 1e-3), now)
+            return times, self.states(times)[0]
+
+    def set_fault(self, name: str, on: bool) -> None:
+        """Break or mend a part."""
+        with self.lock:
+            self.tick()
+            (self._broken.add if on else self._broken.discard)(name)
+            now, board = self.clock.now(), self.board
+            if name in ("power_cut", "amplifier_fault"):
+                current = not self._broken & {"power_cut", "amplifier_fault"}
+                board.stepper.set_current(now, current, self.settings.coast_deg_s2)
+                if name == "power_cut":
+                    board.stepper.count_from_zero(now)
+                    board.start()
+            elif name in ("limit_switch", "limit_switch_reverse"):
+                board.limit_pressed = bool(self._broken & {"limit_switch", "limit_switch_reverse"})
+                if on and board.values[21] == 1.0:
+                    self._tell(board.alarm(1))
+            elif name == "abort_input" and on:
+                self._tell(board.reset())
+            elif name == "message" and on:
+                self._tell(f"[MSG:Emulated message]{EOL}")
+
+    def _tell(self, text: str) -> None:
+        for session in self._sessions:
+            session.tell(text)
+
+
+class GrblSession:
+    """One client's bytes."""
+
+    def __init__(self, machine: GrblMachine) -> None:
+        self._machine = machine
+        self._line = ""
+        self._lines: deque[str] = deque()  # those that wait for room among the moves
+        self._unasked = b""
+
+    def greet(self) -> bytes:
+        """Return the greeting, as a board gives it when its port is opened."""
+        return greeting(self._machine.settings).encode()
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes from the client."""
+        machine = self._machine
+        with machine.lock:
+            machine.tick()
+            if not machine.powered:
+                return []
+            answers = [self._take(letter) for letter in data.decode("latin-1")]
+            machine.tick()
+            return [answer.encode("latin-1") for answer in answers if answer]
+
+    def unasked(self) -> bytes:
+        """Return what the board says without being asked, since the last look."""
+        with self._machine.lock:
+            data, self._unasked = self._unasked + self._work().encode("latin-1"), b""
+            return data
+
+    def tell(self, text: str) -> None:
+        """Queue a message."""
+        self._unasked += text.encode()
+
+    def _take(self, letter: str) -> str:
+        if letter in "?!~\x18\x85":
+            if letter == "\x18":
+                self._line = ""
+                self._lines.clear()
+            return self._machine.board.at_once(letter)
+        if letter in "\r\n":
+            line, self._line = self._line, ""
+            if letter == "\r" and not line:
+                return ""
+            self._lines.append(line)
+            return self._work()
+        if len(self._line) <= LINE_LENGTH:
+            self._line += letter
+        return ""
+
+    def _work(self) -> str:
+        # a full board does not read on
+        board, said = self._machine.board, ""
+        board.advance()
+        while self._lines and not board.full:
+            line = self._lines.popleft()
+            said += f"error:11{EOL}" if len(line) > LINE_LENGTH else answer(board, line)
+        return said

@@ -1,1 +1,0 @@
-"""An emulated GRBL board: its language, planner and reports."""

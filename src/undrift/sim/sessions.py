@@ -1,0 +1,158 @@
+"""Simulated sessions and trials: a device, a motion, and what undrift is given of them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.model import Calibration
+from undrift.record import Record, Reference, Session
+from undrift.sim.device.effects import LM335_V_PER_K, Thermometer
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import grade_named, random_device
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.truth import nominal_calibration
+from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
+from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.poses import OpticsSettings, see
+from undrift.sim.motion.tasks import Subject, TaskName, draw_task
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulatedTrial:
+    """A test trial and the truth about it.
+
+    Parameters
+    ----------
+    record : Record
+        What the device said.
+    reference : Reference
+        What the cameras saw.
+    motion : Motion
+        What was true, at the device's samples.
+    """
+
+    record: Record
+    reference: Reference
+    motion: Motion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Demo:
+    """A small complete example."""
+
+    device: DeviceModel  # The truth
+    nominal: Calibration  # What the data sheet alone says
+    session: Session  # Six faces and rate-table steps
+    trial: SimulatedTrial  # A sit-to-stand with its reference
+
+
+def simulate_session(
+    kind: BenchKind,
+    device: DeviceModel,
+    *,
+    rng: np.random.Generator,
+    settings: BenchSettings | None = None,
+    temp_c: float | tuple[float, float] | None = None,
+    labelled: bool = True,
+) -> Session:
+    """Return a calibration session of a simulated device.
+
+    Parameters
+    ----------
+    kind : str
+        six_face, rate_table, bench, ferraris or multi_position.
+    device : DeviceModel
+        The sensors.
+    rng : Generator
+        Draws motion and noise.
+    settings : BenchSettings, optional
+        How the session is performed.
+    temp_c : float or (float, float), optional
+        Board temperature, degC: constant, or at start and end with an even rise; the reference temperature where not
+        given.
+    labelled : bool
+        False leaves stills and turns to be found in the data.
+
+    Returns
+    -------
+    Session
+        One recording.
+    """
+    motion = bench_motion(kind, rng=rng, settings=settings)
+    reading = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion)))
+    return Session(
+        kind="calibration",
+        serial=device.serial,
+        gravity_m_s2=motion.gravity_m_s2,
+        records=(reading.record,),
+        stills=motion.stills if labelled else (),
+        turns=motion.turns if labelled else (),
+    )
+
+
+def simulate_trial(
+    task: TaskName,
+    device: DeviceModel,
+    *,
+    rng: np.random.Generator,
+    sample_rate_hz: float = 100.0,
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    optics: OpticsSettings | None = None,
+    temp_c: float | tuple[float, float] | None = None,
+    subject: Subject | None = None,
+) -> SimulatedTrial:
+    """Return a test trial of a simulated device with its optical reference.
+
+    Parameters
+    ----------
+    task : str
+        sit_to_stand, posturography, free or step.
+    device : DeviceModel
+        The sensors.
+    rng : Generator
+        Draws performance, noise and optics.
+    sample_rate_hz : float
+        Of the device.
+    gravity_m_s2 : float
+        m/s2.
+    optics : OpticsSettings, optional
+        What the cameras do.
+    temp_c : float or (float, float), optional
+        Board temperature, degC, as in ``simulate_session``.
+    subject : Subject, optional
+        Who performs it, one of a ``cohort``; somebody unknown where not given.
+
+    Returns
+    -------
+    SimulatedTrial
+        Record, reference and truth.
+    """
+    performed = draw_task(task, rng=rng, subject=subject)
+    time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
+    motion = performed.at(time, gravity_m_s2)
+    record = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion))).record
+    return SimulatedTrial(record=record, reference=see(performed, rng=rng, settings=optics), motion=motion)
+
+
+def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
+    """Return a small complete example: device, calibration session of three minutes, sit-to-stand with optics."""
+    lm335 = Thermometer(trim_error_c=0.8, lag_s=20.0, noise_c=0.03, step_c=5.0 / 4096 / LM335_V_PER_K)
+    device = replace(random_device(rng, grade="consumer"), thermometer=lm335)
+    rates = tuple(
+        rate * RADIAN_PER_DEGREE for rate in ((45.0, 90.0) if quick else (15.0, 30.0, 45.0, 60.0, 75.0, 90.0))
+    )
+    settings = BenchSettings(tilt_sd=0.1 * RADIAN_PER_DEGREE, turn_rates=rates, ramp_s=0.4, dwell_s=2.0)
+    session = simulate_session("bench", device, rng=rng, settings=settings, temp_c=(24.8, 25.2))
+    optics = OpticsSettings(delay_s=0.030)
+    return Demo(
+        device=device,
+        nominal=nominal_calibration(grade_named("consumer")),
+        session=session,
+        trial=simulate_trial("sit_to_stand", device, rng=rng, optics=optics, temp_c=25.0),
+    )
+
+
+def _temperature(temp_c: float | tuple[float, float] | None, samples: int) -> float | FloatArray | None:
+    return np.linspace(*temp_c, samples) if isinstance(temp_c, tuple) else temp_c

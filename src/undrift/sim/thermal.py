@@ -1,0 +1,622 @@
+"""Thermal sessions of a device and a climatic chamber that do not exist.
+
+Thermal sessions of a simulated device: soaks, ramps, warm-ups, poses at several temperatures.
+
+A programme of hours is simulated leg by leg. What a device remembers from leg to leg is kept: its age, the play of its
+hysteresis (by the turns of temperature before, for a play has no clock), where a random walk had gone, and what the thermometer
+felt all the way. Bias instability, which is stationary, is drawn anew for each leg.
+
+Chamber: the temperature of its set-point, its air and the board in it, over time.
+
+::
+
+    |r'| <= ramp limit                                   r set-point, straight from one to the next
+    a'' + 2 z a' / s + a / s^2 = r / s^2                 a air: s its lag, z its damping; it overshoots where z < 1
+    b' = (a - b) / tau                                   b board
+    soaked: |b'| < limit throughout the hold             for the rest of the way the chamber waits
+
+With x = (a, a', b, r, r') all of it is x' = A x, so a step h is ``x <- expm(h A) x`` exactly: ramps end on whole steps, never
+faster than the limit. Without a chamber a board warms itself, in two terms: die and package first, board and case later::
+
+    b = end - (end - start) (p exp(-t / t_1) + (1 - p) exp(-t / t_2))
+
+Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
+
+A leg is a stretch that is recorded without a break: a visit to a set-point, a whole ramp, a whole warm-up.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal, cast, get_args
+
+import numpy as np
+
+from undrift.arrays import FloatArray, frozen
+from undrift.errors import InputError
+from undrift.frames import quaternion_product
+from undrift.record import FACES, Face, Record, Session, Still, Turn
+from undrift.sim.device.effects import Offset, Scene, SensorChain, Thermometer, thermometer_reading
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import Simulated, Streams, Triad, draw_streams, simulate_device
+from undrift.sim.motion.bench import AXES, BenchSettings, earth_rate
+from undrift.sim.motion.motion import Motion, Script, facing, turn_quaternion, unit_vector
+from undrift.units import RADIAN_PER_DEGREE
+
+# ---- Chamber: the temperature of its set-point, its air and the board in it, over time.
+
+SECONDS_PER_MINUTE = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChamberSettings:
+    """What a climatic chamber and the board in it can do."""
+
+    # The most that a set-point moves between soaks, degC/min; faster ramps shorten a programme, and lag costs more
+    ramp_rate_c_per_min: float = 2.0
+    air_lag_s: float = 60.0  # s in the air's equation, s
+    damping: float = 0.7  # z in the air's equation: 1 and above never overshoots, 0.7 by 5 % of a sudden step
+    board_lag_s: float = 240.0  # tau, s; a bare board in moving air has some minutes
+    soak_rate_c_per_min: float = 0.1  # The board is soaked while its temperature changes by less, degC/min
+    # For how long it must do so, s, so that the turn of an overshoot does not pass for a soak
+    soak_hold_s: float = 60.0
+    longest_wait_s: float = 4.0 * 3600.0  # A soak that takes longer is an error, s
+    step_s: float = 1.0  # Step of the profile, s
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"chamber: wanted {name} above 0, got {getattr(self, name):g}; correct the settings")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RampSettings:
+    """A ramp up and back down."""
+
+    low_c: float = 18.0  # Set-points at its ends, degC
+    high_c: float = 75.0  # Set-points at its ends, degC
+    up_c_per_min: float = 1.0  # How fast the set-point moves, degC/min; 0 down ends the ramp at the top
+    down_c_per_min: float = 1.0  # How fast the set-point moves, degC/min; 0 down ends the ramp at the top
+    hold_s: float = 600.0  # Wait at the top, and at the bottom in the end, s
+
+    def __post_init__(self) -> None:
+        if not (self.high_c > self.low_c and self.up_c_per_min > 0.0 and self.down_c_per_min >= 0.0):
+            raise InputError(
+                f"ramp: wanted high_c above low_c, a rate up above 0 and one down of 0 or more, got {self.low_c:g} to "
+                f"{self.high_c:g} degC at {self.up_c_per_min:g} and {self.down_c_per_min:g} degC/min; correct the settings"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarmUpSettings:
+    """A board that warms itself after power-on. The defaults are a fit to a recorded MPU-6050, true to 0.03 K rms."""
+
+    start_c: float = 10.7  # Temperature at power-on and in the end, degC
+    end_c: float = 29.1  # Temperature at power-on and in the end, degC
+    fast_share: float = 0.52  # p: how much of the way goes with the short time constant, 0 to 1
+    fast_s: float = 150.0  # t_1 and t_2, s
+    slow_s: float = 549.0  # t_1 and t_2, s
+    duration_s: float = 2160.0  # Length, s
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.fast_share <= 1.0 and min(self.fast_s, self.slow_s, self.duration_s) > 0.0):
+            raise InputError(
+                f"warm-up: wanted a share of 0 to 1 and times above 0 s, got {self.fast_share:g}, {self.fast_s:g}, "
+                f"{self.slow_s:g} and {self.duration_s:g} s; correct the settings"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Soak:
+    """One visit to a set-point."""
+
+    set_point_c: float  # degC
+    begin_s: float  # When the chamber leaves the set-point before, s
+    soaked_s: float  # When the board is soaked, s
+    end_s: float  # When the visit ends, s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Profile:
+    """Temperatures of a programme, n steps."""
+
+    time: FloatArray  # (n,), s, evenly spaced from 0
+    set_point_c: FloatArray  # (n,), degC; NaN where there is no chamber
+    air_c: FloatArray  # (n,), degC; NaN where there is no chamber
+    board_c: FloatArray  # (n,), degC
+    soaks: tuple[Soak, ...] = ()  # In order of time; none in a ramp or a warm-up
+
+    def __post_init__(self) -> None:
+        n = len(self.time)
+        for name in ("time", "set_point_c", "air_c", "board_c"):
+            object.__setattr__(self, name, frozen(getattr(self, name), (n,), f"Profile.{name}"))
+
+    def board_at(self, time: FloatArray) -> FloatArray:
+        """Return the temperature of the board, straight between steps.
+
+        Arrays: time (N,) s -> (N,) degC.
+        """
+        return np.interp(time, self.time, self.board_c)
+
+    def turns_before(self, time_s: float) -> FloatArray:
+        """Return the temperatures at which the board began and turned back: all that a play remembers.
+
+        Arrays:  -> (k,) degC.
+        """
+        seen: FloatArray = self.board_c[self.time < time_s]
+        if not len(seen):
+            return seen
+        moved = np.concatenate(([True], np.diff(seen) != 0.0))
+        seen = seen[moved]
+        slope = np.sign(np.diff(seen))
+        turned = np.flatnonzero(slope[1:] != slope[:-1]) + 1
+        ends: FloatArray = seen[np.concatenate(([0], turned)).astype(int)]
+        return ends
+
+
+def soak_profile(
+    set_points_c: tuple[float, ...],
+    *,
+    measured_s: float,
+    settings: ChamberSettings | None = None,
+) -> Profile:
+    """Return a programme of soaks: at each set-point wait until the board is soaked, then stay as long as measuring takes."""
+    if not set_points_c:
+        raise InputError("soaks: wanted one set-point or more, got none; give temperatures in degC")
+    chamber = _Chamber(settings or ChamberSettings(), set_points_c[0])
+    soaks = []
+    for set_point_c in set_points_c:
+        begin_s = chamber.now_s
+        chamber.ramp_to(set_point_c, chamber.settings.ramp_rate_c_per_min)
+        chamber.wait_for_soak()
+        soaked_s = chamber.now_s
+        chamber.wait(measured_s)
+        soaks.append(Soak(set_point_c=set_point_c, begin_s=begin_s, soaked_s=soaked_s, end_s=chamber.now_s))
+    return chamber.profile(tuple(soaks))
+
+
+def ramp_profile(ramp: RampSettings, *, settings: ChamberSettings | None = None) -> Profile:
+    """Return a ramp from low to high and back."""
+    chamber = _Chamber(settings or ChamberSettings(), ramp.low_c)
+    chamber.ramp_to(ramp.high_c, ramp.up_c_per_min)
+    chamber.wait(ramp.hold_s)
+    if ramp.down_c_per_min > 0.0:
+        chamber.ramp_to(ramp.low_c, ramp.down_c_per_min)
+        chamber.wait(ramp.hold_s)
+    return chamber.profile(())
+
+
+def warm_up_profile(warm_up: WarmUpSettings, *, step_s: float = 1.0) -> Profile:
+    """Return the temperature of a board from power-on, without a chamber."""
+    time = np.arange(math.ceil(warm_up.duration_s / step_s) + 1) * step_s
+    lacking = warm_up.fast_share * np.exp(-time / warm_up.fast_s)
+    lacking = lacking + (1.0 - warm_up.fast_share) * np.exp(-time / warm_up.slow_s)
+    unknown = np.full(len(time), np.nan)
+    board = warm_up.end_c - (warm_up.end_c - warm_up.start_c) * lacking
+    return Profile(time=time, set_point_c=unknown, air_c=unknown, board_c=board)
+
+
+@dataclass
+class _Chamber:
+    """A chamber at work: each order moves its clock on."""
+
+    settings: ChamberSettings
+    start_c: float
+    states: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        from scipy.linalg import expm
+
+        s, tau = self.settings.air_lag_s, self.settings.board_lag_s
+        flow = np.zeros((5, 5))
+        flow[0, 1] = 1.0
+        flow[1, [0, 1, 3]] = -1.0 / s**2, -2.0 * self.settings.damping / s, 1.0 / s**2
+        flow[2, [0, 2]] = 1.0 / tau, -1.0 / tau
+        flow[3, 4] = 1.0
+        self.step = expm(flow * self.settings.step_s)
+        self.states = [np.array([self.start_c, 0.0, self.start_c, self.start_c, 0.0])]
+
+    @property
+    def now_s(self) -> float:
+        return (len(self.states) - 1) * self.settings.step_s
+
+    @property
+    def board_rate(self) -> float:
+        """Of the board, degC/s."""
+        return float(self.states[-1][0] - self.states[-1][2]) / self.settings.board_lag_s
+
+    def wait(self, duration_s: float) -> None:
+        for _ in range(math.ceil(duration_s / self.settings.step_s - 1e-9)):
+            self.states.append(self.step @ self.states[-1])
+
+    def ramp_to(self, set_point_c: float, rate_c_per_min: float) -> None:
+        way = set_point_c - self.states[-1][3]
+        steps = math.ceil(abs(way) / (rate_c_per_min / SECONDS_PER_MINUTE * self.settings.step_s) - 1e-9)
+        if steps == 0:
+            return
+        duration_s = steps * self.settings.step_s
+        self.states[-1] = self.states[-1] + [0.0, 0.0, 0.0, 0.0, way / duration_s]
+        self.wait(duration_s)
+        self.states[-1] = np.array([*self.states[-1][:3], set_point_c, 0.0])
+
+    def wait_for_soak(self) -> None:
+        limit, since = self.settings.soak_rate_c_per_min / SECONDS_PER_MINUTE, self.now_s
+        calm = 0
+        while calm * self.settings.step_s < self.settings.soak_hold_s:
+            if self.now_s - since > self.settings.longest_wait_s:
+                raise InputError(
+                    f"soak: wanted less than {self.settings.soak_rate_c_per_min:g} degC/min within "
+                    f"{self.settings.longest_wait_s:g} s at {self.states[-1][3]:g} degC, got "
+                    f"{abs(self.board_rate) * SECONDS_PER_MINUTE:.3g} degC/min; wait longer, or ask for less"
+                )
+            self.wait(self.settings.step_s)
+            calm = calm + 1 if abs(self.board_rate) < limit else 0
+
+    def profile(self, soaks: tuple[Soak, ...]) -> Profile:
+        held = np.array(self.states)
+        time = np.arange(len(held)) * self.settings.step_s
+        return Profile(time=time, set_point_c=held[:, 3], air_c=held[:, 0], board_c=held[:, 2], soaks=soaks)
+
+
+# ---- ThermalSettings: how a thermal session is performed, and what of it is written down.
+
+ThermalKind = Literal["soak", "ramp", "warm_up", "multi_position"]
+Recorded = Literal["soaked", "throughout"]
+
+SET_POINTS_C = (18.0, *(float(temp) for temp in range(25, 76, 5)))  # the note's range, every 5 K from 25 degC on
+INCLUSIVE_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(5, 91, 5))  # sit-to-stand, both ends: 36 both ways
+CHAMBER, RAMP, WARM_UP = ChamberSettings(), RampSettings(), WarmUpSettings()
+BENCH = BenchSettings(sample_rate_hz=50.0, turn_rates=INCLUSIVE_RATES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThermalSettings:
+    """How a thermal session is performed."""
+
+    # Motion at a set-point: sample rate (50 Hz), gravity, still_s (6 s a face), rates of the table (5 to 90 deg/s by
+    # 5, each both ways; none leaves the table out), ramp_s and dwell_s (0.5 and 3 s), tilt of the faces (0), poses
+    # and first still of a multi-position session (24 poses, 20 s)
+    bench: BenchSettings = BENCH
+    chamber: ChamberSettings = CHAMBER  # How fast temperatures follow, and when the board counts as soaked
+    # Of soaks and multi-position sessions, degC, in the order of the visits
+    set_points_c: tuple[float, ...] = SET_POINTS_C
+    back: bool = False  # Visit them once more in the opposite order: shows hysteresis, takes twice as long
+    # "one" rests with +z up at each set-point, "six" with each axis up and down: shows accelerometer scale over
+    # temperature
+    faces: Literal["one", "six"] = "one"
+    # "soaked" records at the set-points alone, "throughout" on the way between them too
+    recorded: Recorded = "soaked"
+    # One long record; else one for each set-point. The clock is that of the programme in either case
+    one_record: bool = True
+    ramp: RampSettings = RAMP  # Of a ramp
+    warm_up: WarmUpSettings = WARM_UP  # Of a warm-up
+    rest_face: Face = "+z"  # What points up in a ramp and a warm-up
+    # Time since power-on when the programme begins, s: an hour, so that what the device owes to its age has gone. A
+    # warm-up begins at power-on whatever this says
+    power_on_s: float = 3600.0
+    # True leaves the temperature column out and writes the set-points to stills and turns; what was recorded on the
+    # way, a ramp and a warm-up then tell no temperature at all
+    drop_temperature: bool = False
+    labelled: bool = True  # False leaves stills and turns, and with them the set-points, to be found in the data
+
+    def __post_init__(self) -> None:
+        if self.power_on_s < 0.0:
+            raise InputError(
+                f"thermal: wanted power_on_s of 0 or more, got {self.power_on_s:g} s; correct the settings"
+            )
+
+
+# ---- Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
+
+Work = Callable[[Script], Face | None]  # writes what is done at a set-point and returns the face that it leaves up
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Leg:
+    """A stretch recorded without a break."""
+
+    motion: Motion  # On the clock of the chamber, with its labels
+    soak: Soak | None = None  # The visit it belongs to
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Programme:
+    """Temperatures and motions of a thermal session."""
+
+    profile: Profile  # Temperatures
+    legs: tuple[Leg, ...]  # In order of time
+
+
+def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> Programme:
+    """Return what is done at which temperature."""
+    if kind == "ramp":
+        return _resting(ramp_profile(settings.ramp, settings=settings.chamber), settings)
+    if kind == "warm_up":
+        return _resting(warm_up_profile(settings.warm_up, step_s=settings.chamber.step_s), settings)
+    if kind == "multi_position":
+        poses = streams.of("pose")
+        return _visits(settings, lambda script: _poses(script, settings, poses))
+    tilts = streams.of("tilt")
+    return _visits(settings, lambda script: _faces_and_steps(script, settings, tilts))
+
+
+def _resting(profile: Profile, settings: ThermalSettings) -> Programme:
+    script = Script(settings.bench.sample_rate_hz, unit_vector(settings.rest_face))
+    script.still(float(profile.time[-1]), settings.rest_face)
+    return Programme(profile=profile, legs=(Leg(motion=_motion(script, settings, 0)),))
+
+
+def _visits(settings: ThermalSettings, work: Work) -> Programme:
+    rate, throughout = settings.bench.sample_rate_hz, settings.recorded == "throughout"
+    length_s = _length_s(settings, work)
+    points = settings.set_points_c + (settings.set_points_c[::-1] if settings.back else ())
+    profile = soak_profile(points, measured_s=length_s, settings=settings.chamber)
+    legs: list[Leg] = []
+    up = unit_vector("+z")
+    q, face = Script(rate, up).q, cast("Face | None", "+z")
+    for soak in profile.soaks:
+        script = Script(rate, up)
+        script.q = q
+        first, last = round(soak.soaked_s * rate), round(soak.end_s * rate)
+        if throughout:
+            first = round(soak.begin_s * rate)
+            script.still(soak.soaked_s - soak.begin_s, face)
+        face = work(script)
+        if throughout and first + script.samples < last:
+            script.slide(((), (), ()), (last - first - script.samples) / rate)  # at rest until the chamber moves on
+        q = script.q
+        legs.append(Leg(motion=_motion(script, settings, first), soak=soak))
+    return Programme(profile=profile, legs=tuple(legs))
+
+
+def _length_s(settings: ThermalSettings, work: Work) -> float:
+    """Return how long a visit measures, s: that of a rehearsal after a wait, whose tilts and poses are not used."""
+    script = Script(settings.bench.sample_rate_hz, unit_vector("+z"))
+    script.still(1.0)
+    before = script.samples
+    work(script)
+    if script.samples == before:
+        raise InputError(
+            "thermal: wanted a motion at the set-points, got one of no length; give still_s, rates or poses"
+        )
+    return (script.samples - before) / settings.bench.sample_rate_hz
+
+
+def _faces_and_steps(script: Script, settings: ThermalSettings, draw: np.random.Generator) -> Face:
+    """Rest on one face or six; then each axis up in turn: a rest, the steady rates both ways."""
+    bench = settings.bench
+    faces: tuple[Face, ...] = FACES if settings.faces == "six" else ("+z",)
+    for face in faces:
+        up, tilt = unit_vector(face), draw.normal(0.0, bench.tilt_sd, 3)
+        _lay(script, settings, facing(script.q, up + np.cross(tilt, up)))
+        script.still(bench.still_s, face)
+    if not bench.turn_rates:
+        return faces[-1]
+    ups: tuple[Face, ...] = ("+x", "+y", "+z")
+    for axis, face in zip(AXES, ups, strict=True):
+        _lay(script, settings, facing(script.q, unit_vector(face)))
+        script.still(bench.still_s, face)
+        for turn_rate in bench.turn_rates:
+            for signed in (turn_rate, -turn_rate):  # the way round changes, so that drift cannot pass for scale
+                script.spin(axis, signed, bench.ramp_s, bench.dwell_s)
+    return "+z"
+
+
+def _poses(script: Script, settings: ThermalSettings, draw: np.random.Generator) -> None:
+    """Rest in free poses, a long one first."""
+    bench = settings.bench
+    for number in range(bench.poses):
+        up = draw.normal(size=3)
+        twist = turn_quaternion(up / np.linalg.norm(up), np.array(draw.uniform(-math.pi, math.pi)))
+        _lay(script, settings, quaternion_product(facing(script.q, up), twist))
+        script.still(bench.first_still_s if number == 0 else bench.still_s)
+
+
+def _lay(script: Script, settings: ThermalSettings, q: FloatArray) -> None:
+    if script.samples:
+        script.turn_to(q, settings.bench.move_s)
+    else:
+        script.q = q
+
+
+def _motion(script: Script, settings: ThermalSettings, first: int) -> Motion:
+    """Return what was written, its first sample the given one of the programme's clock."""
+    bench = settings.bench
+    motion = script.motion(
+        bench.gravity_m_s2, lever_arm_b=np.array(bench.lever_arm_b), earth_rate_n=earth_rate(bench.latitude_deg)
+    )
+    return replace(motion, time=motion.time + first / bench.sample_rate_hz)
+
+
+# ---- Thermal sessions of a simulated device: soaks, ramps, warm-ups, poses at several temperatures.
+
+RUN_IN_S = 2.0  # at the leg's own temperature, for the filters to settle
+PLAIN = Thermometer()
+Walks = tuple[FloatArray, FloatArray]  # of the gyroscopes and the accelerometers
+
+
+def simulate_thermal_session(
+    kind: ThermalKind,
+    device: DeviceModel,
+    *,
+    rng: np.random.Generator,
+    settings: ThermalSettings | None = None,
+) -> Session:
+    """Return a thermal session of a simulated device."""
+    if kind not in get_args(ThermalKind):
+        raise InputError(f"thermal: wanted one of {', '.join(get_args(ThermalKind))}, got '{kind}'; name one of them")
+    chosen = settings or ThermalSettings()
+    chosen = replace(chosen, power_on_s=0.0) if kind == "warm_up" else chosen
+    programme = programme_of(kind, chosen, draw_streams(rng))
+    records, stills, turns = _pieced(_read(programme, device, chosen, rng), chosen)
+    return Session(
+        kind="thermal",
+        serial=device.serial,
+        gravity_m_s2=chosen.bench.gravity_m_s2,
+        records=records,
+        stills=stills if chosen.labelled else (),
+        turns=turns if chosen.labelled else (),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Taken:
+    """What was recorded of a leg, its labels counted from its own first sample."""
+
+    record: Record
+    stills: tuple[Still, ...]
+    turns: tuple[Turn, ...]
+
+
+def _read(
+    programme: Programme, device: DeviceModel, settings: ThermalSettings, rng: np.random.Generator
+) -> tuple[_Taken, ...]:
+    felt = _felt(device.thermometer, programme.profile, settings.power_on_s)
+    taken: list[_Taken] = []
+    walked: Walks = (np.zeros(3), np.zeros(3))
+    ended_s = 0.0
+    for leg in programme.legs:
+        time = leg.motion.time
+        walked = _walked_on(device, walked, float(time[0]) - ended_s, rng)
+        made, first = _simulated(leg.motion, programme.profile, _shifted(device, walked), settings.power_on_s, rng)
+        walked = (walked[0] + _walk_of(made.gyro), walked[1] + _walk_of(made.accel))
+        ended_s = float(time[-1])
+        noise = draw_streams(rng).of("thermometer")
+        said = _said(device.thermometer, np.interp(made.true_time, programme.profile.time, felt), made.true_time, noise)
+        record = replace(made.record, temp_c=None if settings.drop_temperature else said)
+        taken.append(_labelled(leg, record.part(first, len(record)), made.true_time[first:], settings))
+    return tuple(taken)
+
+
+def _simulated(
+    motion: Motion, profile: Profile, device: DeviceModel, power_on_s: float, rng: np.random.Generator
+) -> tuple[Simulated, int]:
+    """Return the readings of a leg behind those of a run-in, and the number of its first sample."""
+    start_s, step_s = float(motion.time[0]), 1.0 / motion.sample_rate_hz
+    turns = profile.turns_before(start_s)
+    temp_c = profile.board_at(motion.time)
+    if len(turns):
+        count = len(turns) + round(RUN_IN_S / step_s)
+        motion = _with_rest_before(motion, count, step_s)
+        temp_c = np.concatenate((turns, np.full(count - len(turns), temp_c[0]), temp_c))
+    plain = replace(device, thermometer=PLAIN)
+    age_s = power_on_s + float(motion.time[0])
+    made = simulate_device(plain, motion, rng=rng, temp_c=temp_c, power_on_s=age_s)
+    return made, int(np.searchsorted(made.true_time, start_s - 1e-3 * step_s))
+
+
+def _with_rest_before(motion: Motion, count: int, step_s: float) -> Motion:
+    """Return a motion that begins with a rest, with a longer one."""
+
+    def longer(x: FloatArray) -> FloatArray:
+        return np.concatenate((np.repeat(x[:1], count, axis=0), x))
+
+    swing = motion.angular_acceleration_b
+    return Motion(
+        time=np.concatenate((motion.time[0] - np.arange(count, 0, -1) * step_s, motion.time)),
+        q_nb=longer(motion.q_nb),
+        rate_b=longer(motion.rate_b),
+        mean_rate_b=longer(motion.mean_rate_b),
+        force_b=longer(motion.force_b),
+        gravity_m_s2=motion.gravity_m_s2,
+        moving=longer(motion.moving),
+        angular_acceleration_b=None if swing is None else longer(swing),
+    )
+
+
+def _felt(thermometer: Thermometer, profile: Profile, power_on_s: float) -> FloatArray:
+    """Return what the thermometer feels throughout: lag and its own warmth, no error of reading, degC, shape (n,)."""
+    silent = replace(thermometer, trim_error_c=0.0, slope_error=0.0, noise_c=0.0, step_c=0.0)
+    scene = _scene(profile.time, profile.board_c, power_on_s)
+    return thermometer_reading(silent, scene, np.random.default_rng(0))  # nothing is drawn without noise
+
+
+def _said(thermometer: Thermometer, felt: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return what it says to what it felt: trim, slope, noise and steps, degC, shape (N,)."""
+    return thermometer_reading(replace(thermometer, lag_s=0.0, self_heating_c=0.0), _scene(time, felt, 0.0), rng)
+
+
+def _scene(time: FloatArray, temp_c: FloatArray, power_on_s: float) -> Scene:
+    """Return a scene for the thermometer, which looks at temperature and age."""
+    unmoved = np.zeros((len(time), 3))
+    return Scene(
+        time=time,
+        step_s=float((time[-1] - time[0]) / (len(time) - 1)),
+        temp_c=temp_c,
+        warmth=temp_c,
+        age_s=time - time[0] + power_on_s,
+        rate_b=unmoved,
+        angular_acceleration_b=None,
+        force_b=unmoved,
+    )
+
+
+def _walked_on(device: DeviceModel, walked: Walks, gap_s: float, rng: np.random.Generator) -> Walks:
+    """Return where the random walks are after a time in which nothing was recorded."""
+    streams, span = draw_streams(rng), np.sqrt(max(gap_s, 0.0))
+    gyro, accel = (
+        at + streams.of(name).standard_normal(3) * (chain.random_walk.bias_walk * span if chain.random_walk else 0.0)
+        for name, chain, at in (("gyro_walk", device.gyro, walked[0]), ("accel_walk", device.accel, walked[1]))
+    )
+    return gyro, accel
+
+
+def _shifted(device: DeviceModel, walked: Walks) -> DeviceModel:
+    def shift(chain: SensorChain, by: FloatArray) -> SensorChain:
+        if chain.random_walk is None:
+            return chain
+        offset = chain.offset or Offset()
+        return replace(chain, offset=replace(offset, constant=offset.constant + by))
+
+    return replace(device, gyro=shift(device.gyro, walked[0]), accel=shift(device.accel, walked[1]))
+
+
+def _walk_of(triad: Triad) -> FloatArray:
+    end: FloatArray = triad.of("random_walk")[-1]
+    return end
+
+
+def _labelled(leg: Leg, record: Record, true_time: FloatArray, settings: ThermalSettings) -> _Taken:
+    """Return a record with the labels of its leg, in samples of the record: the device's clock may be another."""
+    time, slack = leg.motion.time, 1e-3 / leg.motion.sample_rate_hz
+
+    def sample(edge: int) -> int:
+        return len(record) if edge >= len(time) else int(np.searchsorted(true_time, time[edge] - slack))
+
+    def temp_of(label: Still | Turn) -> float | None:
+        at_set_point = leg.soak is not None and time[label.start] >= leg.soak.soaked_s
+        return leg.soak.set_point_c if settings.drop_temperature and leg.soak and at_set_point else None
+
+    stills = tuple(replace(s, start=sample(s.start), stop=sample(s.stop), temp_c=temp_of(s)) for s in leg.motion.stills)
+    turns = tuple(replace(t, start=sample(t.start), stop=sample(t.stop), temp_c=temp_of(t)) for t in leg.motion.turns)
+    return _Taken(record, stills, turns)
+
+
+def _pieced(
+    taken: tuple[_Taken, ...], settings: ThermalSettings
+) -> tuple[tuple[Record, ...], tuple[Still, ...], tuple[Turn, ...]]:
+    """Return the records of a session with its labels: one record for each leg, or one in all."""
+    stills: list[Still] = []
+    turns: list[Turn] = []
+    before = 0
+    for number, leg in enumerate(taken):
+        recording, offset = (0, before) if settings.one_record else (number, 0)
+        stills += [replace(s, start=s.start + offset, stop=s.stop + offset, recording=recording) for s in leg.stills]
+        turns += [replace(t, start=t.start + offset, stop=t.stop + offset, recording=recording) for t in leg.turns]
+        before += len(leg.record)
+    records = tuple(leg.record for leg in taken)
+    return (_joined(records),) if settings.one_record else records, tuple(stills), tuple(turns)
+
+
+def _joined(records: tuple[Record, ...]) -> Record:
+    def all_of(parts: list[FloatArray | None]) -> FloatArray | None:
+        held = [part for part in parts if part is not None]
+        return np.concatenate(held) if len(held) == len(parts) else None
+
+    return replace(
+        records[0],
+        time=np.concatenate([record.time for record in records]),
+        gyro=all_of([record.gyro for record in records]),
+        accel=all_of([record.accel for record in records]),
+        temp_c=all_of([record.temp_c for record in records]),
+    )

@@ -1,1 +1,0 @@
-"""Thermal sessions of a device and a climatic chamber that do not exist."""

@@ -1,0 +1,519 @@
+"""Repeated-measures analysis of variance: does the error depend on a parameter of the protocol?
+
+Subjects i = 1..n meet every condition j = 1..k (one value of the parameter each)::
+
+    SS_condition = n sum_j (y.j - y..)^2            df = k - 1
+    SS_subject   = k sum_i (yi. - y..)^2
+    SS_error     = SS_total - SS_condition - SS_subject   df = (n - 1)(k - 1)
+    F = MS_condition / MS_error
+
+p is given as it stands and with the degrees of freedom of Greenhouse-Geisser and Huynh-Feldt. The p to quote is the corrected
+one: Huynh-Feldt where Greenhouse-Geisser's epsilon is above 0.75, else Greenhouse-Geisser (Girden, 1992); it needs no test of
+sphericity first. The F of statsmodels' AnovaRM is the same, which a test holds.
+
+Sphericity of repeated measures: whether all differences between conditions have one variance, and what it costs if not.
+
+With the covariance S (k, k) of the conditions over subjects and C (k - 1, k) orthonormal contrasts, A = C S C^T::
+
+    Greenhouse-Geisser   e = tr(A)^2 / ((k - 1) tr(A A))
+    Huynh-Feldt          e~ = (n (k - 1) e - 2) / ((k - 1) (n - 1 - (k - 1) e)), at most 1
+    lower bound          1 / (k - 1)
+    Mauchly              W = det(A) / (tr(A) / (k - 1))^(k - 1), chi2 = -(n - 1 - (2 p^2 + p + 2) / (6 p)) ln W, p = k - 1
+
+Both degrees of freedom of the F test are multiplied by the epsilon.
+
+Unbalanced repeated measures: a mixed model with a random level for each subject.
+
+::
+
+    y_r = m_c(r) + u_s(r) + e_r        u ~ N(0, s_u^2), e ~ N(0, s_e^2)
+
+The ratio g = s_u^2 / s_e^2 is the one that makes the restricted likelihood greatest. For a given g, with n_i values of subject i
+and a_i = 1 / sqrt(1 + n_i g), the means m are those of ordinary least squares of ``y - (1 - a_i) mean_i(y)``; this form stays exact
+where subjects differ a million times more than they respond. The conditions are tested together by a Wald test of all contrasts,
+with n - 1 degrees of freedom in the denominator, which is on the safe side. What is missing is taken as missing by chance.
+
+Which conditions differ: paired t tests of all pairs, p after Holm; contrasts of the mixed model where values are missing.
+
+Holm's p of the r-th smallest of m: max over those up to it of (m - r + 1) p, at most 1; it holds the chance of any false
+finding at the level, whatever the dependence between the tests.
+
+Power of the repeated-measures analysis, and what looking again and again does to it.
+
+With the conditions' true means m_j, error variance s^2 per subject and condition (subjects' own levels taken out) and n subjects::
+
+    lambda = e n sum_j (m_j - m.)^2 / s^2      power = P(F' > F_crit), F' noncentral with e (k-1), e (n-1)(k-1), lambda
+
+e is the epsilon of the sphericity. The normal use: means and s^2 of a first study say how many subjects the next one needs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from undrift.arrays import FloatArray, IntArray, frozen
+from undrift.errors import InputError
+
+# ---- Sphericity of repeated measures: whether all differences between conditions have one variance, and what it costs if not.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphericity:
+    """How far repeated measures are from spherical."""
+
+    greenhouse_geisser: float  # Epsilon of each correction, 1 for spherical
+    huynh_feldt: float  # Epsilon of each correction, 1 for spherical
+    lower_bound: float  # Epsilon of each correction, 1 for spherical
+    mauchly_w: float  # Mauchly's W, 1 for spherical; NaN where it cannot be had
+    chi_squared: float  # Of Mauchly's test
+    dof: int  # Its degrees of freedom
+    p_value: float  # Of Mauchly's test; NaN with fewer subjects than conditions, or two conditions
+
+
+def contrasts(conditions: int) -> FloatArray:
+    """Return orthonormal contrasts between conditions (Helmert's).
+
+    Arrays:  -> (k - 1, k).
+    """
+    rows = np.zeros((conditions - 1, conditions))
+    for j in range(1, conditions):
+        rows[j - 1, :j], rows[j - 1, j] = 1.0, -float(j)
+        rows[j - 1] /= np.sqrt(j * (j + 1.0))
+    return rows
+
+
+def sphericity(y: FloatArray) -> Sphericity:
+    """Find how far repeated measures are from spherical.
+
+    References
+    ----------
+    .. [1] S. Greenhouse, S. Geisser, On methods in the analysis of profile data, Psychometrika 24, 1959.
+    .. [2] H. Huynh, L. Feldt, Estimation of the Box correction, J. Educational Statistics 1, 1976.
+    .. [3] J. Mauchly, Significance test for sphericity of a normal n-variate distribution, Ann. Math. Stat. 11, 1940.
+    .. [4] T. Anderson, An introduction to multivariate statistical analysis, Wiley, 1958, 10.7.4: the second-order term of its p.
+
+    Arrays: y (n, k).
+    """
+    n, k = y.shape
+    p = k - 1
+    transformed = y @ contrasts(k).T
+    a = np.atleast_2d(np.cov(transformed, rowvar=False))
+    trace, squared = float(np.trace(a)), float(np.sum(a * a))
+    gg = trace**2 / (p * squared) if squared > 0.0 else 1.0
+    room = p * (n - 1 - p * gg)
+    hf = min(1.0, (n * p * gg - 2.0) / room) if room > 0.0 else 1.0
+    w, chi, dof, p_value = _mauchly(a, n)
+    return Sphericity(
+        greenhouse_geisser=min(1.0, gg),
+        huynh_feldt=max(hf, min(1.0, gg)),
+        lower_bound=1.0 / p,
+        mauchly_w=w,
+        chi_squared=chi,
+        dof=dof,
+        p_value=p_value,
+    )
+
+
+def _mauchly(a: FloatArray, n: int) -> tuple[float, float, int, float]:
+    from scipy.stats import chi2
+
+    p = len(a)
+    dof = p * (p + 1) // 2 - 1
+    if p < 2 or n - 1 < p:
+        return np.nan, np.nan, dof, np.nan
+    sign, log_det = np.linalg.slogdet(a)
+    if sign <= 0.0:
+        return 0.0, np.inf, dof, 0.0
+    log_w = float(log_det) - p * float(np.log(np.trace(a) / p))
+    room = n - 1 - (2.0 * p * p + p + 2.0) / (6.0 * p)
+    statistic = -room * log_w
+    second = (p + 2.0) * (p - 1.0) * (p - 2.0) * (2.0 * p**3 + 6.0 * p * p + 3.0 * p + 2.0) / (288.0 * (p * room) ** 2)
+    first = float(chi2.sf(statistic, dof))
+    p_value = first + second * (float(chi2.sf(statistic, dof + 4)) - first)  # Anderson's second-order term
+    return float(np.exp(log_w)), statistic, dof, min(max(p_value, 0.0), 1.0)
+
+
+# ---- Unbalanced repeated measures: a mixed model with a random level for each subject.
+
+LOG_RATIO = np.linspace(-14.0, 34.0, 97)  # of s_u^2 / s_e^2; a ratio of 0 is tried besides
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MixedModel:
+    """Outcome of a mixed model."""
+
+    conditions: tuple[str, ...]  # In order of first appearance
+    subjects: int  # How many subjects, and how many values they gave
+    values: int  # How many subjects, and how many values they gave
+    means: FloatArray  # (k,), estimated mean of each condition and its standard uncertainty, unit of the data
+    uncertainties: FloatArray  # (k,), estimated mean of each condition and its standard uncertainty, unit of the data
+    covariance: FloatArray  # (k, k), of the means, that unit squared
+    f: float  # Wald F of all differences together
+    dof: tuple[float, float]  # k - 1 and n - 1
+    p_value: float  # Of that F
+    # Share of the conditions in what is left without the subjects' own levels, from F and the residual's degrees of
+    # freedom; that of the analysis of variance where nothing is missing
+    partial_eta_squared: float
+    subject_sd: float  # s_u and s_e, unit of the data
+    residual_sd: float  # s_u and s_e, unit of the data
+
+
+def compare_unbalanced(y: ArrayLike, subject: Sequence[str], condition: Sequence[str]) -> MixedModel:
+    """Compare conditions that not every subject met, or met as often.
+
+    Arrays: y (r,).
+    """
+    from scipy.stats import f as f_distribution
+
+    values = frozen(y, (None,), "mixed model")
+    names, subjects = tuple(dict.fromkeys(condition)), tuple(dict.fromkeys(subject))
+    r, k, n = len(values), len(names), len(subjects)
+    if not r == len(subject) == len(condition) or k < 2 or n < 3:
+        raise InputError(
+            f"mixed model: wanted as many subjects and conditions as values, three subjects or more in two conditions or more, got "
+            f"{r} values of {n} subjects in {k} conditions"
+        )
+    whose, which = (
+        np.array([known.index(each) for each in told]) for known, told in ((subjects, subject), (names, condition))
+    )
+    design = np.eye(k)[which]
+    residual_dof = r - n - (k - 1)
+    if residual_dof < 1 or _within(values, design, whose) <= 1e-24 * float(values.var()) * r:
+        raise InputError(
+            "mixed model: wanted subjects that differ in how they respond, met more than once each, got none that do; add subjects"
+        )
+    ratio = _ratio(values, design, whose)
+    means, root, error = _means(values, design, whose, ratio)
+    scale = error / (r - k)
+    covariance = scale * root @ root.T
+    contrast = np.hstack((np.ones((k - 1, 1)), -np.eye(k - 1)))
+    apart = contrast @ means
+    f = float(apart @ np.linalg.solve(contrast @ covariance @ contrast.T, apart)) / (k - 1)
+    return MixedModel(
+        conditions=names,
+        subjects=n,
+        values=r,
+        means=means,
+        uncertainties=np.sqrt(np.diag(covariance)),
+        covariance=covariance,
+        f=f,
+        dof=(float(k - 1), float(n - 1)),
+        p_value=float(f_distribution.sf(f, k - 1, n - 1)),
+        partial_eta_squared=f * (k - 1) / (f * (k - 1) + residual_dof),
+        subject_sd=float(np.sqrt(ratio * scale)),
+        residual_sd=float(np.sqrt(scale)),
+    )
+
+
+def _shrunk(values: FloatArray, whose: IntArray, ratio: float) -> FloatArray:
+    """Return ``v - (1 - a_i) mean_i(v)`` of each column."""
+    count = np.bincount(whose)
+    mean = np.stack([np.bincount(whose, column) / count for column in values.T], axis=1)[whose]
+    shrunk: FloatArray = (values - mean) + (1.0 / np.sqrt(1.0 + count * ratio))[whose, None] * mean
+    return shrunk
+
+
+def _means(
+    values: FloatArray, design: FloatArray, whose: IntArray, ratio: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the means for a ratio, the root of their covariance in units of s_e, and the sum of squares that is left."""
+    centre = float(values.mean())  # the level all share is no one's error
+    q, root = np.linalg.qr(_shrunk(design, whose, ratio))
+    y = _shrunk((values - centre)[:, None], whose, ratio)[:, 0]
+    inverse = np.linalg.inv(root)
+    means = inverse @ (q.T @ y)
+    left = y - q @ (q.T @ y)
+    return means + centre, inverse, float(left @ left)
+
+
+def _within(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
+    """Return the sum of squares that is left once each subject has a level of its own."""
+    count = np.bincount(whose)
+    own = np.eye(len(count))[whose]
+    y = values - (np.bincount(whose, values) / count)[whose]
+    x = design - (own.T @ design / count[:, None])[whose]
+    left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+    return float(left @ left)
+
+
+def _ratio(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
+    """Return s_u^2 / s_e^2 of the greatest restricted likelihood."""
+    from scipy.optimize import minimize_scalar
+
+    count = np.bincount(whose)
+    dof = len(values) - design.shape[1]
+
+    def unlikely(ratio: float) -> float:
+        _, inverse, error = _means(values, design, whose, ratio)
+        spread = float(np.log(np.abs(np.diag(inverse))).sum())  # of the inverse root: minus half a log determinant
+        return float(dof * np.log(error) + np.log1p(count * ratio).sum() - 2.0 * spread)
+
+    tried = [unlikely(float(np.exp(x))) for x in LOG_RATIO]
+    least = int(np.argmin(tried))
+    low, high = LOG_RATIO[max(least - 1, 0)], LOG_RATIO[min(least + 1, len(LOG_RATIO) - 1)]
+    found = minimize_scalar(
+        lambda x: unlikely(float(np.exp(x))), bounds=(low, high), method="bounded", options={"xatol": 1e-9}
+    )
+    ratio = float(np.exp(found.x))
+    return 0.0 if unlikely(0.0) <= unlikely(ratio) else ratio
+
+
+# ---- Which conditions differ: paired t tests of all pairs, p after Holm; contrasts of the mixed model where values are missing.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Two conditions compared."""
+
+    first: int  # Columns, or places of a mixed model's conditions
+    second: int  # Columns, or places of a mixed model's conditions
+    difference: float  # Mean of first minus second, unit of the data
+    interval: tuple[float, float]  # Its 95 % interval, not corrected for the number of pairs
+    t: float  # Paired t, n - 1 degrees of freedom
+    p_value: float  # Two-sided, as it stands and after Holm
+    p_holm: float  # Two-sided, as it stands and after Holm
+    cohen_dz: float  # Difference over the standard deviation of the differences; in a mixed model that is sqrt(2) s_e
+
+
+def compare_pairs(y: ArrayLike) -> tuple[Pair, ...]:
+    """Compare every pair of conditions.
+
+    Arrays: y (n, k).
+    """
+    table = frozen(y, (None, None), "pairs")
+    n, k = table.shape
+    if n < 3 or k < 2:
+        raise InputError(f"pairs: wanted three subjects or more in two conditions or more, got {n} in {k}; add some")
+    pairs = list(combinations(range(k), 2))
+    apart = np.array([table[:, i] - table[:, j] for i, j in pairs])
+    sd = apart.std(axis=1, ddof=1)
+    return _judged(pairs, apart.mean(axis=1), sd / np.sqrt(n), sd, n - 1)
+
+
+def compare_pairs_of(model: MixedModel) -> tuple[Pair, ...]:
+    """Compare every pair of conditions of a mixed model, by its contrasts."""
+    pairs = list(combinations(range(len(model.conditions)), 2))
+    first, second = np.array(pairs).T
+    v = model.covariance
+    uncertainty = np.sqrt(v[first, first] + v[second, second] - 2.0 * v[first, second])
+    sd = np.full(len(pairs), np.sqrt(2.0) * model.residual_sd)
+    return _judged(pairs, model.means[first] - model.means[second], uncertainty, sd, model.subjects - 1)
+
+
+def _judged(
+    pairs: list[tuple[int, int]], mean: FloatArray, uncertainty: FloatArray, sd: FloatArray, dof: int
+) -> tuple[Pair, ...]:
+    from scipy.stats import t as t_distribution
+
+    without = np.where(mean == 0.0, 0.0, np.sign(mean) * np.inf)  # no spread at all
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(sd > 0.0, mean / uncertainty, without)
+        dz = np.where(sd > 0.0, mean / sd, without)
+    p = 2.0 * t_distribution.sf(np.abs(t), dof)
+    reach = float(t_distribution.ppf(0.975, dof)) * uncertainty
+    holm = adjust_holm(p)
+    return tuple(
+        Pair(
+            first=i,
+            second=j,
+            difference=float(mean[r]),
+            interval=(float(mean[r] - reach[r]), float(mean[r] + reach[r])),
+            t=float(t[r]),
+            p_value=float(p[r]),
+            p_holm=float(holm[r]),
+            cohen_dz=float(dz[r]),
+        )
+        for r, (i, j) in enumerate(pairs)
+    )
+
+
+def adjust_holm(p: ArrayLike) -> FloatArray:
+    """Adjust p values after Holm.
+
+    References
+    ----------
+    .. [1] S. Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statistics 6, 1979.
+
+    Arrays: p (m,) -> (m,).
+    """
+    values = np.asarray(p, dtype=float)
+    order = np.argsort(values, kind="stable")
+    stepped = np.maximum.accumulate((len(values) - np.arange(len(values))) * values[order])
+    adjusted = np.empty(len(values))
+    adjusted[order] = np.minimum(stepped, 1.0)
+    return adjusted
+
+
+# ---- statistics
+
+TURN_TO_HUYNH_FELDT = 0.75
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Anova:
+    """Outcome of a one-way repeated-measures analysis of variance."""
+
+    subjects: int  # n and k
+    conditions: int  # n and k
+    f: float  # F of the conditions
+    dof: tuple[float, float]  # Degrees of freedom of the conditions and of the error, not corrected
+    p_uncorrected: float  # p of that F
+    p_greenhouse_geisser: float  # p of that F
+    p_huynh_feldt: float  # p of that F
+    p_value: float  # The one to quote
+    correction: str  # Which that is
+    sphericity: Sphericity  # Epsilons and Mauchly's test
+    partial_eta_squared: float  # SS_condition / (SS_condition + SS_error)
+    generalized_eta_squared: float  # SS_condition / SS_total, subjects being a measured factor
+    means: FloatArray  # (k,), of the conditions
+    mean_square_error: float  # SS_error over its degrees of freedom, squared unit of the data
+
+
+def compare_conditions(y: ArrayLike) -> Anova:
+    """Compare conditions that every subject met.
+
+    Arrays: y (n, k).
+    """
+    from scipy.stats import f as f_distribution
+
+    table = frozen(y, (None, None), "anova")
+    n, k = table.shape
+    _check(table)
+    grand, by_condition, by_subject = table.mean(), table.mean(axis=0), table.mean(axis=1)
+    total = float(((table - grand) ** 2).sum())
+    between = float(n * ((by_condition - grand) ** 2).sum())
+    error = float(((table - by_condition - by_subject[:, None] + grand) ** 2).sum())
+    d1, d2 = float(k - 1), float((n - 1) * (k - 1))
+    if error <= 1e-24 * max(total, 1e-300):
+        raise InputError(
+            "anova: wanted subjects that differ in how they respond, got none that do; the conditions' differences are exact"
+        )
+    f = (between / d1) / (error / d2)
+    form = sphericity(table)
+    p, p_gg, p_hf = (
+        float(f_distribution.sf(f, e * d1, e * d2)) for e in (1.0, form.greenhouse_geisser, form.huynh_feldt)
+    )
+    lenient = form.greenhouse_geisser > TURN_TO_HUYNH_FELDT
+    return Anova(
+        subjects=n,
+        conditions=k,
+        f=f,
+        dof=(d1, d2),
+        p_uncorrected=p,
+        p_greenhouse_geisser=p_gg,
+        p_huynh_feldt=p_hf,
+        p_value=p_hf if lenient else p_gg,
+        correction="huynh-feldt" if lenient else "greenhouse-geisser",
+        sphericity=form,
+        partial_eta_squared=between / (between + error),
+        generalized_eta_squared=between / total,
+        means=by_condition,
+        mean_square_error=error / d2,
+    )
+
+
+def _check(table: FloatArray) -> None:
+    n, k = table.shape
+    if k < 2 or n < 3:
+        raise InputError(
+            f"anova: wanted three subjects or more in two conditions or more, got {n} subjects in {k}; add some"
+        )
+    gaps = int(np.isnan(table).any(axis=1).sum())
+    if gaps:
+        raise InputError(
+            f"anova: wanted every subject in every condition, got {gaps} of {n} subjects with gaps; leave them out, or use "
+            "compare_unbalanced"
+        )
+
+
+# ---- Power of the repeated-measures analysis, and what looking again and again does to it.
+
+MOST_SUBJECTS = 100_000
+
+
+def power_of_anova(
+    means: ArrayLike, error_variance: float, subjects: int, *, epsilon: float = 1.0, level: float = 0.05
+) -> float:
+    """Return the chance that the analysis finds a difference that is there.
+
+    Arrays: means (k,).
+    """
+    from scipy.stats import f, ncf
+
+    m = frozen(means, (None,), "power means")
+    k = len(m)
+    if k < 2 or subjects < 2 or not error_variance > 0.0 or not 1.0 / max(k - 1, 1) - 1e-9 <= epsilon <= 1.0:
+        raise InputError(
+            f"power: wanted two conditions or more, two subjects or more, a variance above 0 and an epsilon from 1/(k-1) to 1, got "
+            f"{k}, {subjects}, {error_variance:g} and {epsilon:g}"
+        )
+    d1, d2 = epsilon * (k - 1), epsilon * (k - 1) * (subjects - 1)
+    noncentrality = epsilon * subjects * float(((m - m.mean()) ** 2).sum()) / error_variance
+    critical = f.ppf(1.0 - level, d1, d2)
+    return float(ncf.sf(critical, d1, d2, noncentrality))
+
+
+def subjects_needed(
+    means: ArrayLike, error_variance: float, *, power: float = 0.8, epsilon: float = 1.0, level: float = 0.05
+) -> int:
+    """Return the fewest subjects with which the analysis has a stated power.
+
+    Arrays: means (k,).
+    """
+    low, high = 2, 3
+    while power_of_anova(means, error_variance, high, epsilon=epsilon, level=level) < power:
+        low, high = high, 2 * high
+        if high > MOST_SUBJECTS:
+            raise InputError(
+                f"power: wanted {100 * power:g} % with at most {MOST_SUBJECTS} subjects, got conditions that hardly differ; no "
+                "number of subjects is worth it"
+            )
+    while high - low > 1:
+        middle = (low + high) // 2
+        enough = power_of_anova(means, error_variance, middle, epsilon=epsilon, level=level) >= power
+        low, high = (low, middle) if enough else (middle, high)
+    return max(high, 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OptionalStopping:
+    """What happens when subjects are added until p falls below the level."""
+
+    p_by_subjects: tuple[tuple[int, float], ...]  # Number of subjects and p at each look
+    crossings: int  # How often p went from above the level to below it or back
+    false_alarm: float  # Chance that such looking finds a difference where there is none
+    looks: int  # Looks that this chance was computed for
+
+
+def stopping_of(
+    y: ArrayLike, *, first: int = 10, level: float = 0.05, simulations: int = 1000, rng: np.random.Generator
+) -> OptionalStopping:
+    """Return what a study would have found had it looked after each subject, and what such looking does to the level.
+
+    Arrays: y (n, k).
+    """
+    table = frozen(y, (None, None), "optional stopping")
+    n, k = table.shape
+    looks = range(min(first, n), n + 1)
+    p = tuple((m, compare_conditions(table[:m]).p_value) for m in looks)
+    below = [value < level for _, value in p]
+    null = rng.normal(size=(simulations, n, k))
+    return OptionalStopping(
+        p_by_subjects=p,
+        crossings=sum(a != b for a, b in pairwise(below)),
+        false_alarm=float(np.mean([any(_finds(study[:m], level) for m in looks) for study in null])),
+        looks=len(looks),
+    )
+
+
+def _finds(table: FloatArray, level: float) -> bool:
+    from scipy.special import fdtrc
+
+    n, k = table.shape
+    by_condition, by_subject, grand = table.mean(axis=0), table.mean(axis=1), table.mean()
+    between = n * ((by_condition - grand) ** 2).sum() / (k - 1)
+    error = ((table - by_condition - by_subject[:, None] + grand) ** 2).sum() / ((n - 1) * (k - 1))
+    return bool(fdtrc(k - 1, (n - 1) * (k - 1), between / error) < level)

@@ -1,0 +1,509 @@
+"""Sync: bring a record and a reference onto one clock, before any fit or comparison.
+
+``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag``
+and ``find_axis_lag`` find how late the record's samples are, ``find_motion`` says where rest ends and begins again.
+
+Lag: how late the record's samples are, against the poses of a reference, to a fraction of a sample.
+
+With w the body rate of the reference and u the readings, the model over all neighbouring poses, both sides averaged over
+the same stretches, is::
+
+    w(t) = A u(t + lag) + c                    A (3 x 3) and c free: scale, mounting and offset do not disturb the lag
+
+First the length of u is correlated with the length of w at every lag of a wide search: no mounting is needed for that. Then
+Gauss-Newton on A, c and lag together: the change of u with time is one more column of the design.
+
+A reading is the rate at its time stamp. Where each sample instead holds over the interval before it, as in strapdown, the
+lag that is left is half a sample shorter.
+
+Coarse lag: where does the length of the rate correlate best, over a wide search and with gaps masked?
+
+Both lengths are averaged into cells of one width on a common clock. The correlation at every shift counts only cells that
+both sides have seen: with masks m, n (0 or 1) and values x, y already multiplied by them, all sums over cells are
+correlations of x, y, x^2, y^2, m and n, and a Fourier transform gives them for all shifts at once.
+
+Motion: when does the body leave its first rest, and when has it come back to its last?
+
+The author's mark of the reference says so where there is one; else the still phases of the record itself.
+
+Poses as the instrument took them: undo a linear up-sampling of the reference.
+
+Many files hold optics at the sensor's sample rate, drawn on straight lines (great arcs) between the frames that the cameras
+took. Between frames such a pose cuts the corner: by a h^2 / 8 at an angular acceleration a and a frame interval h, always
+towards less motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which a fit would book as scale factor.
+
+Straight lines betray themselves: the rate between neighbours repeats to the last digit within a frame interval and jumps
+at the frames. The middles of the repeats lie on a comb of the frame rate; its frequency and phase come from the largest
+Fourier sum, and each frame is the end of the straight line before it and the start of the line after it.
+
+Mean rates between neighbouring poses, and the readings of a gyroscope averaged over the same stretches.
+
+Between two poses the mean body rate is the rotation vector of their quotient over the time between them::
+
+    w_k = log(q_k^-1 q_(k+1)) / (t_(k+1) - t_k)
+
+Averages of readings come from the running integral of the straight lines between samples: a reading is taken as the
+instantaneous rate at its time stamp.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.errors import AlignmentError, InputError
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
+from undrift.record import Record, Reference
+from undrift.segments import find_still
+
+# ---- Mean rates between neighbouring poses, and the readings of a gyroscope averaged over the same stretches.
+
+LONGEST_STEP = 1.5  # medians of the pose interval; a longer step is a gap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseRates:
+    """Mean body rates between neighbouring poses."""
+
+    start: FloatArray  # (K,), times of the two poses, s
+    stop: FloatArray  # (K,), times of the two poses, s
+    rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body; zero where not valid
+    valid: BoolArray  # (K,), false where a pose is missing or the step is a gap
+
+
+def pose_rates(reference: Reference) -> PoseRates:
+    """Return the mean rate of the body between neighbouring poses."""
+    step = np.diff(reference.time)
+    turn = rotation_vector(quaternion_product(quaternion_conjugate(reference.q_nb[:-1]), reference.q_nb[1:]))
+    valid = np.isfinite(turn[:, 0]) & (step <= LONGEST_STEP * np.median(step))
+    rate = np.where(valid[:, None], turn / step[:, None], 0.0)
+    return PoseRates(start=reference.time[:-1], stop=reference.time[1:], rate=rate, valid=valid)
+
+
+class RunningIntegral:
+    """Integral of readings from the first sample on, for averages over any stretch."""
+
+    def __init__(self, time: FloatArray, values: FloatArray) -> None:
+        gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
+        self.time = time
+        self._values = np.where(gap[:, None], 0.0, values)
+        step = np.diff(time)
+        late = step > LONGEST_STEP * np.median(step)
+        self._gaps: IntArray = np.append(0, np.cumsum(gap[1:] | gap[:-1] | late))
+        area = 0.5 * (self._values[1:] + self._values[:-1]) * step[:, None]
+        self._sum = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(area, axis=0)))
+
+    def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return the mean reading of each stretch.
+
+        Arrays: start (K,) s, stop (K,) s -> (K, C), (K,).
+        """
+        first, at_first = self._at(start)
+        last, at_last = self._at(stop)
+        valid = (start >= self.time[0]) & (stop <= self.time[-1])
+        valid &= self._gaps[np.minimum(last + 1, len(self.time) - 1)] == self._gaps[first]
+        mean = (at_last - at_first) / (stop - start)[:, None]
+        return np.where(valid[:, None], mean, 0.0), valid
+
+    def _at(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
+        k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
+        dt = t - self.time[k]
+        slope = (self._values[k + 1] - self._values[k]) / (self.time[k + 1] - self.time[k])[:, None]
+        return k, self._sum[k] + self._values[k] * dt[:, None] + 0.5 * slope * (dt * dt)[:, None]
+
+
+def box_sums(values: FloatArray, width: int) -> FloatArray:
+    """Return sums over every run of ``width`` rows.
+
+    Arrays: values (K, C) -> (K - width + 1, C).
+    """
+    total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
+    sums: FloatArray = total[width:] - total[:-width]
+    return sums
+
+
+# ---- Coarse lag: where does the length of the rate correlate best, over a wide search and with gaps masked?
+
+CELL_S = 0.02  # s
+LEAST_OVERLAP = 0.3  # of the shorter side
+
+
+def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
+    """Return the lag at which the lengths of the two rates correlate best.
+
+    Arrays: time (N,) s, gyro (N, 3).
+    """
+    centred = gyro - _offset(gyro)
+    u, w = np.linalg.norm(centred, axis=1), np.linalg.norm(rates.rate, axis=1)
+    middle = 0.5 * (rates.start + rates.stop)
+    start = min(time[0], middle[0])
+    count = int(np.ceil((max(time[-1], middle[-1]) - start) / CELL_S)) + 1
+    cell = max(1, round(float(np.median(np.diff(time))) / CELL_S), round(float(np.median(np.diff(middle))) / CELL_S))
+    x, m = _cells(time, u, np.isfinite(u), start, count // cell + 1, cell * CELL_S)
+    y, n = _cells(middle, w, rates.valid, start, count // cell + 1, cell * CELL_S)
+    reach = min(int(longest_lag_s / (cell * CELL_S)) + 1, len(x) - 1)
+    correlation, overlap = _masked_correlation(x, m, y, n, reach)
+    enough = overlap >= LEAST_OVERLAP * min(m.sum(), n.sum())
+    if enough.any() and not np.isfinite(correlation[enough]).any():
+        raise AlignmentError(
+            "lag: wanted both sides to turn, got one that does not; there is no common motion to align by"
+        )
+    if not enough.any():
+        raise AlignmentError(
+            f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
+            "of search, got less; check their clocks, or widen longest_lag_s (--longest-lag-s)"
+        )
+    best = int(np.nanargmax(np.where(enough, correlation, np.nan)))
+    return float((best - reach) * cell * CELL_S)
+
+
+def _offset(gyro: FloatArray) -> FloatArray:
+    seen = gyro[np.isfinite(gyro).all(axis=1)]
+    change = np.abs(np.diff(seen, axis=0)).sum(axis=1)
+    quiet = seen[1:][change <= np.quantile(change, 0.1)]
+    spread = np.linalg.norm(quiet - np.median(quiet, axis=0), axis=1)
+    offset: FloatArray = np.median(quiet[spread <= np.median(spread)], axis=0)
+    return offset
+
+
+def _cells(
+    t: FloatArray, values: FloatArray, valid: BoolArray, start: float, count: int, width: float
+) -> tuple[FloatArray, FloatArray]:
+    k = ((t[valid] - start) / width).astype(np.int64)
+    weight = np.bincount(k, minlength=count).astype(float)
+    mean = np.bincount(k, weights=values[valid], minlength=count) / np.maximum(weight, 1.0)
+    seen = (weight > 0.0).astype(float)
+    overall = float((mean * seen).sum() / max(seen.sum(), 1.0))
+    return (mean - overall) * seen, seen
+
+
+def _masked_correlation(
+    x: FloatArray, m: FloatArray, y: FloatArray, n: FloatArray, reach: int
+) -> tuple[FloatArray, FloatArray]:
+    # At shift s the record's cell k + s meets the reference's cell k.
+    size = 1 << (2 * len(x) - 1).bit_length()
+    first = np.fft.rfft(np.stack((x, x * x, m)), size)
+    second = np.conj(np.fft.rfft(np.stack((y, y * y, n)), size))
+
+    def summed(i: int, j: int) -> FloatArray:
+        full = np.fft.irfft(first[i] * second[j], size)
+        return np.concatenate((full[size - reach :], full[: reach + 1]))
+
+    count = np.maximum(np.round(summed(2, 2)), 0.0)
+    safe = np.maximum(count, 1.0)
+    mean_x, mean_y = summed(0, 2) / safe, summed(2, 0) / safe
+    var_x = summed(1, 2) / safe - mean_x**2
+    var_y = summed(2, 1) / safe - mean_y**2
+    covariance = summed(0, 0) / safe - mean_x * mean_y
+    good = (count > 10.0) & (var_x > 1e-12 * var_x.max()) & (var_y > 1e-12 * var_y.max())
+    product = np.sqrt(np.where(good, var_x * var_y, 1.0))
+    return np.where(good, covariance / product, np.nan), count
+
+
+# ---- Poses as the instrument took them: undo a linear up-sampling of the reference.
+
+LEAST_REPEATS = 0.02  # share of neighbouring rates that repeat before up-sampling is suspected
+COMB_SHARPNESS = 0.95  # of what a perfect comb gives
+_SAME = 1e-4  # of the median change of rate: two rates are one
+_NEAR_FRAME = 2e-5  # s; a sample this close to a frame may stand on either side
+
+
+def native_poses(reference: Reference) -> Reference:
+    """Return the frames that the instrument took, where the reference was drawn on straight lines between them."""
+    rates = pose_rates(reference)
+    repeats, share = _repeats(rates)
+    if share < LEAST_REPEATS:
+        return reference
+    interval = float(np.median(np.diff(reference.time)))
+    frequency, phase, sharpness = _comb(rates.stop[:-1][repeats], (1.0 - share) / (2.0 * interval))
+    if sharpness < COMB_SHARPNESS * np.sinc(share):
+        return reference
+    first = np.ceil(frequency * reference.time[0] - phase)
+    last = np.floor(frequency * reference.time[-1] - phase)
+    frames: FloatArray = (np.arange(first, last + 1.0) + phase) / frequency
+    q, position = _poses_at(reference, rates, frames, 1.0 / frequency)
+    moving = None
+    if reference.moving is not None:
+        nearest = np.clip(np.searchsorted(reference.time, frames), 0, len(reference) - 1)
+        moving = reference.moving[nearest]
+    return Reference(time=frames, q_nb=q, position=position, moving=moving, name=reference.name)
+
+
+def _repeats(rates: PoseRates) -> tuple[BoolArray, float]:
+    both = rates.valid[1:] & rates.valid[:-1]
+    change = np.abs(np.diff(rates.rate, axis=0)).max(axis=1)
+    moved = both & (np.abs(rates.rate[1:]).max(axis=1) > 0.0)
+    if not moved.any():
+        return moved, 0.0
+    same = moved & (change <= _SAME * np.median(change[moved]))
+    return same, float(same.sum() / moved.sum())
+
+
+def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
+    # Frame times are (k + phase) / frequency; the middles of the repeats lie half a frame later. Longer and longer spans.
+    if len(t) < 20:
+        return guess, 0.0, 0.0
+    t0, span, width = t[0], 200.0 / guess, 0.1 * guess
+    frequency, total = guess, 0j
+    while True:
+        some = t[t <= t0 + span] - t0
+        trial = frequency + np.linspace(-width, width, 161)
+        sums = np.exp(2j * np.pi * np.outer(trial, some)).mean(axis=1)
+        best = int(np.argmax(np.abs(sums)))
+        frequency, total = float(trial[best]), sums[best]
+        if some[-1] >= t[-1] - t0 and width * span < 2e-2:
+            break
+        width = min(width / 20.0, 2.0 / span)
+        span = min(4.0 * span, float(t[-1] - t0) + 1e-9)
+    phase = frequency * t0 + float(np.angle(total)) / (2.0 * np.pi) - 0.5
+    return frequency, float(phase % 1.0), float(abs(total))
+
+
+def _poses_at(
+    reference: Reference, rates: PoseRates, frames: FloatArray, interval: float
+) -> tuple[FloatArray, FloatArray | None]:
+    after = np.searchsorted(reference.time, frames)
+    left = _drawn_to(reference, rates, frames, after - 2, (frames - interval, frames))
+    right = _drawn_to(reference, rates, frames, after, (frames, frames + interval))
+    q = np.where(np.isfinite(left[0]), left[0], right[0])
+    if left[1] is None or right[1] is None:
+        return q, None
+    return q, np.where(np.isfinite(left[1]), left[1], right[1])
+
+
+def _drawn_to(
+    reference: Reference, rates: PoseRates, frames: FloatArray, pair: IntArray, span: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray | None]:
+    # The line through samples pair, pair + 1, drawn to the frame; NaN unless both lie within the span between two frames.
+    k = np.clip(pair, 0, len(rates.rate) - 1)
+    inside = (pair == k) & rates.valid[k]
+    inside &= (rates.start[k] >= span[0] - _NEAR_FRAME) & (rates.stop[k] <= span[1] + _NEAR_FRAME)
+    ahead = (frames - rates.start[k])[:, None]
+    q = np.where(inside[:, None], quaternion_product(reference.q_nb[k], quaternion_of(rates.rate[k] * ahead)), np.nan)
+    if reference.position is None:
+        return q, None
+    velocity = (reference.position[k + 1] - reference.position[k]) / (rates.stop[k] - rates.start[k])[:, None]
+    return q, np.where(inside[:, None], reference.position[k] + velocity * ahead, np.nan)
+
+
+# ---- Lag: how late the record's samples are, against the poses of a reference, to a fraction of a sample.
+
+_STEPS = 12  # Gauss-Newton steps at most; the last ones move the lag by less than a microsecond
+_BLOCK_S = 0.5  # residuals this far apart count as independent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LagSettings:
+    """How the lag is looked for."""
+
+    longest_lag_s: float = 5.0  # Half-width of the search, s
+    # Both sides are averaged over this long, s. Longer takes more pose noise away and blurs fast motion
+    average_s: float = 0.05
+    # Between the rates after alignment; less means that the two did not see the same motion
+    least_correlation: float = 0.7
+
+
+# Steps of a stepper or a servo ring; one axis tells one direction of the readings, the others are noise.
+AXIS_SETTINGS = LagSettings(average_s=0.1)
+_ONE_AXIS, _THREE_AXES = 0.05, 1e-6  # least singular value kept, of the largest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lag:
+    """How the clock of a record stands against that of a reference."""
+
+    seconds: float  # A reading stamped t was true at t - seconds on the reference's clock, s
+    standard_uncertainty: float  # Of ``seconds``, s, from half-second blocks of residuals
+    method: str  # "vector rate" or "axis rate"
+    # Multiple correlation between reference rate and readings without a shift and with it; 0 where a shift of 0
+    # leaves no overlap
+    correlation_before: float
+    # Multiple correlation between reference rate and readings without a shift and with it; 0 where a shift of 0
+    # leaves no overlap
+    correlation_after: float
+    # (A, 3), reference rate per reading: scale and mounting as seen on the way, rad/s per unit of the readings
+    matrix: FloatArray
+    constant: FloatArray  # (A,), reference rate at zero reading, rad/s
+    residual_rms: float  # Between the averaged rates after alignment, rad/s
+
+
+def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSettings()) -> Lag:
+    """Find how late the readings of a gyroscope are against poses of the same body."""
+    if record.gyro is None:
+        raise InputError("lag: wanted a record with a gyroscope, got none; map its columns")
+    rates = pose_rates(native_poses(reference))
+    return _lag_of(record.time, record.gyro, rates, settings, "vector rate")
+
+
+def find_axis_lag(record: Record, time: FloatArray, angle: FloatArray, settings: LagSettings = AXIS_SETTINGS) -> Lag:
+    """Find how late the readings of a gyroscope are against the angle of a table with one axis.
+
+    Arrays: time (M,) s, angle (M,) rad.
+    """
+    if record.gyro is None:
+        raise InputError("lag: wanted a record with a gyroscope, got none; map its columns")
+    step = np.diff(time)
+    valid = np.isfinite(np.diff(angle)) & (step <= LONGEST_STEP * np.median(step))
+    rate = np.where(valid, np.diff(angle) / step, 0.0)[:, None]
+    rates = PoseRates(start=time[:-1], stop=time[1:], rate=rate, valid=valid)
+    return _lag_of(record.time, record.gyro, rates, settings, "axis rate")
+
+
+def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings, method: str) -> Lag:
+    start = coarse_lag(time, gyro, rates, settings.longest_lag_s)
+    known = RunningIntegral(time, gyro)
+    wanted = _Averages.of(rates, settings.average_s)
+    before, _ = _aligned(known, wanted, 0.0)
+    lag, fit = start, None
+    for _ in range(_STEPS):
+        fit, step = _aligned(known, wanted, lag)
+        if fit is None or not abs(step) < settings.longest_lag_s:
+            break
+        limit = settings.average_s  # the linear model reaches about one averaging length
+        step = float(np.clip(step, -limit, limit))
+        lag += step
+        if abs(step) < 1e-7:
+            break
+    correlation = 0.0 if fit is None else fit.correlation
+    if fit is None or correlation < settings.least_correlation or abs(lag) > settings.longest_lag_s + 1.0:
+        raise AlignmentError(
+            f"lag: wanted a correlation of {settings.least_correlation:g} or more between the record's rates and the "
+            f"reference's, got {correlation:.2f} within {settings.longest_lag_s:g} s: no common motion; check that the two "
+            "files belong together, or widen longest_lag_s (--longest-lag-s)",
+            correlation=correlation,
+        )
+    return Lag(
+        seconds=lag,
+        standard_uncertainty=fit.standard_uncertainty,
+        method=method,
+        correlation_before=0.0 if before is None else before.correlation,
+        correlation_after=correlation,
+        matrix=fit.matrix,
+        constant=fit.constant,
+        residual_rms=fit.residual_rms,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Averages:
+    """Reference rates averaged over runs of neighbouring steps: start, stop (K,), s; rate (K, A), rad/s; run length."""
+
+    start: FloatArray
+    stop: FloatArray
+    rate: FloatArray
+
+    @classmethod
+    def of(cls, rates: PoseRates, average_s: float) -> "_Averages":
+        step = rates.stop - rates.start
+        width = max(1, round(average_s / float(np.median(step))))
+        turn = box_sums(rates.rate * step[:, None], width)
+        whole = box_sums(rates.valid[:, None].astype(float), width)[:, 0] > width - 0.5
+        start, stop = rates.start[: len(whole)][whole], rates.stop[width - 1 :][whole]
+        return cls(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Fit:
+    """A, c, correlation, residual rms and the lag's standard uncertainty at one lag."""
+
+    matrix: FloatArray
+    constant: FloatArray
+    correlation: float
+    residual_rms: float
+    standard_uncertainty: float
+
+
+def _aligned(known: RunningIntegral, wanted: _Averages, lag: float) -> tuple[_Fit | None, float]:
+    """Fit A and c at a lag; return them with the step of the lag that reduces the residual most."""
+    mean, inside = known.mean(wanted.start + lag, wanted.stop + lag)
+    if inside.sum() < 30:
+        return None, 0.0
+    width = 0.25 * float(np.median(wanted.stop - wanted.start))
+    late, late_in = known.mean(wanted.start + lag + width, wanted.stop + lag + width)
+    early, early_in = known.mean(wanted.start + lag - width, wanted.stop + lag - width)
+    inside &= late_in & early_in
+    u, w = mean[inside], wanted.rate[inside]
+    slope = (late[inside] - early[inside]) / (2.0 * width)
+    centre_u, centre_w = u.mean(axis=0), w.mean(axis=0)
+    rcond = _ONE_AXIS if w.shape[1] == 1 else _THREE_AXES
+    a, *_ = np.linalg.lstsq(u - centre_u, w - centre_w, rcond=rcond)
+    residual = w - centre_w - (u - centre_u) @ a
+    power = float(((w - centre_w) ** 2).sum())
+    unexplained = float((residual**2).sum())
+    if not power > 0.0:
+        return None, 0.0
+    step, uncertainty = _lag_step(slope @ a, u - centre_u, residual, wanted.start[inside])
+    fit = _Fit(
+        matrix=a.T,
+        constant=centre_w - a.T @ centre_u,
+        correlation=float(np.sqrt(max(0.0, 1.0 - unexplained / power))),
+        residual_rms=float(np.sqrt(unexplained / residual.size)),
+        standard_uncertainty=uncertainty,
+    )
+    return fit, step
+
+
+def _lag_step(slope: FloatArray, u: FloatArray, residual: FloatArray, t: FloatArray) -> tuple[float, float]:
+    # The column of the lag, cleared of what A and c could explain; one equation is left: step = sum(s r) / sum(s s).
+    slope = slope - slope.mean(axis=0)
+    clear = slope - u @ np.linalg.lstsq(u, slope, rcond=1e-6)[0]
+    square = float((clear * clear).sum())
+    if not square > 0.0:
+        return 0.0, float("inf")
+    step = float((clear * residual).sum()) / square
+    score = (clear * (residual - step * clear)).sum(axis=1)
+    block: BoolArray = np.concatenate(([True], np.diff(np.floor(t / _BLOCK_S)) > 0.0))
+    sums = np.add.reduceat(score, np.flatnonzero(block))
+    return step, float(np.sqrt((sums**2).sum()) / square)
+
+
+# ---- Motion: when does the body leave its first rest, and when has it come back to its last?
+
+LEAST_REST_S = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """The stretch between the first and the last rest of a recording."""
+
+    start_s: float  # On the record's clock, s: the first moment of motion, and the first moment after it
+    stop_s: float  # On the record's clock, s: the first moment of motion, and the first moment after it
+    basis: str  # "mark of the reference" or "still phases of the record"
+
+
+def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> Motion:
+    """Find the stretch of motion between the first and the last rest."""
+    if reference.moving is not None and (reference.moving > 0.0).any():
+        marked = reference.time[np.flatnonzero(reference.moving > 0.0)] + lag_s
+        step = float(np.median(np.diff(reference.time)))
+        motion = Motion(start_s=float(marked[0]), stop_s=float(marked[-1]) + step, basis="mark of the reference")
+    else:
+        motion = _between_stills(record)
+    rest = motion.start_s - max(float(record.time[0]), float(reference.time[0]) + lag_s)
+    if rest < LEAST_REST_S:
+        raise AlignmentError(
+            f"motion: wanted {LEAST_REST_S:g} s of rest or more before the motion, got {max(rest, 0.0):.1f} s "
+            f"({motion.basis}); record the device lying still first",
+            rest_s=rest,
+        )
+    return motion
+
+
+def _between_stills(record: Record) -> Motion:
+    search = find_still(record)
+    long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
+    if not long:
+        raise AlignmentError(
+            f"motion: wanted a still phase of {LEAST_REST_S:g} s before the motion, got none"
+            + (f" ({search.reason})" if search.reason else "")
+            + "; give a reference with a motion mark, or record a rest first"
+        )
+    first, last = long[0], search.stills[-1]
+    if last.stop < len(record) - 1 - record.sample_rate_hz * LEAST_REST_S or last is first:
+        stop = float(record.time[-1])  # it moves to the end
+    else:
+        stop = float(record.time[last.start])
+    start = float(record.time[first.stop - 1])
+    if stop - start < 1.0:
+        raise AlignmentError("motion: wanted a motion after the first rest, got none; the device lay still throughout")
+    return Motion(start_s=start, stop_s=stop, basis="still phases of the record")

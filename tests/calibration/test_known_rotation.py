@@ -1,0 +1,188 @@
+"""Known rotation: exact on made sums, reversed turns named, what is missing said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from undrift.calibration.checks import axis_vectors, face_vectors
+from undrift.calibration.known_rotation import KnownRotationSettings, RotationData, fit_known_rotation, rotation_data
+from undrift.calibration.six_face import FaceMeans
+from undrift.errors import Implausible, InputError, NotObservable
+from undrift.record import FACES, Record, Still, Turn
+
+G = 9.81
+K = np.array([[16.4, 0.1, -0.2], [0.05, 16.0, 0.3], [-0.1, 0.2, 16.7]]) * 180.0 / np.pi  # counts per rad/s
+B = np.array([3.0, -20.0, 5.0])
+G_SENSITIVITY = np.array([[0.02, -0.01, 0.03], [0.01, 0.05, -0.02], [0.0, 0.02, -0.04]])  # counts per m/s2
+ANGLE = 2.0 * np.pi * np.array([1.0, 1.0, -1.0])
+FORCE = np.array([[9.8, 1.0, 0.3], [0.5, 9.7, -0.8], [0.2, -0.4, 9.8]]) * 4.0
+SAMPLES = np.array([600.0, 500.0, 700.0, 600.0, 550.0, 650.0])
+
+
+def data(**change):
+    up = G * face_vectors(FACES)
+    turns = axis_vectors(("x", "y", "z")) * ANGLE[:, None]
+    values = {
+        "rest": FaceMeans(
+            reading=B + up @ G_SENSITIVITY.T,
+            faces=FACES,
+            noise=0.3 / np.sqrt(SAMPLES)[:, None] * np.ones(3),
+            unit="count",
+        ),
+        "rest_samples": SAMPLES,
+        "angle": ANGLE,
+        "axis": ("x", "y", "z"),
+        "reading": turns @ K.T + 4.0 * B + FORCE @ G_SENSITIVITY.T,
+        "force": FORCE,
+        "duration": np.full(3, 4.0),
+        "noise": np.full((3, 3), 0.05),
+        **change,
+    }
+    return RotationData(**values)
+
+
+def test_exact_sums_give_back_matrix_offset_and_g_sensitivity():
+    model = fit_known_rotation(data(), gravity=G).model
+    np.testing.assert_allclose(model.forward_matrix, K, rtol=1e-12)
+    np.testing.assert_allclose(model.offset, B, rtol=1e-12)
+    np.testing.assert_allclose(model.forward_matrix @ model.g_sensitivity, G_SENSITIVITY, atol=1e-13)
+    assert model.covariance.shape == (21, 21)
+    assert model.rank == 21
+    assert model.unit_out == "rad/s"
+
+
+def test_the_closed_form_is_the_same_for_even_windows_and_leans_on_uneven_ones():
+    paper = KnownRotationSettings(mode="paper")
+    even = fit_known_rotation(data(rest_samples=np.full(6, 600.0)), gravity=G, settings=paper).model
+    np.testing.assert_allclose(even.offset, B, rtol=1e-12)
+    np.testing.assert_allclose(even.forward_matrix, K, rtol=1e-12)
+    uneven = fit_known_rotation(data(), gravity=G, settings=paper).model
+    lean = G_SENSITIVITY @ (G * face_vectors(FACES).T @ SAMPLES / SAMPLES.sum())
+    np.testing.assert_allclose(uneven.offset - B, lean, atol=1e-12)
+    assert np.abs(lean).max() > 1e-3
+
+
+def test_a_reversed_turn_is_named_with_the_angle_that_would_be_right():
+    wrong = data(angle=ANGLE * np.array([1.0, -1.0, 1.0]))
+    with pytest.raises(Implausible, match=r"the turn about y reversed; .* give its angle as y \+360 deg") as caught:
+        fit_known_rotation(wrong, gravity=G)
+    assert caught.value.reversed == ("y",)
+
+
+def test_a_wrong_sample_rate_is_a_gain_off_by_two():
+    unit = replace(data().rest, unit="dps", reading=data().rest.reading / 16.4)
+    slow = data(rest=unit, reading=2.0 * data().reading / 16.4, duration=np.full(3, 8.0), force=2.0 * FORCE)
+    with pytest.raises(Implausible, match=r"readings are 2 times too large: .*sample rate"):
+        fit_known_rotation(slow, gravity=G)
+
+
+def test_missing_faces_and_axes_are_named():
+    rest = replace(data().rest, reading=data().rest.reading[:4], faces=FACES[:4])
+    with pytest.raises(NotObservable, match=r"wanted rest on all six faces, got none for \+z, -z"):
+        fit_known_rotation(data(rest=rest), gravity=G)
+    two = data(axis=("x", "y"), angle=ANGLE[:2], reading=data().reading[:2], force=FORCE[:2], duration=np.full(2, 4.0))
+    with pytest.raises(
+        NotObservable, match=r"wanted a turn about each axis, got none about z; turn the device about z"
+    ):
+        fit_known_rotation(two, gravity=G)
+
+
+def test_the_angle_uncertainty_moves_a_whole_column_of_the_matrix():
+    sure = fit_known_rotation(data(), gravity=G).model
+    unsure = fit_known_rotation(
+        data(), gravity=G, settings=KnownRotationSettings(angle_uncertainty=np.radians(1.0))
+    ).model
+    added = np.sqrt(np.diag(unsure.covariance - sure.covariance)[:9]).reshape(3, 3)
+    # 1 deg of 360 is 0.28 % of every gain
+    np.testing.assert_allclose(np.diag(added), np.diag(sure.matrix) / 360.0, rtol=1e-3)
+    doubtful = fit_known_rotation(data(), gravity=G).verdict.reasons[0]
+    assert "takes them as exact" in doubtful
+
+
+def test_the_covariance_is_the_scatter_of_many_fits():
+    rng = np.random.default_rng(6)
+    found = []
+    for _ in range(800):
+        made = data()
+        noisy = data(
+            rest=replace(made.rest, reading=made.rest.reading + made.rest.noise * rng.standard_normal((6, 3))),
+            reading=made.reading + made.noise * rng.standard_normal((3, 3)),
+        )
+        model = fit_known_rotation(noisy, gravity=G).model
+        found.append(np.concatenate((model.matrix.reshape(-1), model.offset, model.g_sensitivity.reshape(-1))))
+    claimed = np.sqrt(np.diag(fit_known_rotation(data(), gravity=G).model.covariance))
+    np.testing.assert_allclose(np.std(found, axis=0), claimed, rtol=0.1)  # 800 draws tell it to 2.5 %
+
+
+def test_unknown_noise_gives_no_covariance_instead_of_a_made_up_one():
+    model = fit_known_rotation(data(noise=None), gravity=G).model
+    assert np.isnan(model.covariance).all()
+
+
+def test_sums_are_taken_with_the_rate_of_a_sample_holding_since_the_one_before():
+    time = np.array([0.0, 0.1, 0.2, 0.35, 0.5, 0.6])
+    record = Record(time=time, gyro=np.ones((6, 3)), accel=np.tile([0.0, 0.0, 9.81], (6, 1)), gyro_unit="count")
+    sums = rotation_data(
+        [record],
+        [Still(start=0, stop=3, face="+z"), Still(start=0, stop=2)],
+        [Turn(start=2, stop=5, axis="z", angle=1.0), Turn(start=0, stop=2, axis="x")],
+        matrix=np.eye(3),
+        offset=np.zeros(3),
+    )
+    np.testing.assert_allclose(sums.duration, [0.4])
+    np.testing.assert_allclose(sums.reading, [[0.4, 0.4, 0.4]])
+    np.testing.assert_allclose(sums.force, [[0.0, 0.0, 0.4 * 9.81]])
+    assert sums.rest.faces == ("+z",)
+    one = Record(time=time, gyro=np.ones((6, 3)))
+    with pytest.raises(InputError, match="wanted gyroscope and accelerometer, got one of them"):
+        rotation_data([one], [Still(start=0, stop=3, face="+z")], [], matrix=np.eye(3), offset=np.zeros(3))
+
+
+def test_gaps_are_left_out_at_rest_and_refused_in_a_turn():
+    time = np.arange(40) / 10.0
+    gyro, accel = np.ones((40, 3)), np.tile([0.0, 0.0, 9.81], (40, 1))
+    gyro[3] = np.nan
+    record = Record(time=time, gyro=gyro, accel=accel)
+    stills, turn = [Still(start=0, stop=10, face="+z")], Turn(start=10, stop=20, axis="z", angle=1.0)
+    sums = rotation_data([record], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))
+    assert sums.rest_samples.tolist() == [9.0]
+    np.testing.assert_allclose(sums.rest.reading, 1.0)
+    with pytest.raises(InputError, match="wanted the turn about z without gaps, got some; record it again"):
+        rotation_data(
+            [record], stills, [Turn(start=0, stop=9, axis="z", angle=1.0)], matrix=np.eye(3), offset=np.zeros(3)
+        )
+    gyro[:10] = np.nan
+    with pytest.raises(InputError, match=r"wanted readings at rest on face \+z, got 0; choose another stretch"):
+        rotation_data([Record(time=time, gyro=gyro, accel=accel)], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))
+
+
+def test_exchanged_columns_are_named_and_not_taken_for_reversed_turns():
+    exchanged = replace(
+        data(),
+        reading=data().reading[:, [1, 0, 2]],
+        rest=replace(data().rest, reading=data().rest.reading[:, [1, 0, 2]]),
+    )
+    with pytest.raises(Implausible, match=r"got \+y, \+x, \+z: columns x and y exchanged, or the axes of the turns"):
+        fit_known_rotation(exchanged, gravity=G)
+    told = replace(
+        exchanged, angle=exchanged.angle * np.array([-1.0, -1.0, 1.0])
+    )  # as the advice on signs was followed
+    with pytest.raises(Implausible, match=r"got -y, -x, \+z: columns x and y exchanged, and x and y reversed"):
+        fit_known_rotation(told, gravity=G)
+
+
+def test_a_turn_beyond_the_range_is_named_before_its_scale_is():
+    time = np.arange(400) / 100.0
+    rate = np.sin(np.pi * time / time[-1])[:, None] * [0.0, 0.0, 150.0] + 0.01 * np.random.default_rng(1).normal(
+        size=(400, 3)
+    )
+    record = Record(time=time, gyro=rate.clip(-100.0, 100.0), accel=np.tile([0.0, 0.0, 9.81], (400, 1)))
+    with pytest.raises(Implausible, match=r"turn about z: wanted z readings inside the range, got \d+ .* at 100"):
+        rotation_data(
+            [record],
+            [Still(start=0, stop=9, face="+z")],
+            [Turn(start=0, stop=400, axis="z", angle=6.0)],
+            matrix=np.eye(3),
+            offset=np.zeros(3),
+        )

@@ -1,0 +1,285 @@
+"""The whole hand-held calibration on simulated sessions: stills found, threshold chosen, gyroscopes by integration."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from undrift.calibration.multi_position import (
+    MultiPositionSettings,
+    fit_multi_position,
+    fit_multi_position_session,
+    still_variance,
+)
+from undrift.calibration.multi_position_gyro import cut_moves, fit_gyro_between_stills, gravity_directions, offset_prior
+from undrift.errors import Implausible, InputError, NotObservable, PoorFit
+from undrift.kernels.calibrate import rotations_between
+from undrift.record import Record, Session, Still
+from undrift.sim.motion.bench import BenchSettings, bench_motion
+
+G = 9.80665
+MOTION = bench_motion(
+    "multi_position", rng=np.random.default_rng(5), settings=BenchSettings(poses=20, first_still_s=10.0)
+)
+ACCEL = np.array([[0.99, 0.01, -0.02], [0.0, 1.02, 0.015], [0.0, 0.0, 1.01]])
+ACCEL_OFFSET = np.array([0.2, -0.1, 0.3])
+GYRO = np.array([[1.01, 0.02, -0.01], [-0.015, 0.98, 0.005], [0.01, -0.02, 1.03]])
+GYRO_OFFSET = np.array([0.02, -0.01, 0.005])
+
+
+def recorded(seed: int = 0, accel_sd: float = 0.02, gyro_sd: float = 0.002) -> Record:
+    """A device of known matrices that lies and turns as a hand would make it."""
+    rng = np.random.default_rng(seed)
+    force = MOTION.force_b @ np.linalg.inv(ACCEL).T + ACCEL_OFFSET
+    rate = MOTION.mean_rate_b @ np.linalg.inv(GYRO).T + GYRO_OFFSET
+    return Record(
+        time=MOTION.time,
+        accel=force + accel_sd * rng.normal(size=force.shape),
+        gyro=rate + gyro_sd * rng.normal(size=rate.shape),
+    )
+
+
+def test_a_session_without_noise_gives_both_matrices_back() -> None:
+    fit = fit_multi_position(recorded(accel_sd=0.0, gyro_sd=0.0), gravity=G, stills=MOTION.stills)
+    assert fit.gyro is not None
+    np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=1e-9)
+    np.testing.assert_allclose(fit.accel.model.offset, ACCEL_OFFSET, atol=1e-8)
+    np.testing.assert_allclose(
+        fit.gyro.model.matrix, GYRO, atol=1e-7
+    )  # 2 s of rate at 100 Hz: commutation error of 1e-8
+    np.testing.assert_allclose(fit.gyro.model.offset, GYRO_OFFSET, atol=1e-8)
+
+
+def test_a_noisy_session_is_covered_by_its_intervals_stills_found() -> None:
+    inside: list[np.ndarray] = []
+    for seed in range(25):
+        fit = fit_multi_position(recorded(seed), gravity=G)
+        assert fit.gyro is not None
+        truth = np.concatenate((GYRO.reshape(-1), GYRO_OFFSET))
+        estimate = np.concatenate((fit.gyro.model.matrix.reshape(-1), fit.gyro.model.offset))
+        inside.append(np.abs(estimate - truth) < 1.96 * fit.gyro.model.standard_uncertainty)
+        truth = np.concatenate((ACCEL.reshape(-1), ACCEL_OFFSET))
+        estimate = np.concatenate((fit.accel.model.matrix.reshape(-1), fit.accel.model.offset))
+        seen = fit.accel.model.standard_uncertainty > 0.0
+        inside.append((np.abs(estimate - truth) < 1.96 * fit.accel.model.standard_uncertainty)[seen])
+        assert len(fit.stills) == 20
+    covered = float(np.concatenate(inside).mean())
+    print(f"  25 sessions, 21 parameters: 95 % intervals cover {100 * covered:.1f} %")
+    assert 0.91 < covered < 0.99  # 525 intervals correlated within a session: 1.5 % one sigma
+    assert fit.verdict.status == "good"
+
+
+def test_every_threshold_tried_is_in_the_table() -> None:
+    settings = MultiPositionSettings(multiples=(2.0, 4.0, 200.0))
+    fit = fit_multi_position(recorded(), gravity=G, settings=settings)
+    assert [trial.multiple for trial in fit.trials] == [2.0, 4.0, 200.0]
+    assert fit.threshold / still_variance(recorded(), window_s=1.0, rest_s=None).at_rest in (
+        pytest.approx(2.0),
+        pytest.approx(4.0),
+    )
+
+
+def test_a_threshold_that_loses_poses_is_not_chosen() -> None:
+    # one heavy tail of trembling: half the stills shake twelve times as hard; smallest cost would drop them
+    record, rng = recorded(), np.random.default_rng(9)
+    accel = np.array(record.accel)
+    for still in MOTION.stills[1::2]:
+        accel[still.start : still.stop] += 0.07 * rng.normal(size=(still.stop - still.start, 3))
+    shaky = replace(record, accel=accel)
+    fit = fit_multi_position(shaky, gravity=G)
+    cheapest = min((t for t in fit.trials if np.isfinite(t.cost)), key=lambda t: t.cost)
+    assert len(fit.stills) == 20
+    assert cheapest.stills < 15
+
+
+def test_stills_of_several_recordings_are_pooled() -> None:
+    record = recorded(accel_sd=0.0, gyro_sd=0.0)
+    pieces = tuple(record.part(s.start, s.stop) for s in MOTION.stills)
+    session = Session(kind="calibration", serial="t", gravity_m_s2=G, records=pieces)
+    stills = tuple(Still(start=0, stop=len(p), recording=k) for k, p in enumerate(pieces))
+    fit = fit_multi_position_session(replace(session, stills=stills))
+    np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=1e-9)
+    assert fit.gyro is None
+    assert any("wanted 5 moves or more between stills" in reason for reason in fit.verdict.reasons)
+    with pytest.raises(
+        NotObservable, match=r"scale of x, y and z, cross-axis terms xy, xz, yx.*got 0; turn the device by 90 deg"
+    ):
+        fit_multi_position_session(replace(session, stills=stills), settings=MultiPositionSettings(gyro="required"))
+
+
+def test_moves_about_one_axis_leave_the_gyroscopes_unseen() -> None:
+    time = np.arange(6000) / 100.0
+    moving = (np.arange(6000) % 600) >= 300
+    rate = np.where(moving, np.pi / 6.0, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])  # 90 deg about x in 3 s
+    up = np.array([0.3, 0.2, 0.933])
+    q = Rotation.from_rotvec(np.cumsum(rate, axis=0) / 100.0)  # one axis: angles add
+    record = Record(time=time, gyro=rate, accel=G * q.inv().apply(up / np.linalg.norm(up)))
+    stills = [Still(start=600 * k, stop=600 * k + 300) for k in range(10)]
+    accel = fit_multi_position(recorded(), gravity=G).accel.model
+    perfect = replace(accel, matrix=np.eye(3), offset=np.zeros(3))
+    with pytest.raises(
+        NotObservable, match=r"cross-axis terms xy, xz.*turn the device by 90 deg or more about each axis"
+    ):
+        fit_gyro_between_stills((record,), stills, perfect)
+
+
+def test_a_sample_rate_that_is_wrong_by_two_is_named() -> None:
+    record = recorded()
+    halved = Record(time=record.time * 2.0, gyro=record.gyro, accel=record.accel)
+    with pytest.raises(Implausible, match=r"gyro: wanted a scale factor.*2 times too large.*sample rate"):
+        fit_multi_position(halved, gravity=G)
+
+
+def test_a_reversed_gyroscope_axis_is_named() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    mirrored = Record(time=record.time, gyro=record.gyro * np.array([1.0, -1.0, 1.0]), accel=record.accel)
+    with pytest.raises(Implausible, match=r"got \+x, -y, \+z: gyroscope column y is reversed"):
+        fit_multi_position(mirrored, gravity=G)
+
+
+def test_gyroscopes_that_have_nothing_to_do_with_the_moves_are_a_poor_fit_or_implausible() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    other = Record(time=record.time, gyro=np.roll(record.gyro, 450, axis=0), accel=record.accel)
+    with pytest.raises((PoorFit, Implausible, NotObservable), match="wanted"):
+        fit_multi_position(other, gravity=G, stills=MOTION.stills)
+
+
+def test_too_few_poses_are_refused_with_what_to_record() -> None:
+    record = recorded()
+    with pytest.raises(NotObservable, match="wanted 9 still poses or more"):
+        fit_multi_position(record.part(0, MOTION.stills[5].stop), gravity=G)
+
+
+def test_records_without_accelerometer_or_shorter_than_the_window_are_refused() -> None:
+    record = recorded()
+    accel = fit_multi_position(record, gravity=G, settings=MultiPositionSettings(gyro="none")).accel.model
+    with pytest.raises(InputError, match="wanted accel readings in one unit"):
+        fit_multi_position(Record(time=record.time, gyro=record.gyro), gravity=G)
+    with pytest.raises(InputError, match="wanted accel readings, got none"):
+        still_variance(Record(time=record.time, gyro=record.gyro), window_s=1.0, rest_s=None)
+    with pytest.raises(InputError, match="longer than its window of 1 s and its opening rest of 50 s"):
+        fit_multi_position(record.part(0, 1000), gravity=G, settings=MultiPositionSettings.published())
+    with pytest.raises(InputError, match="wanted gyro and accel readings in the same units"):
+        fit_gyro_between_stills((Record(time=record.time, accel=record.accel),), MOTION.stills, accel)
+
+
+def test_a_move_with_a_gap_is_left_out_and_the_rest_still_fits() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    gyro, accel = np.array(record.gyro), np.array(record.accel)
+    middle = MOTION.stills[3].stop + 60
+    gyro[middle], accel[MOTION.stills[6].start + 200] = np.nan, np.nan
+    fit = fit_multi_position(replace(record, gyro=gyro, accel=accel), gravity=G)
+    assert fit.gyro is not None
+    assert fit.gyro.model.count < 2 * (len(fit.stills) - 1)
+    np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=1e-3)  # five standard uncertainties
+
+
+def test_a_still_that_turns_about_the_vertical_does_not_bias_the_offset() -> None:
+    # An accelerometer cannot see it: twenty seconds of lying pose turn at 3 deg/s about the vertical.
+    record = recorded()
+    assert record.gyro is not None
+    assert record.accel is not None
+    gyro, still = np.array(record.gyro), MOTION.stills[4]
+    up = MOTION.force_b[still.start + 10] / G
+    gyro[still.start : still.stop] += np.linalg.inv(GYRO) @ up * np.radians(3.0)
+    fit = fit_multi_position(replace(record, gyro=gyro), gravity=G)
+    assert fit.gyro is not None
+    np.testing.assert_allclose(
+        fit.gyro.model.offset, GYRO_OFFSET, atol=2e-4
+    )  # 3 deg/s over one in twenty would be 2.6e-3
+
+
+def test_an_offset_that_walks_is_followed_from_still_to_still() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    drift = np.linspace(-0.02, 0.02, len(record))[:, None] * np.array([1.0, -0.5, 0.3])
+    fit = fit_multi_position(replace(record, gyro=record.gyro + drift), gravity=G)
+    assert fit.gyro is not None
+    np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=2e-3)  # a constant offset would leave 0.02 rad/s * 2 s
+
+
+def test_the_rotation_kernel_agrees_with_a_product_of_rotations_and_finite_differences() -> None:
+    rng = np.random.default_rng(2)
+    gyro, time = rng.normal(size=(40, 3)), np.arange(40) * 0.01
+    first, last = np.array([0, 15]), np.array([15, 39])
+    matrix, offset, drift = GYRO.reshape(-1), np.array([0.1, 0.2, -0.1]), 0.01 * rng.normal(size=6)
+
+    def turned(m: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rotation, sums = np.empty(18), np.empty(72)
+        rotations_between(gyro.reshape(-1), time, first, last, m, o, drift, rotation, sums)
+        return rotation.reshape(2, 3, 3), sums.reshape(2, 4, 3, 3)
+
+    rotation, sums = turned(matrix, offset)
+    for j in range(2):
+        steps = (gyro[first[j] + 1 : last[j] + 1] - offset - drift[3 * j : 3 * j + 3]) @ GYRO.T * 0.01
+        product = Rotation.identity()
+        for step in steps:
+            product = product * Rotation.from_rotvec(step)
+        np.testing.assert_allclose(rotation[j], product.as_matrix(), atol=1e-12)
+        for a in range(3):
+            for b in range(3):
+                h = np.zeros(9)
+                h[3 * a + b] = 1e-6
+                small = Rotation.from_matrix(turned(matrix + h, offset)[0][j] @ rotation[j].T).as_rotvec() / 1e-6
+                np.testing.assert_allclose(sums[j, b + 1][:, a], small, atol=2e-5)  # midpoint of steps of 0.02 rad
+
+
+def test_derivatives_of_the_gravity_directions_agree_with_finite_differences() -> None:
+    record = recorded()
+    accel = fit_multi_position(record, gravity=G, settings=MultiPositionSettings(gyro="none")).accel.model
+    moves = cut_moves((record,), MOTION.stills, MOTION.stills)
+    at = gravity_directions(moves, accel)
+    for k in range(12):
+        h = np.zeros(12)
+        h[k] = 1e-6
+        moved = replace(accel, matrix=accel.matrix + h[:9].reshape(3, 3), offset=accel.offset + h[9:])
+        np.testing.assert_allclose(
+            (gravity_directions(moves, moved).unit - at.unit) / 1e-6, at.jacobian[:, :, k], atol=1e-5
+        )
+
+
+def test_jitter_and_walk_of_the_offset_are_told_apart() -> None:
+    record, rng = recorded(), np.random.default_rng(1)
+    assert record.gyro is not None
+    swaying, warming = np.array(record.gyro), np.array(record.gyro)
+    for k, still in enumerate(MOTION.stills):
+        swaying[still.start : still.stop] += 0.003 * rng.normal(size=3)
+        warming[still.start : still.stop] += 0.002 * k
+    for gyro, walks in ((record.gyro, False), (swaying, False), (warming, True)):
+        prior = offset_prior(cut_moves((replace(record, gyro=gyro),), MOTION.stills, MOTION.stills))
+        assert bool(prior.drift.any()) is walks
+
+
+def test_an_offset_that_drifts_is_said_and_widens_its_uncertainty() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    drift = (
+        np.radians(1.0) * (record.time - record.time.mean())[:, None] / np.ptp(record.time)
+    )  # 1 deg/s over the session
+    drifting = replace(record, gyro=record.gyro + drift)
+    fit = fit_multi_position(drifting, gravity=G, stills=MOTION.stills)
+    steady = fit_multi_position(record, gravity=G, stills=MOTION.stills)
+    assert fit.gyro is not None
+    assert steady.gyro is not None
+    assert steady.verdict.status == "good"
+    assert fit.verdict.status == "marginal"
+    assert any("the offset drifted by" in r and "(wanted 0.2)" in r for r in fit.verdict.reasons)
+    sigma = fit.gyro.model.standard_uncertainty[9:]
+    # a straight drift of 1 deg/s has a standard deviation of 0.29 deg/s; the stills are not spread evenly
+    np.testing.assert_allclose(np.degrees(sigma), 0.29, rtol=0.25)
+    np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=0.005)  # followed, not taken for gain
+
+
+def test_a_range_that_is_too_small_is_named_before_the_scale_is() -> None:
+    record = recorded()
+    assert record.gyro is not None
+    assert record.accel is not None
+    top = 0.7 * float(np.abs(record.gyro).max())
+    with pytest.raises(Implausible, match=r"gyroscope in moves between poses: wanted [xyz] readings inside the range"):
+        fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
+    with pytest.raises(Implausible, match=r"accelerometer in still poses: wanted [xyz] readings inside the range"):
+        fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)

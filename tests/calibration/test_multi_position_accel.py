@@ -1,0 +1,174 @@
+"""Norm of gravity over free poses: exact without noise, honest with it, and refused where poses do not show a parameter."""
+
+import numpy as np
+import pytest
+
+from undrift.calibration.multi_position import fit_norm, fit_poses
+from undrift.errors import Implausible, InputError, NotObservable, PoorFit
+from undrift.fit.least_squares import excess_variance
+from undrift.kernels.calibrate import norm_equations
+
+G = 9.81
+MATRIX = np.array([[0.0024, -3e-5, 2e-5], [0.0, 0.00243, -5e-5], [0.0, 0.0, 0.00241]])
+OFFSET = np.array([33124.0, 33275.0, 32364.0])
+
+
+def directions(count: int, seed: int = 1) -> np.ndarray:
+    n = np.random.default_rng(seed).normal(size=(count, 3))
+    return n / np.linalg.norm(n, axis=1)[:, None]
+
+
+def readings(n: np.ndarray) -> np.ndarray:
+    return G * n @ np.linalg.inv(MATRIX).T + OFFSET
+
+
+def test_poses_without_noise_give_back_matrix_and_offset() -> None:
+    fit = fit_poses(readings(directions(20)), gravity=G, standard_errors=np.full((20, 3), 0.1))
+    np.testing.assert_allclose(fit.model.matrix, MATRIX, atol=1e-14, rtol=1e-10)  # solver tolerance 1e-11
+    np.testing.assert_allclose(fit.model.offset, OFFSET, rtol=1e-12)
+    assert fit.model.rank == 9
+    assert fit.model.count == 20
+    assert fit.verdict.status == "good"
+    assert (fit.model.covariance[3] == 0.0).all()  # m_yx was held at zero
+
+
+def test_noise_known_beforehand_gives_honest_intervals_and_meets_the_bound() -> None:
+    rng, n, sigma = np.random.default_rng(3), directions(24), 0.8
+    clean, truth = readings(n), np.concatenate((MATRIX[np.triu_indices(3)], OFFSET))
+    scaled = []
+    for _ in range(300):
+        fit = fit_poses(
+            clean + sigma * rng.normal(size=n.shape), gravity=G, standard_errors=np.full(n.shape, sigma)
+        ).model
+        estimate = np.concatenate((fit.matrix[np.triu_indices(3)], fit.offset))
+        scaled.append((estimate - truth) / fit.standard_uncertainty[[0, 1, 2, 4, 5, 8, 9, 10, 11]])
+    covered = float((np.abs(scaled) < 1.96).mean())
+    print(f"  24 poses, 300 devices: 95 % intervals cover {100 * covered:.1f} %")
+    assert 0.93 < covered < 0.975  # 2,700 intervals, correlated within a device: 1 % is two standard deviations
+    # the stated covariance may exceed the bound by the excess variance that a lucky set of residuals feigns, 10 % at most
+    assert 0.88 < float(np.sqrt(np.mean(np.square(scaled)))) < 1.03
+
+
+def test_without_standard_errors_the_residuals_tell_the_noise() -> None:
+    rng, n = np.random.default_rng(4), directions(60)
+    fit = fit_poses(readings(n) + 2.0 * rng.normal(size=n.shape), gravity=G)
+    known = fit_poses(readings(n) + 2.0 * rng.normal(size=n.shape), gravity=G, standard_errors=np.full(n.shape, 2.0))
+    ratio = fit.model.standard_uncertainty[9:] / known.model.standard_uncertainty[9:]
+    np.testing.assert_allclose(ratio, 1.0, atol=0.3)  # 51 spare equations: 10 % one sigma
+
+
+def test_scale_and_offset_alone_come_back_from_the_faces() -> None:
+    faces = np.vstack((np.eye(3), -np.eye(3), np.eye(3)))
+    raw = G * faces / np.diag(MATRIX) + OFFSET
+    fit = fit_poses(raw, gravity=G, standard_errors=np.full((9, 3), 0.1), cross_axis=False)
+    np.testing.assert_allclose(np.diag(fit.model.matrix), np.diag(MATRIX), rtol=1e-10)
+    assert any("held at zero" in reason for reason in fit.verdict.reasons)
+
+
+def test_eight_poses_are_too_few_and_the_message_names_the_parameters() -> None:
+    with pytest.raises(
+        NotObservable, match=r"wanted 9 still poses or more for scale of x, y and z, cross.*got 8; record"
+    ):
+        fit_poses(readings(directions(8)), gravity=G, standard_errors=np.full((8, 3), 0.1))
+    with pytest.raises(NotObservable, match="wanted 10 still poses"):
+        fit_poses(readings(directions(9)), gravity=G)
+
+
+def test_poses_in_one_plane_are_refused_with_the_poses_that_would_help() -> None:
+    n = directions(20)
+    n[:, 1] = 0.0
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    raw = readings(n) + np.random.default_rng(0).normal(size=n.shape)
+    with pytest.raises(
+        NotObservable, match="offset of y; all poses lie near one plane: add poses with the y axis up"
+    ) as caught:
+        fit_poses(raw, gravity=G, standard_errors=np.ones(n.shape))
+    assert "scale of y" in str(caught.value)
+    assert {"m_yy", "offset_y"} <= set(caught.value.parameters)
+
+
+def test_faces_alone_leave_the_cross_axis_terms_unseen() -> None:
+    n = np.vstack([np.eye(3), -np.eye(3)] * 2)
+    raw = readings(n) + np.random.default_rng(0).normal(size=n.shape)
+    with pytest.raises(NotObservable, match=r"for cross-axis terms? x[yz].*add poses between the faces"):
+        fit_poses(raw, gravity=G, standard_errors=np.ones(n.shape))
+
+
+def test_poses_all_on_one_side_are_refused() -> None:
+    n = directions(30)
+    n = n[n[:, 2] > 0.9]
+    n = np.vstack((n, directions(400, 2)[directions(400, 2)[:, 2] > 0.9]))
+    with pytest.raises(NotObservable, match="sides, edges and corners that are missing"):
+        fit_poses(
+            readings(n) + np.random.default_rng(0).normal(size=n.shape), gravity=G, standard_errors=np.ones(n.shape)
+        )
+
+
+def test_a_wrong_unit_is_implausible() -> None:
+    with pytest.raises(Implausible, match=r"wanted \|a\| near 9.81"):
+        fit_poses(0.25 * G * directions(20), gravity=G, standard_errors=np.full((20, 3), 1e-3), unit_in="m/s2")
+    with pytest.raises(Implausible, match="wanted a scale factor within 25 %"):
+        fit_poses(1.4 * G * directions(20), gravity=G, standard_errors=np.full((20, 3), 1e-3), unit_in="m/s2")
+
+
+def test_gaps_and_negative_errors_are_refused() -> None:
+    raw = readings(directions(12))
+    with pytest.raises(InputError, match="without gaps"):
+        fit_poses(raw, gravity=G, standard_errors=-np.ones((12, 3)))
+
+
+def test_readings_that_no_linear_sensor_could_give_are_a_poor_fit() -> None:
+    x, y, side = 3.0 * np.random.default_rng(0).normal(size=(3, 40))
+    hyperboloid = np.column_stack((x, y, np.sqrt(1.0 + x**2 + y**2) * np.sign(side)))
+    with pytest.raises(PoorFit, match=r"got none that a linear sensor could give; check that the device lay still"):
+        fit_poses(hyperboloid, gravity=G, standard_errors=np.full((40, 3), 1e-3))
+
+
+def test_poses_that_moved_get_a_bad_verdict_with_the_figure() -> None:
+    n = directions(30)
+    shaken = readings(n) + 300.0 * np.random.default_rng(1).normal(size=n.shape)
+    fit = fit_poses(shaken, gravity=G, standard_errors=np.full(n.shape, 0.1))
+    assert fit.verdict.status == "bad"
+    assert "mg rms (wanted 3)" in fit.verdict.reasons[0]
+
+
+def test_the_kernel_agrees_with_plain_numpy() -> None:
+    rng = np.random.default_rng(5)
+    u, weight = rng.normal(size=(15, 3)) * 9.0, rng.uniform(0.5, 2.0, size=15)
+    p = np.array([1.02, 0.01, -0.02, 0.98, 0.03, 1.01, 0.1, -0.2, 0.3])
+    normal, gradient = np.empty(81), np.empty(9)
+    cost = norm_equations(u.reshape(-1), weight, p, G, normal, gradient)
+
+    def residual(q: np.ndarray) -> np.ndarray:
+        m = np.array([[q[0], q[1], q[2]], [0.0, q[3], q[4]], [0.0, 0.0, q[5]]])
+        return np.linalg.norm((u - q[6:]) @ m.T, axis=1) - G
+
+    jacobian = np.column_stack([(residual(p + h) - residual(p - h)) / 2e-6 for h in 1e-6 * np.eye(9)])
+    assert cost == pytest.approx(float(weight @ residual(p) ** 2), rel=1e-12)
+    np.testing.assert_allclose(
+        gradient, jacobian.T @ (weight * residual(p)), rtol=1e-6, atol=1e-6
+    )  # central differences
+    np.testing.assert_allclose(normal.reshape(9, 9), jacobian.T @ (weight[:, None] * jacobian), rtol=1e-6, atol=1e-6)
+
+
+def test_excess_variance_makes_the_weighted_sum_its_expectation() -> None:
+    rng = np.random.default_rng(6)
+    variance = rng.uniform(0.1, 1.0, size=40)
+    residual = rng.normal(size=40) * np.sqrt(variance + 2.0)
+    excess = excess_variance(residual, variance, 31)
+    assert float((residual**2 / (variance + excess)).sum()) == pytest.approx(31.0, rel=1e-6)
+    assert excess_variance(0.1 * residual, variance, 31) == 0.0
+    assert excess_variance(residual, np.zeros(40), 40) == pytest.approx(float(np.mean(residual**2)))
+    assert excess_variance(residual, variance, 0) == 0.0
+
+
+def test_unequal_noise_is_weighed_by_the_axis_that_gravity_lies_on() -> None:
+    # z ten times noisier: poses along z must hardly count, and the stated errors must say so
+    rng, n, sigma = np.random.default_rng(7), directions(40), np.array([0.1, 0.1, 1.0])
+    clean = readings(n)
+    error, stated = [], []
+    for _ in range(150):
+        fit = fit_norm(clean + sigma * rng.normal(size=n.shape), gravity=G, variances=np.tile(sigma**2, (40, 1)))
+        error.append(fit.offset - OFFSET)
+        stated.append(np.sqrt(np.diag(fit.covariance)[6:]) / fit.scale)
+    np.testing.assert_allclose(np.std(error, axis=0) / np.mean(stated, axis=0), 1.0, atol=0.15)  # 150 draws: 6 % sigma

@@ -1,0 +1,248 @@
+"""Rate table: the note's equations and grid, the affine fit, one axis, linearity, Earth rate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from undrift.calibration.checks import axis_vectors
+from undrift.calibration.rate_table import (
+    DwellMeans,
+    DwellSettings,
+    RateTableSettings,
+    dwell_means,
+    fit_rate_axis,
+    fit_rate_table,
+    imposed_rates,
+    linearity,
+    spline_filter,
+)
+from undrift.errors import Implausible, InputError, NotObservable
+from undrift.fit.least_squares import block_size, noise_of_means
+from undrift.record import Record, Turn
+from undrift.rig.protocol import rate_grid
+from undrift.units import EARTH_RATE
+
+DPS = np.pi / 180.0
+K = np.array([[940.0, 9.0, -5.0], [4.0, 950.0, 12.0], [-6.0, 8.0, 930.0]])  # counts per rad/s
+B = np.array([12.0, -30.0, 7.0])
+GRID = rate_grid(5.0, 90.0, 5.0, rule="paper") * DPS
+
+
+def dwells(offset=B, grid=GRID, noise=0.05, k=K):
+    axis = tuple(a for a in ("x", "y", "z") for _ in grid)
+    rate = np.tile(grid, 3)
+    reading = (axis_vectors(axis) * rate[:, None]) @ k.T + offset
+    return DwellMeans(reading=reading, turn_rate=rate, axis=axis, noise=np.full((len(axis), 3), noise), unit="count")
+
+
+def test_affine_gives_back_the_device_and_its_table():
+    fit = fit_rate_table(dwells())
+    np.testing.assert_allclose(fit.model.forward_matrix, K, rtol=1e-12, atol=1e-10)
+    np.testing.assert_allclose(fit.model.offset, B, rtol=1e-11)
+    assert fit.model.count == 306
+    assert fit.residuals.shape == (102, 3)
+    assert [line.axis for line in fit.linearity] == ["x", "y", "z"]
+    assert all(line.scale_factor_nonlinearity < 1e-12 for line in fit.linearity)
+    assert all(abs(line.scale_factor_asymmetry) < 1e-12 for line in fit.linearity)
+
+
+def test_mode_paper_is_equation_six_to_the_last_digit():
+    made = dwells(offset=np.zeros(3))
+    fit = fit_rate_table(made, RateTableSettings(mode="paper"))
+    L, S = imposed_rates(made, None).T, made.reading.T
+    assert L.shape == (3, 102)
+    np.testing.assert_allclose(fit.model.matrix, L @ S.T @ np.linalg.inv(S @ S.T), rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(fit.model.forward_matrix, K, rtol=1e-11, atol=1e-9)
+    assert fit.verdict.reasons == ()
+
+
+@pytest.mark.parametrize(
+    ("limits", "offset_dps", "loss_percent"),
+    [
+        ((5.0, 90.0, 5.0), 1.0, 0.10),
+        ((5.0, 90.0, 5.0), 5.0, 2.4),
+        ((0.1, 5.0, 0.1), 0.1, 0.34),
+        ((0.1, 5.0, 0.1), 1.0, 25.5),
+    ],
+)
+def test_an_offset_left_in_mode_paper_costs_the_gain_that_the_law_says(limits, offset_dps, loss_percent):
+    grid = rate_grid(*limits, rule="paper") * DPS
+    left = np.array([0.0, 0.6, -0.8]) * offset_dps * DPS
+    made = dwells(offset=K @ left, grid=grid, noise=1e-6)
+    fit = fit_rate_table(made, RateTableSettings(mode="paper"))
+    k = 3.0 * len(grid) / float((grid**2).sum())
+    np.testing.assert_allclose(fit.model.matrix @ K, np.linalg.inv(np.eye(3) + k * np.outer(left, left)), atol=1e-10)
+    share = k * float(left @ left)
+    assert 100.0 * share / (1.0 + share) == pytest.approx(loss_percent, rel=0.04)  # printed to two digits
+    assert f"the gain along it is {100.0 * share / (1.0 + share):.2g} % too small" in fit.verdict.reasons[0]
+
+
+def test_the_shrink_constants_of_the_three_tasks():
+    for limits, constant in (((5, 90, 5), 9.677e-4), ((3, 45, 3), 3.766e-3), ((0.1, 5.0, 0.1), 0.34247)):
+        grid = rate_grid(*limits, rule="paper")
+        assert 3 * len(grid) / (grid**2).sum() == pytest.approx(constant, rel=2e-4)
+
+
+def test_achieved_rates_go_into_l_and_nominal_ones_would_bias_the_gain():
+    achieved = (
+        rate_grid(0.1, 5.0, 0.1, rule="paper") * DPS * 0.99
+    )  # a table that rounds every rate down by one per cent
+    fit = fit_rate_table(dwells(grid=achieved))
+    np.testing.assert_allclose(fit.model.forward_matrix, K, rtol=1e-11, atol=1e-9)
+
+
+def test_the_earth_adds_its_vertical_rate_to_the_axis_that_points_up():
+    made = dwells()
+    rates = imposed_rates(made, 42.0)
+    up = rates - imposed_rates(made, None)
+    vertical = EARTH_RATE * np.sin(np.radians(42.0))
+    np.testing.assert_allclose(up, axis_vectors(made.axis) * vertical)
+    assert vertical / DPS == pytest.approx(0.0028, abs=5e-5)
+    down = imposed_rates(replace(made, up=np.full(102, -1.0)), 42.0) - imposed_rates(made, None)
+    np.testing.assert_allclose(down, -axis_vectors(made.axis) * vertical)
+    earthly = replace(made, reading=made.reading + axis_vectors(made.axis) @ K.T * vertical)
+    with_earth = fit_rate_table(earthly, RateTableSettings(latitude_deg=42.0)).model
+    np.testing.assert_allclose(with_earth.offset, B, rtol=1e-10)
+
+
+def test_turns_about_one_axis_are_not_a_rate_table_but_show_one_column():
+    made = dwells()
+    rows = [k for k, a in enumerate(made.axis) if a == "y"]
+    one = replace(made, reading=made.reading[rows], turn_rate=made.turn_rate[rows], axis=("y",) * len(rows), noise=None)
+    with pytest.raises(NotObservable, match=r"got none about x, z; mount the device with x, z along the table's axis"):
+        fit_rate_table(one)
+    fit = fit_rate_axis(one)
+    np.testing.assert_allclose(fit.column, K[:, 1], rtol=1e-12)
+    np.testing.assert_allclose(fit.offset, B, rtol=1e-12)
+    assert fit.scale_factor == pytest.approx(950.0)
+    assert "turns about y alone do not show the scale factors of x and z" in fit.verdict.reasons[0]
+    with pytest.raises(InputError, match="wanted turns about one axis, got x, y, z; use fit_rate_table"):
+        fit_rate_axis(made)
+    lonely = replace(one, reading=one.reading[:1], turn_rate=one.turn_rate[:1], axis=("y",))
+    with pytest.raises(NotObservable, match="wanted dwells at two different rates or more, got 1"):
+        fit_rate_axis(lonely)
+
+
+def test_the_uncertainty_of_one_axis_is_the_scatter_of_many_fits():
+    rng = np.random.default_rng(7)
+    rate = GRID
+    clean = rate[:, None] * K[:, 0] + B
+    found, claimed = [], []
+    for _ in range(500):
+        made = DwellMeans(
+            reading=clean + 0.2 * rng.standard_normal(clean.shape),
+            turn_rate=rate,
+            axis=("x",) * len(rate),
+            unit="count",
+        )
+        fit = fit_rate_axis(made)
+        found.append(np.concatenate((fit.column, fit.offset)))
+        claimed.append(np.diag(fit.covariance))
+    np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.mean(claimed, axis=0)), rtol=0.12)
+
+
+def test_a_left_handed_or_misstated_gyroscope_is_refused():
+    with pytest.raises(
+        Implausible, match=r"got \+x, \+y, -z: column z reversed, or the sign of the turns about z; correct the order"
+    ):
+        fit_rate_table(dwells(k=K @ np.diag([1.0, 1.0, -1.0])))
+    with pytest.raises(Implausible, match="within 3 % of the stated sensitivity"):
+        fit_rate_table(dwells(), RateTableSettings(stated_scale=860.0, scale_tolerance=0.03))
+    degrees = replace(dwells(k=np.eye(3) * 0.5 / DPS), unit="dps")
+    with pytest.raises(Implausible, match=r"readings are 2 times too small"):
+        fit_rate_table(degrees)
+
+
+def test_curvature_and_asymmetry_are_measured_against_the_line():
+    rate = np.linspace(-10.0, 10.0, 41)
+    bent = 2.0 * rate + np.where(rate > 0.0, 0.02, -0.02) * rate  # S+ = 2.02, S- = 1.98
+    table = linearity(bent + 1.0, rate, "x")
+    assert table.scale_factor_asymmetry == pytest.approx(2.0 * 0.04 / 4.0, rel=1e-9)
+    assert table.scale_factor_nonlinearity == pytest.approx(np.abs(table.error).max())
+    assert table.scale_factor_nonlinearity_percent == pytest.approx(10.0 * table.scale_factor_nonlinearity)
+    assert np.isnan(linearity(2.0 * np.arange(1.0, 5.0), np.arange(1.0, 5.0), "x").scale_factor_asymmetry)
+
+
+def record(noise=0.0, seconds=3.0, settle=True):
+    rng = np.random.default_rng(8)
+    n = int(100 * seconds)
+    pieces = []
+    for sign in (1.0, -1.0):
+        rate = np.full(n, sign * 0.5)
+        if settle:
+            rate *= 1.0 - np.exp(-np.arange(n) / 5.0)  # a slow filter: 0.3 s are 6 time constants
+        pieces.append(rate)
+    z = np.concatenate(pieces)
+    gyro = np.column_stack((0.0 * z, 0.0 * z, z)) + noise * rng.standard_normal((2 * n, 3))
+    turns = [Turn(start=k * n, stop=(k + 1) * n, axis="z", turn_rate=0.5 * s) for k, s in enumerate((1.0, -1.0))]
+    return Record(time=np.arange(2 * n) / 100.0, gyro=gyro), turns
+
+
+def test_the_settling_start_of_a_dwell_is_thrown_away():
+    made, turns = record()
+    means = dwell_means([made], [*turns, Turn(start=0, stop=50, axis="z")])
+    assert means.axis == ("z", "z")
+    # exp(-30/5) = 0.25 % at the cut, averaged over 2.7 s: 0.005 %
+    np.testing.assert_allclose(means.reading[:, 2], [0.5, -0.5], rtol=1e-4)
+    spoilt = dwell_means([made], turns, DwellSettings(settle_s=0.0))
+    assert abs(spoilt.reading[0, 2] - 0.5) > 0.005
+
+
+def test_the_spline_leaves_the_mean_alone_and_takes_the_noise_off():
+    rng = np.random.default_rng(9)
+    time = np.arange(600) / 100.0
+    values = np.sin(2 * np.pi * 0.5 * time)[:, None] + 0.1 * rng.standard_normal((600, 3))
+    smooth = spline_filter(time, values, 5.0)
+    np.testing.assert_allclose(smooth.mean(axis=0), values.mean(axis=0), atol=1e-10)
+    error = smooth - np.sin(2 * np.pi * 0.5 * time)[:, None]
+    assert error.std() < 0.05
+    tone = np.sin(2 * np.pi * 5.0 * time)[:, None] * np.ones(3)
+    inner = spline_filter(time, tone, 5.0)[100:500]
+    assert np.abs(inner).max() == pytest.approx(0.5, abs=0.02)  # halved at the cut-off, as stated
+
+
+def test_the_noise_of_a_dwell_comes_from_its_own_readings():
+    made, turns = record(noise=0.02, seconds=30.0)
+    means = dwell_means([made], turns)
+    # 116 spare blocks tell a standard deviation to 7 %
+    np.testing.assert_allclose(means.noise, 0.02 / np.sqrt(2970.0), rtol=0.25)
+    assert means.up.tolist() == [1.0, 1.0]
+
+
+def test_the_accelerometer_tells_which_way_the_axis_points():
+    made, turns = record(settle=False)
+    down = Record(time=made.time, gyro=made.gyro, accel=np.tile([0.0, 0.1, -9.8], (len(made), 1)))
+    assert dwell_means([down], turns).up.tolist() == [-1.0, -1.0]
+    side = Record(time=made.time, gyro=made.gyro, accel=np.tile([9.8, 0.1, 0.0], (len(made), 1)))
+    assert dwell_means([side], turns).up.tolist() == [0.0, 0.0]
+
+
+def test_dwells_that_cannot_be_averaged_are_refused():
+    made, turns = record()
+    with pytest.raises(InputError, match=r"wanted 8 samples or more after 0\.3 s of settling, got 5; dwell longer"):
+        dwell_means([made], [Turn(start=0, stop=35, axis="z", turn_rate=0.5)])
+    gappy = np.array(made.gyro)
+    gappy[200] = np.nan
+    with pytest.raises(InputError, match=r"wanted readings without gaps, got 1; shorten it"):
+        dwell_means([Record(time=made.time, gyro=gappy)], turns)
+    other = Record(time=made.time, gyro=made.gyro, gyro_unit="dps")
+    with pytest.raises(
+        InputError, match=r"wanted gyroscope readings in rad/s in every recording, got dps in recording 1"
+    ):
+        dwell_means([made, other], [turns[0], replace(turns[1], recording=1)])
+    with pytest.raises(
+        InputError, match=r"wanted readings \(N, 3\) and rates \(N,\) for 2 axes, got \(3, 3\) and \(2,\)"
+    ):
+        DwellMeans(reading=np.ones((3, 3)), turn_rate=np.ones(2), axis=("x", "y"))
+
+
+def test_noise_of_means_shrinks_with_the_window_and_needs_blocks():
+    rng = np.random.default_rng(10)
+    windows = [0.1 * rng.standard_normal((n, 3)) for n in (4000, 1000)]
+    noise = noise_of_means(windows, [50, 50])
+    np.testing.assert_allclose(noise[0], 0.1 / np.sqrt(4000.0), rtol=0.25)
+    np.testing.assert_allclose(noise[1], 2.0 * noise[0])
+    assert noise_of_means([np.zeros((60, 3))], [50]) is None
+    assert block_size(100.0) == 50
+    assert block_size(0.5) == 1

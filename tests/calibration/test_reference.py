@@ -1,0 +1,265 @@
+"""The gyroscope fit against an orientation reference: exact without noise, honest with it, plain about what it cannot see."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from testkit.hand_turns import Device, hidden, later, make_recording
+from undrift.calibration.reference import ReferenceSettings, fit_reference, leave_one_out, restored
+from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
+from undrift.model import AdcModel
+from undrift.record import Record, Reference
+
+FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
+REST = np.array([0.004, -0.003, 0.002])
+CHANGE = np.array([5e-4, -3e-4, 4e-4])
+
+
+def recordings(seeds, device, **motion):
+    pairs = [make_recording(np.random.default_rng(seed), device, **motion) for seed in seeds]
+    return [p[0] for p in pairs], [p[1] for p in pairs]
+
+
+@pytest.fixture(scope="module")
+def exact():
+    device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, lag_s=0.0041)
+    return recordings((1, 2), device)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, lag_s=0.0041, noise=2e-3)
+    return recordings((11, 12, 13), device, optics_noise=1e-3)
+
+
+def test_matrix_offset_and_lag_come_back_without_noise(exact):
+    fit = fit_reference(*exact)
+    model = fit.triad.model
+    # Strapdown holds each reading for 5 ms: what the corners of the motion lose between samples is all that is left.
+    assert np.abs(model.matrix - np.linalg.inv(FORWARD)).max() < 5e-5
+    assert np.abs(fit.motion_offset - CHANGE).max() < 3e-5  # the change rises at once, the motion over a second
+    assert np.abs(model.offset - REST - CHANGE).max() < 3e-5
+    assert fit.lags_s == pytest.approx([0.0041, 0.0041], abs=5e-6)
+    assert np.allclose(fit.rest_offsets, REST, atol=1e-9)
+    assert (model.rank, fit.window_s, model.method) == (12, 16.0, "reference/motion")
+    assert model.valid_range[0] < -2.0
+    assert model.valid_range[1] > 2.0
+    assert fit.triad.verdict.status == "good"
+
+
+def test_a_recording_gets_its_own_rest_offset(exact):
+    fit = fit_reference(*exact)
+    model = fit.model_at_rest_offset(np.array([0.1, 0.2, 0.3]))
+    assert np.allclose(model.offset, np.array([0.1, 0.2, 0.3]) + fit.motion_offset)
+    common = fit_reference(*exact, settings=ReferenceSettings(offset="common"))
+    assert common.model_at_rest_offset(np.ones(3)) is common.triad.model
+    assert np.abs(common.triad.model.offset - REST - CHANGE).max() < 3e-5
+    assert (common.motion_offset == 0.0).all()
+
+
+def test_the_rest_offset_alone_can_be_asked_for(exact):
+    fit = fit_reference(*exact, settings=ReferenceSettings(offset="rest"))
+    assert (fit.motion_offset == 0.0).all()
+    assert np.allclose(fit.triad.model.offset, REST, atol=1e-9)
+    assert fit.triad.model.rank == 9
+
+
+def test_parameters_scatter_by_their_stated_uncertainty():
+    # Pooled z over devices: 9 parameters of the matrix and 3 of the offset each, overlapping windows accounted for.
+    z = []
+    for seed in range(8):
+        device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, noise=3e-3)
+        fit = fit_reference(*recordings((seed, 50 + seed), device, optics_noise=2e-3, turn_s=40.0))
+        model = fit.triad.model
+        error = np.concatenate(((model.matrix - np.linalg.inv(FORWARD)).reshape(-1), model.offset - REST - CHANGE))
+        z.append(error / model.standard_uncertainty)
+    z = np.array(z)
+    assert 0.6 < np.sqrt((z**2).mean()) < 1.5  # long-run covariance from some ten windows a fit is itself rough
+    assert np.abs(z.mean(axis=0)).max() < 1.6  # no bias: eight fits, the mean of z has a deviation near 0.35
+
+
+def test_longer_windows_make_pose_noise_matter_less(noisy):
+    short = fit_reference(*noisy, settings=ReferenceSettings(longest_window_s=2.0))
+    long = fit_reference(*noisy)
+    error = [np.abs(f.triad.model.matrix - np.linalg.inv(FORWARD)).max() for f in (short, long)]
+    assert max(error) < 1e-3
+    assert long.window_s == 16.0
+    assert short.window_s == 2.0
+    assert (long.triad.model.standard_uncertainty[9:] < short.triad.model.standard_uncertainty[9:]).all()
+
+
+def test_optics_that_jump_are_outvoted(noisy):
+    records, references = noisy
+    q = np.array(references[0].q_nb)
+    wrong = slice(2000, 2030)
+    q[wrong] = (Rotation.from_quat(q[wrong], scalar_first=True) * Rotation.from_rotvec((0.3, 0.0, 0.2))).as_quat(
+        scalar_first=True
+    )
+    jumped = [replace(references[0], q_nb=q), *references[1:]]
+    fit = fit_reference(records, jumped)
+    assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 1e-3
+
+
+def test_counts_and_a_turned_mounting_are_taken_up_by_the_matrix():
+    mounting = Rotation.from_rotvec((0.2, -1.1, 0.6))
+    forward = 900.0 * FORWARD
+    device = Device(forward=forward, offset=np.array([30.0, -12.0, 7.0]), unit="count")
+    fit = fit_reference(*recordings((4,), device, mounting=mounting))
+    model = fit.triad.model
+    expected = mounting.as_matrix() @ np.linalg.inv(forward)
+    assert np.abs(model.matrix - expected).max() < 1e-4 / 900.0
+    assert model.unit_in == "count"
+    assert model.offset == pytest.approx([30.0, -12.0, 7.0], abs=0.05)
+
+
+def test_g_sensitivity_is_found_where_it_is_large():
+    g = np.array([[2e-4, 0.0, -1e-4], [0.0, 3e-4, 0.0], [1e-4, 0.0, -2e-4]])
+    device = Device(forward=FORWARD, g_sensitivity=g, lag_s=0.002)
+    settings = ReferenceSettings(g_sensitivity=True, offset="common")
+    fit = fit_reference(*recordings((21, 22), device), settings=settings)
+    model = fit.triad.model
+    assert model.g_sensitivity is not None
+    assert np.abs(np.linalg.inv(FORWARD) @ FORWARD @ g - model.g_sensitivity).max() < 1e-5
+    assert np.abs(model.matrix - np.linalg.inv(FORWARD)).max() < 5e-5
+    assert len(model.parameters) == 21
+
+
+def test_g_sensitivity_that_is_none_is_said_to_be_none(noisy):
+    fit = fit_reference(*noisy, settings=ReferenceSettings(g_sensitivity=True))
+    assert any("no g-sensitivity could be told from zero" in r for r in fit.triad.verdict.reasons)
+
+
+def test_offsets_that_wander_between_recordings_are_named():
+    device = Device(forward=FORWARD, offset=REST)
+    warmer = Device(forward=FORWARD, offset=REST + 2e-3)
+    a, b = recordings((31,), device), recordings((32,), warmer)
+    fit = fit_reference([*a[0], *b[0]], [*a[1], *b[1]])
+    assert fit.triad.verdict.status == "marginal"
+    assert "the offset at rest differs by 0.08" in fit.triad.verdict.reasons[0]
+
+
+def test_gaps_on_either_side_are_left_out(exact):
+    records, references = exact
+    gyro = np.array(records[0].gyro)
+    gyro[4000:4020] = np.nan
+    holed = Record(time=records[0].time, gyro=gyro)
+    fit = fit_reference([holed, records[1]], [hidden(references[0], 30.0, 33.0), references[1]])
+    assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 1e-4
+
+
+def test_short_recordings_stay_with_shorter_windows():
+    device = Device(forward=FORWARD, offset=REST)
+    fit = fit_reference(*recordings((41,), device, turn_s=25.0))
+    assert fit.window_s < 16.0
+    assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 1e-4
+
+
+def test_leave_one_out_knows_nothing_of_the_held_out_reference(noisy):
+    records, references = noisy
+    held = leave_one_out(records, references)
+    # Turn everything the held-out optics saw in motion by a growing error: its own model must not move.
+    spoilt = np.array(references[0].q_nb)
+    growing = np.linspace(0.0, 0.05, len(spoilt))[:, None] * np.array([1.0, 0.5, -0.3])
+    spoilt = (Rotation.from_quat(spoilt, scalar_first=True) * Rotation.from_rotvec(growing)).as_quat(scalar_first=True)
+    again = leave_one_out(records, [replace(references[0], q_nb=spoilt), *references[1:]])
+    assert (again[0].model.matrix == held[0].model.matrix).all()
+    assert np.allclose(again[0].model.offset, held[0].model.offset, atol=1e-6)  # the lag moves the rest's last sample
+    assert not np.allclose(again[1].model.matrix, held[1].model.matrix, atol=1e-6)
+
+
+def test_leave_one_out_figures_say_what_the_fit_is_worth(noisy):
+    for held in leave_one_out(*noisy):
+        assert held.after < 0.35 * held.before
+        assert held.after < 3.5e-3  # two poses of 1e-3 rad about three axes: sqrt(6) 1e-3 is the floor
+        assert held.extrapolation == "" or "extrapolated" in held.extrapolation
+
+
+def test_a_faster_recording_is_called_extrapolated():
+    slow = recordings((61,), Device(forward=FORWARD), speed=0.3)
+    fast = recordings((62,), Device(forward=FORWARD), speed=1.2)
+    held = leave_one_out([*slow[0], *fast[0]], [*slow[1], *fast[1]])
+    assert held[0].extrapolation == ""
+    assert "extrapolated" in held[1].extrapolation
+    assert "deg/s" in held[1].extrapolation
+
+
+def test_rounding_is_undone_before_the_fit():
+    adc = AdcModel(gyro_lsb=np.full(3, 0.1), gyro_rounding="toward_zero")
+    u = np.array([[0.3, -0.2, 0.0], [1e-17, -1e-17, 0.1]])
+    assert np.allclose(restored(u, adc), [[0.35, -0.25, 0.0], [0.0, 0.0, 0.15]])
+    assert np.allclose(restored(u, replace(adc, gyro_rounding="floor")), u + 0.05)
+    assert restored(u, replace(adc, gyro_rounding="nearest")) is u
+    assert restored(u, None) is u
+    lsb = 2e-3
+    record, reference = make_recording(np.random.default_rng(5), Device(forward=FORWARD, offset=REST, noise=2e-3))
+    codes = replace(record, gyro=np.trunc(record.gyro / lsb) * lsb)
+    truth = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
+    plain, undone = (fit_reference([codes], [reference], adc=adc) for adc in (None, truth))
+    error = [np.abs(f.triad.model.matrix - np.linalg.inv(FORWARD)).max() for f in (plain, undone)]
+    assert error[1] < 0.5 * error[0]
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match="0 < stride_s <= window_s <= longest_window_s, got 3, 2, 16 s"):
+        ReferenceSettings(stride_s=3.0)
+
+
+def test_calls_that_cannot_be_are_refused(exact):
+    records, references = exact
+    with pytest.raises(InputError, match="wanted one reference for each record, got 2 records and 1 references"):
+        fit_reference(records, references[:1])
+    with pytest.raises(InputError, match="wanted one unit for all recordings of a device, got dps, rad/s"):
+        fit_reference([records[0], replace(records[1], gyro_unit="dps")], references)
+    with pytest.raises(InputError, match="wanted two recordings of a device or more, got 1"):
+        leave_one_out(records[:1], references[:1])
+    bare = [Record(time=r.time, gyro=r.gyro) for r in records]
+    with pytest.raises(InputError, match="wanted gyro and accel for a g-sensitivity"):
+        fit_reference(bare, references, settings=ReferenceSettings(g_sensitivity=True))
+
+
+def test_a_rest_without_readings_is_refused(exact):
+    records, references = exact
+    gyro = np.array(records[0].gyro)
+    gyro[:1500] = np.nan
+    with pytest.raises(InputError, match="wanted two seconds of rest readings before the motion"):
+        fit_reference([Record(time=records[0].time, gyro=gyro)], references[:1])
+
+
+def test_turning_about_one_axis_is_not_observable():
+    t = np.arange(0.0, 60.0, 0.005)
+    angle = np.where(t > 8.0, 1.5 * (1.0 - np.cos(1.1 * np.maximum(t - 8.0, 0.0))), 0.0)
+    rate = np.zeros((len(t), 3))
+    rate[:, 1] = np.gradient(angle, t)
+    q = Rotation.from_rotvec(angle[:, None] * (0.0, 1.0, 0.0)).as_quat(scalar_first=True)
+    reference = Reference(time=t, q_nb=q, moving=(t > 8.0).astype(float))
+    with pytest.raises(NotObservable, match="wanted motion about all three axes, got a design of rank"):
+        fit_reference([Record(time=t, gyro=rate)], [reference])
+
+
+def test_a_few_seconds_of_motion_are_too_few():
+    record, reference = make_recording(np.random.default_rng(9), Device(forward=FORWARD), turn_s=5.0)
+    with pytest.raises(NotObservable, match="wanted more than 4 windows that do not overlap"):
+        fit_reference([record], [reference])
+
+
+def test_a_reversed_axis_is_implausible(exact):
+    records, references = exact
+    mirrored = [replace(r, gyro=r.gyro * np.array([1.0, -1.0, 1.0])) for r in records]
+    with pytest.raises(Implausible, match="wanted a right-handed matrix, got a determinant of -"):
+        fit_reference(mirrored, references)
+
+
+def test_another_mounting_in_one_recording_is_an_alignment_error(exact):
+    records, references = exact
+    turn = Rotation.from_euler("z", 20.0, degrees=True)
+    turned = replace(records[1], gyro=turn.apply(np.array(records[1].gyro)))
+    with pytest.raises(AlignmentError, match="wanted one mounting for all recordings, got matrices that differ by"):
+        fit_reference([records[0], turned], references)
+
+
+def test_recordings_of_other_motions_do_not_fit(exact):
+    records, references = exact
+    with pytest.raises(AlignmentError, match="no common motion"):
+        fit_reference([records[0]], [later(references[1], 0.0)])

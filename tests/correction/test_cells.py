@@ -1,0 +1,59 @@
+"""Tables made ready: even grids where there is one."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from testkit import twins
+from testkit.full_calibration import GAP, STEPS, WILD
+from undrift.correction.plan import even_nodes, grid_of, line_cells
+from undrift.kernels.correct import cell, warmed
+
+
+def test_even_grids_are_found_where_there_is_one():
+    assert len(even_nodes(STEPS)) == 115
+    assert len(even_nodes(GAP)) == 37  # the gap between -10 and 10 deg/s filled with three nodes
+    assert len(even_nodes(np.array([0.0, 2.0, 5.0]))) == 6  # the smallest gap is two steps
+    assert even_nodes(WILD) is None
+    assert even_nodes(np.array([0.0, 1e-6, 1.0])) is None  # too fine
+
+
+@given(low=st.integers(-400, 400), parts=st.integers(1, 1000), cells=st.integers(1, 2000))
+def test_the_cell_of_an_even_table_is_found_without_a_search(low, parts, cells):
+    nodes = (low + np.arange(cells + 1)) / parts  # any step: 1/3, 0.1, 0.007 degC
+    grid = grid_of(nodes)
+    assert grid.inverse > 0.0
+    assert grid.cells == cells
+
+
+def test_the_default_table_of_115_nodes_and_the_paper_s_rates_need_no_search():
+    assert grid_of(STEPS).inverse == pytest.approx(2.0)  # per degC
+    assert grid_of(np.arange(18.0, 75.25, 0.5)).inverse > 0.0
+    assert grid_of(GAP).inverse > 0.0
+    assert grid_of(WILD).inverse == 0.0
+
+
+@pytest.mark.parametrize("nodes", [STEPS, WILD], ids=["even", "searched"])
+def test_the_cell_and_the_fraction_in_it_are_found_to_both_ends_and_beyond(nodes):
+    grid, values = grid_of(nodes), np.arange(len(nodes), dtype=float)
+    for x in (*nodes, *(0.3 * nodes[1:] + 0.7 * nodes[:-1]), nodes[0] - 5.0, nodes[-1] + 5.0):
+        i, f = cell(grid, x)
+        assert i + f == pytest.approx(np.interp(x, nodes, values), abs=1e-9)
+        assert 0 <= i < len(nodes) - 1
+        assert 0.0 <= f <= 1.0
+
+
+@pytest.mark.parametrize("half_step", [0.0, 0.5])
+def test_the_warm_up_is_subtracted_from_the_unrounded_reading_as_the_twin_does(half_step):
+    rng = np.random.default_rng(1)
+    x = np.round(rng.normal(size=(200, 3)) * 3.0)
+    since, h = np.linspace(0.0, 40.0, 200), np.full(3, half_step)
+    nodes, values = np.array([0.0, 2.0, 7.0, 30.0]), np.vstack((rng.normal(size=(3, 3)) * 20.0, np.zeros(3)))
+    out = np.empty(600)
+    warmed(x.ravel(), since, out, h, *line_cells(nodes, values))
+    wanted = twins.rounded(x, 2.0 * h, "toward_zero") - twins.table(nodes, values, since)
+    np.testing.assert_allclose(out.reshape(-1, 3), wanted, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(
+        out.reshape(-1, 3)[since >= 30.0], twins.rounded(x, 2.0 * h, "toward_zero")[since >= 30.0]
+    )

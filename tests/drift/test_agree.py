@@ -1,0 +1,169 @@
+"""A session that contradicts the calibration given is refused or told with its figures."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.rate_steps import GRAVITY, reading
+from undrift.drift.accel import fit_accel_drift
+from undrift.drift.checks import offsets_verdict, poses_verdict
+from undrift.drift.fit import DriftSettings, fit_drift
+from undrift.drift.observe import RestBlocks
+from undrift.errors import Implausible
+from undrift.sim.device.presets import preset
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
+
+DEVICE = preset("enc03j_3031")
+CALIBRATION = true_calibration(DEVICE)
+QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=120.0)
+BENCH = BenchSettings(
+    sample_rate_hz=50.0, still_s=6.0, move_s=1.0, turn_rates=tuple(np.radians((30.0, 60.0))), dwell_s=1.5
+)
+SETTINGS = ThermalSettings(
+    bench=BENCH,
+    chamber=QUICK,
+    set_points_c=(20.0, 30.0, 40.0),
+    warm_up=WarmUpSettings(start_c=18.0, end_c=38.0, duration_s=1000.0),
+)
+TABLES = DriftSettings(tables="none", lag_s=0.0)
+
+
+@pytest.fixture(scope="module")
+def session():
+    return simulate_thermal_session("soak", DEVICE, rng=np.random.default_rng(3), settings=SETTINGS)
+
+
+def turned(session, change):
+    return replace(session, turns=tuple(change(t) if t.turn_rate is not None else t for t in session.turns))
+
+
+def shifted(dps, calibration=CALIBRATION):
+    gyro = calibration.gyro
+    return replace(calibration, gyro=replace(gyro, offset=gyro.offset + gyro.forward_matrix @ np.radians(dps)))
+
+
+def warmed(seed, dps):
+    made = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(seed), settings=SETTINGS)
+    gain = CALIBRATION.gyro.forward_matrix @ np.radians(dps)
+    return replace(made, records=tuple(replace(r, gyro=r.gyro + gain) for r in made.records))
+
+
+def test_turns_the_other_way_round_or_about_other_axes_are_refused(session):
+    negated = turned(session, lambda t: replace(t, turn_rate=-t.turn_rate))
+    with pytest.raises(Implausible, match=r"scale ratios -1.* got -x, -y, -z: column x and y and z reversed"):
+        fit_drift([negated], CALIBRATION, settings=TABLES)
+    ring = turned(session, lambda t: replace(t, axis={"x": "y", "y": "z", "z": "x"}[t.axis]))
+    with pytest.raises(
+        Implausible, match=r"against the calibration .* got \+y, \+z, \+x: columns .* exchanged in a ring"
+    ):
+        fit_drift([ring], CALIBRATION, settings=TABLES)
+
+
+def test_a_scale_that_the_calibration_does_not_have_is_told_with_its_figure(session):
+    fit = fit_drift([session], CALIBRATION, settings=TABLES)
+    assert not any("off the calibration's" in reason for reason in fit.verdict.reasons)
+    for share, status, figure in ((0.9, "bad", "10."), (0.97, "marginal", "2.")):
+        slow = turned(session, lambda t, share=share: replace(t, turn_rate=share * t.turn_rate))
+        fit = fit_drift([slow], CALIBRATION, settings=TABLES)
+        said = [reason for reason in fit.verdict.reasons if "scale factors at the reference temperature" in reason]
+        assert len(said) == 1
+        assert f"temperature {figure}" in said[0]
+        assert fit.verdict.status == status
+
+
+def test_an_offset_that_is_not_the_calibration_s_is_told_in_deg_per_s():
+    session = warmed(4, (0.0, 0.0, 0.0))
+    assert not any(
+        "constant" in r for r in fit_drift([session], shifted((1.0, 0.0, 0.0)), settings=TABLES).verdict.reasons
+    )
+    for dps, status in ((186.0, "bad"), (6.0, "marginal")):
+        fit = fit_drift([session], shifted((dps, 0.0, 0.0)), settings=TABLES)
+        said = [reason for reason in fit.verdict.reasons if "off the calibration's constant" in reason]
+        assert len(said) == 1
+        assert float(re.search(r"degC is (\S+) \+-", said[0])[1]) == pytest.approx(-dps, abs=0.5)
+        assert fit.verdict.status == status
+
+
+def with_table_uncertainty(static, dps):
+    raw = np.broadcast_to(
+        np.abs(np.diag(CALIBRATION.gyro.forward_matrix)) * np.radians(dps), (len(static.table.temp_c), 3)
+    )
+    return replace(static, gyro=replace(static.gyro, uncertainty=raw))
+
+
+@pytest.mark.parametrize(
+    ("off", "known_to", "status", "words"),
+    [
+        (6.0, 1.5, "marginal", "a switch-on moves it by 2 deg/s at most"),  # four standard uncertainties
+        (15.0, 3.0, "marginal", "a switch-on moves it by 2 deg/s at most"),  # five: too few for bad
+        (15.0, 1.0, "bad", "a switch-on moves it by 2 deg/s at most"),
+        (6.0, 3.0, "good", "this session is too poor to tell whether it belongs to the calibration"),
+        (1.0, 0.1, "good", ""),  # ten, and no more than a switch-on makes
+        (1.0, 3.0, "good", ""),
+    ],
+)
+def test_an_offset_is_told_from_three_standard_uncertainties_and_below_that_a_poor_table_is(
+    off, known_to, status, words
+):
+    static = fit_drift([warmed(4, (0.0, 0.0, 0.0))], CALIBRATION, settings=TABLES).static
+    verdict = offsets_verdict(with_table_uncertainty(static, known_to), shifted((off, 0.0, 0.0)))
+    assert verdict.status == status
+    assert [words in reason for reason in verdict.reasons] == ([True] if words else [])
+    if words:
+        assert f"+- {known_to:.2g}, " in verdict.reasons[0]
+
+
+FACES = np.concatenate((np.eye(3), -np.eye(3)))
+
+
+def six_faces(scale, shift_mg):
+    """Return the poses' fit of a device whose accelerometers read ``scale`` times as much, and ``shift_mg`` more, on x."""
+    made = replace(DEVICE, accel=replace(DEVICE.accel, nonlinearity=None, lever_arm=None))
+    temp, up = np.repeat([20.0, 30.0, 40.0], 6), np.tile(FACES, (3, 1))
+    force = GRAVITY * (up * [scale, 1.0, 1.0] + [1e-3 * shift_mg, 0.0, 0.0])
+    rng, sigma = np.random.default_rng(0), 2e-4 * GRAVITY * made.accel.gain
+    blank = np.zeros(18)
+    rests = RestBlocks(
+        session=np.zeros(18, int), pose=np.tile(np.arange(6), 3), time=np.arange(18.0), power_on_s=blank, temp_c=temp,
+        ramp_c_per_min=blank, gyro=np.zeros((18, 3)), gyro_variance=np.ones((18, 3)),
+        accel=reading(made.accel, force, temp - made.reference_temp_c) + rng.normal(0.0, sigma, (18, 3)),
+        accel_variance=np.full((18, 3), sigma**2),
+    )  # fmt: skip
+    calibration = true_calibration(made)
+    return fit_accel_drift(rests, calibration, temp_c=np.arange(20.0, 40.1, 1.0)), calibration
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift_mg", "status", "words"),
+    [
+        (1.0, 0.0, "good", ""),
+        (1.005, 30.0, "good", ""),
+        (1.02, 0.0, "marginal", r"matrix at \S+ degC differ from the calibration's by -1\.9\S*, .* in xx \(wanted 1\)"),
+        (1.10, 0.0, "bad", r"matrix at \S+ degC differ from the calibration's by -9\.\S*, "),
+        (1.0, 80.0, "marginal", r"offset at \S+ degC \+(79|80|81)\S* \+- \S+, .* mg on x, y, z off the calibration's"),
+        (1.0, 400.0, "bad", r"mg on x, y, z off the calibration's \(wanted 50\)"),
+    ],
+)
+def test_accelerometers_of_poses_are_held_against_the_calibration(scale, shift_mg, status, words):
+    verdict = poses_verdict(*six_faces(scale, shift_mg))
+    assert verdict.status == status
+    assert len(verdict.reasons) == bool(words)
+    assert all(re.search(words, reason) for reason in verdict.reasons)
+
+
+def test_accelerometers_without_poses_or_of_a_nominal_calibration_are_held_against_nothing():
+    found, calibration = six_faces(1.10, 400.0)
+    assert not poses_verdict(None, calibration).reasons
+    assert not poses_verdict(found, replace(calibration, accel=None)).reasons
+    nominal = replace(calibration, accel=replace(calibration.accel, method="nominal"))
+    assert not poses_verdict(found, nominal).reasons
+
+
+def test_sessions_of_two_devices_are_refused():
+    pair = [warmed(1, (0.0, 0.0, 0.0)), warmed(2, (120.0, 0.0, 0.0))]
+    with pytest.raises(Implausible, match=r"got a standard deviation of .* are they of one device\?"):
+        fit_drift(pair, CALIBRATION, settings=TABLES)

@@ -1,0 +1,165 @@
+"""Dynamic drift: the table over measured rate and temperature."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading
+from undrift.drift.dynamic import DynamicSettings, fit_dynamic
+from undrift.drift.observe import RestBlocks
+from undrift.drift.scale import measured_rate, rests_of, steps_of
+from undrift.errors import InputError, NotObservable
+from undrift.sim.device.effects import RateDrift
+from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.truth import true_calibration, true_tables
+
+FEW = GRID[1::2]
+TEMPS = SOAKS[::2]
+NODES = np.arange(18.0, 75.01, 0.5)
+CUBIC = np.zeros((3, 2, 3))
+CUBIC[2, 1] = np.array([1.0, -1.0, 0.7]) * 1e-4
+
+
+def device(**changes):
+    made = random_device_of("enc03j_3031", np.random.default_rng(0))
+    changes = {"thermal_scale": None, "rate_drift": RateDrift(coefficients=CUBIC), **changes}
+    return replace(made, gyro=replace(made.gyro, nonlinearity=None, **changes))
+
+
+def fitted(made, temps=TEMPS, noise_dps=1e-5, steps=None, settings=DynamicSettings(), rests=None, **kept):
+    if steps is None:
+        steps = computed(made, temps, np.random.default_rng(1), rates=FEW, noise_dps=noise_dps, **kept)
+    table = true_tables(made, NODES, np.radians([-90.0, 90.0])).static
+    return fit_dynamic(steps, true_calibration(made), static=table, scale=None, rests=rests, settings=settings)
+
+
+def resting(made, temps, faces=(0, 1, 2)):
+    """Return a rest on each face at each soak."""
+    force = np.tile(GRAVITY * np.eye(3)[list(faces)], (len(temps), 1))
+    temp, n = np.repeat(temps, len(faces)), len(force)
+    return RestBlocks(
+        session=np.zeros(n, int),
+        pose=np.tile(np.arange(len(faces)), len(temps)),
+        time=np.arange(n, dtype=float),
+        power_on_s=np.zeros(n),
+        temp_c=temp,
+        ramp_c_per_min=np.zeros(n),
+        gyro=reading(made.gyro, np.zeros((n, 3)), temp - 25.0, force),
+        accel=reading(made.accel, force, temp - 25.0),
+        gyro_variance=np.full((n, 3), 1e-8),
+        accel_variance=np.full((n, 3), 1e-8),
+    )
+
+
+def test_the_table_is_that_of_the_device_over_measured_rate():
+    made = device()
+    fit = fitted(made)
+    truth = true_tables(made, fit.drift.temp_c, fit.drift.turn_rate).dynamic
+    seen = ~fit.drift.extrapolated
+    # e reaches 1.1 deg/s; knots every 30 deg/s hold a cubic, and what smoothing is left costs 1 % of it.
+    assert np.degrees(np.abs(fit.drift.error - truth.error)[seen]).max() < 0.01
+    assert np.degrees(np.abs(truth.error[seen])).max() > 0.4
+
+
+def test_default_nodes_are_the_imposed_rates_with_zero_and_the_ends_and_every_five_degrees():
+    fit = fitted(device())
+    assert 0.0 in fit.drift.turn_rate
+    nearest = np.abs(np.concatenate((-FEW, FEW))[:, None] - fit.drift.turn_rate).min(axis=1)
+    assert nearest.max() < 1e-9
+    assert np.array_equal(fit.drift.temp_c, np.arange(15.0, 76.0, 5.0))
+    assert (fit.drift.error[:, fit.drift.turn_rate == 0.0] == 0.0).all() or np.abs(
+        fit.drift.error[:, fit.drift.turn_rate == 0.0]
+    ).max() < 1e-12
+
+
+def test_rates_measured_beyond_the_imposed_ones_get_a_node():
+    made = random_device_of("enc03j_3031", np.random.default_rng(0))
+    fit = fitted(made)
+    assert fit.drift.turn_rate[-1] > 1.01 * FEW[-1]
+    # Only the hottest soaks reach it, and not with every axis: a node counts as seen where all turned axes saw it.
+    assert fit.drift.extrapolated[0, -1]
+    inside = np.abs(fit.drift.turn_rate) < 0.9 * FEW[-1]
+    soaked = (fit.drift.temp_c > 17.5) & (fit.drift.temp_c < 75.5)
+    assert not fit.drift.extrapolated[np.ix_(soaked, inside)].any()
+
+
+def test_what_another_axis_turns_into_this_one_is_left_to_the_matrix():
+    made = device(rate_drift=None)
+    steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW, noise_dps=1e-3)
+    model = true_calibration(made).gyro
+    crossed = (
+        steps.gyro
+        + (steps.rate_b[:, [1]] * 0.02 * (steps.temp_c[:, None] - 25.0) / 50.0)
+        @ (model.forward_matrix @ np.eye(3)[:, :1]).T
+    )
+    fit = fitted(made, steps=replace(steps, gyro=crossed))
+    # Turns about y feign up to 1.8 deg/s about x here; the table of x holds what the noise of 1 mdeg/s leaves.
+    assert np.degrees(np.abs(fit.drift.error[..., 0])[~fit.drift.extrapolated]).max() < 0.005
+
+
+def test_rests_that_lay_as_the_device_turned_are_found_by_their_pose():
+    made = device()
+    steps = steps_of(computed(made, TEMPS, np.random.default_rng(1), rates=FEW))
+    rests = resting(made, TEMPS)
+    block, of = rests_of(steps, rests)
+    assert np.array_equal(block, np.arange(3 * len(TEMPS)))
+    assert np.array_equal(np.abs(steps.rate_b[of]).argmax(axis=1), np.tile([0, 1, 2], len(TEMPS)))
+    other = replace(rests, accel=-rests.accel)
+    assert not len(rests_of(steps, other)[0])
+    assert not len(rests_of(replace(steps, accel=np.full_like(steps.accel, np.nan)), rests)[0])
+
+
+def test_rests_pin_the_offset_where_rates_have_one_sign():
+    made = device()
+    steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW, noise_dps=0.002)
+    forward = steps.taken(steps.rate_b.sum(axis=1) > 0.0)
+    truth = true_tables(made, *(lambda d: (d.temp_c, d.turn_rate))(fitted(made, steps=forward).drift)).dynamic
+    alone, pinned = fitted(made, steps=forward), fitted(made, steps=forward, rests=resting(made, TEMPS))
+    assert any("turned only about +x" in reason for reason in alone.verdict.reasons)
+    seen = ~pinned.drift.extrapolated
+    assert (pinned.drift.extrapolated[:, pinned.drift.turn_rate < -0.1]).all()
+    at_most = np.degrees(np.abs(pinned.drift.error - truth.error)[seen]).max()
+    assert at_most < 0.03
+    assert pinned.drift.uncertainty[seen].mean() < alone.drift.uncertainty[seen].mean()
+
+
+def test_an_axis_that_was_not_turned_has_zeros_and_no_uncertainty():
+    fit = fitted(device(), axes=(0, 2))
+    assert (fit.drift.error[..., 1] == 0.0).all()
+    assert np.isnan(fit.drift.uncertainty[..., 1]).all()
+    assert fit.surfaces[1] is None
+    assert any("dynamic drift of y was not observable" in reason for reason in fit.verdict.reasons)
+
+
+def test_one_soak_is_refused_with_its_temperature():
+    with pytest.raises(NotObservable, match=r"got 54 steps at 1 soaks, 25\.0 to 25\.0 degC"):
+        fitted(device(), temps=np.array([25.0]))
+
+
+def test_two_soaks_say_that_they_show_no_bend():
+    fit = fitted(device(), temps=np.array([25.0, 45.0]))
+    assert sum("two temperatures show no bend" in reason for reason in fit.verdict.reasons) == 3
+
+
+def test_nodes_that_do_not_increase_are_refused():
+    with pytest.raises(InputError, match="wanted nodes that increase, got some that do not"):
+        fitted(device(), settings=DynamicSettings(turn_rate=np.array([0.0, 1.0, 0.5])))
+
+
+def test_gaps_are_left_out_and_counted():
+    made = device()
+    steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW, noise_dps=1e-3)
+    temp = steps.temp_c.copy()
+    temp[:5] = np.nan
+    fit = fitted(made, steps=replace(steps, temp_c=temp))
+    assert any(f"5 of {len(steps)} rate steps have gaps" in reason for reason in fit.verdict.reasons)
+    assert np.isfinite(fit.drift.error).all()
+
+
+def test_the_measured_rate_is_the_table_offset_and_the_matrix():
+    made = device(rate_drift=None, g_sensitivity=None)
+    steps = computed(made, TEMPS[:2], np.random.default_rng(1), rates=FEW, noise_dps=1e-9)
+    table = true_tables(made, TEMPS[:2], np.radians([-90.0, 90.0]))
+    w = measured_rate(steps.gyro, steps.temp_c, true_calibration(made), static=table.static, scale=table.scale)
+    assert np.abs(w - steps.rate_b).max() < 1e-9

@@ -1,0 +1,122 @@
+"""Rests of one set-point that disagree: by pose, by rest, and how that enters the curve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drift.test_static import blocks
+from testkit.data import show
+from testkit.full_calibration import device
+from undrift.drift.checks import rests_verdict, set_points_of, set_points_verdict, with_set_points
+from undrift.drift.rests import wander
+from undrift.drift.static import fit_static
+
+POINTS = np.array([20.0, 30.0, 40.0, 50.0, 60.0])
+SLOPE = np.array([0.01, -0.02, 0.005])
+NOISE = 1e-3
+
+
+def soaks(rng, points=POINTS, poses=3, visits=2, *, by_pose=0.0, by_rest=0.0, blocks_each=2):
+    """Rests of two blocks, by set-point, visit and pose, an hour from set-point to set-point."""
+    level = by_pose * rng.normal(size=(poses, 3))
+    rows = [(p, v, k) for p in range(len(points)) for v in range(visits) for k in range(poses)]
+    own = np.repeat(by_rest * rng.normal(size=(len(rows), 3)), blocks_each, axis=0)
+    rows = [row for row in rows for _ in range(blocks_each)]
+    temp = np.array([points[p] for p, _, _ in rows])
+    within = np.tile(10.0 * np.arange(blocks_each), len(rows) // blocks_each)
+    time = np.array([3600.0 * p + 100.0 * (v * poses + k) for p, v, k in rows]) + within
+    pose = np.array([k for _, _, k in rows])
+    gyro = (temp[:, None] - 40.0) * SLOPE + level[pose] + own + NOISE * rng.normal(size=(len(rows), 3))
+    return replace(blocks(temp, gyro, noise=NOISE, time=time), pose=pose)
+
+
+def errors(seeds, **changes):
+    """Return error and stated uncertainty of the nodes at the set-points, each of shape (seeds, points, 3)."""
+    fits = [
+        fit_static(soaks(np.random.default_rng(seed), **changes), nodes=np.arange(20.0, 60.5, 5.0))
+        for seed in range(seeds)
+    ]
+    value = np.array([fit.table.gyro_offset[::2] for fit in fits])
+    return value - (POINTS[:, None] - 40.0) * SLOPE, np.array([fit.table.gyro_uncertainty[::2] for fit in fits])
+
+
+@pytest.mark.parametrize(
+    ("poses", "by_pose", "by_rest"), [(3, 0.05, 0.0), (6, 0.05, 0.0), (3, 0.0, 0.02), (6, 0.05, 0.02)]
+)
+def test_the_table_s_intervals_hold_when_poses_or_rests_disagree(poses, by_pose, by_rest):
+    # Truth: the offset without what poses add, whose mean is zero. Sixty devices of three axes.
+    error, stated = errors(60, poses=poses, by_pose=by_pose, by_rest=by_rest)
+    inside = float((np.abs(error) <= 1.96 * stated).mean())
+    ratio = float(np.sqrt((stated**2).mean() / (error**2).mean()))
+    show(
+        f"{poses} poses {by_pose:g}, rests {by_rest:g}: inside, stated over error", f"{inside:.3f}, {ratio:.2f}", "0.93"
+    )
+    assert inside >= 0.93
+    assert ratio < 2.0
+
+
+def test_more_samples_of_a_rest_do_not_lessen_what_poses_make():
+    few, many = (
+        fit_static(soaks(np.random.default_rng(3), visits=visits, by_pose=0.05), nodes=POINTS).table.gyro_uncertainty
+        for visits in (2, 8)
+    )
+    np.testing.assert_allclose(many, few, rtol=0.1)
+
+
+def test_poses_that_agree_cost_next_to_nothing():
+    one, three = (errors(20, poses=poses, visits=6 // poses)[1] for poses in (1, 3))
+    show("stated with three poses that agree over one pose", f"{np.median(three) / np.median(one):.2f}", 1.3)
+    assert np.median(three) < 1.3 * np.median(one)
+
+
+def test_a_jump_to_the_next_set_point_is_no_wander():
+    # As a fast chamber makes them: blocks at an even pace through three set-points, a slope of 1 unit a degree.
+    temp = np.repeat([20.0, 30.0, 40.0, 50.0], 4)
+    value = temp[:, None] + NOISE * np.random.default_rng(0).normal(size=(16, 3))
+    made = blocks(temp, value)
+    scatter = wander(made, value, made.gyro_variance)
+    assert scatter is not None
+    assert (np.sqrt(scatter) < 5.0 * NOISE).all()  # eight triples; 4 units where the jumps count
+
+
+def test_three_set_points_are_uncertain_between_and_not_at_the_soaks():
+    rng, points = np.random.default_rng(4), np.array([20.0, 30.0, 40.0])
+    fit = fit_static(soaks(rng, points=points, visits=4), nodes=np.arange(20.0, 40.5, 1.0))
+    stated = fit.table.gyro_uncertainty
+    assert (stated[[0, 10, 20]] < 3.0 * NOISE).all()  # twelve blocks each, that scatter by NOISE
+    assert (stated[5] > 2.0 * stated[10]).all()
+    (reason,) = set_points_verdict(fit, soaks(rng, points=points), device(unit="rad/s")).reasons
+    assert reason.startswith("3 set-points (20.0, 30.0, 40.0 degC): the +- of the gyroscopes' table is ")
+    assert "soak at 25, 35 degC as well, six set-points or more tell what lies between" in reason
+
+
+def test_two_set_points_are_a_line_and_many_or_a_sweep_are_silent():
+    rng, model = np.random.default_rng(5), device(unit="rad/s")
+    two, twelve = soaks(rng, points=POINTS[:2]), soaks(rng, points=np.linspace(20.0, 60.0, 12))
+    told = set_points_verdict(fit_static(two, nodes=np.arange(20.0, 30.5, 0.5)), two, model)
+    assert "as two cannot tell a curve from a line; soak at 25 degC as well" in told.reasons[0]
+    assert set_points_verdict(fit_static(twelve, nodes=POINTS), twelve, model).reasons == ()
+    np.testing.assert_allclose(set_points_of(np.array([20.1, 40.0, 19.9])), [20.0, 40.0])
+    assert len(set_points_of(np.linspace(20.0, 40.0, 100))) == 0
+
+
+def test_poses_that_disagree_are_told_with_their_size_and_the_likely_reason():
+    model = replace(device(unit="rad/s"), accel=None)
+    model = replace(model, gyro=replace(model.gyro, g_sensitivity=None))
+    made = soaks(np.random.default_rng(6), by_pose=0.05)
+    fit = fit_static(made, nodes=POINTS, calibration=model)
+    told = with_set_points(fit.verdict, fit, made, model)
+    (reason,) = [reason for reason in told.reasons if "gravity" in reason]
+    assert reason.startswith("the gyroscopes' offset differs from pose to pose by ")
+    assert "standard deviation of 3 poses" in reason
+    assert "at every temperature alike, as gyroscopes that feel gravity do (g-sensitivity)" in reason
+    assert rests_verdict(fit_static(soaks(np.random.default_rng(7)), nodes=POINTS), model).reasons == ()
+
+
+def test_rests_that_disagree_whatever_their_pose_are_told():
+    made = soaks(np.random.default_rng(8), by_rest=0.03)
+    model = device(unit="rad/s")
+    (reason,) = rests_verdict(fit_static(made, nodes=POINTS), model).reasons
+    assert reason.startswith("rests of one set-point differ by ")
+    assert "hysteresis" in reason

@@ -1,0 +1,177 @@
+"""Matrix over temperature: exact without noise, honest about what was not turned, and refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.rate_steps import GRID, SOAKS, computed, reading
+from undrift.drift.scale import fit_scale, soak_matrices, steps_of
+from undrift.errors import InputError, NotObservable
+from undrift.model import StaticDrift
+from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.truth import true_calibration, true_tables
+
+NODES = np.arange(18.0, 75.01, 0.5)
+FEW = GRID[::4]
+
+
+def device(seed=0, **changes):
+    """A device whose rates are straight lines."""
+    made = random_device_of("enc03j_3031", np.random.default_rng(seed))
+    return replace(made, gyro=replace(made.gyro, nonlinearity=None, rate_drift=None, **changes))
+
+
+def fitted(made, temps=SOAKS, noise_dps=1e-6, steps=None, **kept):
+    steps = (
+        computed(made, temps, np.random.default_rng(1), rates=FEW, noise_dps=noise_dps, **kept)
+        if steps is None
+        else steps
+    )
+    truth = true_tables(made, NODES, np.radians([-90.0, 90.0]))
+    fit = fit_scale(steps, true_calibration(made), static=truth.static, temp_c=NODES)
+    return fit, truth
+
+
+def test_the_matrix_of_a_device_without_noise_comes_back_at_every_node():
+    fit, truth = fitted(device())
+    # A smoothing spline leans toward straight lines by far less than the bend of 1 / (1 + k D): 1e-6 of the scale.
+    assert (
+        np.abs(
+            fit.drift.gyro_matrix / truth.scale.gyro_matrix[:, [0], [0]][:, None]
+            - truth.scale.gyro_matrix / truth.scale.gyro_matrix[:, [0], [0]][:, None]
+        ).max()
+        < 1e-5
+    )
+    assert not fit.drift.gyro_extrapolated.any()
+    assert fit.verdict.status == "good"
+
+
+def test_the_thermal_sensitivity_is_that_of_the_device_in_percent_per_kelvin():
+    made = device()
+    fit, _ = fitted(made, noise_dps=0.01)
+    expected = 100.0 * made.gyro.thermal_scale.per_k[0]
+    assert np.abs(fit.percent_per_k - expected).max() < 4.0 * fit.percent_per_k_uncertainty.max()
+    assert fit.percent_per_k_uncertainty.max() < 1e-3
+
+
+def test_an_offset_that_the_table_does_not_know_leaves_the_matrix_alone():
+    made = device()
+    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    plain, _ = fitted(made, steps=steps)
+    shifted, _ = fitted(made, steps=replace(steps, gyro=steps.gyro + 7.0))
+    assert np.allclose(plain.drift.gyro_matrix, shifted.drift.gyro_matrix, rtol=1e-9, atol=1e-12)
+    # d is what the offset table left: 7 raw units, beside the g-sensitivity of the mountings.
+    assert np.allclose(shifted.soaks.offset_left - plain.soaks.offset_left, 7.0, atol=1e-6)
+
+
+def test_one_rate_for_each_axis_leans_on_the_offset_table():
+    made = device(g_sensitivity=None)
+    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW[-1:], noise_dps=1e-6)
+    forward = steps.taken(steps.rate_b.sum(axis=1) > 0.0)
+    fit, truth = fitted(made, steps=forward)
+    scale = truth.scale.gyro_matrix[:, 0, 0]
+    assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * scale.max()
+
+
+def test_an_axis_that_was_never_turned_keeps_its_column_without_uncertainty():
+    made = device()
+    fit, truth = fitted(made, axes=(0, 2))
+    assert np.isnan(fit.drift.gyro_uncertainty[:, :, 1]).all()
+    assert np.isfinite(fit.drift.gyro_uncertainty[:, :, [0, 2]]).all()
+    assert np.isnan(fit.percent_per_k[1])
+    scale = truth.scale.gyro_matrix[:, 0, 0]
+    # The other columns come back up to the product of two cross-axis terms, 1e-4, and the missing sensitivity, 10 %.
+    assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix)[:, [0, 2], [0, 2]].max() < 1e-4 * scale.max()
+    assert any(
+        "turns about y over temperature were not observable: it was turned never" in r for r in fit.verdict.reasons
+    )
+    assert fit.verdict.status == "marginal"
+
+
+def test_nodes_beyond_the_soaks_are_marked_and_less_certain():
+    fit, _ = fitted(device(), temps=np.array([30.0, 40.0, 50.0]), noise_dps=0.01)
+    marks = fit.drift.gyro_extrapolated
+    assert marks[NODES < 29.0].all()
+    assert marks[NODES > 51.0].all()
+    assert not marks[(NODES > 30.0) & (NODES < 50.0)].any()
+    own = fit.drift.gyro_uncertainty[:, 0, 0]
+    assert own[-1] > 2.0 * own[NODES == 40.0][0]
+
+
+def test_two_soaks_draw_a_line_and_say_so():
+    fit, _ = fitted(device(), temps=np.array([25.0, 45.0]))
+    assert any("two temperatures draw a line" in reason for reason in fit.verdict.reasons)
+    assert fit.verdict.status == "marginal"
+
+
+def test_one_soak_shows_nothing_over_temperature():
+    with pytest.raises(NotObservable, match="wanted rate steps at two soaks or more, got 1"):
+        fitted(device(), temps=np.array([25.0]))
+
+
+def test_rows_with_gaps_are_left_out_and_counted():
+    made = device()
+    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    gyro = steps.gyro.copy()
+    gyro[[3, 80], 1] = np.nan
+    plain, truth = fitted(made, steps=replace(steps, gyro=gyro))
+    assert any("2 of 390 rate steps have gaps" in reason for reason in plain.verdict.reasons)
+    assert (
+        np.abs(plain.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * np.abs(truth.scale.gyro_matrix).max()
+    )
+
+
+def test_nothing_but_gaps_is_refused():
+    steps = computed(device(), SOAKS, np.random.default_rng(1), rates=FEW)
+    with pytest.raises(InputError, match="got 390 rows and none of them usable"):
+        fitted(device(), steps=replace(steps, temp_c=np.full(len(steps), np.nan)))
+
+
+def test_a_calibration_without_gyroscopes_is_refused():
+    steps = computed(device(), SOAKS, np.random.default_rng(1), rates=FEW)
+    with pytest.raises(InputError, match="wanted a calibration with gyroscopes, got one without"):
+        fit_scale(steps, replace(true_calibration(device()), gyro=None), static=None, temp_c=NODES)
+
+
+def test_turns_about_one_oblique_axis_do_not_tell_the_axes_apart():
+    steps = computed(device(), SOAKS, np.random.default_rng(1), rates=FEW, axes=(0,))
+    oblique = replace(steps, rate_b=steps.rate_b[:, [0]] * np.array([0.8, 0.6, 0.0]))
+    with pytest.raises(NotObservable, match=r"wanted turns that tell the axes apart at 18\.0 degC"):
+        fitted(device(), steps=oblique)
+
+
+def test_variances_that_were_not_told_do_not_stop_the_fit():
+    made = device()
+    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=0.01)
+    fit, _ = fitted(made, steps=replace(steps, gyro_variance=np.full_like(steps.gyro_variance, np.nan)))
+    # The scatter about the lines tells the noise: 0.01 deg/s over a grid of 10 rates and 53 deg/s rms.
+    relative = fit.drift.gyro_uncertainty[:, 0, 0] / fit.drift.gyro_matrix[:, 0, 0]
+    assert 0.2 < np.median(relative) / (0.01 / 53.0 / np.sqrt(10.0)) < 2.0
+
+
+def test_no_offset_table_is_no_obstacle_where_rates_are_both_ways():
+    made = device()
+    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    fit = fit_scale(steps, true_calibration(made), static=None, temp_c=NODES)
+    truth = true_tables(made, NODES, np.radians([-90.0, 90.0]))
+    assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * np.abs(truth.scale.gyro_matrix).max()
+
+
+def test_soaks_given_in_any_order_come_back_by_temperature():
+    made = device()
+    steps = computed(made, SOAKS[::-1], np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    soaks = soak_matrices(steps_of(steps), true_calibration(made), static=None)
+    assert (np.diff(soaks.temp_c) > 0.0).all()
+    lone = reading(made.gyro, np.eye(3)[:1], np.array([soaks.temp_c[0] - 25.0])) - reading(
+        made.gyro, np.zeros((1, 3)), np.array([soaks.temp_c[0] - 25.0])
+    )
+    assert np.allclose(soaks.forward[0][:, 0], lone[0], rtol=1e-5, atol=1e-3)
+
+
+def test_the_offset_table_is_held_at_its_ends():
+    made = device()
+    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    table = StaticDrift(temp_c=[30.0, 40.0], gyro_offset=np.zeros((2, 3)))
+    fit = fit_scale(steps, true_calibration(made), static=table, temp_c=NODES)
+    assert np.isfinite(fit.drift.gyro_matrix).all()

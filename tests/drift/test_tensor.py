@@ -1,0 +1,99 @@
+"""The smooth surface over rate and temperature."""
+
+import numpy as np
+import pytest
+
+from undrift.drift.dynamic import Cubics, SurfacePoints, fit_surface
+from undrift.errors import NotObservable
+
+TEMPS = np.arange(20.0, 71.0, 10.0)
+RATES = np.concatenate((-np.linspace(0.2, 1.6, 8)[::-1], np.linspace(0.2, 1.6, 8)))
+
+
+def shape(w, t):
+    return 0.01 * w**3 * (t - 40.0) / 30.0 + 0.004 * w * (t - 40.0) / 30.0 + 0.002 * w**2
+
+
+def points(noise=1e-4, temps=TEMPS, rates=RATES, offset=0.0, seed=0):
+    w, t = np.tile(rates, len(temps)), np.repeat(temps, len(rates))
+    soak = np.repeat(np.arange(len(temps)), len(rates))
+    rng = np.random.default_rng(seed)
+    return SurfacePoints(
+        turn_rate=w,
+        temp_c=t,
+        value=shape(w, t) + offset * (1.0 + soak) + rng.normal(0.0, noise, len(w)),
+        variance=np.full(len(w), max(noise, 1e-9) ** 2),
+        soak=soak,
+        mounting=soak,
+        level=np.round(np.abs(w) / 0.2).astype(int),
+    )
+
+
+def fitted(given, **more):
+    return fit_surface(given, rate_span=(-1.6, 1.6), temp_span=(20.0, 70.0), **more)
+
+
+def test_the_splines_reproduce_a_cubic_and_its_roughness():
+    basis = Cubics(low=-2.0, high=3.0, intervals=5)
+    x = np.linspace(-2.0, 3.0, 40)
+    c = np.linalg.lstsq(basis.at(x), x**3 - x, rcond=None)[0]
+    assert np.allclose(basis.at(x) @ c, x**3 - x, atol=1e-12)
+    # d2/dz2 of x^3 is 6 x 25 with z in spans of 5: the integral over z of its square, by hand.
+    assert np.isclose(c @ basis.products(2) @ c, 150.0**2 * (27.0 + 8.0) / 3.0 / 5.0)
+
+
+def test_a_smooth_surface_comes_back_without_noise():
+    surface = fitted(points(noise=0.0))
+    w, t = np.meshgrid(np.linspace(-1.6, 1.6, 33), np.linspace(20.0, 70.0, 21))
+    # Even knots every 0.4 rad/s hold a cubic exactly; the smoothing that is left costs 1e-3 of the surface.
+    assert np.abs(surface.at(w.ravel(), t.ravel()) - shape(w, t).ravel()).max() < 1e-3 * 0.04
+
+
+def test_rate_zero_has_no_error_and_no_uncertainty():
+    surface = fitted(points(offset=0.01))
+    assert np.abs(surface.at(np.zeros(5), np.linspace(20.0, 70.0, 5))).max() < 1e-12
+    assert np.abs(surface.uncertainty(np.zeros(5), np.linspace(20.0, 70.0, 5))).max() < 1e-9
+
+
+def test_what_a_mounting_was_left_with_is_told_apart_from_the_rate():
+    plain, shifted = fitted(points()), fitted(points(offset=0.01))
+    w, t = np.tile(RATES, 6), np.repeat(TEMPS, 16)
+    assert np.abs(plain.at(w, t) - shifted.at(w, t)).max() < 1e-6
+    assert np.allclose(shifted.offsets - plain.offsets, 0.01 * np.arange(1, 7), atol=1e-6)
+
+
+def test_a_bend_over_temperature_is_found_only_where_there_is_one():
+    straight = fitted(points(noise=1e-3))
+    given = points(noise=1e-4)
+    bent = fitted(
+        SurfacePoints(
+            **{n: getattr(given, n) for n in given.__dataclass_fields__ if n != "value"},
+            value=given.value + 0.01 * given.turn_rate * np.sin(given.temp_c / 8.0),
+        )
+    )
+    assert straight.softness[1] < bent.softness[1]
+    assert np.abs(bent.residuals).max() < 1e-3  # of a wave of 16e-3
+
+
+def test_intervals_hold_the_surface_in_about_95_of_100_cases():
+    inside = []
+    for seed in range(8):
+        surface = fitted(points(noise=1e-3, seed=seed))
+        w, t = np.tile(RATES[::3], 6), np.repeat(TEMPS, 6)
+        inside.append(np.abs(surface.at(w, t) - shape(w, t)) < 1.96 * surface.uncertainty(w, t))
+    # Eight surfaces of some ten free parameters: standard error about 2.5 %.
+    assert np.mean(inside) > 0.88
+
+
+def test_scatter_beyond_the_stated_noise_counts():
+    given = points(noise=1e-3)
+    told = SurfacePoints(
+        **{n: getattr(given, n) for n in given.__dataclass_fields__ if n != "variance"},
+        variance=np.full(len(given), 1e-8),
+    )
+    assert 0.7e-3 < fitted(told).excess < 1.3e-3
+
+
+def test_one_temperature_is_refused_with_the_number():
+    with pytest.raises(NotObservable, match="wanted steps at two rates and two temperatures or more, got 16 and 1"):
+        fitted(points(temps=TEMPS[:1]))

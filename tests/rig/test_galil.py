@@ -1,0 +1,366 @@
+"""The Galil rig against a card that believes everything, and then answers badly."""
+
+import contextlib
+import math
+from dataclasses import replace
+from typing import ClassVar
+
+import pytest
+
+from testkit.scripted_server import Card, Scripted
+from testkit.waiting import eventually
+from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
+from undrift.rig import galil as axis_module
+from undrift.rig.galil import GalilRig, GalilSettings
+from undrift.rig.link import Clock, LinkPort, LinkSettings
+from undrift.rig.rig import Limits
+
+DEGREE = math.pi / 180.0
+PATIENT = LinkSettings(reply_timeout_s=30.0, connect_timeout_s=30.0)
+QUICK = LinkSettings(reply_timeout_s=0.3, connect_timeout_s=0.5)
+SAFE = "the table was stopped and its motor switched off"
+LOST = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
+
+
+class Bench:
+    """A rig on a scripted card."""
+
+    def __init__(self, **settings) -> None:
+        self.card = Card()
+        self.server = Scripted(self.card)
+        self.port = LinkPort(self.server.url, PATIENT)
+        self.rig = GalilRig(self.port, GalilSettings(**settings))
+        self.server.heard.clear()
+
+    def expect_silence(self) -> None:
+        link = self.port._link
+        link.settings = replace(
+            link.settings, reply_timeout_s=QUICK.reply_timeout_s, connect_timeout_s=QUICK.connect_timeout_s
+        )
+
+    @property
+    def sent(self) -> list[str]:
+        """What was told, without questions."""
+        return [
+            line
+            for line in self.server.heard
+            if not line.startswith(("MG", "TP", "TE", "TS", "SC")) and "?" not in line
+        ]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *failure):
+        with contextlib.suppress(LinkError):
+            self.rig.close()
+        self.server.close()
+
+
+@pytest.fixture
+def bench():
+    with Bench() as bench:
+        yield bench
+
+
+def test_opening_a_rig_moves_nothing_and_sets_what_is_read_later():
+    card = Card()
+    with Scripted(card) as server:
+        GalilRig(LinkPort(server.url, PATIENT), GalilSettings(limits=Limits(travel=math.pi))).close()
+        told = [line for line in server.heard if "?" not in line and not line.startswith(("MG", "TP", "SC", "TS"))]
+    assert told[:10] == [
+        "EO 0",
+        "CW 1",
+        "PF 10.0",
+        "LZ 0",
+        "ER 556",
+        "OE 1",
+        "SP 10000",
+        "FL 20000",
+        "BL -20000",
+        "STX",
+    ]
+    assert told[-1] == "MOX"
+    assert "BGX" not in server.heard
+
+
+def test_a_table_left_turning_by_a_dead_program_is_stopped_on_opening():
+    card = Card()
+    card.moving = 3
+    with Scripted(card) as server:
+        GalilRig(LinkPort(server.url, PATIENT)).close()
+        assert "STX" in server.heard[: server.heard.index("ER 556")]
+
+
+def test_a_rig_says_who_it_is(bench):
+    assert bench.rig.identify() == "DMC1415 Rev 1.0u"
+    assert bench.server.heard == ["\x12\x16"]
+
+
+def test_the_motor_is_switched_on_and_off_and_asked(bench):
+    bench.rig.enable(True)
+    bench.rig.enable(False)
+    assert bench.server.heard == ["SHX", "MG _MOX", "MG _BGX", "MOX", "MG _MOX"]
+
+
+def test_a_motor_that_stays_off_is_a_fault(bench):
+    bench.card.spoil("SHX", b":")
+    with pytest.raises(RigFault, match="wanted the motor on, got it unchanged; look at the amplifier"):
+        bench.rig.enable(True)
+
+
+@pytest.mark.parametrize(("wanted", "counts"), [(90.0, 10_000), (-0.1, -11), (5.0, 556)])
+def test_a_rate_is_rounded_read_back_and_begun(bench, wanted, counts):
+    achieved = bench.rig.turn(wanted * DEGREE)
+    assert achieved / DEGREE == pytest.approx(counts * 0.009, rel=1e-12)
+    assert bench.server.heard == ["MG _BGX", f"JG {counts}", "JG ?", "BGX"]
+
+
+def test_a_turning_axis_changes_over_without_another_begin(bench):
+    bench.card.polls = 5
+    bench.rig.turn(1.0)
+    bench.rig.turn(-1.0)
+    assert bench.sent == ["JG 6366", "BGX", "JG -6366"]
+
+
+def test_a_card_that_reads_back_magnitudes_is_understood(bench):
+    bench.card.spoil("JG ?", b" 11\r\n:", b" 11\r\n:", b" 22\r\n:")
+    assert bench.rig.turn(-0.1 * DEGREE) / DEGREE == pytest.approx(-0.099)
+    assert bench.rig.turn(-0.2 * DEGREE) / DEGREE == pytest.approx(-0.198)
+    assert bench.sent == ["JG -11", "JG -11", "BGX", "JG -22", "BGX"]
+
+
+def test_a_minus_sign_that_is_lost_on_the_way_never_turns_the_table_the_other_way(bench):
+    lost = iter([True, False, False, True])
+
+    def poor_line(command):
+        return bench.card(command.replace("-", "") if command.startswith("JG -") and next(lost) else command)
+
+    bench.server._answer = poor_line
+    assert bench.rig.turn(-1.0) < 0.0
+    assert bench.card.held["JG"] == "-6366"
+    assert bench.rig.turn(-2.0) < 0.0
+    with pytest.raises(LinkError, match="wanted JG -6366, got 6366 when it was read back"):
+        bench.rig.turn(-1.0)
+    assert bench.card.moving == 0
+
+
+def test_an_older_card_that_rounds_to_two_is_believed(bench):
+    bench.card.spoil("JG ?", b" 10\r\n:")
+    assert bench.rig.turn(0.1 * DEGREE) / DEGREE == pytest.approx(0.09)
+
+
+def test_a_rate_of_zero_stops(bench):
+    assert bench.rig.turn(0.0) == 0.0
+    assert "STX" in bench.sent
+    assert "BGX" not in bench.sent
+
+
+def test_an_acceleration_is_a_multiple_of_1024_for_run_up_and_slow_down(bench):
+    achieved = bench.rig.set_acceleration(40.0)
+    assert bench.sent == ["AC 254976", "DC 254976"]
+    assert achieved == pytest.approx(254_976 * 2 * math.pi / 40_000, rel=1e-12)
+
+
+def test_a_move_returns_the_angle_between_two_positions():
+    with Bench(clock=Clock(speed=1e5)) as bench:
+        assert bench.rig.move_by(-90 * DEGREE) / DEGREE == pytest.approx(-90)
+        assert bench.sent == ["PR -10000", "BGX"]
+        assert bench.rig.position().angle / DEGREE == pytest.approx(-90)
+
+
+def test_a_move_that_ends_at_a_limit_switch_is_a_fault_in_words(bench):
+    bench.card.held["SC"] = "2"
+    with pytest.raises(RigFault, match=r"got the axis stopped by the forward limit \(stop code 2\); look at the table"):
+        bench.rig.move_by(1.0)
+
+
+def test_turning_while_a_move_runs_and_moving_while_it_turns_are_faults(bench):
+    bench.card.moving = 9
+    with pytest.raises(RigFault, match="wanted to turn, got a move that still runs; stop it first"):
+        bench.rig.turn(1.0)
+    with pytest.raises(RigFault, match="wanted to move, got an axis that moves; stop it first"):
+        bench.rig.move_by(1.0)
+    assert bench.sent == []
+
+
+class StandingClock(Clock):
+    """Moves on only by what is waited."""
+
+    waited: ClassVar[list[float]] = []
+
+    def now(self):
+        return sum(self.waited)
+
+    def wait(self, duration_s):
+        self.waited.append(duration_s)
+
+
+def test_a_measured_rate_is_the_difference_of_two_positions():
+    with Bench(clock=StandingClock()) as bench:
+        bench.card.spoil("TPX", b" 0000000000\r\n:", b" 0000000500\r\n:")
+        assert bench.rig.measured_turn_rate(0.05) / DEGREE == pytest.approx(500 * 0.009 / 0.05, rel=1e-9)
+        assert "TV" not in "".join(bench.server.heard)
+        with pytest.raises(InputError, match="measured rate: wanted a duration above 0 s, got 0"):
+            bench.rig.measured_turn_rate(0.0)
+
+
+def test_the_following_error_is_te_in_radians(bench):
+    bench.card.held["TE"] = "-4"
+    assert bench.rig.following_error() / DEGREE == pytest.approx(-0.036)
+
+
+def test_faults_are_said_in_words(bench):
+    assert bench.rig.fault() is None
+    bench.rig.enable(True)
+    bench.card.held.update(TS="104", SC="8")
+    assert bench.rig.fault() == (
+        "the motor is off though it was switched on; the following error is beyond its limit; the reverse limit switch is "
+        "pressed; switched off because the following error passed its limit (stop code 8)"
+    )
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        lambda rig: rig.turn(7.0),
+        lambda rig: rig.turn(math.nan),
+        lambda rig: rig.turn(1e-5),
+        lambda rig: rig.set_acceleration(1e4),
+        lambda rig: rig.set_acceleration(-1.0),
+        lambda rig: rig.move_by(4.0),
+        lambda rig: rig.move_by(1e-6),
+    ],
+)
+def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
+    with Bench(limits=Limits(travel=math.pi)) as bench:
+        with pytest.raises(LimitError, match="wanted"):
+            told(bench.rig)
+        assert bench.server.heard == []
+
+
+def test_a_second_move_counts_from_where_the_first_ended():
+    with Bench(limits=Limits(travel=math.pi), clock=Clock(speed=1e5)) as bench:
+        bench.rig.move_by(2.0)
+        with pytest.raises(LimitError, match="travel"):
+            bench.rig.move_by(2.0)
+        bench.rig.move_by(-4.0)
+
+
+def test_a_refused_command_is_a_fault_with_its_code(bench):
+    bench.card.refused["BGX"] = 20
+    with pytest.raises(RigFault, match="wanted 'BGX', got error 20: a move needs the motor on") as refused:
+        bench.rig.turn(1.0)
+    assert refused.value.code == 20
+
+
+STEPS = {
+    "identify": (lambda rig: rig.identify(), "\x12\x16"),
+    "enable": (lambda rig: rig.enable(True), "SHX"),
+    "acceleration": (lambda rig: rig.set_acceleration(40.0), "AC ?"),
+    "turn": (lambda rig: rig.turn(1.0), "JG ?"),
+    "begin": (lambda rig: rig.turn(1.0), "BGX"),
+    "move": (lambda rig: rig.move_by(1.0), "PR ?"),
+    "poll": (lambda rig: rig.move_by(1.0), "MG _BGX"),
+    "stop": (lambda rig: rig.stop(), "STX"),
+    "position": (lambda rig: rig.position(), "TPX"),
+    "error": (lambda rig: rig.following_error(), "TEX"),
+    "fault": (lambda rig: rig.fault(), "TSX"),
+}
+BAD = {
+    "silence": (None, RigTimeout),
+    "half a reply": (b" 00", RigTimeout),
+    "garbage": (b"\x07gar\r\n:", LinkError),
+    "two prompts of another": (b" 1\r\n 2\r\n:", LinkError),
+    "no text": (b"\xe9\xff\r\n:", LinkError),
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("step", STEPS)
+def test_a_bad_answer_at_any_step_stops_the_table_and_says_so(bench, step, bad):
+    does, command = STEPS[step]
+    answer, error = BAD[bad]
+    bench.card.polls = 3
+    bench.card.spoil(command, answer)
+    if error is RigTimeout:
+        bench.expect_silence()
+    with pytest.raises(error) as raised:
+        does(bench.rig)
+    assert str(raised.value).endswith(SAFE)
+    assert bench.server.heard[-3:] == ["MG _BGX", "MOX", "MG _MOX"]
+    assert bench.card.held["MO"] == "1"
+    assert bench.card.moving == 0
+
+
+def test_a_stop_that_does_not_stop_becomes_an_abort(bench, monkeypatch):
+    monkeypatch.setattr(axis_module, "STOP_MARGIN_S", 0.0)
+    bench.card.polls = 10_000
+    bench.rig.turn(1.0)
+    bench.card.spoil("STX", *[b":"] * 5)
+    with pytest.raises(
+        RigTimeout, match=f"wanted the axis at rest within .* got it still moving; look at the table; {SAFE}"
+    ):
+        bench.rig.stop()
+    assert "AB" in bench.sent
+
+
+def test_a_card_that_is_silent_for_good_is_shouted_at_and_reported_unconfirmed(bench):
+    bench.server._answer = lambda command: None
+    bench.expect_silence()
+    with pytest.raises(RigTimeout, match=LOST):
+        bench.rig.turn(1.0)
+    eventually(lambda: bench.server.heard[-4:] == ["STX", "AB", "MOX", "MOX"], "all that stops a table was shouted")
+    with pytest.raises(LinkError, match=r"got none: it could not be brought to rest; open it again"):
+        bench.rig.turn(1.0)
+    with pytest.raises(LinkError, match=f"wanted the motor off at the end, got no answer; {LOST}"):
+        bench.rig.close()
+    bench.rig.close()
+
+
+def test_a_link_that_is_lost_is_opened_again_to_stop_the_table(bench):
+    bench.rig.enable(True)
+    bench.server.hang_up()
+    with pytest.raises(LinkError, match=SAFE):
+        bench.rig.turn(1.0)
+    assert bench.card.held["MO"] == "1"
+    with pytest.raises(
+        LinkError, match="the connection was lost, and the card may have forgotten what it was told; open it"
+    ):
+        bench.rig.turn(1.0)
+
+
+def test_a_link_that_is_lost_for_good_is_reported_unconfirmed(bench):
+    bench.server.refuse_from_now_on()
+    bench.expect_silence()
+    with pytest.raises(LinkError, match=LOST):
+        bench.rig.position()
+
+
+def test_a_position_that_no_axis_can_have_reached_is_no_position(bench):
+    bench.card.held["TP"] = "400000"
+    with pytest.raises(LinkError, match="got 400000; the card was restarted, the answer is garbled, or an emulator"):
+        bench.rig.position()
+
+
+def test_a_rig_is_closed_once_and_refuses_afterwards(bench):
+    bench.rig.close()
+    heard = len(bench.server.heard)
+    bench.rig.close()
+    assert len(bench.server.heard) == heard
+    with pytest.raises(LinkError, match="got none: it is closed; open it again"):
+        bench.rig.turn(1.0)
+
+
+def test_what_does_not_answer_like_a_card_is_not_opened():
+    with (
+        Scripted(lambda command: b"hello\r\n") as server,
+        pytest.raises(RigTimeout, match="wanted an answer to 'MG 41003'"),
+    ):
+        GalilRig(LinkPort(server.url, QUICK))
+
+
+def test_an_axis_or_a_speed_step_that_no_card_has_is_refused():
+    with pytest.raises(InputError, match="wanted an axis A to H or X, Y, Z, W, got 'Q'"):
+        GalilSettings(axis="Q")
+    with pytest.raises(InputError, match="wanted speed_step 1 or 2, got 3"):
+        GalilSettings(speed_step=3)

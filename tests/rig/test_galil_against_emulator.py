@@ -1,0 +1,247 @@
+"""The real drivers against the emulators, over real sockets and a pseudo terminal."""
+
+import contextlib
+import math
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.waiting import eventually
+from undrift.errors import LinkError, RigError, RigTimeout
+from undrift.rig.galil import Gains, read_gains, set_gains
+from undrift.rig.rig import Limits, RigSettings, open_rig
+from undrift.sim.rig.emulator import Emulator, EmulatorSettings
+
+DEGREE = math.pi / 180.0
+SPEED = 10.0
+
+
+@pytest.fixture
+def emulator():
+    with Emulator(EmulatorSettings(speed=SPEED)) as emulator:
+        yield emulator
+
+
+def opened(emulator, kind: str = "galil", url: str = "", **settings):
+    url = url or f"tcp://{emulator.host}:{emulator.port}"
+    return open_rig(f"{kind}:{url}", RigSettings(**{"clock_speed": SPEED, "reply_timeout_s": 10.0, **settings}))
+
+
+def positions(rig) -> None:
+    for _ in range(20):
+        rig.position()
+
+
+def settled(emulator) -> None:
+    eventually(lambda: abs(emulator.axis_rate()) < 1e-3, "it rests")
+
+
+def turning(emulator, dps) -> None:
+    """Wait until the true axis has turned at about that rate for 0.3 s."""
+
+    def is_so():
+        now = emulator.now()
+        return now > 0.3 and emulator.axis_state(now, mean_s=0.3)[1] / DEGREE == pytest.approx(dps, rel=0.02, abs=0.05)
+
+    eventually(is_so, f"it turns at {dps} deg/s")
+
+
+def impatient(rig) -> None:
+    """Let the answers of a rig that is connected be due soon."""
+    rig.card.port._link.settings = replace(rig.card.port._link.settings, reply_timeout_s=0.3)
+
+
+def measured(rig, duration_s: float) -> tuple[float, float]:
+    """Return the measured rate, and how far the times of its two positions leave it open, as a part of it."""
+    within, ask = [], rig.position
+
+    def position():
+        said = ask()
+        within.append(said.within_s)
+        return said
+
+    rig.position = position
+    rate = rig.measured_turn_rate(duration_s)
+    del rig.position
+    return rate, sum(within) / duration_s
+
+
+def test_every_command_of_a_session_is_understood(emulator):
+    rig = opened(emulator)
+    try:
+        assert rig.identify().startswith("DMC")
+        assert rig.fault() is None
+        rig.enable(True)
+        assert emulator.motor_on
+        assert rig.set_acceleration(40.0) == pytest.approx(254_976 * 2 * math.pi / 40_000)
+        assert set_gains(rig.card, Gains(kp=12.5, ki=0.0, kd=245.0)) == read_gains(rig.card)
+        assert rig.turn(90.0 * DEGREE) == pytest.approx(90.0 * DEGREE, rel=1e-12)
+        assert rig.turn(-45.0 * DEGREE) == pytest.approx(-45.0 * DEGREE, rel=1e-12)
+        rig.stop()
+        settled(emulator)
+        assert rig.move_by(90.0 * DEGREE) / DEGREE == pytest.approx(90.0, abs=0.05)
+        assert abs(rig.following_error()) / DEGREE < 0.05
+        rig.card.do("AB")
+        rig.enable(False)
+        assert not emulator.motor_on
+    finally:
+        rig.close()
+        rig.close()
+    assert not any(thread.name.startswith("link") for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize(("nominal_dps", "achieved_dps"), [(90.0, 90.0), (5.0, 5.004), (0.1, 0.099)])
+def test_the_achieved_rate_is_the_one_the_axis_turns_at(emulator, nominal_dps, achieved_dps):
+    rig = opened(emulator)
+    try:
+        rig.enable(True)
+        assert rig.turn(nominal_dps * DEGREE) / DEGREE == pytest.approx(achieved_dps, rel=1e-9)
+        turning(emulator, achieved_dps)
+        start = emulator.now()
+        rate, open_part = measured(rig, 5.0)
+        stop = emulator.now()
+        true_dps = (
+            np.diff(emulator.axis_states(np.array([start + 0.5, stop - 0.5]))[0])[0] / (stop - start - 1.0) / DEGREE
+        )
+        assert true_dps == pytest.approx(achieved_dps, abs=0.02)  # a limit cycle of a count over 4 s
+        assert rate / DEGREE == pytest.approx(achieved_dps, rel=1e-3 + open_part, abs=0.01)  # a count in each position
+    finally:
+        rig.close()
+    settled(emulator)
+    assert not emulator.motor_on
+
+
+def test_a_serial_port_works_like_a_socket():
+    with Emulator(EmulatorSettings(speed=SPEED, with_pty=True)) as emulator:
+        rig = opened(emulator, url=f"serial://{emulator.pty_path}")
+        try:
+            rig.enable(True)
+            assert rig.move_by(-30.0 * DEGREE) / DEGREE == pytest.approx(-30.0, abs=0.05)
+        finally:
+            rig.close()
+        assert not emulator.motor_on
+
+
+def test_the_card_itself_keeps_the_travel(emulator):
+    rig = opened(emulator, limits=Limits(travel=30.0 * DEGREE))
+    try:
+        rig.enable(True)
+        rig.turn(90.0 * DEGREE)
+        eventually(lambda: emulator.axis_angle() > 20.0 * DEGREE, "came near its limit")
+        settled(emulator)
+        assert emulator.axis_angle() / DEGREE < 33.0
+        assert "forward limit" in rig.fault()
+    finally:
+        rig.close()
+
+
+@pytest.mark.parametrize("fault", ["drop_bytes", "stall", "garbage", "half_reply", "late_reply", "disconnect"])
+def test_a_failing_link_ends_with_the_table_at_rest_or_a_cry_for_help(emulator, fault):
+    rig = opened(emulator)
+    try:
+        rig.enable(True)
+        rig.turn(20.0 * DEGREE)
+        impatient(rig)
+        emulator.inject(fault)
+        start = time.monotonic()
+        with pytest.raises((LinkError, RigTimeout)) as raised:
+            positions(rig)
+        assert time.monotonic() - start < 60.0  # four answers that do not come, and a busy machine
+        told = str(raised.value)
+        assert told.endswith("the table was stopped and its motor switched off") or "NOT CONFIRMED" in told
+        settled(emulator)
+        assert not emulator.motor_on
+    finally:
+        emulator.clear()
+        with contextlib.suppress(RigError):
+            rig.close()
+
+
+@pytest.mark.parametrize("fault", ["amplifier_fault", "encoder_loss", "limit_switch", "abort_input"])
+def test_a_failing_rig_is_reported_in_words(emulator, fault):
+    rig = opened(emulator)
+    try:
+        rig.enable(True)
+        rig.turn(90.0 * DEGREE)
+        turning(emulator, 90.0)
+        emulator.inject(fault)
+        eventually(rig.fault, "the rig says what is wrong")
+    finally:
+        emulator.clear()
+        rig.close()
+    settled(emulator)
+    assert not emulator.motor_on
+
+
+def test_a_power_cut_is_a_lost_link_and_the_rig_can_be_opened_again(emulator):
+    rig = opened(emulator)
+    try:
+        rig.enable(True)
+        rig.turn(20.0 * DEGREE)
+        emulator.inject("power_cut")
+        with pytest.raises(LinkError, match="NOT CONFIRMED"):
+            rig.position()
+    finally:
+        emulator.clear()
+        with pytest.raises(LinkError, match="open it again"):
+            rig.position()
+        rig.close()
+    again = opened(emulator)
+    try:
+        again.enable(True)
+        assert again.move_by(5.0 * DEGREE) / DEGREE == pytest.approx(5.0, abs=0.05)
+    finally:
+        again.close()
+
+
+def test_text_that_nobody_asked_for_does_not_disturb(emulator):
+    rig = opened(emulator)
+    try:
+        emulator.inject("message")
+        rig.enable(True)
+        said = []
+
+        def heard():
+            assert rig.position().angle == 0.0
+            said.append(rig.card.port.unsolicited())
+            return "".join(said) == "EMULATED MESSAGE\r\n"
+
+        eventually(heard, "the message")
+    finally:
+        rig.close()
+
+
+def test_a_stepper_board_moves_and_sleeps():
+    with Emulator(EmulatorSettings(kind="grbl", speed=SPEED)) as emulator:
+        rig = opened(emulator, kind="grbl")
+        try:
+            assert rig.identify().startswith("Grbl 1.1")
+            rig.enable(True)
+            rig.set_acceleration(2.0)
+            assert rig.move_by(90.0 * DEGREE) / DEGREE == pytest.approx(90.0, abs=0.06)
+            assert emulator.axis_angle() / DEGREE == pytest.approx(90.0, abs=1.0)  # a step's ripple
+            assert rig.fault() is None
+        finally:
+            rig.close()
+        assert not emulator.motor_on
+
+
+def test_a_stepper_board_turns_at_the_rate_it_was_told():
+    with Emulator(EmulatorSettings(kind="grbl", speed=SPEED)) as emulator:
+        rig = opened(emulator, kind="grbl")
+        try:
+            rig.enable(True)
+            rig.set_acceleration(2.0)
+            achieved = rig.turn(-45.0 * DEGREE)
+            turning(emulator, achieved / DEGREE)
+            rate, open_part = measured(rig, 5.0)
+            assert rate == pytest.approx(achieved, rel=0.01 + open_part)  # two positions, each told to a step
+            rig.stop()
+            assert rig.fault() is None
+        finally:
+            rig.close()
+        settled(emulator)
+        assert not emulator.motor_on

@@ -1,0 +1,242 @@
+"""The language of Galil cards: dialogues as the command references print them, and answers that are none."""
+
+import pytest
+
+from testkit.scripted_server import Card, Scripted, transcript
+from testkit.waiting import eventually
+from undrift.errors import LinkError, RigFault, RigTimeout
+from undrift.rig.galil import (
+    ERRORS,
+    STOPS,
+    Gains,
+    GalilCard,
+    Switches,
+    error_in_words,
+    read_gains,
+    set_gains,
+    set_sample_time,
+    stop_in_words,
+)
+from undrift.rig.link import LinkPort, LinkSettings, reply_end
+
+PATIENT, IMPATIENT = LinkSettings(reply_timeout_s=20.0), LinkSettings(reply_timeout_s=0.5)
+
+
+class Talk:
+    """A card behind a scripted server; closes both."""
+
+    def __init__(self, answer, axis: str = "X", links: LinkSettings = PATIENT) -> None:
+        self.server = Scripted(answer)
+        self.port = LinkPort(self.server.url, links)
+        self.card = GalilCard(self.port, axis)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *failure):
+        self.port.close()
+        self.port.close()
+        self.server.close()
+
+
+# dmc1700 manual, chapter 5: lower case is refused and TC1 says why; dmc2x00 chapter 5: PR and its question; LZ0 positions
+MANUAL = [
+    ("bg", b"?"),
+    ("TC1", b"1 Unrecognized command\r\n:"),
+    ("PR 1000", b":"),
+    ("PR ?", b" 1000\r\n:"),
+    ("TPX", b" 0000000000\r\n:"),
+    ("MG _TPX", b" 0.0000\r\n:"),
+    ("SHX", b":"),
+    ("BGX", b":"),
+    ("MG _BGX", b" 1.0000\r\n:"),
+    ("TEX", b"-0000000004\r\n:"),
+    ("SCX", b" 001\r\n:"),
+    ("AB", b":"),
+]
+
+
+def test_the_dialogue_of_the_manual_is_understood():
+    answer, wrong = transcript(MANUAL)
+    with Talk(answer) as talk:
+        card = talk.card
+        with pytest.raises(
+            RigFault, match=r"wanted 'bg', got error 1: the command is not known to this card"
+        ) as refused:
+            card.do("bg")
+        assert refused.value.code == 1
+        assert card.set("PR", 1000) == 1000
+        assert card.position("TPX") == 0
+        assert card.number("MG _TPX") == 0.0
+        card.do("SHX")
+        card.do("BGX")
+        assert card.integer("MG _BGX", 0, 1) == 1
+        assert card.position("TEX") == -4
+        assert card.integer("SCX", 0, 255) == 1
+        card.do("AB")
+    assert wrong == []
+
+
+def test_other_axes_are_reached_by_commas_and_letters():
+    answer, wrong = transcript([("JG ,,500", b":"), ("JG ,,?", b" 500\r\n:")])
+    with Talk(answer, axis="C") as talk:
+        assert talk.card.set("JG", 500) == 500
+    assert wrong == []
+
+
+@pytest.mark.parametrize("code", sorted(ERRORS))
+def test_every_error_code_is_said_in_words(code):
+    answer, wrong = transcript([("BGX", b"?"), ("TC1", f"{code} Whatever the card says\r\n:".encode())])
+    with Talk(answer) as talk, pytest.raises(RigFault) as refused:
+        talk.card.do("BGX")
+    assert f"got error {code}: {ERRORS[code]}; see the state of the card" in str(refused.value)
+    assert wrong == []
+
+
+@pytest.mark.parametrize("code", [1, 2, 3, 4, 5, 6, 7, 8, 9, 13, 20, 21, 22, 50, 51, 83, 131, 143])
+def test_the_codes_a_rig_meets_have_words(code):
+    assert code in ERRORS
+
+
+def test_codes_without_words_say_where_to_look():
+    assert "look it up" in error_in_words(999)
+    assert "look it up" in stop_in_words(999)
+    assert set(STOPS) >= {0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 50, 99, 100, 101}
+
+
+def test_the_switches_read_a_limit_that_is_not_pressed_as_one():
+    assert Switches.from_byte(0b00101100).wrong(enabled=False) == []
+    assert Switches.from_byte(0b00101100).wrong(enabled=True) == ["the motor is off though it was switched on"]
+    assert Switches.from_byte(0b01000100).wrong(enabled=True) == [
+        "the following error is beyond its limit",
+        "the forward limit switch is pressed",
+    ]
+    assert Switches.from_byte(0b10001000).wrong(enabled=True) == ["the reverse limit switch is pressed"]
+    assert Switches.from_byte(0x80 | 0x0C).moving
+
+
+@pytest.mark.parametrize(
+    ("received", "end"),
+    [(b":", 1), (b"?", 1), (b" 1.0\r\n:", 7), (b" 1.0\r\n", 0), (b"12:30", 0), (b"a?b\r\n:", 6), (b"", 0), (b"::", 1)],
+)
+def test_an_answer_ends_at_a_prompt_that_opens_a_line(received, end):
+    assert reply_end(received) == end
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "text"),
+    [
+        (None, RigTimeout, "got nothing"),
+        (b" 00000", RigTimeout, "got only b' 00000'"),
+        (b"", RigTimeout, "got nothing"),
+        (b":", LinkError, "wanted counts in answer to 'TPX', got ''"),
+        (b" 000x000021\r\n:", LinkError, "wanted counts in answer to 'TPX', got ' 000x000021'"),
+        (b" 12 34\r\n:", LinkError, "wanted counts"),
+        (b" 99999999999\r\n:", LinkError, "wanted counts"),
+        (b" 1\r\n 2\r\n:", LinkError, "wanted counts"),
+        (b"\xc3\xa9\r\n:", LinkError, "wanted text"),
+        (b" 21\r\n?", LinkError, r"wanted an answer to 'TPX', got ' 21\\r\\n\?'"),
+    ],
+)
+def test_garbage_for_a_position_is_an_error_and_never_a_number(answer, error, text):
+    links = IMPATIENT if error is RigTimeout else PATIENT
+    with Talk(lambda command: answer, links=links) as talk, pytest.raises(error, match=text):
+        talk.card.position("TPX")
+
+
+@pytest.mark.parametrize("answer", [b" one\r\n:", b":", b" nan\r\n:", b" 1e9\r\n:", b" inf\r\n:", b" $1F\r\n:"])
+def test_garbage_for_a_number_is_an_error(answer):
+    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match="wanted a number in answer to 'MG _BGX'"):
+        talk.card.number("MG _BGX")
+
+
+@pytest.mark.parametrize("answer", [b" 2.0000\r\n:", b" 0.5000\r\n:", b"-1.0000\r\n:"])
+def test_a_number_that_cannot_be_is_an_error(answer):
+    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match="wanted a whole number from 0 to 1"):
+        talk.card.integer("MG _BGX", 0, 1)
+
+
+def test_text_where_only_a_prompt_belongs_is_an_error():
+    with (
+        Talk(lambda command: b" 5\r\n:") as talk,
+        pytest.raises(LinkError, match="wanted ':' in answer to 'BGX', got ' 5"),
+    ):
+        talk.card.do("BGX")
+
+
+def test_a_refusal_without_a_code_is_an_error():
+    answer, _ = transcript([("BGX", b"?"), ("TC1", b"what?\r\n:")])
+    with Talk(answer) as talk, pytest.raises(LinkError, match="'TC1', got 'what\\?"):
+        talk.card.do("BGX")
+
+
+def test_a_number_that_lost_a_byte_on_its_way_to_the_card_is_seen_when_read_back():
+    answer, _ = transcript([("JG 10000", b":"), ("JG ?", b" 1000\r\n:")])
+    with Talk(answer) as talk, pytest.raises(LinkError, match="wanted JG 10000, got 1000 when it was read back"):
+        talk.card.set("JG", 10_000, tolerance=1, magnitude=True)
+
+
+def test_a_position_that_lost_a_digit_is_seen_once_the_format_is_fixed():
+    card = Card()
+    with Talk(card) as talk:
+        talk.card.fix_format()
+        assert talk.server.heard[:2] == ["PF 10.0", "LZ 0"]
+        card.spoil("TPX", b" 000003420\r\n:")
+        with pytest.raises(LinkError, match="got ' 000003420'"):
+            talk.card.position("TPX")
+
+
+def test_a_card_with_short_formats_is_taken_as_it_is():
+    answers = {"PF 10.0": b":", "LZ 0": b":", "TPX": b" 12\r\n:"}
+    with Talk(answers.__getitem__) as talk:
+        talk.card.fix_format()
+        assert talk.card.position("TPX") == 12
+
+
+def test_resynchronising_throws_away_late_answers():
+    with Talk(Card()) as talk:
+        talk.server.say(b" 1\r\n: 2\r\n:?")
+        talk.port.resynchronise()
+        assert talk.card.number("MG _MOX") == 1.0
+
+
+def test_a_card_that_cannot_be_brought_into_step_is_a_timeout_after_three_tries():
+    with Talk(lambda command: b"?", links=IMPATIENT) as talk:
+        with pytest.raises(RigTimeout):
+            talk.port.resynchronise()
+        eventually(lambda: len(talk.server.heard) == 3, "three questions")
+
+
+def test_a_card_that_is_gone_is_shouted_at_without_complaint():
+    with Talk(Card()) as talk:
+        talk.port.close()
+        talk.port.shout("STX")
+        assert not talk.port.is_open
+
+
+def test_gains_are_rounded_as_the_card_rounds_and_read_back():
+    with Talk(Card()) as talk:
+        assert set_gains(talk.card, Gains(kp=12.5, ki=0.0, kd=245.06)) == Gains(kp=12.5, ki=0.0, kd=245.0)
+        assert [line for line in talk.server.heard if "?" not in line] == ["KP 12.5", "KI 0", "KD 245"]
+        assert read_gains(talk.card) == Gains(kp=12.5, ki=0.0, kd=245.0)
+
+
+def test_gains_beyond_the_card_are_refused_before_a_byte_is_sent():
+    from undrift.errors import LimitError
+
+    with Talk(Card()) as talk:
+        with pytest.raises(LimitError, match=r"KD: wanted 0 to 4095.875, got 5000"):
+            set_gains(talk.card, Gains(kp=1.0, ki=1.0, kd=5000.0))
+        assert talk.server.heard == []
+
+
+def test_a_sample_time_is_set_and_one_that_is_very_fast_is_warned_of(caplog):
+    from undrift.errors import InputError
+
+    with Talk(Card()) as talk:
+        assert set_sample_time(talk.card, 1000.0) == 1000.0
+        assert caplog.text == ""
+        assert set_sample_time(talk.card, 100.0) == 100.0
+        assert "TM 100 us is faster than cards of the 1400 series are likely to allow" in caplog.text
+        with pytest.raises(InputError, match="TM: wanted 1 to 20000 us, got 0"):
+            set_sample_time(talk.card, 0.0)

@@ -1,0 +1,244 @@
+"""Thousands of answers and commands spoilt on their way: the driver says so, never hangs, and begins nothing unconfirmed.
+
+Spoilt answers: cut short, a byte changed, rubbish, doubled, late behind their deadline, late together with the next one, none at
+all, a refusal, a hang-up. Spoilt commands: a byte or the end lost.
+"""
+
+import contextlib
+import random
+import re
+import threading
+import time
+from collections import Counter
+
+import pytest
+
+from testkit.data import show
+from testkit.scripted_server import Card, Scripted
+from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
+from undrift.rig.galil import Gains, GalilRig, GalilSettings, read_gains, set_gains, set_sample_time
+from undrift.rig.link import Clock, LinkPort, LinkSettings
+from undrift.units import RADIAN_PER_DEGREE
+
+LETTERS = b"?:0123456789 .-\r\nTPXBG\x00\x07\xff\xc2"
+REPLY_S = 0.03
+SPEED = 500.0
+BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was; older cards refuse it
+AT_OPENING = 0.3  # share of openings that are spoilt as well
+CALLS = {
+    "identify": lambda rig: rig.identify(),
+    "on": lambda rig: rig.enable(True),
+    "off": lambda rig: rig.enable(False),
+    "acceleration": lambda rig: rig.set_acceleration(40.0),
+    "turn": lambda rig: rig.turn(90.0 * RADIAN_PER_DEGREE),
+    "turn back": lambda rig: rig.turn(-4.5 * RADIAN_PER_DEGREE),
+    "turn no more": lambda rig: rig.turn(0.0),
+    "move": lambda rig: rig.move_by(0.9 * RADIAN_PER_DEGREE),
+    "stop": lambda rig: rig.stop(),
+    "position": lambda rig: rig.position(),
+    "measure": lambda rig: rig.measured_turn_rate(0.1),
+    "following error": lambda rig: rig.following_error(),
+    "fault": lambda rig: rig.fault(),
+    "gains": lambda rig: set_gains(rig.card, Gains(kp=12.5, ki=0.5, kd=245.0)),
+    "read gains": lambda rig: read_gains(rig.card),
+    "sample time": lambda rig: set_sample_time(rig.card, 1000.0),
+    "close": lambda rig: rig.close(),
+}
+ASKED = {"turn": "JG 10000", "turn back": "JG -500", "move": "PR 100"}  # what may be begun, as the card must hold it
+CARD_ONLY = (
+    "gains",
+    "read gains",
+    "sample time",
+)  # know the card, not the axis: whoever calls them next is told, and stops it
+TAKES_ANY = ("identify", "close")  # any text is a name; closing asks again
+HARMLESS = re.compile(
+    r"STX|AB|MOX|MG _BGX|MG _MOX|MG \d{5}|TC1"
+)  # what brings an axis to rest, and questions about that
+
+
+class Mover(Card):
+    """Remembers what it held each time that it began."""
+
+    def __init__(self, tells_time):
+        super().__init__(polls=3)
+        self.held |= {"TM": "1000", "KP": "6", "KI": "0", "KD": "64"}
+        self.last, self.begun, self.tells_time = "", [], tells_time
+
+    def answer(self, command):
+        if command == BOTH and self.tells_time:
+            return f"{int(self.held['TP']): 011d} {int(1e3 * SPEED * time.monotonic()) % 10**9: 011d}\r\n:".encode()
+        try:
+            said = super().answer(command)
+        except (KeyError, ValueError):  # a word that lost a letter
+            self.code = 1
+            return b"?"
+        if said == b":" and command[:3] in ("JG ", "PR "):
+            self.last = command
+        return said
+
+    def act(self, command):
+        if command == "BGX":
+            self.begun.append(self.last)
+            self.held.pop("PR" if self.last.startswith("JG") else "none", None)  # a jog goes no distance
+        return super().act(command)
+
+
+class PoorLine:
+    """A card at the end of a line that spoils a share of what passes."""
+
+    def __init__(self, seed, share):
+        self.card, self.share = Mover(tells_time=seed % 2 == 0), share
+        self.chance = random.Random(seed)
+        self.armed, self.heard, self.spoilt = True, 0, Counter()
+        self.hang_up = lambda: None
+        self.threads, self.senseless = set(), []  # one for each connection; that of each answer that can be none
+        self._unended, self._held_back = "", b""
+
+    def __call__(self, command):
+        self.heard += 1
+        self.threads.add(threading.current_thread())
+        command, self._unended = self._unended + command, ""
+        before, self._held_back = self._held_back, b""
+        if not self.armed or self.chance.random() >= self.share:
+            return before + self.card(command)
+        way = self.chance.choice(WAYS)
+        self.spoilt[way.__name__] += 1
+        if way in (PoorLine.rubbish, PoorLine.unanswered):
+            self.senseless.append(threading.current_thread())
+        said = way(self, command)
+        return None if said is None else before + said
+
+    def cut(self, command):
+        said = self.card(command)
+        return said[: self.chance.randrange(len(said))]
+
+    def changed(self, command):
+        said = self.card(command)
+        place = self.chance.randrange(len(said))
+        return said[:place] + bytes([self.chance.choice(LETTERS)]) + said[place + 1 :]
+
+    def rubbish(self, command):
+        self.card(command)
+        said = bytes(self.chance.choice(LETTERS) for _ in range(self.chance.randrange(60)))
+        return b"#" + said + self.chance.choice((b"", b"\r\n:"))
+
+    def doubled(self, command):
+        return 2 * self.card(command)
+
+    def late(self, command):
+        said = self.card(command)
+        time.sleep(REPLY_S * self.chance.uniform(0.5, 2.0))
+        return said
+
+    def held_back(self, command):
+        self._held_back = self.card(command)
+
+    def unanswered(self, command):
+        self.card(command)
+
+    def refused(self, command):
+        self.card.code = self.chance.choice((1, 5, 7, 20, 131, 999))
+        return b"?"
+
+    def cut_off(self, command):
+        self.card(command)
+        self.hang_up()
+
+    def byte_lost(self, command):
+        place = self.chance.randrange(len(command))
+        return self.card(command[:place] + command[place + 1 :])
+
+    def end_lost(self, command):
+        self._unended = command
+
+
+WAYS = (
+    PoorLine.cut, PoorLine.changed, PoorLine.rubbish, PoorLine.doubled, PoorLine.late, PoorLine.held_back, PoorLine.unanswered,
+    PoorLine.refused, PoorLine.cut_off, PoorLine.byte_lost, PoorLine.end_lost,
+)  # fmt: skip
+
+
+def opened(url, sent):
+    """Open a rig, and keep in a list what it sends."""
+    port = LinkPort(url, LinkSettings(reply_timeout_s=REPLY_S, connect_timeout_s=5.0))
+    link, send = port._link, port._link.send
+
+    def noted(data):
+        sent.extend(data.decode("ascii").split("\r")[:-1])
+        send(data)
+
+    link.send = noted
+    return GalilRig(port, GalilSettings(clock=Clock(speed=SPEED)))
+
+
+def check_sent(name, sent, failure):
+    """Nothing is begun but by a call that was asked to, once, right after its number was read back; nor after a failure."""
+    begins = [place for place, command in enumerate(sent) if command.startswith("BG")]
+    assert len(begins) <= (name in ASKED), (name, sent)
+    for place in begins:
+        assert sent[place - 2 : place + 1] == [ASKED[name], f"{ASKED[name][:2]} ?", "BGX"], sent
+    if isinstance(failure, LinkError | RigTimeout) and sent and name not in CARD_ONLY:
+        last = max((place for place, command in enumerate(sent) if not HARMLESS.fullmatch(command)), default=-1)
+        after = sent[max([last, *begins]) + 1 :]
+        assert "STX" in after, (name, sent)
+        assert any(command.startswith("MO") for command in after), (name, sent)
+
+
+def converse(line, server, calls, failures):
+    """Open a rig over a poor line and give it calls until it is of no use any more."""
+    sent, before = [], set(line.threads)
+    line.armed = line.chance.random() < AT_OPENING  # else a poor line would seldom be opened
+    rig = opened(server.url, sent)
+    line.armed = True
+    for name in calls:
+        sent.clear()
+        begun, senseless, failure = len(line.card.begun), len(line.senseless), None
+        start = time.monotonic()
+        try:
+            CALLS[name](rig)
+        except (LinkError, RigTimeout, RigFault, LimitError) as error:
+            failure = error
+            failures[type(error).__name__] += 1
+        assert time.monotonic() - start < 60.0, f"{name} hangs"
+        check_sent(name, sent, failure)
+        assert set(line.card.begun[begun:]) <= {ASKED.get(name)}, (name, sent)
+        if failure is None and name not in TAKES_ANY:
+            assert set(line.senseless[senseless:]) <= before, f"{name} made sense of rubbish, or of nothing"
+        if "open it again" in str(failure):
+            break
+    with contextlib.suppress(RigError):
+        rig.close()
+    assert not rig.card.port.is_open
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.4])
+def test_spoilt_answers_and_commands_end_in_words_and_nothing_is_begun_unconfirmed(share):
+    found, failures, lines = [], Counter(), [PoorLine(seed, share) for seed in range(12)]
+
+    def work(line):
+        try:
+            chance = random.Random(line.chance.random())
+            with Scripted(line) as server:
+                line.hang_up = server.hang_up
+                while line.heard < 400:
+                    with contextlib.suppress(RigError):  # of the opening
+                        converse(line, server, chance.choices([*CALLS], k=30), failures)
+        except BaseException as error:
+            found.append(error)
+            raise
+
+    workers = [threading.Thread(target=work, args=(line,), daemon=True) for line in lines]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(300.0)
+    assert not any(worker.is_alive() for worker in workers), "the driver hangs"
+    assert found == []
+    spoilt = sum((line.spoilt for line in lines), Counter())
+    begun = Counter(entry for line in lines for entry in line.card.begun)
+    heard = sum(line.heard for line in lines)
+    show(f"of {heard} exchanges spoilt, failed, begun", [sum(c.values()) for c in (spoilt, failures, begun)])
+    assert sum(spoilt.values()) > 0.5 * share * heard * (1.0 - AT_OPENING)
+    assert share < 0.1 or set(spoilt) == {way.__name__ for way in WAYS}
+    assert set(failures) >= {"LinkError", "RigTimeout", "RigFault"}
+    assert share > 0.1 or set(begun) == set(ASKED.values())

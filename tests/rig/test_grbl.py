@@ -1,0 +1,389 @@
+"""The GRBL rig against a scripted board: dialogues of the 1.1 interface, every error and alarm, and bad answers."""
+
+import contextlib
+import math
+import re
+import time
+from dataclasses import replace
+
+import pytest
+
+from testkit.scripted_server import Scripted
+from testkit.waiting import eventually
+from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
+from undrift.rig.grbl import (
+    ALARMS,
+    ERRORS,
+    GrblRig,
+    GrblSettings,
+    alarm_in_words,
+    error_in_words,
+    parse_status,
+    reply_end,
+)
+from undrift.rig.link import Clock, Link, LinkSettings
+from undrift.rig.rig import Limits
+
+DEGREE = math.pi / 180.0
+FAST = Clock(speed=50.0)
+SAFE = "the table was stopped and its motor put to sleep"
+LOST = "it is NOT CONFIRMED that the table stopped: cut the motor's power"
+
+
+class Board:
+    """A board of one rotary axis that is where its jogs end at once, and that answers badly when told to."""
+
+    def __init__(self) -> None:
+        self.settings = {"100": "8.889", "110": "2160000.000", "120": "1000.000"}
+        self.state = "Idle"
+        self.place = 0.0
+        self.jogs: list[tuple[float, float]] = []
+        self.spoilt: dict[str, list[bytes | None]] = {}
+        self.stays = 0
+        self.wakes_to = "Idle"
+
+    def __call__(self, command: str) -> bytes | None:
+        for start, answers in self.spoilt.items():
+            if command.startswith(start) and answers:
+                return answers.pop(0)
+        if command == "?":
+            self.stays = max(self.stays - 1, 0)
+            if self.state == "Jog" and not self.stays:
+                self.state = "Idle"
+            return f"<{self.state}|MPos:{self.place:.3f}|FS:0,0>\r\n".encode()
+        if command == "\x18":
+            was, self.state = self.state, self.wakes_to
+            if was == "Sleep":
+                self.state = "Alarm"
+            return b"\r\nGrbl 1.1h ['$' for help]\r\n"
+        if command == "\x85":
+            self.state = "Idle"
+            return None
+        return self.line(command)
+
+    def line(self, command: str) -> bytes:
+        if found := re.fullmatch(r"\$J=G91G21A(-?[\d.]+)F([\d.]+)", command):
+            self.jogs.append((float(found.group(1)), float(found.group(2))))
+            self.place += self.jogs[-1][0]
+            self.state, self.stays = "Jog", 3
+            return b"ok\r\n"
+        if command == "$$":
+            return "".join(f"${n}={v}\r\n" for n, v in self.settings.items()).encode() + b"ok\r\n"
+        if command == "$I":
+            return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
+        if found := re.fullmatch(r"\$(\d+)=([\d.]+)", command):
+            self.settings[found.group(1)] = found.group(2)
+            return b"ok\r\n"
+        if command == "$SLP":
+            self.state = "Sleep"
+            return b"ok\r\n"
+        if command == "$X":
+            self.state = "Idle"
+            return b"[MSG:Caution: Unlocked]\r\nok\r\n"
+        return b"error:3\r\n"
+
+
+class Bench:
+    def __init__(self, board: Board | None = None, timeout_s: float = 20.0, **settings) -> None:
+        self.board = board or Board()
+        self.server = Scripted(self.board, terminator=b"\n", at_once="?!~\x18\x85")
+        self.link = Link(
+            self.server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=timeout_s, connect_timeout_s=20.0)
+        )
+        try:
+            self.rig = GrblRig(self.link, GrblSettings(**{"clock": FAST, **settings}))
+        except BaseException:
+            self.server.close()
+            raise
+        self.server.heard.clear()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *failure):
+        with contextlib.suppress(LinkError):
+            self.rig.close()
+        self.server.close()
+
+    def grow_impatient(self) -> None:
+        """Let answers be due soon from now on, so that those which never come are not waited for."""
+        self.link.settings = replace(self.link.settings, reply_timeout_s=0.5)
+
+
+@pytest.fixture
+def bench():
+    with Bench() as bench:
+        yield bench
+
+
+def wait_until(holds) -> None:
+    eventually(holds, "what the board is waited for")
+
+
+def test_opening_resets_reads_the_settings_and_moves_nothing():
+    board = Board()
+    with Bench(board) as bench:
+        assert bench.rig.identify() == "Grbl 1.1h ['$' for help]; VER:1.1h.20190830:; OPT:V,15,128"
+        assert board.jogs == []
+
+
+def test_a_move_is_a_whole_number_of_steps(bench):
+    achieved = bench.rig.move_by(90.0 * DEGREE) / DEGREE
+    assert achieved == pytest.approx(800 / 8.889, rel=1e-12)
+    assert bench.board.jogs == [(pytest.approx(800 / 8.889, abs=1e-5), 5400.0)]
+    assert bench.rig.position().angle / DEGREE == pytest.approx(achieved, abs=1e-3)
+
+
+def test_a_steady_rate_is_a_chain_of_jogs_that_ends_with_a_cancel(bench):
+    assert bench.rig.turn(-45.0 * DEGREE) / DEGREE == pytest.approx(-45.0)
+    wait_until(lambda: len(bench.board.jogs) > 12)
+    bench.rig.stop()
+    jogs = len(bench.board.jogs)
+    steps = {distance * 8.889 for distance, _ in bench.board.jogs}
+    assert {rate for _, rate in bench.board.jogs} == {2700.0}
+    assert all(step == pytest.approx(round(step), abs=1e-3) and step < 0 for step in steps)
+    assert "\x85" in bench.server.heard
+    time.sleep(0.05)
+    assert len(bench.board.jogs) == jogs
+
+
+def queued_s(jogs) -> float:
+    return sum(abs(distance) / rate * 60 for distance, rate in list(jogs))
+
+
+def test_no_more_jogs_are_queued_than_a_second_of_turning_needs():
+    with Bench(clock=Clock(speed=1.0)) as bench:
+        start = time.monotonic()
+        bench.rig.turn(45.0 * DEGREE)
+        wait_until(lambda: queued_s(bench.board.jogs) > 0.8)
+        time.sleep(0.3)
+        jogs = list(bench.board.jogs)
+        turned_s = time.monotonic() - start  # that much of them is over
+        assert queued_s(jogs) < 1.3 + turned_s
+        assert len(jogs) <= 10 + 10 * turned_s
+
+
+def test_a_rate_is_achieved_in_thousandths_of_a_degree_per_minute(bench):
+    assert bench.rig.turn(1.0) == pytest.approx(round(60 / DEGREE, 3) / 60 * DEGREE, rel=1e-12)
+    assert bench.rig.turn(0.0) == 0.0
+
+
+def test_a_chain_ends_where_the_travel_ends():
+    with Bench(limits=Limits(travel=math.pi)) as bench:
+        bench.rig.turn(45.0 * DEGREE)
+        wait_until(lambda: bench.board.place > 165.0)
+        time.sleep(0.1)
+        assert bench.board.place <= 180.0
+
+
+def test_an_acceleration_is_stored_and_listed(bench):
+    assert bench.rig.set_acceleration(2.0) / DEGREE == pytest.approx(114.592)
+    assert "$120=114.592" in bench.server.heard
+    bench.board.spoilt["$120="] = [b"ok\r\n"]
+    with pytest.raises(LinkError, match=r"wanted \$120=57.296, got 114.592; check cable and baud; " + SAFE):
+        bench.rig.set_acceleration(1.0)
+
+
+def test_an_axis_of_several_has_its_own_settings_and_place():
+    board = Board()
+    board.settings["103"] = "20.000"
+    with Bench(board) as bench:
+        board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000,3.000,0.500|FS:0,0>\r\n"]
+        assert bench.rig.position().angle / DEGREE == pytest.approx(0.5)
+        assert bench.rig.move_by(90.0 * DEGREE) / DEGREE == pytest.approx(90.0)
+
+
+def test_the_motor_sleeps_and_wakes_and_our_own_alarm_is_cleared(bench):
+    bench.rig.enable(True)
+    bench.rig.enable(False)
+    assert bench.board.state == "Sleep"
+    bench.rig.enable(True)
+    assert bench.board.state == "Idle"
+    assert bench.rig.fault() is None
+    bench.board.state = "Sleep"
+    assert bench.rig.fault() == "the motor is asleep though it was switched on"
+
+
+def test_an_alarm_that_is_not_ours_stays_for_a_person():
+    board = Board()
+    board.state = board.wakes_to = "Alarm"
+    with Bench(board) as bench:
+        assert bench.rig.fault() == "an alarm"
+        with pytest.raises(RigFault, match="wanted Idle, got an alarm; look at the table"):
+            bench.rig.enable(True)
+        assert "$X" not in bench.server.heard
+
+
+@pytest.mark.parametrize("code", sorted(ALARMS))
+def test_every_alarm_is_said_in_words(bench, code):
+    bench.board.state = "Alarm"
+    bench.board.spoilt["?"] = [f"ALARM:{code}\r\n<Alarm|MPos:0.000|FS:0,0>\r\n".encode()]
+    assert bench.rig.fault() == f"an alarm: {ALARMS[code]} (alarm {code})"
+
+
+@pytest.mark.parametrize("code", sorted(ERRORS))
+def test_every_error_code_is_said_in_words(bench, code):
+    bench.board.spoilt["$I"] = [f"error:{code}\r\n".encode()]
+    with pytest.raises(RigFault, match=re.escape(f"wanted '$I', got error {code}: {ERRORS[code]}")) as refused:
+        bench.rig.identify()
+    assert refused.value.code == code
+
+
+def test_the_codes_a_jog_meets_have_words_and_others_say_where_to_look():
+    assert set(ERRORS) >= {1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16}
+    assert "look it up" in error_in_words(99)
+    assert "look it up" in alarm_in_words(99)
+
+
+def test_an_open_door_is_a_fault(bench):
+    bench.board.state = "Door"
+    assert bench.rig.fault() == "the safety door is open"
+    with pytest.raises(RigFault, match="wanted an idle controller, got the safety door is open"):
+        bench.rig.turn(1.0)
+
+
+def test_a_jog_that_is_refused_while_turning_is_the_fault_and_the_next_call_raises_it(bench):
+    bench.board.spoilt["$J="] = [b"ok\r\n", b"error:15\r\n"]
+    bench.rig.turn(1.0)
+    wait_until(lambda: bench.rig.fault() is not None)
+    assert "error 15: the jog would leave the machine's travel" in bench.rig.fault()
+    with pytest.raises(RigFault, match="error 15"):
+        bench.rig.stop()
+    bench.rig.stop()
+
+
+def test_a_move_that_falls_short_is_a_fault(bench):
+    bench.board.spoilt["$J="] = [b"ok\r\n"]
+    with pytest.raises(RigFault, match=r"wanted a move by 89.9989 deg, got 0; look at the table"):
+        bench.rig.move_by(90.0 * DEGREE)
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        lambda rig: rig.turn(7.0),
+        lambda rig: rig.turn(1e-4),
+        lambda rig: rig.set_acceleration(1e4),
+        lambda rig: rig.move_by(4.0),
+        lambda rig: rig.move_by(1e-6),
+        lambda rig: rig.move_by(math.nan),
+    ],
+)
+def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
+    with Bench(limits=Limits(travel=math.pi)) as bench:
+        with pytest.raises(LimitError, match="wanted"):
+            told(bench.rig)
+        assert bench.server.heard == []
+
+
+def test_a_rate_beyond_the_controllers_own_is_refused(bench):
+    bench.rig._axis.fastest_dps = 30.0
+    with pytest.raises(LimitError, match=r"turn rate: wanted 0.0167 to 30 deg/s, got 45.0000; choose another"):
+        bench.rig.turn(45.0 * DEGREE)
+
+
+STEPS = {
+    "identify": (lambda rig: rig.identify(), "$I"),
+    "enable": (lambda rig: rig.enable(True), "?"),
+    "acceleration": (lambda rig: rig.set_acceleration(1.0), "$$"),
+    "move": (lambda rig: rig.move_by(1.0), "$J="),
+    "stop": (lambda rig: rig.stop(), "?"),
+    "position": (lambda rig: rig.position(), "?"),
+    "fault": (lambda rig: rig.fault(), "?"),
+}
+BAD = {
+    "silence": (None, RigTimeout),
+    "half a reply": (b"<Idle|MPos:0.0", RigTimeout),
+    "garbage": (b"gar\r\n<b>\r\nok\r\n", LinkError),
+    "no text": (b"\xe9\xff<Idle|MPos:0.000>\r\nok\r\n", LinkError),
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("step", STEPS)
+def test_a_bad_answer_at_any_step_stops_the_table_and_says_so(bench, step, bad):
+    does, command = STEPS[step]
+    answer, error = BAD[bad]
+    bench.grow_impatient()
+    bench.board.spoilt[command] = [answer]
+    with pytest.raises(error) as raised:
+        does(bench.rig)
+    assert str(raised.value).endswith(SAFE)
+    assert bench.board.state == "Sleep"
+
+
+def test_a_board_that_is_silent_for_good_is_reported_unconfirmed(bench):
+    bench.grow_impatient()
+    bench.server._answer = lambda command: None
+    with pytest.raises(RigTimeout, match=LOST):
+        bench.rig.position()
+    with pytest.raises(LinkError, match=f"wanted the motor off at the end, got no answer; {LOST}"):
+        bench.rig.close()
+    bench.rig.close()
+    with pytest.raises(LinkError, match="it is closed; open it again"):
+        bench.rig.turn(1.0)
+
+
+def test_a_link_that_is_lost_is_opened_again_to_stop_the_table(bench):
+    bench.server.hang_up()
+    with pytest.raises(LinkError, match=SAFE):
+        bench.rig.position()
+    assert bench.board.state == "Sleep"
+
+
+@pytest.mark.parametrize("line", ["<Idle>", "<Flying|MPos:0.000>", "<Idle|MPos:0>", "<Idle|MPos:a,b>", "Idle|FS:0"])
+def test_what_is_no_status_is_refused(line):
+    with pytest.raises(LinkError, match="here: wanted a status line, got"):
+        parse_status(line, "here")
+
+
+def test_a_status_of_work_positions_is_no_place(bench):
+    bench.board.spoilt["?"] = [b"<Idle|WPos:1.000|FS:0,0>\r\n"]
+    with pytest.raises(LinkError, match=r"wanted machine positions, got work positions; set \$10 to 1"):
+        bench.rig.position()
+    bench.board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000|FS:0,0>\r\n"]
+    with pytest.raises(LinkError, match="wanted a position of axis A, got 2; name another axis"):
+        bench.rig.position()
+
+
+@pytest.mark.parametrize("text", ["0.000", "-5.000", "many"])
+def test_steps_that_are_none_are_refused_on_opening(text):
+    board = Board()
+    board.settings["100"] = text
+    with pytest.raises(LinkError, match=rf"wanted \$100 above 0, got {text}; set it on the controller"):
+        Bench(board)
+
+
+def test_a_silent_port_is_a_timeout_and_an_axis_must_be_one():
+    with pytest.raises(RigTimeout, match="wanted an answer to"):
+        Bench(lambda command: None, timeout_s=0.2)
+    with pytest.raises(InputError, match="grbl: wanted an axis X, Y, Z, A, B or C, got 'Q'"):
+        GrblSettings(axis="Q")
+
+
+def test_a_stepper_does_not_know_its_following_error(bench):
+    assert math.isnan(bench.rig.following_error())
+    assert bench.rig.measured_turn_rate(0.5) == 0.0
+
+
+def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):
+    bench.rig.position()
+    bench.board.spoilt["?"] = [b"<Idle|MPos:-20000000.000|FS:0,0>\r\n"]
+    with pytest.raises(LinkError, match=r"wanted a position within [\d.]+ deg of 0, got -2e\+07; .*" + SAFE):
+        bench.rig.position()
+    bench.rig.enable(True)
+    assert bench.rig.position().angle == 0.0
+
+
+@pytest.mark.parametrize("call", [lambda rig: rig.stop(), lambda rig: rig.position(), lambda rig: rig.enable(True)])
+def test_a_jog_that_was_not_answered_is_the_cause_that_is_told(bench, call):
+    bench.grow_impatient()
+    bench.board.spoilt["$J="] = [b"ok\r\n"] * 3 + [None] * 99
+    bench.rig.turn(20.0 * DEGREE)
+    feeder = bench.rig._axis.feeder
+    wait_until(lambda: feeder.failure is not None)
+    with pytest.raises(RigTimeout, match=r"'\$J=G91G21A[\d.]+F1200.000'.*; " + SAFE):
+        call(bench.rig)
+    assert bench.board.state == "Sleep"
+    bench.rig.enable(True)
+    assert bench.rig.fault() is None

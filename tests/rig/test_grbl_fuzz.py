@@ -1,0 +1,80 @@
+"""Hundreds of bad answers at any step: the driver says so within its deadline, and jogs no more than it was asked to."""
+
+import contextlib
+import random
+import time
+
+import pytest
+
+from testkit.scripted_server import Scripted
+from undrift.errors import LinkError, RigError, RigFault, RigTimeout
+from undrift.rig.grbl import GrblRig, GrblSettings, reply_end
+from undrift.rig.link import Clock, Link, LinkSettings
+
+LETTERS = b"<>|:,.-$=0123456789 okerrorMPosIdleJogAlarmALARM\r\n\x00\xff\x85"
+CALLS = (
+    lambda rig: rig.identify(),
+    lambda rig: rig.enable(True),
+    lambda rig: rig.set_acceleration(1.0),
+    lambda rig: rig.position(),
+    lambda rig: rig.fault(),
+    lambda rig: rig.stop(),
+)
+
+
+def good(command):
+    if command == "?":
+        return b"<Idle|MPos:0.000|FS:0,0>\r\n"
+    if command == "\x18":
+        return b"\r\nGrbl 1.1h ['$' for help]\r\n"
+    if command == "$$":
+        return b"$100=8.889\r\n$110=21600.000\r\n$120=500.000\r\nok\r\n"
+    return None if command in "\x85!" else b"ok\r\n"
+
+
+def spoilt(answer, chance):
+    """Cut an answer short, change a byte of it, or put rubbish in its place."""
+    way = chance.randrange(3)
+    if way == 0:
+        return answer[: chance.randrange(len(answer))]
+    if way == 1:
+        place = chance.randrange(len(answer))
+        return answer[:place] + bytes([chance.choice(LETTERS)]) + answer[place + 1 :]
+    return bytes(chance.choice(LETTERS) for _ in range(chance.randrange(60)))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_bad_answers_at_any_step_end_within_the_deadline_and_nothing_jogs(seed):
+    chance = random.Random(seed)
+    bad, armed = 0, False
+
+    def answer(command):
+        nonlocal bad
+        said = good(command)
+        if said is None or not armed or chance.random() > (0.03 if command == "\x18" else 0.5):
+            return said
+        bad += 1
+        return spoilt(said, chance) or None
+
+    failures = 0
+    for _ in range(6):
+        armed = False
+        with Scripted(answer, terminator=b"\n", at_once="?!~\x18\x85") as server:
+            with contextlib.suppress(RigError):
+                link = Link(server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=0.02, connect_timeout_s=0.5))
+                rig = GrblRig(link, GrblSettings(clock=Clock(speed=200.0)))
+                armed = True
+                try:
+                    for call in chance.choices(CALLS, k=8):
+                        start = time.monotonic()
+                        try:
+                            call(rig)
+                        except (LinkError, RigTimeout, RigFault):
+                            failures += 1
+                        assert time.monotonic() - start < 60.0  # a busy machine is late, a hang never ends
+                finally:
+                    with contextlib.suppress(RigError):
+                        rig.close()
+            assert not any(line.startswith("$J") for line in server.heard)
+    assert bad > 30
+    assert failures > 10

@@ -1,0 +1,247 @@
+"""Thermal sessions hold what the device does at the temperatures of the programme, whatever is recorded of it."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from undrift.correction.correct import correct
+from undrift.errors import InputError
+from undrift.io.session import read_session, write_session
+from undrift.sim.device.effects import Hysteresis, RandomWalk, Sampling, Thermometer
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import preset
+from undrift.sim.device.truth import true_calibration, true_tables
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.thermal import ChamberSettings, RampSettings, ThermalSettings, simulate_thermal_session
+
+QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=10.0)
+BENCH = BenchSettings(sample_rate_hz=50.0, still_s=2.0, move_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0)
+SHORT = ThermalSettings(bench=BENCH, chamber=QUICK, set_points_c=(20.0, 35.0, 50.0))
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(4)
+
+
+def quiet() -> DeviceModel:
+    """The note's device without noise and steps."""
+    device = preset("enc03j_3031").without_noise()
+    return replace(device, gyro=replace(device.gyro, instability=None), accel=replace(device.accel, instability=None))
+
+
+def settled() -> DeviceModel:
+    """The same without what a table over rate and temperature does not hold: age, hysteresis, an erring thermometer."""
+    device = quiet()
+    return replace(
+        device,
+        gyro=replace(device.gyro, warm_up=None, hysteresis=None),
+        thermometer=Thermometer(),
+        reference_temp_c=25.0,
+    )
+
+
+@pytest.mark.parametrize("recorded", ["soaked", "throughout"])
+def test_the_true_tables_turn_the_dwells_into_the_imposed_rates(recorded: str) -> None:
+    device = settled()
+    session = simulate_thermal_session("soak", device, rng=rng(), settings=replace(SHORT, recorded=recorded))
+    tables = true_tables(device, np.arange(15.0, 56.0, 1.0), np.radians(np.arange(-200.0, 201.0, 10.0)))
+    record = correct(session.records[0], replace(true_calibration(device), drift=tables))
+    assert len(session.turns) == 3 * 3 * 4
+    assert record.gyro is not None
+    for turn in session.turns:
+        rate = np.zeros(3)
+        rate["xyz".index(turn.axis or "")] = turn.turn_rate or 0.0
+        steady = record.gyro[turn.start + 25 : turn.stop]  # the low-pass of 11.1 Hz has settled after half a second
+        # Nodes 1 K apart leave 1/8 of the second difference: 2e-5 rad/s of the rate drift's slope between nodes 10 deg/s apart.
+        np.testing.assert_allclose(steady, np.broadcast_to(rate, steady.shape), atol=3e-4)
+
+
+def test_what_is_recorded_at_the_soaks_is_what_a_record_throughout_holds_there() -> None:
+    device = quiet()
+    device = replace(device, accel=replace(device.accel, hysteresis=Hysteresis(amplitude=0.01, play_k=7.0)))
+    settings = replace(SHORT, set_points_c=(20.0, 35.0, 30.0))
+    whole, soaked = (
+        simulate_thermal_session("soak", device, rng=rng(), settings=replace(settings, recorded=recorded)).records[0]
+        for recorded in ("throughout", "soaked")
+    )
+    at = np.searchsorted(whole.time, soaked.time - 1e-6)
+    np.testing.assert_allclose(whole.time[at], soaked.time, atol=1e-9)
+    assert len(soaked) < 0.6 * len(whole)
+    # temperature of a lagging thermometer; rest before the first turn, after which headings differ by nothing that is felt
+    np.testing.assert_allclose(soaked.temp_c, whole.temp_c[at], atol=1e-9)  # type: ignore[index,arg-type]
+    for name in ("gyro", "accel"):
+        said, held = getattr(soaked, name), getattr(whole, name)[at]
+        first = np.flatnonzero(np.diff(soaked.time, prepend=-np.inf) > 1.0)
+        for k in first:
+            np.testing.assert_allclose(said[k : k + 90], held[k : k + 90], atol=1e-6)
+
+
+def test_the_hysteresis_of_a_visit_on_the_way_down_is_the_other_one() -> None:
+    device = quiet()
+    plain = replace(device, gyro=replace(device.gyro, hysteresis=None))
+    settings = replace(SHORT, set_points_c=(20.0, 35.0, 50.0), back=True, bench=replace(BENCH, turn_rates=()))
+    with_loop, without = (
+        simulate_thermal_session("soak", d, rng=rng(), settings=settings).records[0] for d in (device, plain)
+    )
+    visits = np.split(with_loop.gyro - without.gyro, np.flatnonzero(np.diff(with_loop.time) > 1.0) + 1)  # type: ignore[operator]
+    loop = np.array([visit[:, 0].mean() for visit in visits]) / device.gyro.gain
+    amplitude = device.gyro.hysteresis.amplitude[0]  # type: ignore[union-attr]
+    # from rest at 20 degC; -A while warming, +A while cooling. 50 degC is approached from both sides by way of itself.
+    np.testing.assert_allclose(loop / amplitude, [0.0, -1.0, -1.0, -1.0, 1.0, 1.0], atol=0.1)
+
+
+def test_labels_say_set_points_where_there_is_no_temperature() -> None:
+    told = simulate_thermal_session("soak", quiet(), rng=rng(), settings=SHORT)
+    assert told.kind == "thermal"
+    assert told.records[0].temp_c is not None
+    assert {piece.temp_c for piece in (*told.stills, *told.turns)} == {None}
+    untold = simulate_thermal_session(
+        "soak", quiet(), rng=rng(), settings=replace(SHORT, drop_temperature=True, recorded="throughout")
+    )
+    assert untold.records[0].temp_c is None
+    assert [turn.temp_c for turn in untold.turns[::12]] == [20.0, 35.0, 50.0]
+    waits = [still for still in untold.stills if still.temp_c is None]
+    assert [still.face for still in waits] == ["+z"] * 3
+    assert len(untold.stills) == 3 * (1 + 1 + 3)
+    bare = simulate_thermal_session("soak", quiet(), rng=rng(), settings=replace(SHORT, labelled=False))
+    assert (bare.stills, bare.turns) == ((), ())
+
+
+def test_each_set_point_may_have_a_record_of_its_own() -> None:
+    one = simulate_thermal_session("soak", quiet(), rng=rng(), settings=SHORT)
+    many = simulate_thermal_session("soak", quiet(), rng=rng(), settings=replace(SHORT, one_record=False))
+    assert len(many.records) == 3
+    np.testing.assert_array_equal(np.concatenate([r.gyro for r in many.records]), one.records[0].gyro)  # type: ignore[arg-type,misc]
+    last = many.turns[-1]
+    assert last.recording == 2
+    np.testing.assert_array_equal(
+        many.records[2].time[last.start : last.stop], one.records[0].time[one.turns[-1].start : one.turns[-1].stop]
+    )
+
+
+def test_six_faces_and_free_poses_show_gravity_at_each_temperature() -> None:
+    device = settled()
+    six = simulate_thermal_session("soak", device, rng=rng(), settings=replace(SHORT, faces="six"))
+    assert [still.face for still in six.stills[:9]] == ["+x", "-x", "+y", "-y", "+z", "-z", "+x", "+y", "+z"]
+    free = simulate_thermal_session(
+        "multi_position",
+        device,
+        rng=rng(),
+        settings=replace(SHORT, bench=replace(BENCH, poses=5, first_still_s=4.0), drop_temperature=True),
+    )
+    assert [still.temp_c for still in free.stills] == [20.0] * 5 + [35.0] * 5 + [50.0] * 5
+    assert free.stills[0].stop - free.stills[0].start == 200
+    tables = true_tables(device, np.arange(15.0, 56.0, 1.0), np.array([-1.0, 1.0]))
+    calibration = replace(true_calibration(device), gyro=None, drift=replace(tables, dynamic=None))
+    record = correct(replace(six.records[0], gyro=None), calibration)
+    for still in six.stills:
+        felt = record.accel[still.start + 25 : still.stop].mean(axis=0)  # type: ignore[index]
+        # cross-axis non-linearity, which no matrix holds: 0.2 % of 2 g
+        assert felt["xyz".index((still.face or "")[1])] * (-1.0 if "-" in (still.face or "") else 1.0) == pytest.approx(
+            9.80665, abs=0.04
+        )
+
+
+def test_a_ramp_goes_up_and_down_and_a_warm_up_begins_at_power_on() -> None:
+    ramp = RampSettings(low_c=20.0, high_c=30.0, up_c_per_min=5.0, down_c_per_min=5.0, hold_s=60.0)
+    up_down = simulate_thermal_session("ramp", settled(), rng=rng(), settings=replace(SHORT, ramp=ramp))
+    assert len(up_down.stills) == 1
+    temp = up_down.records[0].temp_c
+    assert temp is not None
+    assert temp.max() == pytest.approx(30.0, abs=0.5)
+    assert temp[[0, -1]] == pytest.approx([20.0, 20.0], abs=0.5)
+    young = quiet()
+    old = replace(young, gyro=replace(young.gyro, warm_up=None))
+    bench = replace(BENCH, sample_rate_hz=10.0)
+    lack = [
+        simulate_thermal_session("warm_up", d, rng=rng(), settings=replace(SHORT, bench=bench)).records[0]
+        for d in (young, old)
+    ]
+    lacking = (lack[0].gyro - lack[1].gyro)[:, 0] / young.gyro.gain  # type: ignore[operator,index]
+    expected = -young.gyro.warm_up.amplitude[0] * np.exp(-lack[0].time / 600.0)  # type: ignore[union-attr]
+    np.testing.assert_allclose(lacking, expected, atol=1e-6)  # the low-pass lags by 20 ms of 600 s
+
+
+def test_a_random_walk_goes_on_while_nothing_is_recorded() -> None:
+    device = settled()
+    walk = RandomWalk(bias_walk=np.full(3, 1e-3))
+    walking = replace(device, gyro=replace(device.gyro, random_walk=walk))
+    settings = replace(SHORT, set_points_c=(25.0, 25.5) * 20, bench=replace(BENCH, turn_rates=()))
+    a, b = (simulate_thermal_session("soak", d, rng=rng(), settings=settings).records[0] for d in (walking, device))
+    walked = (a.gyro - b.gyro) / device.gyro.gain  # type: ignore[operator]
+    last = np.flatnonzero(np.diff(a.time) > 1.0)
+    pace = (walked[last + 1] - walked[last]) / np.sqrt(np.diff(a.time)[last])[:, None]
+    # 117 draws: their standard deviation is known to 6.5 %
+    assert pace.std() == pytest.approx(1e-3, rel=0.25)
+    assert np.abs(walked[-1]).max() > 3.0 * np.abs(walked[50]).max()
+
+
+def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -> None:
+    device = replace(settled(), sampling=Sampling(sample_rate_hz=40.0, clock_error=1e-4))
+    session = simulate_thermal_session("soak", device, rng=rng(), settings=SHORT)
+    record = session.records[0]
+    assert record.sample_rate_hz == pytest.approx(40.0, rel=1e-3)
+    for turn in session.turns[::5]:
+        column = record.gyro[:, "xyz".index(turn.axis or "")]  # type: ignore[index]
+        assert turn.stop - turn.start == pytest.approx(40, abs=1)
+        assert np.ptp(column[turn.start + 20 : turn.stop]) < 0.5  # counts, of some 600 that the rate makes
+
+
+def test_a_thermal_session_reads_back_as_it_was_written(tmp_path: Path) -> None:
+    settings = replace(SHORT, drop_temperature=True, recorded="throughout", one_record=False)
+    for made in (
+        simulate_thermal_session("soak", preset("mpu6050"), rng=rng(), settings=SHORT),
+        simulate_thermal_session("soak", preset("enc03j_3031"), rng=rng(), settings=settings),
+    ):
+        folder = tmp_path / made.serial
+        write_session(made, folder)
+        back = read_session(folder)
+        assert (back.kind, back.serial, back.stills, len(back.turns)) == ("thermal", made.serial, made.stills, 36)
+        for read, wrote in zip(back.turns, made.turns, strict=True):
+            assert (read.start, read.stop, read.recording, read.temp_c) == (
+                wrote.start,
+                wrote.stop,
+                wrote.recording,
+                wrote.temp_c,
+            )
+            assert read.turn_rate == pytest.approx(wrote.turn_rate)
+        for one, other in zip(back.records, made.records, strict=True):
+            np.testing.assert_array_equal(one.time, other.time)
+            np.testing.assert_array_equal(one.gyro, other.gyro)  # type: ignore[arg-type]
+            if other.temp_c is None:
+                assert one.temp_c is None
+            else:
+                np.testing.assert_array_equal(one.temp_c, other.temp_c)  # type: ignore[arg-type]
+
+
+def test_the_full_programme_of_the_note_is_simulated_in_seconds() -> None:
+    start = time.perf_counter()
+    session = simulate_thermal_session("soak", preset("enc03j_3031"), rng=rng())
+    took = time.perf_counter() - start
+    assert len(session.turns) == 12 * 3 * 36
+    assert session.records[0].temp_c is not None
+    show(f"12 soaks x 3 axes x 36 rates, {len(session.records[0])} samples, s", round(took, 2), 20.0)
+    assert took < 20.0  # one to three on an idle core
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: simulate_thermal_session("fridge", quiet(), rng=rng()), "wanted one of soak, ramp, warm_up"),  # type: ignore[arg-type]
+        (lambda: ThermalSettings(power_on_s=-1.0), "wanted power_on_s of 0 or more, got -1 s"),
+        (
+            lambda: simulate_thermal_session(
+                "multi_position", quiet(), rng=rng(), settings=replace(SHORT, bench=replace(BENCH, poses=0))
+            ),
+            "wanted a motion at the set-points, got one of no length",
+        ),
+    ],
+)
+def test_what_cannot_be_done_in_a_thermal_session_is_refused(make, message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        make()
+    assert message in str(raised.value)
