@@ -68,13 +68,19 @@ def warm_up_log() -> Path:
 @call("warm_up_real", "offsets over temperature from the log of a real warm-up")
 @call(
     "warm_up_real_knots",
-    "the same through its set-points, a thermometer 20 s late",
+    "the log of a real warm-up through its set-points, a thermometer 20 s late",
     "--spline",
     "not-a-knot",
     "--lag-s",
     "20",
 )
-@call("warm_up_real_power_on", "the same with an offset that decays after power-on", "--warm-up", "--step", "1.0")
+@call(
+    "warm_up_real_power_on",
+    "the log of a real warm-up with an offset that decays after power-on",
+    "--warm-up",
+    "--step",
+    "1.0",
+)
 def warm_up_real(*more: object) -> Result:
     return fitted(warm_up_log(), "--map", warm_up_map(), *more)
 
@@ -113,13 +119,18 @@ def thermal(kind: str, faces: str = "one", seed: int = 1) -> Path:
 
 
 @call("soaks", "simulated soaks: the tables that are chosen")
-@call("soaks_dynamic", "the same with offsets and dynamic drift", "--tables", "dynamic", "--step", "1.0")
+@call("soaks_dynamic", "simulated soaks: offsets and dynamic drift", "--tables", "dynamic", "--step", "1.0")
 @call(
-    "soaks_both", "the same with scale and dynamic drift over a range", "--tables", "scale+dynamic", "--range", "18:75"
+    "soaks_both",
+    "simulated soaks: scale and dynamic drift over a range",
+    "--tables",
+    "scale+dynamic",
+    "--range",
+    "18:75",
 )
 @call(
     "soaks_knots",
-    "the same through the set-points, with a table of the scale",
+    "simulated soaks: through the set-points, with a table of the scale",
     "--spline",
     "not-a-knot",
     "--lag-s",

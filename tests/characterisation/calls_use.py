@@ -71,7 +71,7 @@ def correct_matrix() -> Result:
 
 
 @call("correct_tables", "a simulated warm-up corrected by fitted tables, held at their ends", "hold")
-@call("correct_tables_gaps", "the same with gaps outside the tables", "nan")
+@call("correct_tables_gaps", "a simulated warm-up corrected by fitted tables, gaps outside them", "nan")
 def correct_tables(policy: str) -> Result:
     model, out = folder() / "soak_tables.json", new(f"warm_{policy}.csv")
     if not model.exists():
@@ -285,8 +285,14 @@ def to_export_si() -> Path:
 
 
 @call("export_c_float", "C source of a device with every table, built as float", "--prefix", "knee")
-@call("export_c_double", "the same, built as double", "--double")
-@call("export_c_fixed", "the same, in fixed point, bits given", "--fixed", "--gyro-raw-bits", "4")
+@call("export_c_double", "C source of a device with every table, built as double", "--double")
+@call(
+    "export_c_fixed",
+    "C source of a device with every table, in fixed point, bits given",
+    "--fixed",
+    "--gyro-raw-bits",
+    "4",
+)
 def export_c(*more: str) -> Result:
     out = folder() / "calibration.h"
     said = undrift("export", to_export(), "--target", "c", "-o", out, *more)

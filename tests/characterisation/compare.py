@@ -12,8 +12,9 @@ Two numbers are equal when
 s is the largest number of the same column; of element ij of a covariance it is sqrt(C_ii C_jj), of a sum over n rows it is n s.
 The second term stands for what is left of a subtraction: a residue of rounding has no digits of its own. r is 1e-12 where
 processor, versions of Python, numpy, scipy and numba, and the number of BLAS threads are those of ``recorded/machine.json``,
-and 1e-6 elsewhere: other vector instructions add up in another order, and searches stop at another step. There the hash of
-exported C is not compared; the numbers in it are.
+and 1e-6 elsewhere: other vector instructions add up in another order, and searches stop at another step. ``ELSEWHERE`` names
+what needs more there. There the hash of exported C is not compared; the numbers in it are. One BLAS thread is asked for by
+conftest.py and __main__.py, before numpy is imported; where it was imported before, the fingerprint is another.
 
 A path that was recorded and is missing fails. A new one fails too unless a pattern of ``ADDED`` names it. A path that only
 changed its name is put down in ``RENAMED``.
@@ -24,15 +25,11 @@ import math
 import os
 import platform
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
-
-if "numpy" not in sys.modules:  # threads add up in another order
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numba
 import numpy as np
@@ -56,6 +53,9 @@ KEPT_TEXT = re.compile(
 )
 ADDED: tuple[tuple[str, str], ...] = ()  # (call, path), regular expressions: new since the recording, on purpose
 RENAMED: tuple[tuple[str, str], ...] = ()  # (recorded, now), for re.sub on recorded paths
+
+# (call, path, r) on another machine: the softness of this surface has a flat loss, on which the search stops elsewhere
+ELSEWHERE: tuple[tuple[str, str, float], ...] = (("soaks_dynamic", r"drift\.dynamic\.(error|uncertainty)", 5e-3),)
 
 Leaf = float | int | bool | str | None | dict[str, Any]
 
@@ -196,13 +196,19 @@ def compare(name: str, recorded: Mapping[str, Leaf], found: Mapping[str, Leaf], 
             wrong.append(Difference(path, f"is missing; it was {_short(leaf)}"))
         elif path.endswith("code_sha256") and r > SAME_MACHINE:
             continue
-        elif told := _apart(leaf, found[path], path, r):
+        elif told := _apart(leaf, found[path], path, _allowed(name, path, r)):
             wrong.append(Difference(path, told))
     for path, leaf in found.items():
         listed = any(re.fullmatch(call, name) and re.fullmatch(pattern, path) for call, pattern in ADDED)
         if path not in held and not listed:
             wrong.append(Difference(path, f"is new: {_short(leaf)}; list it in ADDED if it is meant to be"))
     return wrong
+
+
+def _allowed(name: str, path: str, r: float) -> float:
+    if r <= SAME_MACHINE:
+        return r
+    return max([r, *(more for call, pattern, more in ELSEWHERE if call == name and re.fullmatch(pattern, path))])
 
 
 def _apart(a: Leaf, b: Leaf, path: str, r: float) -> str:
