@@ -104,18 +104,30 @@ Told = Callable[[str, float], None]  # what is being done now, and which share o
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriftSettings:
-    """Choices that a session does not make."""
+    """Choices that a session does not make.
 
-    # First and last node, degC; None takes 18 to 75, widened to what was seen, or, where less than 80 % of that was
-    # seen, the span seen
+    Parameters
+    ----------
+    range_c : (float, float) or None
+        First and last node, degC; None takes 18 to 75, widened to what was seen, or, where less than 80 % of that was seen, the
+        span seen.
+    step_c : float
+        From node to node, K.
+    lag_s : float or None
+        Lag of the thermometer, s; None estimates it from ramps, 0 leaves it in.
+    tables : str
+        Which of scale and dynamic tables: auto chooses, none, scale, dynamic, scale + dynamic.
+    temperature, observe, static : TemperatureSettings, ObserveSettings, StaticSettings
+        Of the stages.
+    """
+
     range_c: tuple[float, float] | None = None
-    step_c: float = STEP_C  # From node to node, K
-    lag_s: float | None = None  # Lag of the thermometer, s; None estimates it from ramps, 0 leaves it in
-    # Which of scale and dynamic tables: auto chooses, none, scale, dynamic, scale + dynamic
+    step_c: float = STEP_C
+    lag_s: float | None = None
     tables: TableChoice = "auto"
-    temperature: TemperatureSettings = field(default_factory=TemperatureSettings)  # Of the stages
-    observe: ObserveSettings = field(default_factory=ObserveSettings)  # Of the stages
-    static: StaticSettings = field(default_factory=StaticSettings)  # Of the stages
+    temperature: TemperatureSettings = field(default_factory=TemperatureSettings)
+    observe: ObserveSettings = field(default_factory=ObserveSettings)
+    static: StaticSettings = field(default_factory=StaticSettings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -315,7 +315,20 @@ def read_session(folder: str | Path) -> Session:
 
 
 def write_session(session: Session, folder: str | Path) -> None:
-    """Write a session: session.toml and one Parquet file for each record. It reads back as it was."""
+    """Write a session: session.toml and one Parquet file for each record. It reads back as it was.
+
+    Parameters
+    ----------
+    session : Session
+        Records with what was done in them.
+    folder : str or Path
+        Made where it is missing.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written.
+    """
     folder = Path(folder)
     lines = ["[session]", f'kind = "{session.kind}"', f"serial = {_quoted(session.serial)}"]
     lines += [f"gravity_m_s2 = {_number(session.gravity_m_s2)}"]

@@ -442,7 +442,30 @@ def simulate_thermal_session(
     rng: np.random.Generator,
     settings: ThermalSettings | None = None,
 ) -> Session:
-    """Return a thermal session of a simulated device."""
+    """Return a thermal session of a simulated device.
+
+    Parameters
+    ----------
+    kind : str
+        ``soak``: at each set-point a rest in one face or six, then steady rates both ways about three axes. ``ramp``: at rest,
+        up and down at a rate. ``warm_up``: at rest from power-on, no chamber. ``multi_position``: free poses at each set-point.
+    device : DeviceModel
+        The sensors.
+    rng : Generator
+        Draws tilts, poses and noise.
+    settings : ThermalSettings, optional
+        How it is performed.
+
+    Returns
+    -------
+    Session
+        Of kind thermal. Where the temperature column was left out, stills and turns state their set-point.
+
+    Raises
+    ------
+    InputError
+        An unknown kind; a board that does not reach its set-point in time.
+    """
     if kind not in get_args(ThermalKind):
         raise InputError(f"thermal: wanted one of {', '.join(get_args(ThermalKind))}, got '{kind}'; name one of them")
     chosen = settings or ThermalSettings()
