@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.frames import quaternion_product, rotation
-from undrift.orientation import cardan_angles, heading_of, inclination_of, sagittal_pitch
+from undrift.frames import quaternion_product
+from undrift.orientation import heading_of, inclination_of, sagittal_pitch
 
 
 def about(axis, angle):
@@ -65,15 +65,9 @@ def test_axes_that_span_no_plane_are_refused():
         sagittal_pitch(ANY, forward="up")
 
 
-def test_cardan_angles_are_scipys_intrinsic_sequence():
-    angles, sequence = cardan_angles(ANY)
-    assert sequence == "ZXY"
-    np.testing.assert_allclose(angles, rotation(ANY).as_euler(sequence), rtol=0, atol=1e-7)  # scipy's own near +-90 deg
-
-
 def test_gaps_pass_through_every_angle():
     q = ANY.copy()
     q[3] = np.nan
-    for values in (inclination_of(q), heading_of(q), sagittal_pitch(q), cardan_angles(q).angles[:, 0]):
+    for values in (inclination_of(q), heading_of(q), sagittal_pitch(q)):
         assert np.isnan(values[3])
         assert np.isfinite(values[:3]).all()

@@ -1,29 +1,15 @@
-"""Orient a record: initial tilt at a still phase, strapdown from there forward and back.
+"""Orientation q_nb of the device case: initial tilt at rest, strapdown from there, and the angles of the result.
 
-The tilt holds at the last sample of the still phase. Before it, each step is undone: q_(k-1) = q_k exp(-w_k (t_k - t_(k-1))).
+Tilt: at rest the specific force f in b points up, and the shortest rotation that takes f to n's z is, for f of length one::
 
-Initial tilt from the averaged accelerometer, and how well it is known.
+    q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about n's z to the wanted heading
 
-At rest the specific force f in b points up. The tilt is the shortest rotation that takes f to n's z::
-
-    q_nb ~ (1 + f_z, f_y, -f_x, 0) for f of length one, then a turn about n's z to the wanted heading
-
-Its quaternion has no z part, so heading = 2 atan2(z, w) is zero before that turn. To first order the tilt errs by the part of
-the error of f that is level, over |f|. That error has the scatter of the mean (with the correlation between samples: a mean of
-n samples is worth n / (1 + 2 sum of autocorrelations)) and what the calibration leaves uncertain.
-
-Strapdown: integrate rate into orientation by the exact exponential of each step.
-
-::
+Its error is, to first order, the level part of the error of f over |f|: the scatter of the mean, with the correlation between
+samples, and the calibration's uncertainty. Strapdown, exact for a rate that is constant on (k-1, k]::
 
     q_nb[k] = q_nb[k-1] (x) exp(w_b[k] (t[k] - t[k-1]))
 
-The rate of sample k holds on (k-1, k]. With bounded rates the error of this rule against the true motion is one half-sample
-lag, which the lag search of validation takes up.
-
-Angles of an orientation q_nb = (w, x, y, z): inclination, heading, sagittal pitch, and Cardan angles for segments.
-
-::
+Angles of q_nb = (w, x, y, z)::
 
     inclination = 2 acos sqrt(w^2 + z^2)         angle of the body's z from the vertical
     heading     = 2 atan(z / w)                  turn about the vertical
@@ -34,7 +20,7 @@ The pitch has no singularity until the vertical leaves the sagittal plane, where
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -45,7 +31,7 @@ from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.units import STANDARD_GRAVITY, si_factor
 
-# ---- Initial tilt from the averaged accelerometer, and how well it is known.
+# ---- Initial tilt
 
 GRAVITY_WITHIN = 0.2  # of standard gravity: beyond it the readings are no specific force at rest in m/s2
 FEWEST = 10  # samples: below it their scatter says nothing
@@ -91,17 +77,12 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0, accel_mo
 
 
 def shortest_rotation_up(force: FloatArray) -> FloatArray:
-    """Return the shortest rotation that takes a vector to n's z.
-
-    Arrays: force (3,) -> (4,).
-    """
+    """Return the shortest rotation (4,) that takes a vector (3,) to n's z."""
     x, y, z = force / np.linalg.norm(force)
     level = math.hypot(x, y)
     if z > -0.5:
         q = np.array([1.0 + z, y, -x, 0.0])
-    elif (
-        level > 0.0
-    ):  # near half a turn 1 + z cancels: multiply by (1 - z) / level, which leaves the direction as it is
+    elif level > 0.0:  # near half a turn 1 + z cancels: multiply by (1 - z) / level, the direction stays
         q = np.array([level, y / level * (1.0 - z), -x / level * (1.0 - z), 0.0])
     else:
         q = np.array([0.0, 1.0, 0.0, 0.0])
@@ -118,8 +99,6 @@ def mean_variance(x: FloatArray) -> float:
     References
     ----------
     .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7 (1992), section 3.3.
-
-    Arrays: x (N,).
     """
     n = len(x)
     spectrum = np.fft.rfft(x - x.mean(), 2 * n)
@@ -164,14 +143,11 @@ def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
     return covariance
 
 
-# ---- Strapdown: integrate rate into orientation by the exact exponential of each step.
+# ---- Strapdown
 
 
 def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
-    """Refuse a rate with gaps: no orientation can be carried over one.
-
-    Arrays: gyro_b (N, 3) rad/s, time (N,) s.
-    """
+    """Refuse a rate (N, 3) with gaps: no orientation can be carried over one."""
     gap: BoolArray = ~np.isfinite(gyro_b).all(axis=1).reshape(-1)
     if not gap.any():
         return
@@ -232,43 +208,28 @@ def integrate_strapdown(
         )
     gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
     strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))
-    if not np.isfinite(q[-1]).all():  # a gap never leaves the product, so the last sample tells of all
+    if not np.isfinite(q[-1]).all():  # a gap never leaves the product: the last sample shows any
         raise InputError(
             "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
         )
     return q
 
 
-# ---- Angles of an orientation q_nb = (w, x, y, z): inclination, heading, sagittal pitch, and Cardan angles for segments.
+# ---- Angles
 
 IN_PLANE = np.sin(np.radians(5.0))  # shortest part of the vertical in the sagittal plane that still has a direction
-SEQUENCE = "ZXY"
-
-
-class CardanAngles(NamedTuple):
-    """Angles about moving axes and the order in which they were taken."""
-
-    angles: FloatArray  # (N, 3), rad, in the order of the sequence
-    sequence: str  # Moving axes, first to last
 
 
 def inclination_of(q_nb: FloatArray) -> FloatArray:
-    """Return the angle between the body's z and the vertical.
-
-    Arrays: q_nb (N, 4) -> (N,) rad.
-    """
+    """Return the angle between the body's z and the vertical, rad."""
     w, x, y, z = np.moveaxis(q_nb, -1, 0)
-    angle: FloatArray = 2.0 * np.arctan2(
-        np.hypot(x, y), np.hypot(w, z)
-    )  # the arc cosine loses half its digits near zero
+    # The arc cosine loses half its digits near zero.
+    angle: FloatArray = 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
     return angle
 
 
 def heading_of(q_nb: FloatArray) -> FloatArray:
-    """Return the turn about the vertical.
-
-    Arrays: q_nb (N, 4) -> (N,) rad.
-    """
+    """Return the turn about the vertical, rad."""
     w, _, _, z = np.moveaxis(q_nb, -1, 0)
     flip = np.where(w < 0.0, -1.0, 1.0)  # q and -q are one orientation
     angle: FloatArray = 2.0 * np.arctan2(flip * z, flip * w)
@@ -276,10 +237,7 @@ def heading_of(q_nb: FloatArray) -> FloatArray:
 
 
 def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -> FloatArray:
-    """Return the direction of gravity in the segment's sagittal plane.
-
-    Arrays: q_nb (N, 4) -> (N,) rad.
-    """
+    """Return the direction of gravity in the segment's sagittal plane, rad; forward lean is positive."""
     if forward not in FACES or up not in FACES or forward[1] == up[1]:
         raise InputError(
             f"pitch: wanted two different axes of {', '.join(FACES)}, got forward {forward} and up {up}; "
@@ -291,31 +249,12 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     return pitch
 
 
-def cardan_angles(q: FloatArray) -> CardanAngles:
-    """Return Cardan angles of a segment, or of one against another, in the sequence for joints [1]_.
-
-    R = R_z(a) R_x(b) R_y(c), moving axes: flexion about z, ab- or adduction about x, axial rotation about y.
-
-    References
-    ----------
-    .. [1] G. Wu and P. R. Cavanagh, "ISB recommendations for standardization in the reporting of kinematic data",
-       J. Biomechanics 28 (1995) 1257.
-
-    Arrays: q (N, 4).
-    """
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    a = np.arctan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z))
-    b = np.arcsin(np.clip(2.0 * (y * z + w * x), -1.0, 1.0))
-    c = np.arctan2(2.0 * (w * y - x * z), 1.0 - 2.0 * (x * x + y * y))
-    return CardanAngles(np.stack((a, b, c), axis=-1), SEQUENCE)
-
-
 def _component(vector: FloatArray, face: Face) -> FloatArray:
     part: FloatArray = vector[..., "xyz".index(face[1])] * (1.0 if face[0] == "+" else -1.0)
     return part
 
 
-# ---- orientation
+# ---- A whole record
 
 LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
 
@@ -327,7 +266,7 @@ class OrientSettings:
     Parameters
     ----------
     offset : str
-        "none", or "rest": the mean rate of the still phase is taken off, which also takes off a true slow turn.
+        "none", or "rest": the mean rate of the still phase is subtracted, and with it any true slow turn.
     heading : float
         Heading at the still phase, rad.
     forward, up : str
@@ -361,7 +300,7 @@ class Orientation:
     still : Still
         That phase.
     offset : array, shape (3,)
-        Rate that was taken off, rad/s.
+        Rate that was subtracted, rad/s.
     """
 
     time: FloatArray

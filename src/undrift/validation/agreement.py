@@ -1,8 +1,6 @@
 """Several recordings: each judged, means and medians, agreement over trials, and fits judged where they were not made.
 
-Agreement of two methods, or of several raters: Bland-Altman limits, intraclass correlations, what change is real.
-
-Two-way layout of n subjects (here trials) and k methods, mean squares MSR of rows, MSC of columns, MSE of the rest [1]_::
+Agreement of two methods, or of several raters. Two-way layout of n subjects (here trials) and k methods, mean squares MSR of rows, MSC of columns, MSE of the rest [1]_::
 
     ICC(2,1) = (MSR - MSE) / (MSR + (k-1) MSE + k (MSC - MSE) / n)      absolute agreement, methods drawn from many
     ICC(3,1) = (MSR - MSE) / (MSR + (k-1) MSE)                          consistency, these methods only
@@ -33,7 +31,7 @@ from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, validate_trial
 
-# ---- Agreement of two methods, or of several raters: Bland-Altman limits, intraclass correlations, what change is real.
+# ---- Agreement of methods or raters
 
 Interval = tuple[float, float]
 Z95 = 1.959963984540054
@@ -47,8 +45,8 @@ class BlandAltman:
     standard_deviation: float  # Of the differences
     limits: Interval  # bias -+ 1.96 standard deviations: 95 % of single differences
     bias_interval: Interval  # 95 % confidence intervals of the bias and of each limit
-    lower_interval: Interval  # 95 % confidence intervals of the bias and of each limit
-    upper_interval: Interval  # 95 % confidence intervals of the bias and of each limit
+    lower_interval: Interval
+    upper_interval: Interval
     count: int  # Subjects
 
 

@@ -1,45 +1,23 @@
-"""One recording against its reference: the error in degrees, as a person would meet it.
+"""One recording against its reference: errors of orientation in degrees.
 
-Protocol: readings are corrected; the lag against the reference is found; on request the mean rate of the first rest
-is taken out; tilt from specific force and heading from the reference over the rest before the motion; strapdown from half
-a second before the motion on. Errors (``errors.py``) count where the reference saw the body: root-mean-square over the
-motion, the end error as the median over the first three seconds after it.
-
-Track: orientation from the readings of one recording alone, started from rest.
-
-Tilt comes from the mean specific force over the rest before the motion, heading from the reference at the same rest; from
-half a second before the motion on, only the gyroscope speaks::
-
-    q(t_k) = q(t_(k-1)) exp(w_k (t_k - t_(k-1)))
-
-Alignment: the constant rotation between the device's case and the body that the reference tracks.
-
-Kabsch's problem on rates [1]_: the rotation R that minimises sum |w - R u|^2 over common rates, from the singular value
-decomposition of sum w u^T, offsets taken out first. The rates are averaged over the same stretches and the lag is undone.
-
-References
-----------
-.. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
-
-Orientation errors in degrees of freedom that matter: total, heading, inclination, sagittal pitch.
-
-With both orientations body to level frame, the error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and [1]_::
+Protocol: readings are corrected; the lag against the reference is found; on request the mean rate of the first rest is
+subtracted; tilt comes from the specific force and heading from the reference over the rest before the motion; strapdown starts
+half a second before the motion, q(t_k) = q(t_(k-1)) exp(w_k (t_k - t_(k-1))). With both orientations body to level frame, the
+error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and [1]_::
 
     total        2 acos |w|
     heading      2 atan(z / w)             signed; positive where the sensor has turned too far about the vertical
     inclination  2 acos sqrt(w^2 + z^2)    the angle between the two verticals
+    pitch        signed difference of the two sagittal pitches, brought into (-pi, pi]
 
-The error of sagittal pitch is the signed difference of two pitches (``orientation.angles``), brought into (-pi, pi].
+Root-mean-square values are over the motion, where the reference sees the body; the end error is the median over the first
+three seconds after it. The mounting, the rotation R that minimises sum |w - R u|^2 over common rates, is Kabsch's problem [2]_.
 
 References
 ----------
 .. [1] D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data
    6(7), 72, 2021.
-
-Figures: what an error over time comes to, in degrees, for a table or a person.
-
-Root-mean-square, mean, standard deviation and largest value over the motion, medians after it, and the slope of the total
-error over time. Gaps of the reference count nowhere.
+.. [2] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
 """
 
 from dataclasses import dataclass, replace
@@ -66,7 +44,7 @@ from undrift.record import Face, Record, Reference
 from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, si_factor
 
-# ---- Track: orientation from the readings of one recording alone, started from rest.
+# ---- Track: orientation from the readings alone, started from rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,7 +112,7 @@ def _levelled(accel: FloatArray, q_nb: FloatArray) -> FloatArray:
     return quaternion_product(turn / np.linalg.norm(turn), tilt)
 
 
-# ---- Alignment: the constant rotation between the device's case and the body that the reference tracks.
+# ---- Mounting: rotation from device case to the body that the reference tracks
 
 _LEAST_SPREAD = 0.02  # of the largest singular value: the second axis of turning
 
@@ -179,16 +157,16 @@ def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignm
     )
 
 
-# ---- Orientation errors in degrees of freedom that matter: total, heading, inclination, sagittal pitch.
+# ---- Orientation errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OrientationError:
     """Error of one orientation against another, sample by sample; NaN where either is missing."""
 
-    total: FloatArray  # (N,), rad; heading signed
-    heading: FloatArray  # (N,), rad; heading signed
-    inclination: FloatArray  # (N,), rad; heading signed
+    total: FloatArray  # (N,), rad
+    heading: FloatArray  # (N,), rad, signed
+    inclination: FloatArray  # (N,), rad
     # (N,), signed difference of sagittal pitch, rad; NaN where the vertical leaves the sagittal plane
     pitch: FloatArray
 
@@ -223,37 +201,25 @@ def compare_orientations(
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
-    """Return angles brought into (-pi, pi].
-
-    Arrays: angle (N,) rad -> (N,) rad.
-    """
+    """Return angles brought into (-pi, pi]."""
     turned: FloatArray = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
     return turned
 
 
 def rms(values: FloatArray) -> float:
-    """Return the root-mean-square of what is not a gap.
-
-    Arrays: values (N,).
-    """
+    """Return the root-mean-square of what is not a gap."""
     seen = values[np.isfinite(values)]
     return float(np.sqrt((seen**2).mean())) if len(seen) else float("nan")
 
 
 def median(values: FloatArray) -> float:
-    """Return the median of what is not a gap.
-
-    Arrays: values (N,).
-    """
+    """Return the median of what is not a gap."""
     seen = values[np.isfinite(values)]
     return float(np.median(seen)) if len(seen) else float("nan")
 
 
 def slope(time: FloatArray, values: FloatArray, chosen: BoolArray) -> float:
-    """Return the least-squares slope of values over time.
-
-    Arrays: time (N,) s, values (N,), chosen (N,).
-    """
+    """Return the least-squares slope of the chosen values over time."""
     good = chosen & np.isfinite(values)
     if good.sum() < 2:
         return float("nan")
@@ -261,7 +227,7 @@ def slope(time: FloatArray, values: FloatArray, chosen: BoolArray) -> float:
     return float((t * values[good]).sum() / (t * t).sum())
 
 
-# ---- Figures: what an error over time comes to, in degrees, for a table or a person.
+# ---- Figures in degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,17 +236,13 @@ class Figures:
 
     lag_ms: float  # How late the record's samples were, ms
     rmse_total_deg: float  # Root-mean-square error over the motion, deg
-    rmse_inclination_deg: float  # Root-mean-square error over the motion, deg
-    rmse_heading_deg: float  # Root-mean-square error over the motion, deg
-    rmse_pitch_deg: float  # Root-mean-square error over the motion, deg
+    rmse_inclination_deg: float
+    rmse_heading_deg: float
+    rmse_pitch_deg: float
     # Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the
     # edge of that, on tumbling motion, the largest grows beyond the error in space
     mean_pitch_deg: float
-    # Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the
-    # edge of that, on tumbling motion, the largest grows beyond the error in space
     sd_pitch_deg: float
-    # Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the
-    # edge of that, on tumbling motion, the largest grows beyond the error in space
     max_abs_pitch_deg: float
     # Range of motion in pitch less that of the reference, deg; needs less than half a turn to mean anything
     range_pitch_error_deg: float
@@ -290,7 +252,6 @@ class Figures:
     drift_deg_per_min: float  # Slope of the total error over the motion, deg/min
     # Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two
     rmse_total_before_lag_deg: float
-    # Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two
     rmse_total_after_lag_deg: float
     valid_optics: float  # Share of the motion in which the reference saw the body
     valid_optics_file: float  # Share of all its poses in which the reference saw the body, rests and ends counted
@@ -314,10 +275,7 @@ class Stretches:
 def figures_of(
     error: OrientationError, pitches: tuple[FloatArray, FloatArray], stretches: Stretches, *, lag_s: float
 ) -> Figures:
-    """Sum up one recording.
-
-    Arrays: pitches (N,) rad.
-    """
+    """Return the figures of one recording; pitches are those of sensor and reference, rad."""
     m = stretches.moving
     pitch = error.pitch[m][np.isfinite(error.pitch[m])]
     both = m & np.isfinite(pitches[0]) & np.isfinite(pitches[1])
@@ -354,7 +312,7 @@ def degrees(angle: float) -> float:
     return angle / RADIAN_PER_DEGREE
 
 
-# ---- trial
+# ---- One trial
 
 RestOffset = Literal["none", "rest"]
 Adc = Literal["auto", "none"]
@@ -371,7 +329,7 @@ class TrialSettings:
     Parameters
     ----------
     offset : str
-        "rest" takes the mean rate of the first rest out after correction; "none" trusts the calibration's offset.
+        "rest" subtracts the mean rate of the first rest after correction; "none" uses the calibration's offset.
     adc : str
         "auto" gives back what rounding took: as the calibration says, or, without one, as the record's own codes say.
         "none" leaves the codes as they are.
@@ -385,12 +343,12 @@ class TrialSettings:
     end_s : float
         Time after the motion over which the end error is taken, s.
     undo_lag_above_s : float
-        A lag up to this is the sensor's own and stays in the main figures, as benchmarks have it; a longer one is a matter
-        of clocks or filters and is undone, s. Both root-mean-square totals are reported in any case.
+        A lag up to this is the sensor's own and stays in the main figures, as in benchmarks; a longer one comes from clocks
+        or filters and is undone, s. Both root-mean-square totals are reported.
     forward, up : str
         Axes of the body that span its sagittal plane.
     power_on_s : float or None
-        Time since power-on at the first sample, s; None where it is not known: then no warm-up is taken off.
+        Time since power-on at the first sample, s; None where it is not known: then no warm-up is subtracted.
     policy : str
         Temperatures outside a tuning table: "raise", "hold" its end, or "nan", as ``correct`` has it.
     lag : LagSettings
