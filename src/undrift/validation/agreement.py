@@ -1,6 +1,7 @@
 """Several recordings: each judged, means and medians, agreement over trials, and fits judged where they were not made.
 
-Agreement of two methods, or of several raters. Two-way layout of n subjects (here trials) and k methods, mean squares MSR of rows, MSC of columns, MSE of the rest [1]_::
+Agreement of methods or raters: a two-way layout of n subjects (here trials) and k methods, with mean squares MSR of rows, MSC
+of columns and MSE of the rest [1]_::
 
     ICC(2,1) = (MSR - MSE) / (MSR + (k-1) MSE + k (MSC - MSE) / n)      absolute agreement, methods drawn from many
     ICC(3,1) = (MSR - MSE) / (MSR + (k-1) MSE)                          consistency, these methods only
