@@ -2,12 +2,15 @@
 
 import bisect
 import time
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from testkit import rig_bench
-from testkit.rig_bench import UP, Device, Hands, emulated, run
+from testkit.rig_bench import LIMITS, SHORT, UP, Device, Hands, at_rest, emulated, run
 from testkit.waiting import LONG_S
+from undrift.errors import RigTimeout
 from undrift.io.session import read_session
 from undrift.live.decoder import Chunk, StreamDescription
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
@@ -93,3 +96,39 @@ def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path, monkeyp
         result, _ = run(emulator, tmp_path, Protocol(faces=("+z",), face_s=2.0))
     assert LateOnce.stops == 2
     assert result.pieces[0].samples >= 200
+
+
+def test_a_dwell_is_not_read_again_while_a_table_of_limited_travel_turns(tmp_path, monkeypatch):
+    class LateOnce(Device):
+        turning = 0
+
+        def stop(self):
+            record = super().stop()
+            if abs(self.emulator.axis_rate()) < 0.1:
+                return record
+            LateOnce.turning += 1
+            return record.part(len(record) // 2, len(record))
+
+    monkeypatch.setattr(rig_bench, "Device", LateOnce)
+    limits = replace(LIMITS, travel=1000.0)
+    with emulated() as emulator:
+        with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 3 .*, got \d+"):
+            run(emulator, tmp_path, SHORT, limits=limits)
+        assert at_rest(emulator)
+    assert LateOnce.turning == 1
+
+
+def test_a_backlog_is_waited_out_before_the_table_turns(tmp_path, monkeypatch):
+    rates = []
+
+    class Asked(Device):
+        def start(self, *, certain=True):
+            rates.append(self.emulator.axis_rate())
+            super().start()
+
+    monkeypatch.setattr(rig_bench, "Device", Asked)
+    with emulated() as emulator:
+        run(emulator, tmp_path, replace(SHORT, faces=(), bracket_s=0.0))
+    assert len(rates) == 1 + 4
+    assert rates[0] == 0.0
+    assert min(np.abs(rates[1:])) > 0.1

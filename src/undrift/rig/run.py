@@ -239,10 +239,9 @@ class _Run:
         self._report, self._settings = report, settings
         self._enabled = False
         self._old_fault: str | None = None
-        self._number = 0
         self._step: Step = programme.steps[0]
         self._began = bench.clock.now()
-        self._left_s = 0.0
+        self._number, self._left_s = 0, 0.0
 
     def check_chamber(self) -> None:
         if self._bench.chamber is None and any(isinstance(step, Soak) for step in self._programme.steps):
@@ -351,16 +350,17 @@ class _Run:
 
     def _read_seen(self, step: Dwell) -> tuple[Record, Achieved]:
         """Read until the encoder tells how fast the table turned, and the readings span the dwell; a rest needs no times."""
-        for _ in range(READS):
+        turning = step.turn_rate != 0.0
+        reads = 1 if turning and self._bench.rig.limits.travel is not None else READS  # turning on would leave it
+        for left in range(reads, 0, -1):
             record, achieved = self._read(step)
-            hidden = step.turn_rate != 0.0 and link_hides(achieved, self._settings)
-            if not hidden and covers(record, step.dwell_s, self._settings):
+            if turning and link_hides(achieved, self._settings):
+                continue
+            if left == 1 or covers(record, step.dwell_s, self._settings):  # the last is for check_readings to refuse
                 return record, achieved
-        if not hidden:
-            return record, achieved  # for check_readings to refuse
         raise RigTimeout(
             f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
-            f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {READS} times; look at the link and at what "
+            f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {reads} times; look at the link and at what "
             "else this computer does, or dwell longer, then go on with --resume",
             delay_s=achieved.delay_s,
         )
@@ -410,6 +410,7 @@ class _Run:
             self._enabled = True
             self._bench.rig.set_acceleration(self._programme.acceleration)
             self._old_fault = self._bench.rig.fault()  # why it stopped last: a card keeps it until it moves again
+            self._bench.readings.start()  # a backlog is waited out at rest, not while the table turns
 
     def _disable(self) -> None:
         """Hands and long waits: the motor is off."""
