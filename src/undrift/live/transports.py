@@ -1,4 +1,4 @@
-"""Source: where readings come from. Each kind is a file of its own and a row in the table of address.py.
+"""Source: where readings come from. Each kind is a function of its own and a row in the table SOURCES.
 
 Readings from Lab Streaming Layer: ``lsl:name?channels=gyro_x,...&rate=100&offline=yes``.
 
@@ -8,13 +8,12 @@ Addresses of devices: ``kind:place?option=value&option=value`` -> an open source
 
     tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name        ble:id?characteristic=uuid
 
-The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file of them. Adding a kind is one file with
-a function ``open_from(address)`` and one row in the table SOURCES.
+The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file of them. Adding a kind is a
+function that makes a source of an address, and one row in the table SOURCES.
 """
 
 import asyncio
 import contextlib
-import importlib
 import os
 import queue
 import socket
@@ -24,7 +23,7 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
@@ -136,14 +135,6 @@ class ByteSource:
 
 # ---- Addresses of devices: ``kind:place?option=value&option=value`` -> an open source of readings.
 
-SOURCES = {
-    "tcp": "undrift.live.transports",
-    "udp": "undrift.live.transports",
-    "serial": "undrift.live.transports",
-    "lsl": "undrift.live.transports",
-    "ble": "undrift.live.transports",
-}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
@@ -183,8 +174,7 @@ def parse_address(text: str, description: StreamDescription | None = None) -> Ad
 def source_at(text: str, description: StreamDescription | None = None) -> "Source":
     """Return the source of an address, not opened yet."""
     address = parse_address(text, description)
-    opener = cast(Callable[[Address], "Source"], importlib.import_module(SOURCES[address.kind]).open_from)
-    return opener(address)
+    return SOURCES[address.kind](address)
 
 
 def open_source(text: str, description: StreamDescription | None = None) -> "Source":
@@ -219,7 +209,7 @@ class SerialPort:
         self._port.close()
 
 
-def open_from(address: Address) -> Source:
+def open_from_serial(address: Address) -> Source:
     """Return a source that reads a serial port."""
     place = address.place.removeprefix("//")
     text = address.option("baud", str(BAUD))
@@ -525,3 +515,12 @@ def _inlet(name: str) -> Inlet:
         found[0], recover=False, processing_flags=pylsl.proc_dejitter | pylsl.proc_monotonize
     )
     return steadied
+
+
+SOURCES: dict[str, Callable[[Address], Source]] = {
+    "tcp": open_from_tcp,
+    "udp": open_from_udp,
+    "serial": open_from_serial,
+    "lsl": open_from_lsl,
+    "ble": open_from_ble,
+}
