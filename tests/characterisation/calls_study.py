@@ -11,13 +11,13 @@ from undrift.rig.programme import (
     Dwell,
     Mount,
     ProgrammeSettings,
+    Protocol,
     Soak,
     dwell_time,
     programme_of,
     settle_time,
     whole_turns_time,
 )
-from undrift.rig.protocol import Protocol
 from undrift.rig.rig import ACCELERATION, JOG, JOG_BY_TWO, SLEW, CountScale, Position, achieved_turn_rate
 from undrift.sim.rig.axes import ServoSettings, loop_margins, ramp_error_counts
 from undrift.study.figure3 import figure3

@@ -15,7 +15,7 @@ from undrift.io import store as store_module
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.report import demo as demo_module
-from undrift.rig.protocol import read_protocol
+from undrift.rig.programme import read_protocol
 from undrift.study import virtual_bench as bench_checks_module
 from undrift.study import virtual_bench as bench_demo_module
 from undrift.study import virtual_bench as bench_run_module

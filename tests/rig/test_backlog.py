@@ -14,7 +14,7 @@ from undrift.errors import RigTimeout
 from undrift.io.session import read_session
 from undrift.live.decoder import Chunk, StreamDescription
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Protocol
 from undrift.units import STANDARD_GRAVITY
 
 SPEED = 50.0

@@ -12,8 +12,7 @@ from testkit.rig_bench import at_rest, emulated, opened
 from undrift.errors import LinkError, RigFault
 from undrift.rig import guard as guard_file
 from undrift.rig.guard import Guard, StopWatch, mark_stop, watch
-from undrift.rig.programme import programme_of
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import open_rig
 from undrift.rig.run import Progress, Watch
 from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench

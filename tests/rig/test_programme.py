@@ -11,13 +11,13 @@ from undrift.rig.programme import (
     Mount,
     Programme,
     ProgrammeSettings,
+    Protocol,
     Soak,
     dwell_time,
     programme_of,
     settle_time,
     whole_turns_time,
 )
-from undrift.rig.protocol import Protocol
 from undrift.rig.rig import Limits, check_programme
 
 DPS = math.pi / 180.0

@@ -11,7 +11,7 @@ from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.rig.galil import read_status
 from undrift.rig.manual import AskedHands
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Protocol
 from undrift.rig.run import RunSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 

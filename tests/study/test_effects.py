@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from undrift.report.study import write_study_report
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Protocol
 from undrift.study.case import UnitRuns, units_of
 from undrift.study.judge import ParameterEffect, effects_at
 from undrift.study.outcome import TaskOutcome, judge_study

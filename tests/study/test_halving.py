@@ -9,7 +9,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError, NotObservable
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Protocol
 from undrift.study.case import Unit, UnitRuns
 from undrift.study.plan import Space, Study, StudyTask
 from undrift.study.run import HalvingSettings, InProcess, halve

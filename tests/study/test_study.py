@@ -10,7 +10,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError, NotObservable
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Protocol
 from undrift.study.case import impose, run_unit, units_of
 from undrift.study.judge import find_optimum, pareto_front
 from undrift.study.plan import TABLE_1, Space, Study, StudyTask, note_study

@@ -10,8 +10,7 @@ from undrift.record import Record
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
 from undrift.rig.link import Clock
-from undrift.rig.programme import programme_of
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.rig.run import Bench, RunSettings, run_programme
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise

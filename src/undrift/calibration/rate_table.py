@@ -5,7 +5,7 @@
 
 L holds the rates that the table achieved, never the nominal ones: at 40,000 counts a turn the note's 0.1 deg/s is 0.099. The
 Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that points up; the horizontal part averages out
-over whole turns. Which rates: rig/protocol.py.
+over whole turns. Which rates: rig/programme.py.
 
 Dwells: the steady stretches of a rate table, filtered and averaged.
 

@@ -93,8 +93,7 @@ def run(
 
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import StopWatch, stopping_on_signals
-    from undrift.rig.programme import ProgrammeSettings, programme_of
-    from undrift.rig.protocol import read_protocol
+    from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
     from undrift.rig.rig import Limits, RigSettings, check_programme, parse_address
     from undrift.rig.run import RunSettings, Watch
 

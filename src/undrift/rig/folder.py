@@ -34,8 +34,7 @@ from undrift.files import write_whole
 from undrift.io.store import write_parquet
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.guard import uninterrupted
-from undrift.rig.programme import Purpose
-from undrift.rig.protocol import Protocol, write_protocol
+from undrift.rig.programme import Protocol, Purpose, write_protocol
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.

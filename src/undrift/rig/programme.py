@@ -1,27 +1,222 @@
-"""Programme: a protocol written out step by step, with how long each takes. No rig is needed to make one.
+"""Programme: what a calibration session is to do (protocol.toml), and the same written out step by step, with times.
 
-    mount (hands)  ->  at each temperature: soak (chamber)  ->  rest on the face  ->  rest, dwells, rest (a block of rates)
+    mount (operator)  ->  at each temperature: soak (chamber)  ->  rest on the face  ->  rest, dwells, rest (a block of rates)
 
 A person or a door disturbs more than a chamber does, so the device is mounted as seldom as can be: each face once, every
-temperature in it, and the rates about an axis where its + side is up.
+temperature in it, and the rates about an axis where its + side is up. No rig is needed to make a programme.
 
-How long a device settles after the rate changed, and how long a dwell must be.
+    grid     paper (omega_m, omega_M], inclusive [omega_m, omega_M], both ways on three axes: N = 102 or 108 in sit-to-stand
+    settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: a second-order low-pass is within 0.1 % of a step
+    dwell    u^2 = (q / t)^2 + N^2 / t: one count q over the dwell, and white noise of density N
 
-settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: the step response of a second-order low-pass is within 0.1 %
-dwell    u^2 = (q / t)^2 + N^2 / t: one count q over the dwell, and white noise of density N
+Keys of protocol.toml: docs/rig.md.
 """
 
+import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
-from undrift.errors import InputError
-from undrift.record import Axis, Face
-from undrift.rig.protocol import Protocol
+from undrift.arrays import FloatArray
+from undrift.errors import FileFormatError, InputError
+from undrift.files import Entry, read_toml, write_whole
+from undrift.record import FACES, Axis, Face
 from undrift.units import RADIAN_PER_DEGREE
+
+# ---- Protocol: faces, rates, temperatures, for how long and in which order.
+
+GridRule = Literal["paper", "inclusive"]
+Order = Literal["alternating", "random"]
+AXES: tuple[Axis, ...] = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Protocol:
+    """What a calibration session is to do."""
+
+    name: str = ""  # For people
+    faces: tuple[Face, ...] = FACES  # Faces to rest on, in order; none leaves the accelerometers out
+    face_s: float = 6.0  # Rest on each, s
+    turn_rate_min: float = 0.0  # omega_m, omega_M and d of the note, rad/s; a step of 0 leaves the rates out
+    turn_rate_max: float = 0.0  # omega_m, omega_M and d of the note, rad/s; a step of 0 leaves the rates out
+    turn_rate_step: float = 0.0  # omega_m, omega_M and d of the note, rad/s; a step of 0 leaves the rates out
+    grid: GridRule = "inclusive"  # paper leaves omega_m itself out, as the note's count does; inclusive keeps it
+    axes: tuple[Axis, ...] = AXES  # Case axes to turn about, in order; the device is mounted anew for each
+    order: Order = "alternating"  # alternating takes the rates upward, each both ways; random draws the order
+    dwell_s: float | None = 6.0  # Steady part of each rate, s; None is as long as ``turn_rate_uncertainty`` needs
+    turn_rate_uncertainty: float | None = None  # Wanted standard uncertainty of a dwell's mean rate, rad/s
+    # Lengthen dwells to whole turns, where gravity or the Earth's rate would not average out
+    whole_turns: bool = False
+    bracket_s: float = 6.0  # Rest at zero rate before and after each block of rates, s: shows the drift
+    cutoff_hz: float = 11.1  # Bandwidth of the device's low-pass, Hz: says how long it settles
+    temperatures_c: tuple[float, ...] = ()  # Chamber set-points, degC; none stays at room temperature
+    soak_c_per_min: float = 0.1  # A set-point counts as reached below this slope, K/min
+    acceleration: float = 40.0  # Of the table, rad/s2
+    seed: int = 0  # Of the random order
+
+    def __post_init__(self) -> None:
+        for name, least in (("face_s", 0.0), ("bracket_s", 0.0), ("cutoff_hz", 1e-3), ("soak_c_per_min", 1e-6)):
+            if not least <= getattr(self, name) < np.inf:
+                raise InputError(f"protocol: wanted {name} of {least:g} or more, got {getattr(self, name):g}")
+        if not 0.0 < self.acceleration < np.inf:
+            raise InputError(f"protocol: wanted an acceleration above 0, got {self.acceleration:g} rad/s2")
+        if self.dwell_s is not None and not 0.0 < self.dwell_s < np.inf:
+            raise InputError(f"protocol: wanted dwell_s above 0, got {self.dwell_s:g} s")
+        if self.turn_rate_step > 0.0:
+            self.turn_rates()
+            if self.dwell_s is None and self.turn_rate_uncertainty is None:
+                raise InputError("protocol: wanted dwell_s or turn_rate_uncertainty, got neither; state one of them")
+        elif not self.faces:
+            raise InputError("protocol: wanted faces or rates, got neither; there is nothing to do")
+        if any(b <= a for a, b in pairwise(self.temperatures_c)):
+            raise InputError("protocol: wanted rising temperatures, got others; sort them and name each once")
+
+    def turn_rates(self) -> FloatArray:
+        """Return the rates of one axis, both signs.
+
+        Arrays:  -> (N / 3,) rad/s.
+        """
+        if self.turn_rate_step <= 0.0:
+            return np.empty(0)
+        return rate_grid(self.turn_rate_min, self.turn_rate_max, self.turn_rate_step, rule=self.grid)
+
+
+def rate_grid(rate_min: float, rate_max: float, step: float, *, rule: GridRule = "inclusive") -> FloatArray:
+    """Return the rates of one axis, both signs; three axes make the note's N columns.
+
+    Arrays:  -> (N / 3,).
+    """
+    if not (0.0 < rate_min < rate_max and step > 0.0):
+        raise InputError(
+            f"rate grid: wanted 0 < rate_min < rate_max and a positive step, got {rate_min:g}, {rate_max:g}, {step:g}"
+        )
+    steps = round((rate_max - rate_min) / step)
+    if abs(steps * step - (rate_max - rate_min)) > 1e-6 * step:
+        raise InputError(
+            f"rate grid: wanted a step that divides {rate_max - rate_min:g}, got {step:g}; "
+            f"try {(rate_max - rate_min) / max(1, steps):g}"
+        )
+    first = 1 if rule == "paper" else 0
+    positive = rate_min + step * np.arange(first, steps + 1)
+    return np.concatenate((-positive[::-1], positive))
+
+
+# ---- protocol.toml: what a calibration session is to do.
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+DEFAULTS = Protocol()
+RATES = ("turn_rate_min", "turn_rate_max", "turn_rate_step")
+
+
+class HeadEntry(Entry):
+    """[protocol]."""
+
+    name: str = ""  # For people
+    cutoff_hz: Finite = DEFAULTS.cutoff_hz  # Bandwidth of the device's low-pass, Hz
+
+
+class FacesEntry(Entry):
+    """[faces]."""
+
+    order: list[Face] = Field(default_factory=lambda: list(FACES))  # Sensor axis that points up, one after the other
+    seconds: Finite = DEFAULTS.face_s  # Rest on each, s
+
+
+class RatesEntry(Entry):
+    """[rates]."""
+
+    turn_rate_min_dps: Finite  # Least and greatest rate and the step, deg/s
+    turn_rate_max_dps: Finite  # Least and greatest rate and the step, deg/s
+    # Least and greatest rate and the step, deg/s
+    turn_rate_step_dps: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    grid: GridRule = DEFAULTS.grid  # paper or inclusive
+    axes: list[Axis] = Field(default_factory=lambda: list(AXES), min_length=1)  # Axes to turn about
+    order: Order = DEFAULTS.order  # alternating or random
+    seed: int = 0  # Of the random order
+    seconds: Finite | None = None  # Of a dwell, s
+    turn_rate_uncertainty_dps: Finite | None = None  # Wanted standard uncertainty of a dwell, deg/s
+    bracket_s: Finite = DEFAULTS.bracket_s  # Rest before and after each block, s
+    whole_turns: bool = False  # Lengthen dwells to whole turns
+    acceleration_dps2: Finite = DEFAULTS.acceleration / RADIAN_PER_DEGREE  # Of the table, deg/s2
+
+
+class TemperaturesEntry(Entry):
+    """[temperatures]."""
+
+    set_points_c: list[Finite] = Field(min_length=1)  # degC, rising
+    soak_c_per_min: Finite = DEFAULTS.soak_c_per_min  # Slope below which a set-point counts as reached, K/min
+
+
+class ProtocolFile(Entry):
+    """The whole file."""
+
+    protocol: HeadEntry = HeadEntry()  # Name and filter
+    faces: FacesEntry | None = None  # For the accelerometers
+    rates: RatesEntry | None = None  # For the gyroscopes
+    temperatures: TemperaturesEntry | None = None  # For the drift tables
+
+
+def read_protocol(path: str | Path) -> Protocol:
+    """Read a protocol."""
+    held = read_toml(path, ProtocolFile)
+    faces, rates, heat = held.faces, held.rates, held.temperatures
+    dps = RADIAN_PER_DEGREE
+    fields: dict[str, Any] = {"name": held.protocol.name, "cutoff_hz": held.protocol.cutoff_hz, "faces": ()}
+    if faces is not None:
+        fields |= {"faces": tuple(faces.order), "face_s": faces.seconds}
+    if heat is not None:
+        fields |= {"temperatures_c": tuple(heat.set_points_c), "soak_c_per_min": heat.soak_c_per_min}
+    if rates is not None:
+        uncertainty_dps = rates.turn_rate_uncertainty_dps
+        stated = rates.seconds is not None or uncertainty_dps is not None
+        fields |= {name: getattr(rates, name) for name in ("grid", "order", "seed", "bracket_s", "whole_turns")}
+        fields |= {name: getattr(rates, f"{name}_dps") * dps for name in RATES}
+        fields |= {
+            "axes": tuple(rates.axes),
+            "dwell_s": rates.seconds if stated else DEFAULTS.dwell_s,
+            "turn_rate_uncertainty": None if uncertainty_dps is None else uncertainty_dps * dps,
+            "acceleration": rates.acceleration_dps2 * dps,
+        }
+    try:
+        if rates is not None:  # an error message in deg/s, as in the file
+            rate_grid(rates.turn_rate_min_dps, rates.turn_rate_max_dps, rates.turn_rate_step_dps)
+        return Protocol(**fields)
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def write_protocol(protocol: Protocol, path: str | Path) -> None:
+    """Write a protocol; it reads back as it was, to the rounding of rad/s in deg/s."""
+    p, dps = protocol, RADIAN_PER_DEGREE
+    lines = ["[protocol]", f"name = {json.dumps(p.name)}", f"cutoff_hz = {p.cutoff_hz!r}"]
+    if p.faces:
+        lines += ["", "[faces]", f"order = {json.dumps(list(p.faces))}", f"seconds = {p.face_s!r}"]
+    if p.turn_rate_step > 0.0:
+        lines += ["", "[rates]"]
+        for name in RATES:
+            lines.append(f"{name}_dps = {round(getattr(p, name) / dps, 12)!r}")
+        lines += [
+            f'grid = "{p.grid}"',
+            f"axes = {json.dumps(list(p.axes))}",
+            f'order = "{p.order}"',
+            f"seed = {p.seed}",
+        ]
+        lines += [] if p.dwell_s is None else [f"seconds = {p.dwell_s!r}"]
+        if p.turn_rate_uncertainty is not None:
+            lines.append(f"turn_rate_uncertainty_dps = {p.turn_rate_uncertainty / dps!r}")
+        lines += [f"bracket_s = {p.bracket_s!r}", f"whole_turns = {json.dumps(p.whole_turns)}"]
+        lines.append(f"acceleration_dps2 = {p.acceleration / dps!r}")
+    if p.temperatures_c:
+        lines += ["", "[temperatures]", f"set_points_c = {json.dumps(list(p.temperatures_c))}"]
+        lines.append(f"soak_c_per_min = {p.soak_c_per_min!r}")
+    write_whole(Path(path), "\n".join(lines) + "\n")
+
 
 # ---- How long a device settles after the rate changed, and how long a dwell must be.
 

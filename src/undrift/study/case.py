@@ -56,8 +56,7 @@ from undrift.io.reference import L5_OFFSET, BodyName, device_on, find_body, read
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
 from undrift.orientation import orient, sagittal_pitch
 from undrift.record import FACES, Face, Record, Reference, Still
-from undrift.rig.programme import Dwell, Purpose, programme_of
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Dwell, Protocol, Purpose, programme_of
 from undrift.sim.device.effects import LowPass
 from undrift.sim.device.model import DeviceModel, device_from_json
 from undrift.sim.device.presets import random_device_of

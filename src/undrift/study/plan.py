@@ -52,7 +52,7 @@ from pydantic import Field
 from undrift.errors import FileFormatError, InputError
 from undrift.files import Entry, read_toml
 from undrift.io.reference import BodyName
-from undrift.rig.protocol import GridRule, Protocol
+from undrift.rig.programme import GridRule, Protocol
 from undrift.sim.device.presets import PRESETS
 from undrift.sim.motion.tasks import Group, TaskName
 from undrift.units import RADIAN_PER_DEGREE

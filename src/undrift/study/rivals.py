@@ -57,7 +57,7 @@ from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.orientation import sagittal_pitch
 from undrift.record import Record, Reference, Session, Still
-from undrift.rig.protocol import Protocol, rate_grid
+from undrift.rig.programme import Protocol, rate_grid
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset_grade, random_device_of
 from undrift.sim.device.simulate import simulate_device

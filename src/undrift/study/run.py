@@ -37,7 +37,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable, UndriftError
 from undrift.files import write_whole
-from undrift.rig.protocol import Protocol as CalibrationProtocol
+from undrift.rig.programme import Protocol as CalibrationProtocol
 from undrift.study.case import COLUMNS, Unit, UnitRuns, run_unit, units_of
 from undrift.study.plan import Study, StudyTask
 

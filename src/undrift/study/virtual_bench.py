@@ -44,8 +44,7 @@ from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
 from undrift.rig.guard import stopping_on_signals
 from undrift.rig.link import Clock
-from undrift.rig.programme import Programme, ProgrammeSettings, programme_of
-from undrift.rig.protocol import Protocol
+from undrift.rig.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.rig.rig import open_rig
 from undrift.rig.run import Bench, Progress, RunResult, run_programme
 from undrift.sim.device.model import DeviceModel

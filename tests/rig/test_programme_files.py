@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from undrift.errors import FileFormatError
-from undrift.rig.protocol import Protocol, read_protocol, write_protocol
+from undrift.rig.programme import Protocol, read_protocol, write_protocol
 
 DPS = np.pi / 180.0
 
