@@ -151,7 +151,7 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     if not enough.any():
         raise AlignmentError(
             f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
-            "of search, got less; check their clocks, or widen longest_lag_s (--longest-lag-s)"
+            "of search, got less; check their clocks, or widen longest_lag_s (--max-lag-s)"
         )
     best = int(np.nanargmax(np.where(enough, correlation, np.nan)))
     return float((best - reach) * cell * CELL_S)
@@ -369,7 +369,7 @@ def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagS
         raise AlignmentError(
             f"lag: wanted a correlation of {settings.least_correlation:g} or more between the record's rates and the "
             f"reference's, got {correlation:.2f} within {settings.longest_lag_s:g} s: no common motion; check that the two "
-            "files belong together, or widen longest_lag_s (--longest-lag-s)",
+            "files belong together, or widen longest_lag_s (--max-lag-s)",
             correlation=correlation,
         )
     return Lag(

@@ -78,7 +78,7 @@ def warm_up_log() -> Path:
     "warm_up_real_power_on",
     "the log of a real warm-up with an offset that decays after power-on",
     "--warm-up",
-    "--step",
+    "--step-c",
     "1.0",
 )
 def warm_up_real(*more: object) -> Result:
@@ -119,13 +119,13 @@ def thermal(kind: str, faces: str = "one", seed: int = 1) -> Path:
 
 
 @call("soaks", "simulated soaks: the tables that are chosen")
-@call("soaks_dynamic", "simulated soaks: offsets and dynamic drift", "--tables", "dynamic", "--step", "1.0")
+@call("soaks_dynamic", "simulated soaks: offsets and dynamic drift", "--tables", "dynamic", "--step-c", "1.0")
 @call(
     "soaks_both",
     "simulated soaks: scale and dynamic drift over a range",
     "--tables",
     "scale+dynamic",
-    "--range",
+    "--range-c",
     "18:75",
 )
 @call(
@@ -137,7 +137,7 @@ def thermal(kind: str, faces: str = "one", seed: int = 1) -> Path:
     "0",
     "--tables",
     "scale",
-    "--step",
+    "--step-c",
     "1.0",
 )
 def soaks(*more: object) -> Result:

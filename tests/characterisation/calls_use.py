@@ -111,7 +111,7 @@ def correct_every_term() -> Result:
 @call("correct_lag", "a thermometer's lag taken off while a real warm-up is corrected")
 def correct_lag() -> Result:
     model, out = folder() / "real_tables.json", new("real_corrected.parquet")
-    fitted(warm_up_log(), "--map", warm_up_map(), "--lag-s", "30", "--step", "1.0", "-o", model)
+    fitted(warm_up_log(), "--map", warm_up_map(), "--lag-s", "30", "--step-c", "1.0", "-o", model)
     words = (warm_up_log(), "--map", warm_up_map(), "--calibration", model, "-o", out, "--policy", "hold")
     return {"said": undrift("correct", *words), "written": read_back(out)}
 

@@ -73,8 +73,29 @@ def test_a_wrong_call_is_told_in_one_line(undrift, words, expected):
     assert "--help" in line
 
 
-def test_without_a_command_the_help_is_shown(undrift):
-    assert "Usage: undrift COMMAND" in undrift.good().out
+@pytest.mark.parametrize(
+    ("command", "earlier", "standard"),
+    [(command, *names) for command, pairs in program.EARLIER_NAMES.items() for names in pairs.items()],
+)
+def test_an_earlier_name_of_an_option_still_works_and_help_shows_the_standard_one(
+    undrift, monkeypatch, command, earlier, standard
+):
+    shown = undrift.good(command, "--help").out
+    assert standard in shown
+    assert f"{earlier} " not in shown
+    called = []
+    monkeypatch.setattr(program, "app", lambda arguments: called.append(arguments) or 0)
+    undrift.good(command, "a", earlier, "b", f"{earlier}=c", "-o", "d")
+    assert called == [[command, "a", standard, "b", f"{standard}=c", "-o", "d"]]
+
+
+def test_without_a_command_the_help_is_shown_in_80_columns(undrift):
+    shown = undrift.good().out
+    assert "Usage: undrift COMMAND" in shown
+    assert shown == undrift.good("--help").out == undrift.good("-h").out
+    rows = [line for line in shown.splitlines() if line.startswith("  ")]
+    assert [row.split()[0] for row in rows] == [*program.COMMANDS, "--version"]
+    assert max(map(len, rows)) <= 80
     assert undrift.good("--version").out == f"{__version__}\n"
 
 

@@ -62,7 +62,7 @@ def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell
     (tmp_path / "map.toml").write_text(MPU_MAP)
     log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
     words = ["drift", log, "--map", tmp_path / "map.toml"]
-    answer = undrift.good(*words, "-o", tmp_path / "mpu.json", "--page", tmp_path / "mpu.html")
+    answer = undrift.good(*words, "-o", tmp_path / "mpu.json", "--report", tmp_path / "mpu.html")
     found = 1e3 * slopes_of(answer.out)[:, 0]
     show("slopes as shown, mdeg/s per degC", found, "-3.5 / +27.9 / -2.4 within 0.5")
     np.testing.assert_allclose(found, [-3.5, 27.9, -2.4], atol=0.5)
@@ -132,7 +132,7 @@ def test_eleven_recordings_of_a_bicycle_are_one_session(undrift, tmp_path):
 def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soaks, tmp_path):
     words = ["drift", soaks / "session", "--calibration", soaks / "calibration.json"]
     answer = undrift.good(
-        *words, "-o", tmp_path / "c.json", "--page", tmp_path / "p.html", "--figure", tmp_path / "f.png"
+        *words, "-o", tmp_path / "c.json", "--report", tmp_path / "p.html", "--figure", tmp_path / "f.png"
     )
     out = answer.out
     for said in (
@@ -157,7 +157,7 @@ def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soak
 
 def test_json_is_the_calibration_with_its_tables(undrift, soaks):
     words = ["drift", soaks / "session", "--calibration", soaks / "calibration.json"]
-    told = undrift.good(*words, "--json", "--range", "20:70", "--step", "2.5", "--tables", "scale").json()
+    told = undrift.good(*words, "--json", "--range-c", "20:70", "--step-c", "2.5", "--tables", "scale").json()
     assert told["kind"] == "undrift.calibration"
     assert told["drift"]["static"]["temp_c"] == list(np.arange(20.0, 70.1, 2.5))
     assert told["drift"]["dynamic"] is None
@@ -246,7 +246,7 @@ def test_a_log_that_tells_nothing_is_refused_with_its_number(undrift, tmp_path, 
     changes, message = REFUSED[fault]
     log = warm_log(tmp_path / "log.parquet", **changes)
     before = contents(tmp_path)
-    outputs = ["-o", tmp_path / "c.json", "--page", tmp_path / "p.html", "--figure", tmp_path / "f.svg"]
+    outputs = ["-o", tmp_path / "c.json", "--report", tmp_path / "p.html", "--figure", tmp_path / "f.svg"]
     assert re.search(message, undrift.refused("drift", log, *outputs))
     assert contents(tmp_path) == before
 
@@ -281,17 +281,17 @@ def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks,
     session = soaks / "session"
     for words, message in (
         ((), "wanted a session or recording, or more, got none"),
-        ((session, "--range", "20"), "wanted LOW:HIGH in degC, got '20'"),
-        ((session, "--range", "70:20"), "wanted LOW below HIGH in degC, got '70:20'"),
-        ((session, "--step", "0"), "wanted more than 0 K, got 0"),
+        ((session, "--range-c", "20"), "wanted LOW:HIGH in degC, got '20'"),
+        ((session, "--range-c", "70:20"), "wanted LOW below HIGH in degC, got '70:20'"),
+        ((session, "--step-c", "0"), "wanted more than 0 K, got 0"),
         ((session, "-o", tmp_path / "c.txt"), "wanted a name ending in .json"),
-        ((session, "--page", tmp_path / "p.pdf"), "wanted a name ending in .html"),
+        ((session, "--report", tmp_path / "p.pdf"), "wanted a name ending in .html"),
         ((session, "--figure", tmp_path / "none" / "f.png"), "make it first"),
         ((tmp_path / "missing.csv",), "missing.csv"),
     ):
         assert message in undrift.refused("drift", *words), message
     line = undrift.refused(
-        "drift", session, "--calibration", soaks / "calibration.json", "--range", "20:70", "--step", "3"
+        "drift", session, "--calibration", soaks / "calibration.json", "--range-c", "20:70", "--step-c", "3"
     )
     assert "wanted a range that the step divides, got 20 to 70 degC by 3" in line
     assert contents(tmp_path) == {}

@@ -82,7 +82,7 @@ def test_what_a_file_needs_is_said_in_words_of_the_command_line_and_then_it_read
     assert undrift.good("info", ximu, "--sample-rate-hz", 256, "--json").json()["rows"] == 12626
     squat = data_path("c3d", "squat.c3d.gz")
     assert "which axis points up" in undrift.good("info", squat).out
-    assert undrift.good("info", squat, "--up", "y", "--json").json()["problems"] == []
+    assert undrift.good("info", squat, "--reference-up", "y", "--json").json()["problems"] == []
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """``undrift``: the commands, and what becomes of errors.
 
 Exit codes: 0 done; 1 done but the verdict is bad; 2 the input or the call is wrong (one line on stderr); 3 a rig or device
-failed. An error that nobody foresaw is one line too, with code 2; UNDRIFT_TRACEBACK=1 in the environment shows where it
-arose. A command is imported only when it is called, so that ``undrift --help`` answers at once.
+failed. An unforeseen error is one line too, with code 2; UNDRIFT_TRACEBACK=1 in the environment shows where it arose.
+``undrift --help`` is written without cyclopts and rich, and a command is imported only when it is called.
 """
 
 import os
@@ -11,58 +11,39 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
-
 from undrift import __version__
-from undrift.errors import RigError, UndriftError
+from undrift.errors import InputError, RigError, UndriftError
 
 INTERRUPTED = 130
-COMMANDS = {
+ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
+COMMANDS = {  # one line of 80 columns each
     "info": "What a recording, session, calibration, reference or device holds.",
-    "calibrate": "Fit what a session allows, and say what was not observable.",
-    "drift": "Tuning tables over temperature, from soaks, ramps or a mere warm-up, with what is not observable.",
+    "calibrate": "Fit what a session allows, with verdict and findings.",
+    "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
-    "orient": "Initial tilt and strapdown: orientation, inclination, sagittal pitch.",
+    "orient": "Initial tilt and strapdown: orientation, inclination, pitch.",
     "validate": "Compare with an optical reference, in degrees.",
-    "twin": "Fit the device model to a real device, and see how far it carries.",
-    "export": "Write what firmware and other programs read, and say what they cannot carry.",
-    "noise": "Angle random walk, bias instability, rate random walk, with confidence.",
-    "simulate": "What a device would say to a motion: a preset or device.json, moved by poses or by a task.",
-    "rig": "Run a protocol on a rate table, stop it from another shell, or emulate one; each takes --json.",
-    "study": "Which calibration protocol is enough for a task: optimum, statistics, other subjects, the note's tables.",
+    "twin": "Fit the device model to a real device, and predict other motions.",
+    "export": "Write calibrations for firmware and other programs.",
+    "noise": "Angle random walk, bias instability, rate random walk.",
+    "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
+    "rig": "Run a protocol on a rate table, stop or emulate one; with --json.",
+    "study": "Find the calibration protocol that is enough for a task.",
     "demo": "The whole flow on a small simulated session, as a report page.",
+}
+EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
+    "drift": {"--page": "--report", "--range": "--range-c", "--step": "--step-c"},
+    "info": {"--up": "--reference-up"},
+    "simulate": {"--up": "--reference-up"},
+    "validate": {"--longest-lag-s": "--max-lag-s"},
 }
 
 
-app = App(
-    name="undrift",
-    help="Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees.",
-    version=__version__,
-    help_format="plaintext",
-    result_action="return_value",
-    suppress_keyboard_interrupt=False,
-    default_parameter=Parameter(negative=()),
-)
-for _place, (_name, _help) in enumerate(COMMANDS.items()):
-    app.command(f"undrift.cli.{_name}:{_name}", name=_name, help=_help, sort_key=_place)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with its code.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The words after ``undrift``; those of this process by default.
-
-    Raises
-    ------
-    SystemExit
-        Always, with the exit code.
-    """
+    """Run the command line and exit with its code."""
     try:
         code = run(sys.argv[1:] if arguments is None else arguments)
-    except KeyboardInterrupt:  # a second one, while the first was told
+    except KeyboardInterrupt:  # a second one, while the first was reported
         code = INTERRUPTED
     if code == INTERRUPTED:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would change the exit code
@@ -70,22 +51,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the command line and return its exit code.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        The words after ``undrift``.
-
-    Returns
-    -------
-    int
-        0, 1, 2 or 3; 130 when interrupted.
-    """
+    """Run the command line and return its exit code: 0, 1, 2 or 3; 130 when interrupted."""
     try:
-        code = app(arguments, exit_on_error=False, print_error=False)
-    except CycloptsError as error:
-        return complain(_call_text(error), code=2)
+        if list(arguments) in ([], ["--help"], ["-h"]):
+            sys.stdout.write(_help())
+            return 0
+        if list(arguments) == ["--version"]:
+            sys.stdout.write(__version__ + "\n")
+            return 0
+        code = app(_standard(arguments))
     except RigError as error:
         return complain(str(error), code=3)
     except UndriftError as error:
@@ -95,9 +69,8 @@ def run(arguments: Sequence[str]) -> int:
             sys.stdout.close()
         return 0
     except OSError as error:
-        return complain(
-            f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions", code=2
-        )
+        text = f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions"
+        return complain(text, code=2)
     except KeyboardInterrupt:
         return complain("stopped; nothing was left half written", code=INTERRUPTED)
     except Exception as error:
@@ -111,28 +84,45 @@ def run(arguments: Sequence[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _call_text(error: CycloptsError) -> str:
-    """Return what is wrong with a call, and which help to ask for."""
-    command = " ".join(("undrift", *(error.command_chain or ())))
-    if isinstance(error, UnusedCliTokensError):
-        return f"wanted fewer words, got also {' '.join(error.unused_tokens or ())}; say {command} --help"
-    return f"{str(error).strip().splitlines()[0]} Say {command} --help."
+def app(arguments: Sequence[str]) -> object:
+    """Call the command that the arguments name."""
+    from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+
+    called = App(
+        name="undrift",
+        help=ABOUT,
+        version=__version__,
+        help_format="plaintext",
+        result_action="return_value",
+        suppress_keyboard_interrupt=False,
+        default_parameter=Parameter(negative=()),
+    )
+    for place, (name, text) in enumerate(COMMANDS.items()):
+        called.command(f"undrift.cli.{name}:{name}", name=name, help=text, sort_key=place)
+    try:
+        return called(arguments, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        command = " ".join(("undrift", *(error.command_chain or ())))
+        if isinstance(error, UnusedCliTokensError):
+            unused = " ".join(error.unused_tokens or ())
+            raise InputError(f"wanted fewer words, got also {unused}; say {command} --help") from error
+        raise InputError(f"{str(error).strip().splitlines()[0]} Say {command} --help.") from error
 
 
 def complain(message: str, *, code: int) -> int:
-    """Write one line to stderr and return the exit code.
-
-    Parameters
-    ----------
-    message : str
-        What was wanted, what came, what to do.
-    code : int
-        Exit code.
-
-    Returns
-    -------
-    int
-        The same code.
-    """
+    """Write one line to stderr (what was wanted, what came, what to do) and return the exit code."""
     sys.stderr.write("undrift: " + " ".join(message.split()) + "\n")
     return code
+
+
+def _help() -> str:
+    rows = [*COMMANDS.items(), ("--version", "Show the version.")]
+    lines = "\n".join(f"  {name:11}{text}" for name, text in rows)
+    return f"Usage: undrift COMMAND\n\n{ABOUT}\n\n{lines}\n\nundrift COMMAND --help explains its options.\n"
+
+
+def _standard(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with the standard names of options that were called otherwise in earlier versions."""
+    names = EARLIER_NAMES.get(arguments[0], {})
+    split = (word.partition("=") for word in arguments)
+    return [names.get(option, option) + equals + value for option, equals, value in split]

@@ -26,10 +26,10 @@ def drift(
     *sessions: Path,
     calibration: Path | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
-    page: Path | None = None,
+    report: Path | None = None,
     figure: Path | None = None,
-    span: Annotated[str | None, Parameter(name="--range", allow_leading_hyphen=True)] = None,
-    step: float = 0.5,
+    span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
+    step_c: float = 0.5,
     spline: Literal["smooth", "not-a-knot"] = "smooth",
     tables: Literal["auto", "none", "scale", "dynamic", "scale+dynamic"] = "auto",
     lag_s: float | None = None,
@@ -49,13 +49,13 @@ def drift(
         calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables in it; may be the one that was read.
-    page : Path or None
+    report : Path or None
         Report to write, with pictures: .html.
     figure : Path or None
         Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
     span : str or None
         First and last node, LOW:HIGH in degC; what was seen, or 18:75 where most of that was seen, by default.
-    step : float
+    step_c : float
         From node to node, K.
     spline : str
         smooth (stiffness chosen by leaving out), or not-a-knot (through the set-points, as the note does).
@@ -82,8 +82,8 @@ def drift(
 
     if not sessions:
         raise InputError("drift: wanted a session or recording, or more, got none; name them first")
-    settings = _settings(span, step, spline, tables, lag_s, warm_up)
-    _check_outputs(sessions, (calibration, opening.column_map), output, page, figure)
+    settings = _settings(span, step_c, spline, tables, lag_s, warm_up)
+    _check_outputs(sessions, (calibration, opening.column_map), output, report, figure)
     model = None if calibration is None else read_calibration(calibration)
     with progress() as shown:
         task = shown.add_task("reading", total=1.0)
@@ -98,14 +98,14 @@ def drift(
             settings=settings,
             told=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
         )
-    _write_pictures(fit, page, figure)
+    _write_pictures(fit, report, figure)
     if output is not None:
         write_calibration(fit.calibration, output)
     if json:
         write_json(calibration_json(fit.calibration))
     else:
         _show(fit, model, calibration)
-        _say_next(fit, output, page, figure)
+        _say_next(fit, output, report, figure)
     return 1 if fit.calibration.verdict.status == "bad" else 0
 
 
@@ -116,7 +116,7 @@ def _settings(
     from undrift.drift.static import CurveSettings, StaticSettings
 
     if not 0.0 < step < float("inf"):
-        raise InputError(f"step: wanted more than 0 K, got {step:g}; 0.5 is the note's")
+        raise InputError(f"step-c: wanted more than 0 K, got {step:g}; 0.5 is the note's")
     return DriftSettings(
         range_c=None if span is None else _range(span),
         step_c=step,
@@ -131,9 +131,9 @@ def _range(text: str) -> tuple[float, float]:
     try:
         ends = float(low), float(high)
     except ValueError:
-        raise InputError(f"range: wanted LOW:HIGH in degC, got '{text}'; for example 18:75") from None
+        raise InputError(f"range-c: wanted LOW:HIGH in degC, got '{text}'; for example 18:75") from None
     if not (-273.15 < ends[0] < ends[1] < float("inf")):
-        raise InputError(f"range: wanted LOW below HIGH in degC, got '{text}'; for example 18:75")
+        raise InputError(f"range-c: wanted LOW below HIGH in degC, got '{text}'; for example 18:75")
     return ends
 
 
@@ -141,7 +141,7 @@ def _check_outputs(
     sessions: tuple[Path, ...],
     reads: tuple[Path | None, Path | None],
     output: Path | None,
-    page: Path | None,
+    report: Path | None,
     figure: Path | None,
 ) -> None:
     """Refuse what cannot be written; the calibration that was read may be written over, as it appears whole."""
@@ -150,8 +150,8 @@ def _check_outputs(
 
     if output is not None:
         checked_output(output, endings=(".json",), reads=(*_that_exist(sessions), reads[1]))
-    if page is not None:
-        checked_output(page, endings=(".html",), reads=(*_that_exist(sessions), *reads))
+    if report is not None:
+        checked_output(report, endings=(".html",), reads=(*_that_exist(sessions), *reads))
     if figure is not None:
         checked_output(figure, endings=PICTURES, reads=(*_that_exist(sessions), *reads))
 
@@ -190,7 +190,7 @@ def _by_power_on(paths: tuple[Path, ...], held: "list[Session]") -> "list[Sessio
     return whole + one_power_on([session for session, alone in zip(held, bare, strict=True) if alone])
 
 
-def _write_pictures(fit: "DriftFit", page: Path | None, figure: Path | None) -> None:
+def _write_pictures(fit: "DriftFit", report: Path | None, figure: Path | None) -> None:
     from undrift.report.drift import draw_offsets, write_drift_report
     from undrift.report.figures import save_figure
 
@@ -198,8 +198,8 @@ def _write_pictures(fit: "DriftFit", page: Path | None, figure: Path | None) -> 
         if fit.gyro_summary is None:
             raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
         save_figure(draw_offsets(fit.gyro_summary), figure)
-    if page is not None:
-        write_drift_report(fit, page)
+    if report is not None:
+        write_drift_report(fit, report)
 
 
 def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> None:
@@ -242,11 +242,11 @@ def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> No
         out.print(f"calibration given: {path}, which has {before} remarks of its own", markup=False)
 
 
-def _say_next(fit: "DriftFit", output: Path | None, page: Path | None, figure: Path | None) -> None:
+def _say_next(fit: "DriftFit", output: Path | None, report: Path | None, figure: Path | None) -> None:
     from undrift.cli.common import console
 
     out = console()
-    for path in (figure, page):
+    for path in (figure, report):
         if path is not None:
             out.print(f"Wrote {path}", markup=False)
     if output is None:

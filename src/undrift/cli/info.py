@@ -192,7 +192,7 @@ def show_folder(path: Path, *, json: bool) -> None:
 
 
 def info(
-    file: Path, /, *, opening: Opening = Opening(), up: Literal["y", "z"] | None = None, json: Flag = False
+    file: Path, /, *, opening: Opening = Opening(), reference_up: Literal["y", "z"] | None = None, json: Flag = False
 ) -> int:
     """Say what a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
 
@@ -202,7 +202,7 @@ def info(
         Any file or folder.
     opening : Opening
         How to read a foreign recording.
-    up : str or None
+    reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
     json : bool
         One JSON object on stdout.
@@ -218,7 +218,7 @@ def info(
     if is_plain_folder(file):
         show_folder(file, json=json)
         return 0
-    found = describe(file, opening.columns(), settings=opening.settings(), up=up)
+    found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
     stills, reason = _stills(file, found, opening)
     effects = _effects(file) if found.kind == "device" else {}
     if found.kind == "calibration":
@@ -350,5 +350,7 @@ def _hints(found: "Description") -> list[str]:
     if found.kind == "table" and found.format == "ximu":
         return ["say: undrift info FILE --sample-rate-hz 256"]
     if found.kind == "markers" and any("points up" in problem for problem in found.problems):
-        return ["say: undrift info FILE --up y, and undrift validate RECORD --reference FILE --reference-up y"]
+        return [
+            "say: undrift info FILE --reference-up y, and undrift validate RECORD --reference FILE --reference-up y"
+        ]
     return []

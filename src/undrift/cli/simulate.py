@@ -32,7 +32,7 @@ def simulate(
     power_on_s: float | None = None,
     gravity_m_s2: float = STANDARD_GRAVITY,
     markers: str | None = None,
-    up: Literal["y", "z"] | None = None,
+    reference_up: Literal["y", "z"] | None = None,
     truth: Path | None = None,
     save_device: Path | None = None,
     seed: int = 0,
@@ -61,7 +61,7 @@ def simulate(
         Local gravity, m/s2.
     markers : str or None
         Labels of one rigid cluster, comma between, for TRC or C3D.
-    up : str or None
+    reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
     truth : Path or None
         Write the true orientation at the samples there, and the position where the motion has one, as a reference: .parquet or
@@ -90,7 +90,7 @@ def simulate(
     rng = np.random.default_rng(seed)
     model = _device(device, draw, rng)
     if motion.startswith(THERMAL):
-        kind = _thermal_kind(motion, temp_c=temp_c, markers=markers, up=up, truth=truth)
+        kind = _thermal_kind(motion, temp_c=temp_c, markers=markers, reference_up=reference_up, truth=truth)
         said = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
         if save_device is not None:
             write_device(model, save_device)
@@ -100,7 +100,7 @@ def simulate(
             console().print(_in_words(motion, output, said), markup=False)
         return 0
     with waiting(f"simulating {motion}"):
-        moved, where = _motion(motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), up, rng)
+        moved, where = _motion(motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), reference_up, rng)
         made = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
     write_record(made.record, output)
     if truth is not None:

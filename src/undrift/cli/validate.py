@@ -42,7 +42,7 @@ def validate(
     up: Side = "+z",
     power_on_s: float | None = None,
     policy: Literal["raise", "hold", "nan"] = "raise",
-    longest_lag_s: float = 5.0,
+    max_lag_s: float = 5.0,
     markers: str | None = None,
     reference_up: Literal["y", "z"] | None = None,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
@@ -76,7 +76,7 @@ def validate(
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
         temperature was recorded the result is a gap under each, and a warning says for how long.
-    longest_lag_s : float
+    max_lag_s : float
         How far the clocks of recording and reference may stand apart, s: the lag is looked for up to this either way.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
@@ -98,7 +98,7 @@ def validate(
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
-    _check_asked(records, calibration, calibrate_from, leave_one_out, longest_lag_s)
+    _check_asked(records, calibration, calibrate_from, leave_one_out, max_lag_s)
     if output is not None:
         checked_folder(output)
     labels = tuple(markers.split(",")) if markers else None
@@ -110,7 +110,7 @@ def validate(
         up=up,
         power_on_s=power_on_s,
         policy=policy,
-        lag=LagSettings(longest_lag_s=longest_lag_s),
+        lag=LagSettings(longest_lag_s=max_lag_s),
     )
     with waiting("reading, aligning and integrating"):
         pairs = read_pairs(records, reference, labels, reference_up, opening, command="validate")
@@ -137,7 +137,7 @@ def _check_asked(
     calibration: Path | None,
     calibrate_from: str | None,
     leave_one_out: bool,
-    longest_lag_s: float,
+    max_lag_s: float,
 ) -> None:
     """Refuse a call that does not say what to judge, or by what."""
     if not records:
@@ -146,10 +146,8 @@ def _check_asked(
         raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
     if calibrate_from is not None and calibration is not None:
         raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
-    if not 0.0 < longest_lag_s < math.inf:
-        raise InputError(
-            f"--longest-lag-s: wanted more than 0 s, got {longest_lag_s:g}; say how far the clocks may differ"
-        )
+    if not 0.0 < max_lag_s < math.inf:
+        raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
 
 
 def validation_json(result: "Validation") -> dict[str, object]:
