@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: demo test test-all check benchmark clean
+.PHONY: demo test test-long test-all check benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -16,6 +16,10 @@ test: $(INSTALLED)
 	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
 	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist worksteal --durations=12
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
+
+# The same Monte Carlo runs with larger cohorts.
+test-long: $(INSTALLED)
+	$(BIN)/python -m pytest tests -m long -n 2 --durations=12
 
 check: $(INSTALLED)
 	$(BIN)/ruff check src tests benchmarks

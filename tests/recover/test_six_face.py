@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import (
-    DEVICES,
-    RMSE_LIMIT,
+    COHORTS,
     Array,
     Tally,
     carried,
     information,
     inverse_model,
     jacobian,
+    part_limit,
     white_device,
 )
 from testkit.data import show
@@ -67,13 +67,13 @@ def bound(device: DeviceModel, tilt: float, free: int = 12) -> Array:
 GROUPS = {"scale factor": [0, 4, 8], "cross-axis": [1, 2, 3, 5, 6, 7], "offset": [9, 10, 11]}
 
 
-def check_groups(tally: Tally) -> None:
-    """Hold scale factors, cross-axis terms and offsets to the bound separately: three or more a device, standard error 1.3 %."""
-    square = np.mean(np.square(tally.by_bound), axis=0)
+def check_groups(tally: Tally, devices: int) -> None:
+    """Check scale factors, cross-axis terms and offsets separately: standard error 2.4 % of 300 devices, 1.3 % of 1,000."""
+    limit, square = part_limit(devices), np.mean(np.square(tally.by_bound), axis=0)
     for name, places in GROUPS.items():
         ratio = float(np.sqrt(square[places].mean()))
-        show(f"{tally.name}, {name}: RMSE over Cramer-Rao bound", f"{ratio:.4f}", RMSE_LIMIT)
-        assert ratio <= RMSE_LIMIT, name
+        show(f"{tally.name}, {name}: RMSE over Cramer-Rao bound", f"{ratio:.4f}", limit)
+        assert ratio <= limit, name
 
 
 def error_of(model: TriadModel, device: DeviceModel) -> Array:
@@ -91,10 +91,11 @@ def test_six_faces_give_back_the_device_without_noise(mode: SixFaceMode) -> None
     np.testing.assert_allclose(model.offset, device.accel.raw_offset, atol=1e-8)
 
 
-def test_error_of_a_thousand_devices_on_level_faces_reaches_the_bound_and_its_intervals_hold() -> None:
+@pytest.mark.parametrize("devices", COHORTS)
+def test_error_of_many_devices_on_level_faces_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)
     paper, affine, levelled = (Tally.of(f"six-face {mode}, level") for mode in ("paper", "affine", "levelled"))
-    for _ in range(DEVICES):
+    for _ in range(devices):
         device = white_device(rng)
         poses, limit = poses_of(device, rng), bound(device, 0.0)
         for tally, mode in ((affine, "affine"), (levelled, "levelled")):
@@ -103,19 +104,22 @@ def test_error_of_a_thousand_devices_on_level_faces_reaches_the_bound_and_its_in
         model = fitted(replace(poses, reading=poses.reading - device.accel.raw_offset), "paper")  # the note's premise
         paper.add(error_of(model, device)[:9], bound(device, 0.0, 9), model.standard_uncertainty[:9])
     for tally in (paper, affine, levelled):
-        tally.check()
+        tally.check(devices)
     for tally in (affine, levelled):
-        check_groups(tally)
+        check_groups(tally, devices)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.01, 0.1])
-def test_error_of_a_thousand_devices_on_tilted_faces_reaches_the_bound_and_its_intervals_hold(tilt_deg: float) -> None:
+@pytest.mark.parametrize("devices", COHORTS)
+def test_error_of_many_devices_on_tilted_faces_reaches_the_bound_and_its_intervals_hold(
+    devices: int, tilt_deg: float
+) -> None:
     rng = np.random.default_rng(3)
     tilt = tilt_deg * RADIAN_PER_DEGREE
     tally = Tally.of(f"six-face levelled, tilt {tilt_deg} deg")
-    for _ in range(DEVICES):
+    for _ in range(devices):
         device = white_device(rng)
         model = fitted(poses_of(device, rng, tilt), "levelled")
         tally.add(error_of(model, device), bound(device, tilt), model.standard_uncertainty)
-    tally.check()
-    check_groups(tally)
+    tally.check(devices)
+    check_groups(tally, devices)
