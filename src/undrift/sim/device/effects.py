@@ -1,4 +1,4 @@
-"""SensorChain: three sensors of one kind, as the effects that lie between motion and reading, left to right.
+"""Effects: what lies between motion and reading, left to right, each a value and the function that applies it.
 
 ::
 
@@ -7,92 +7,17 @@
 
 An effect that is None is switched off. Up to the low-pass, signals are in nominal input units (rad/s, m/s2): what the nominal
 sensitivity would make of the output. The reading at zero noise, linear, at the reference temperature, is
-``u = S (C x + o) + null`` with S the gain of the whole chain and C the scale's matrix.
-
-ADC: ``code = round(v / step + inl(v))``, held to the codes there are.
-
-step = span / 2^bits; signed converters span -reference to reference, unsigned ones 0 to reference. The integral
-non-linearity is a bow of 4 p (1 - p) times its height, p the place in the span.
-
-Thermal hysteresis: the offset differs between warming and cooling: ``y = x + A (z - T) / w``.
-
-z follows T with a play of half-width w: ``z_k = min(max(z_(k-1), T_k - w), T_k + w)``. So the offset is -A while the device
-warms, +A while it cools, and goes straight from one to the other over 2 w after a turn; it does not depend on speed.
-
-Bias instability: noise of spectral density B^2 / (2 pi f), whose Allan deviation is flat at sqrt(2 ln 2 / pi) B [1]_.
-
-Made of first-order Gauss-Markov processes with time constants tau_j a factor r apart and variance B^2 ln(r) / pi each: their
-densities add up to the flicker's between 1 / (2 pi longest) and 1 / (2 pi shortest), with a ripple below 2 % for r = sqrt(10).
-Each process is sampled exactly and starts in its stationary state.
+``u = S (C x + o) + null`` with S the gain of the whole chain and C the scale's matrix. D is the temperature above reference.
+Every field knows its unit, so that files can say the unit in the key: ``{x}`` stands for what the sensor measures (rad_s or
+m_s2), ``{out}`` for the unit it puts out (v, count, dps, g ...). Signals are arrays of shape (N, 3), a channel a column.
 
 References
 ----------
-.. [1] IEEE Std 952-1997, annex C.
-
-Lever arm: an accelerometer away from the body's origin feels the rotation, each sensor at its own place.
-
-``d_i = alpha x r_i + omega x (omega x r_i)``, to be added to the specific force at sensor i [1]_.
-
-References
-----------
-.. [1] any text on rigid-body kinematics: the acceleration of a point fixed in a rotating body.
-
-Low-pass: second order, Sallen-Key, ``H(s) = w^2 / (s^2 + w s / Q + w^2)``; Butterworth for Q = 1 / sqrt(2).
-
-In state space, ``x' = A x + B u`` with x = (y, y' / w), the response to an input that is straight between samples (first-order
-hold) is exact [1]_: with E = expm(h [[A, B, 0], [0, 0, 1 / h], [0, 0, 0]]) in blocks,
-``x_(k+1) = E11 x_k + E12 u_k + E13 (u_(k+1) - u_k)``.
-The group delay at zero frequency is 1 / (Q w), sqrt(2) / w for Butterworth.
-
-Unity gain: w = 1 / sqrt(R1 R2 C1 C2), Q = sqrt(R1 R2 C1 C2) / (C2 (R1 + R2)) [2]_.
-
-References
-----------
-.. [1] C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automatic Control 23(3), 1978.
-.. [2] R. P. Sallen and E. L. Key, "A practical method of designing RC active filters", IRE Trans. Circuit Theory 2(1), 1955.
-
-White noise and random walk: ``y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j``, f the samples per second.
-
-N and K as IEEE Std 952 states them: Allan deviation N / sqrt(tau) and K sqrt(tau / 3). Behind a
-low-pass white noise is drawn on the motion's grid, else on the device's own samples: f is the rate of these.
-
-Non-linearity and asymmetry: ``y = x + q x^2 + c x^3 + (a / 2) |x|``, per channel.
-
-a is 2 (S+ - S-) / (S+ + S-), the asymmetry of the scale factor as IEEE Std 528 names it.
-
-Sampling: when the readings are truly taken, and over which interval.
-
-Sample j is stamped t_j = t_0 + j / f. Channel i is taken at t_0 + (j / f) / (1 + c) + d_i + jitter_j: c is how much too fast
-the device's clock runs, d_i the delay of a converter that takes its channels in turn. An "instant" reading is the signal at
-that time; an "interval" reading is its mean since the sample before, from the running integral of the signal.
-
-Scale, cross-axis and misalignment: ``y = (I + X) diag(1 + s) E x``, E the sensors' unit vectors in b, one a row.
-
-y is in nominal input units: what the nominal sensitivity would make of the output.
-
-Board thermometer, an LM335 for one: 10 mV/K, trimmed once, slow, warmed by its own current.
-
-::
-
-    felt'    = (T + s (1 - exp(-t / lag)) - felt) / lag     lag; s self-heating, t time since power-on
-    reading  = felt + trim error + slope error (felt - 25 degC) + noise
-    code     = round((reading - zero) / step)               zero = -273.15 degC for a sensor that counts kelvins
-
-The lag is solved exactly for a temperature that is straight between samples.
-
-Warm-up: what a young device still lacks of its settled offset: ``y = x - A (1 + k D) exp(-t / tau)`` [1]_.
-
-The form C1 (1 - exp(-t / tau)) + C2 of the source with A = C1 and C1 + C2 counted as the settled offset.
-
-References
-----------
-.. [1] B. Barshan and H. F. Durrant-Whyte, "Inertial navigation systems for mobile robots", IEEE Trans. Robotics and
-   Automation 11(3):328-342, 1995.
-
-Fields of effects: every number knows its unit and shape, so that files can say the unit in the key.
-
-In a unit, ``{x}`` stands for what the sensor measures (rad_s or m_s2) and ``{out}`` for the unit it puts out (v, count,
-dps, g ...). Scalars are spread over the three axes.
+.. [1] IEEE Std 952-1997, annex C: bias instability, flat Allan deviation at sqrt(2 ln 2 / pi) B.
+.. [2] C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automatic Control 23(3), 1978.
+.. [3] R. P. Sallen and E. L. Key, "A practical method of designing RC active filters", IRE Trans. Circuit Theory 2(1), 1955.
+.. [4] B. Barshan and H. F. Durrant-Whyte, "Inertial navigation systems for mobile robots", IEEE Trans. Robotics and
+   Automation 11(3):328-342, 1995: C1 (1 - exp(-t / tau)) + C2 with A = C1 and C1 + C2 the settled offset.
 """
 
 import math
@@ -105,7 +30,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 from undrift.sim.motion.motion import Motion
 
-# ---- Fields of effects: every number knows its unit and shape, so that files can say the unit in the key.
+# ---- Fields that know their unit
 
 Shape = tuple[int | None, ...]
 
@@ -115,28 +40,31 @@ def quantity(unit: str = "", shape: Shape | None = None, default: Any = MISSING,
     return field(default=default, metadata={"unit": unit, "shape": shape, "least": least})
 
 
-def settle(value: Any) -> None:
-    """Check the fields of an effect and make its arrays read-only; to be called at its birth."""
-    for f in fields(value):
-        shape, least, given = f.metadata.get("shape"), f.metadata.get("least"), getattr(value, f.name)
-        name = f"{type(value).__name__}.{f.name}"
-        if shape is not None:
-            spread = given if None in shape or np.ndim(given) else np.full(shape, given)
-            spread = spread if np.size(spread) else np.zeros([n or 0 for n in shape])
-            given = frozen(spread, shape, name)
-            object.__setattr__(value, f.name, given)
-        if least is not None and given is not None and not np.all(np.asarray(given) >= least):
-            raise InputError(f"{name}: wanted {least:g} or more, got {np.min(given):g}; correct the device")
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effect:
+    """Checks its fields at birth and makes its arrays read-only; scalars are spread over the three axes."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            shape, least, given = f.metadata.get("shape"), f.metadata.get("least"), getattr(self, f.name)
+            name = f"{type(self).__name__}.{f.name}"
+            if shape is not None:
+                spread = given if None in shape or np.ndim(given) else np.full(shape, given)
+                spread = spread if np.size(spread) else np.zeros([n or 0 for n in shape])
+                given = frozen(spread, shape, name)
+                object.__setattr__(self, f.name, given)
+            if least is not None and given is not None and not np.all(np.asarray(given) >= least):
+                raise InputError(f"{name}: wanted {least:g} or more, got {np.min(given):g}; correct the device")
 
 
-# ---- ADC: ``code = round(v / step + inl(v))``, held to the codes there are.
+# ---- ADC: code = round(v / step + inl(v)), step = span / 2^bits; the inl is a bow of 4 p (1 - p) over the span
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
 ROUNDINGS = ("nearest", "floor", "toward_zero")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Adc:
+class Adc(Effect):
     """Converter of one triad."""
 
     bits: int = quantity("", least=1)  # Width of a code
@@ -149,7 +77,7 @@ class Adc:
     codes: bool = quantity("", None, True)
 
     def __post_init__(self) -> None:
-        settle(self)
+        Effect.__post_init__(self)
         if self.rounding not in ROUNDINGS:
             raise InputError(f"adc: wanted rounding {', '.join(ROUNDINGS)}, got '{self.rounding}'; name one of them")
 
@@ -166,10 +94,7 @@ class Adc:
 
 
 def converted(v: FloatArray, effect: Adc) -> tuple[FloatArray, BoolArray]:
-    """Return the readings of a converter.
-
-    Arrays: v (N, 3) -> (N, 3), (N, 3).
-    """
+    """Return the readings of a converter."""
     steps = v / effect.step
     low, high = effect.code_limits
     if effect.inl_lsb.any():
@@ -185,15 +110,14 @@ def rounded(steps: FloatArray, rounding: Rounding) -> FloatArray:
     """Return whole steps."""
     if rounding == "nearest":
         return np.rint(steps)
-    whole: FloatArray = np.floor(steps) if rounding == "floor" else np.trunc(steps)
-    return whole
+    return np.asarray(np.floor(steps) if rounding == "floor" else np.trunc(steps))
 
 
-# ---- Amplifier: ``v = null + gain S x``, held between its rails. S is the sensor's nominal sensitivity.
+# ---- Amplifier: v = null + gain S x between its rails, S the nominal sensitivity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Amplifier:
+class Amplifier(Effect):
     """Gain and rails."""
 
     gain: float = quantity("", None, 1.0)  # Output unit per output unit of the sensor
@@ -202,7 +126,7 @@ class Amplifier:
     high: float = quantity("{out}", None, math.inf)  # Rails, output unit; infinite for none
 
     def __post_init__(self) -> None:
-        settle(self)
+        Effect.__post_init__(self)
         if not (self.gain > 0.0 and self.low < self.null < self.high):
             raise InputError(
                 f"amplifier: wanted a gain above 0 and a null between the rails, got gain {self.gain:g} and null {self.null:g} "
@@ -211,17 +135,14 @@ class Amplifier:
 
 
 def amplified(x: FloatArray, effect: Amplifier, sensitivity: float) -> tuple[FloatArray, BoolArray]:
-    """Return a signal held to what the amplifier can put out.
-
-    Arrays: x (N, 3) -> (N, 3), (N, 3).
-    """
+    """Return a signal held to what the amplifier can put out."""
     total = effect.gain * sensitivity
     low, high = (effect.low - effect.null) / total, (effect.high - effect.null) / total
     held: BoolArray = (x < low) | (x > high)
     return np.clip(x, low, high), held
 
 
-# ---- Scene: what surrounds the sensors while they are read: the motion on an even grid, the temperature, the age.
+# ---- Scene: what every effect may look at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -239,10 +160,7 @@ class Scene:
 
 
 def scene_of(motion: Motion, temp_c: FloatArray, reference_temp_c: float, power_on_s: float) -> Scene:
-    """Return the scene of a motion.
-
-    Arrays: temp_c (N,) degC.
-    """
+    """Return the scene of a motion."""
     time = motion.time
     return Scene(
         time=time,
@@ -266,48 +184,35 @@ def check_even(scene: Scene, what: str) -> None:
         )
 
 
-# ---- g-sensitivity: specific force feigns a rate: ``y = x + G f``.
+# ---- g-sensitivity: y = x + G f
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GSensitivity:
+class GSensitivity(Effect):
     """What a gyroscope makes of specific force."""
 
-    # (3, 3), rate feigned, rad/s per m/s2: row i for sensor i, columns x, y, z of b
+    # (3, 3), apparent rate, rad/s per m/s2: row i for sensor i, columns x, y, z of b
     matrix: FloatArray = quantity("{x}_per_m_s2", (3, 3))
-
-    def __post_init__(self) -> None:
-        settle(self)
 
 
 def with_g(x: FloatArray, effect: GSensitivity, scene: Scene) -> FloatArray:
-    """Return a signal with what specific force feigns.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
-    feigned: FloatArray = x + scene.force_b @ effect.matrix.T
-    return feigned
+    """Return a signal with what specific force adds."""
+    return np.asarray(x + scene.force_b @ effect.matrix.T)
 
 
-# ---- Thermal hysteresis: the offset differs between warming and cooling: ``y = x + A (z - T) / w``.
+# ---- Thermal hysteresis: y = x + A (z - T) / w, z follows T with a play of half-width w
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hysteresis:
+class Hysteresis(Effect):
     """Offset between warming and cooling."""
 
     amplitude: FloatArray = quantity("{x}", (3,))  # (3,), half the width of the loop, rad/s or m/s2
     play_k: float = quantity("", None, 2.0, least=1e-9)  # Half-width of the play, K
 
-    def __post_init__(self) -> None:
-        settle(self)
-
 
 def play(temp_c: FloatArray, half_width: float) -> FloatArray:
-    """Return what follows a temperature with play.
-
-    Arrays: temp_c (N,) degC -> (N,) degC.
-    """
+    """Return what follows a temperature with play."""
     if np.ptp(temp_c) == 0.0:
         return temp_c
     follower, at = np.empty(len(temp_c)), float(temp_c[0])
@@ -318,44 +223,33 @@ def play(temp_c: FloatArray, half_width: float) -> FloatArray:
 
 
 def with_hysteresis(x: FloatArray, effect: Hysteresis, scene: Scene) -> FloatArray:
-    """Return a signal with thermal hysteresis.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal with thermal hysteresis."""
     behind = (play(scene.temp_c, effect.play_k) - scene.temp_c) / effect.play_k
     return x + np.outer(behind, effect.amplitude)
 
 
-# ---- Bias instability: noise of spectral density B^2 / (2 pi f), whose Allan deviation is flat at sqrt(2 ln 2 / pi) B [1]_.
+# ---- Bias instability: density B^2 / (2 pi f) as Gauss-Markov processes a factor r apart [1]
 
 RATIO = math.sqrt(10.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BiasInstability:
+class BiasInstability(Effect):
     """Flicker of the offset."""
 
     instability: FloatArray = quantity("{x}", (3,), least=0.0)  # (3,), B, rad/s or m/s2
-    # Time constants of the fastest and the slowest process, s
-    shortest_s: float = quantity("", None, 0.1, least=1e-9)
-    longest_s: float = quantity("", None, 1e4, least=1e-9)  # Time constants of the fastest and the slowest process, s
-
-    def __post_init__(self) -> None:
-        settle(self)
+    shortest_s: float = quantity("", None, 0.1, least=1e-9)  # Time constants of the fastest and slowest process, s
+    longest_s: float = quantity("", None, 1e4, least=1e-9)
 
     @property
     def time_constants_s(self) -> FloatArray:
         """Time constants of the processes, s."""
         count = round(math.log(self.longest_s / self.shortest_s) / math.log(RATIO)) + 1
-        constants: FloatArray = self.shortest_s * RATIO ** np.arange(count)
-        return constants
+        return np.asarray(self.shortest_s * RATIO ** np.arange(count))
 
 
 def with_instability(x: FloatArray, effect: BiasInstability, scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """Return a signal whose offset flickers.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal whose offset flickers."""
     from scipy.signal import lfilter
 
     sd = effect.instability * math.sqrt(math.log(RATIO) / math.pi)
@@ -368,72 +262,55 @@ def with_instability(x: FloatArray, effect: BiasInstability, scene: Scene, rng: 
     return total
 
 
-# ---- Lever arm: an accelerometer away from the body's origin feels the rotation, each sensor at its own place.
+# ---- Lever arm: d_i = alpha x r_i + omega x (omega x r_i), added to the specific force at sensor i
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LeverArm:
+class LeverArm(Effect):
     """Where the sensors sit."""
 
     # (3, 3), position of each sensor from the body's origin, one a row, m, frame b
     arms: FloatArray = quantity("m", (3, 3))
 
-    def __post_init__(self) -> None:
-        settle(self)
-
 
 def lever_arm_force(effect: LeverArm, scene: Scene) -> FloatArray:
-    """Return what each sensor feels beside the force at the origin.
-
-    Arrays:  -> (N, 3, 3).
-    """
+    """Return what each sensor feels beside the force at the origin."""
     if scene.angular_acceleration_b is None:
         raise InputError(
             "lever arm: wanted a motion with angular acceleration, got one without; take it from poses or a task, or "
             "switch the lever arm off"
         )
     rate, arm = scene.rate_b[:, None, :], effect.arms[None, :, :]
-    felt: FloatArray = np.cross(scene.angular_acceleration_b[:, None, :], arm) + np.cross(rate, np.cross(rate, arm))
-    return felt
+    return np.asarray(np.cross(scene.angular_acceleration_b[:, None, :], arm) + np.cross(rate, np.cross(rate, arm)))
 
 
-# ---- Low-pass: second order, Sallen-Key, ``H(s) = w^2 / (s^2 + w s / Q + w^2)``; Butterworth for Q = 1 / sqrt(2).
+# ---- Low-pass: H(s) = w^2 / (s^2 + w s / Q + w^2), exact for a first-order hold [2]
 
 BUTTERWORTH = 1.0 / math.sqrt(2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LowPass:
+class LowPass(Effect):
     """Second-order low-pass of each channel."""
 
     cutoff_hz: FloatArray = quantity("", (3,), least=1e-9)  # (3,), w / (2 pi), Hz
     quality: FloatArray = quantity("", (3,), BUTTERWORTH, least=1e-9)  # (3,), Q
 
-    def __post_init__(self) -> None:
-        settle(self)
-
     @property
     def group_delay_s(self) -> FloatArray:
         """Delay of slow signals, s, shape (3,)."""
-        delay: FloatArray = 1.0 / (self.quality * 2.0 * math.pi * self.cutoff_hz)
-        return delay
+        return np.asarray(1.0 / (self.quality * 2.0 * math.pi * self.cutoff_hz))
 
 
 def sallen_key(cutoff_hz: float, parts: FloatArray) -> LowPass:
-    """Return the low-pass that parts of a tolerance make of a Butterworth design with equal resistors and C1 = 2 C2.
-
-    Arrays: parts (3, 4).
-    """
+    """Return the low-pass that parts of a tolerance make of a Butterworth design with equal resistors and C1 = 2 C2."""
     r1, r2, c1, c2 = np.moveaxis(1.0 + np.asarray(parts, dtype=float), -1, 0)
     root = np.sqrt(r1 * r2 * c1 * c2)
     return LowPass(cutoff_hz=cutoff_hz / root, quality=BUTTERWORTH * 2.0 * root / (c2 * (r1 + r2)))
 
 
 def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients of ``y_k = b0 u_k + b1 u_(k-1) + b2 u_(k-2) - a1 y_(k-1) - a2 y_(k-2)``.
-
-    Arrays:  -> (3,), (3,).
-    """
+    """Return the coefficients of ``y_k = b0 u_k + b1 u_(k-1) + b2 u_(k-2) - a1 y_(k-1) - a2 y_(k-2)``."""
     from scipy.linalg import expm
 
     w, h = 2.0 * math.pi * cutoff_hz, step_s
@@ -450,10 +327,7 @@ def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tupl
 
 
 def low_passed(x: FloatArray, effect: LowPass, scene: Scene) -> FloatArray:
-    """Return a signal after its low-pass, in which it had been resting before the first sample.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal after its low-pass, in which it had been resting before the first sample."""
     from scipy.signal import lfilter
 
     check_even(scene, "low-pass")
@@ -465,102 +339,73 @@ def low_passed(x: FloatArray, effect: LowPass, scene: Scene) -> FloatArray:
     return out
 
 
-# ---- White noise and random walk: ``y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j``, f the samples per second.
+# ---- White noise and random walk: y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WhiteNoise:
+class WhiteNoise(Effect):
     """Angle or velocity random walk."""
 
     # (3,), N, rad/s/sqrt(Hz) or m/s2/sqrt(Hz): the standard deviation of one sample is N sqrt(sample rate). A
     # datasheet's one-sided density is sqrt(2) times this
     random_walk: FloatArray = quantity("{x}_per_sqrt_hz", (3,), least=0.0)
 
-    def __post_init__(self) -> None:
-        settle(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RandomWalk:
+class RandomWalk(Effect):
     """Random walk of the offset, from the first sample on."""
 
     bias_walk: FloatArray = quantity("{x}_per_sqrt_s", (3,), least=0.0)  # (3,), K, rad/s/sqrt(s) or m/s2/sqrt(s)
 
-    def __post_init__(self) -> None:
-        settle(self)
-
 
 def with_white_noise(x: FloatArray, effect: WhiteNoise, step_s: float, rng: np.random.Generator) -> FloatArray:
-    """Return a signal with white noise.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal with white noise."""
     noise: FloatArray = rng.standard_normal(x.shape) * (effect.random_walk / np.sqrt(step_s))
     return x + noise
 
 
 def with_random_walk(x: FloatArray, effect: RandomWalk, scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """Return a signal whose offset walks.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal whose offset walks."""
     steps = rng.standard_normal(x.shape) * (effect.bias_walk * np.sqrt(scene.step_s))
     steps[0] = 0.0
-    walked: FloatArray = x + np.cumsum(steps, axis=0)
-    return walked
+    return np.asarray(x + np.cumsum(steps, axis=0))
 
 
-# ---- Non-linearity and asymmetry: ``y = x + q x^2 + c x^3 + (a / 2) |x|``, per channel.
+# ---- Non-linearity and asymmetry: y = x + q x^2 + c x^3 + (a / 2) |x|
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Nonlinearity:
+class Nonlinearity(Effect):
     """How the output departs from a straight line."""
 
     quadratic: FloatArray = quantity("per_{x}", (3,), 0.0)  # (3,), q, per rad/s or per m/s2
     cubic: FloatArray = quantity("per_{x}_squared", (3,), 0.0)  # (3,), c, per square of that
     asymmetry: FloatArray = quantity("", (3,), 0.0)  # (3,), a, relative
 
-    def __post_init__(self) -> None:
-        settle(self)
-
 
 def bent(x: FloatArray, effect: Nonlinearity) -> FloatArray:
-    """Return a signal after non-linearity and asymmetry.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
-    bend: FloatArray = x + x * x * (effect.quadratic + effect.cubic * x) + 0.5 * effect.asymmetry * np.abs(x)
-    return bend
+    """Return a signal after non-linearity and asymmetry."""
+    return np.asarray(x + x * x * (effect.quadratic + effect.cubic * x) + 0.5 * effect.asymmetry * np.abs(x))
 
 
-# ---- Offset and its thermal drift: ``y = x + o + c_1 D + c_2 D^2 + ...``, D the temperature above reference.
+# ---- Offset and its thermal drift: y = x + o + c_1 D + c_2 D^2 + ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Offset:
+class Offset(Effect):
     """Output at zero input."""
 
     constant: FloatArray = quantity("{x}", (3,), 0.0)  # (3,), at the reference temperature, rad/s or m/s2
     # (K, 3), coefficient of D, D^2, ... D^K in a row each, rad/s or m/s2 per K to that power
     per_k: FloatArray = quantity("{x}_by_power_of_k", (None, 3), ())
 
-    def __post_init__(self) -> None:
-        settle(self)
-
     def at(self, warmth: FloatArray | float) -> FloatArray:
-        """Return the offset at a temperature.
-
-        Arrays:  -> (..., 3).
-        """
+        """Return the offset at a temperature."""
         return self.constant + polynomial(self.per_k, np.asarray(warmth, dtype=float))
 
 
 def polynomial(coefficients: FloatArray, warmth: FloatArray) -> FloatArray:
-    """Return ``sum_k c_k D^k`` for k = 1, 2, ... per axis.
-
-    Arrays: coefficients (K, 3), warmth (...) -> (..., 3).
-    """
+    """Return ``sum_k c_k D^k`` for k = 1, 2, ... per axis."""
     total = np.zeros((*warmth.shape, 3))
     for row in coefficients[::-1]:
         total = (total + row) * warmth[..., None]
@@ -568,33 +413,24 @@ def polynomial(coefficients: FloatArray, warmth: FloatArray) -> FloatArray:
 
 
 def with_offset(x: FloatArray, effect: Offset, scene: Scene) -> FloatArray:
-    """Return a signal with its offset.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal with its offset."""
     if not len(effect.per_k):
         return x + effect.constant
     return x + effect.at(scene.warmth)
 
 
-# ---- Rate-dependent drift, the note's dynamic drift: ``y = x + e(x, T)`` with ``e = sum_pq c_pq x^p D^q``, p = 1, 2, ...
+# ---- Rate-dependent drift, the note's dynamic drift: y = x + sum_pq c_pq x^p D^q, p = 1, 2, ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RateDrift:
+class RateDrift(Effect):
     """Error that grows with the rate and changes with temperature."""
 
     # (P, Q, 3), c_pq: power p = 1..P of the rate, q = 0..Q-1 of the warmth; rad/s over (rad/s)^p K^q
     coefficients: FloatArray = quantity("{x}_by_powers_of_{x}_and_k", (None, None, 3))
 
-    def __post_init__(self) -> None:
-        settle(self)
-
     def error(self, x: FloatArray, warmth: FloatArray) -> FloatArray:
-        """Return e(x, T).
-
-        Arrays: x (N, 3), warmth (N,) -> (N, 3).
-        """
+        """Return e(x, T)."""
         total = np.zeros_like(x)
         for powers in self.coefficients[::-1]:
             inner = np.zeros_like(x)
@@ -604,13 +440,13 @@ class RateDrift:
         return total
 
 
-# ---- Sampling: when the readings are truly taken, and over which interval.
+# ---- Sampling: channel i is taken at t_0 + (j / f) / (1 + c) + d_i + jitter_j
 
 Averaging = Literal["instant", "interval"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sampling:
+class Sampling(Effect):
     """The device's clock and its converters' timing."""
 
     # Nominal rate; None takes a sample at each sample of the motion, where only jitter, clock and delays move it
@@ -623,7 +459,7 @@ class Sampling:
     accel_averaging: Averaging = quantity("", None, "instant")  # instant or interval
 
     def __post_init__(self) -> None:
-        settle(self)
+        Effect.__post_init__(self)
         for name in ("gyro_averaging", "accel_averaging"):
             if getattr(self, name) not in ("instant", "interval"):
                 raise InputError(f"{name}: wanted instant or interval, got '{getattr(self, name)}'; name one of them")
@@ -639,15 +475,12 @@ class Sampling:
 class Ticks:
     """Times of M samples."""
 
-    stamped_s: FloatArray  # (M,), what the record says, s
+    stamped_s: FloatArray  # (M,), in the record, s
     true_s: FloatArray  # (M,), when they were taken, without the delay of a channel, s
 
 
 def ticks_of(effect: Sampling, time: FloatArray, rng: np.random.Generator) -> Ticks:
-    """Return the times of the samples that lie within a motion.
-
-    Arrays: time (N,) s.
-    """
+    """Return the times of the samples that lie within a motion."""
     if effect.on_grid:
         return Ticks(stamped_s=time, true_s=time)
     if effect.sample_rate_hz is None:
@@ -670,20 +503,14 @@ def ticks_of(effect: Sampling, time: FloatArray, rng: np.random.Generator) -> Ti
 
 
 def instant(x: FloatArray, time: FloatArray, at: FloatArray, delay_s: FloatArray) -> FloatArray:
-    """Return a signal at other times, by a cubic spline.
-
-    Arrays: x (N, 3), time (N,) s, at (M,) s, delay_s (3,) s -> (M, 3).
-    """
+    """Return a signal at other times, by a cubic spline."""
     from scipy.interpolate import CubicSpline
 
     return np.stack([CubicSpline(time, x[:, k])(at + delay_s[k]) for k in range(3)], axis=1)
 
 
 def interval(means: FloatArray, time: FloatArray, at: FloatArray, delay_s: FloatArray) -> FloatArray:
-    """Return the mean of a signal since the sample before, from its means over the steps of its own grid.
-
-    Arrays: means (N, 3), time (N,) s, at (M,) s, delay_s (3,) s -> (M, 3).
-    """
+    """Return the mean of a signal since the sample before, from its means over the steps of its own grid."""
     from scipy.interpolate import CubicSpline
 
     steps = np.diff(time, prepend=time[0])
@@ -699,24 +526,21 @@ def interval(means: FloatArray, time: FloatArray, at: FloatArray, delay_s: Float
 
 
 def step_means(x: FloatArray, time: FloatArray) -> FloatArray:
-    """Return the mean of a smooth signal over each step of its grid, by the integral of its cubic spline.
-
-    Arrays: x (N, 3), time (N,) s -> (N, 3).
-    """
+    """Return the mean of a smooth signal over each step of its grid, by the integral of its cubic spline."""
     from scipy.interpolate import CubicSpline
 
     integral = np.asarray(CubicSpline(time, x).antiderivative()(time))
     return np.vstack((x[:1], np.diff(integral, axis=0) / np.diff(time)[:, None]))
 
 
-# ---- Scale, cross-axis and misalignment: ``y = (I + X) diag(1 + s) E x``, E the sensors' unit vectors in b, one a row.
+# ---- Scale, cross-axis, misalignment: y = (I + X) diag(1 + s) E x, E the sensors in b, one a row
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scale:
+class Scale(Effect):
     """How motion becomes output."""
 
-    nominal_sensitivity: float = quantity("{out}_per_{x}")  # What the data sheet says, output unit per rad/s or m/s2
+    nominal_sensitivity: float = quantity("{out}_per_{x}")  # Of the data sheet, output unit per rad/s or m/s2
     error: FloatArray = quantity("", (3,), 0.0)  # (3,), relative error of each sensor's sensitivity
     # (3, 3), unit vector of each sensor in b, one a row
     axes: FloatArray = quantity("", (3, 3), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
@@ -724,7 +548,7 @@ class Scale:
     cross_axis: FloatArray = quantity("", (3, 3), 0.0)
 
     def __post_init__(self) -> None:
-        settle(self)
+        Effect.__post_init__(self)
         length = np.linalg.norm(self.axes, axis=1)
         if (np.abs(length - 1.0) > 1e-9).any():
             raise InputError(
@@ -739,51 +563,38 @@ class Scale:
     @property
     def matrix(self) -> FloatArray:
         """(I + X) diag(1 + s) E, shape (3, 3)."""
-        matrix: FloatArray = (np.eye(3) + self.cross_axis) @ ((1.0 + self.error)[:, None] * self.axes)
-        return matrix
+        return np.asarray((np.eye(3) + self.cross_axis) @ ((1.0 + self.error)[:, None] * self.axes))
 
 
 def scaled(x: FloatArray, effect: Scale, extra: FloatArray | None = None) -> FloatArray:
-    """Return what the channels make of a motion.
-
-    Arrays: x (N, 3), extra (N, 3, 3) -> (N, 3).
-    """
+    """Return what the channels make of a motion."""
     if extra is None:
         return np.asarray(x @ effect.matrix.T)
     along = x @ effect.axes.T + np.einsum("ij,nij->ni", effect.axes, extra)
     return np.asarray((along * (1.0 + effect.error)) @ (np.eye(3) + effect.cross_axis).T)
 
 
-# ---- Thermal scale: ``y = x (1 + k_1 D + k_2 D^2 + ...)``; it acts on the offset too, which passes the same element.
+# ---- Thermal scale: y = x (1 + k_1 D + k_2 D^2 + ...); the offset passes the same element
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ThermalScale:
+class ThermalScale(Effect):
     """Sensitivity over temperature."""
 
     # (K, 3), relative change with D, D^2, ... D^K in a row each, per K to that power
     per_k: FloatArray = quantity("by_power_of_k", (None, 3))
 
-    def __post_init__(self) -> None:
-        settle(self)
-
     def factor(self, warmth: FloatArray | float) -> FloatArray:
-        """Return the factor at a temperature.
-
-        Arrays:  -> (..., 3).
-        """
+        """Return the factor at a temperature."""
         return 1.0 + polynomial(self.per_k, np.asarray(warmth, dtype=float))
 
 
 def warmed(x: FloatArray, effect: ThermalScale, scene: Scene) -> FloatArray:
-    """Return a signal at the sensitivity of its temperature.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal at the sensitivity of its temperature."""
     return x * effect.factor(scene.warmth)
 
 
-# ---- Board thermometer, an LM335 for one: 10 mV/K, trimmed once, slow, warmed by its own current.
+# ---- Thermometer: felt' = (T + s (1 - exp(-t / lag)) - felt) / lag, exact for a straight T
 
 TRIM_TEMP_C = 25.0
 LM335_V_PER_K = 0.010
@@ -791,7 +602,7 @@ KELVIN_ZERO_C = -273.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Thermometer:
+class Thermometer(Effect):
     """A board thermometer."""
 
     trim_error_c: float = quantity("", None, 0.0)  # Reading minus truth at 25 degC, K
@@ -803,9 +614,6 @@ class Thermometer:
     zero_c: float = quantity("", None, 0.0)  # Temperature of code 0, degC
     rounding: Rounding = quantity("", None, "nearest")  # nearest, floor or toward_zero
 
-    def __post_init__(self) -> None:
-        settle(self)
-
 
 def lm335(*, bits: int = 12, reference_v: float = 5.0, lag_s: float = 80.0, self_heating_c: float = 0.6) -> Thermometer:
     """Return an LM335 behind a converter, trimmed without error."""
@@ -814,17 +622,14 @@ def lm335(*, bits: int = 12, reference_v: float = 5.0, lag_s: float = 80.0, self
 
 
 def thermometer_reading(effect: Thermometer, scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """Return what the thermometer says.
-
-    Arrays:  -> (N,) degC.
-    """
+    """Return the readings of the thermometer, degC."""
     felt = _felt(effect, scene)
-    said: FloatArray = felt + effect.trim_error_c + effect.slope_error * (felt - TRIM_TEMP_C)
+    reading: FloatArray = felt + effect.trim_error_c + effect.slope_error * (felt - TRIM_TEMP_C)
     if effect.noise_c > 0.0:
-        said = said + rng.normal(0.0, effect.noise_c, len(said))
+        reading = reading + rng.normal(0.0, effect.noise_c, len(reading))
     if effect.step_c == 0.0:
-        return said
-    code: FloatArray = rounded((said - effect.zero_c) / effect.step_c, effect.rounding)
+        return reading
+    code: FloatArray = rounded((reading - effect.zero_c) / effect.step_c, effect.rounding)
     return code * effect.step_c + effect.zero_c
 
 
@@ -845,36 +650,30 @@ def _felt(effect: Thermometer, scene: Scene) -> FloatArray:
     return np.asarray(lagging) + own
 
 
-# ---- Warm-up: what a young device still lacks of its settled offset: ``y = x - A (1 + k D) exp(-t / tau)`` [1]_.
+# ---- Warm-up: y = x - A (1 + k D) exp(-t / tau), what is lacking of the settled offset [4]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WarmUp:
+class WarmUp(Effect):
     """Offset over time since power-on."""
 
     amplitude: FloatArray = quantity("{x}", (3,))  # (3,), change from power-on to the settled value, rad/s or m/s2
     time_constant_s: float = quantity("", least=1e-9)  # s
     per_k: FloatArray = quantity("", (3,), 0.0)  # (3,), relative change of the amplitude with temperature, per K
 
-    def __post_init__(self) -> None:
-        settle(self)
-
 
 def warming_up(x: FloatArray, effect: WarmUp, scene: Scene) -> FloatArray:
-    """Return a signal of a device that warms up.
-
-    Arrays: x (N, 3) -> (N, 3).
-    """
+    """Return a signal of a device that warms up."""
     fading = np.exp(-scene.age_s / effect.time_constant_s)[:, None]
     lacking: FloatArray = effect.amplitude * (1.0 + np.outer(scene.warmth, effect.per_k)) * fading
     return x - lacking
 
 
-# ---- effects
+# ---- The chain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SensorChain:
+class SensorChain(Effect):
     """Three sensors of one kind."""
 
     unit: str = quantity("")  # Unit of the reading: count, v, dps, rad/s, g, m/s2
@@ -894,9 +693,6 @@ class SensorChain:
     low_pass: LowPass | None = quantity("", None, None)  # Analogue, second order
     adc: Adc | None = quantity("", None, None)  # Converter
 
-    def __post_init__(self) -> None:
-        settle(self)
-
     @property
     def gain(self) -> float:
         """Nominal gain of the whole chain, unit of the reading per rad/s or m/s2."""
@@ -910,22 +706,18 @@ class SensorChain:
     @property
     def forward_matrix(self) -> FloatArray:
         """Unit of the reading per rad/s or m/s2 of each case axis at the reference temperature, shape (3, 3)."""
-        matrix: FloatArray = self.gain * self.scale.matrix
-        return matrix
+        return np.asarray(self.gain * self.scale.matrix)
 
     @property
     def raw_offset(self) -> FloatArray:
         """Reading at zero input and reference temperature, unit of the reading, shape (3,)."""
         offset = self.offset.constant if self.offset else np.zeros(3)
-        raw: FloatArray = self.null + self.gain * offset
-        return raw
+        return np.asarray(self.null + self.gain * offset)
 
     @property
     def raw_random_walk(self) -> FloatArray:
         """White noise in the reading, its unit per sqrt(Hz), shape (3,)."""
-        walk = self.white_noise.random_walk if self.white_noise else np.zeros(3)
-        raw: FloatArray = self.gain * walk
-        return raw
+        return np.asarray(self.gain * (self.white_noise.random_walk if self.white_noise else np.zeros(3)))
 
     @property
     def full_scale(self) -> float:

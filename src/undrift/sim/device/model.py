@@ -1,13 +1,10 @@
-"""DeviceModel: a device told by what it physically is: two sensor chains, a board thermometer, a clock.
+"""DeviceModel: a device as what it physically is: two sensor chains, a board thermometer, a clock; and its file.
 
-Every effect is a value of its own in a file of its own; ``simulate.py`` composes them. No matrix is inverted here; the
-correction undrift fits is another set of equations.
-
-Device files: device.json, one object, kind "undrift.device", format 1.
-
-Every key is the field's name with its unit behind it, where the name does not say it: offset.constant_rad_s of a gyroscope,
-offset.constant_m_s2 of an accelerometer. null stands for an effect that is switched off; infinity, which JSON does not know, is
-"inf" or "-inf". Numbers read back to the last bit; a key that is missing or unknown is an error.
+No matrix is inverted here; the correction that undrift fits is another set of equations. device.json holds one object, kind
+"undrift.device", format 1. Every key is the field's name with its unit behind it, where the name does not carry it:
+offset.constant_rad_s of a gyroscope, offset.constant_m_s2 of an accelerometer. null stands for an effect that is switched off;
+infinity, which JSON does not know, is "inf" or "-inf". Numbers read back to the last bit; a key that is missing or unknown is
+an error.
 """
 
 import json
@@ -23,11 +20,11 @@ import numpy as np
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import write_whole
-from undrift.sim.device.effects import Sampling, SensorChain, Thermometer, quantity, settle
+from undrift.sim.device.effects import Effect, Sampling, SensorChain, Thermometer, quantity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DeviceModel:
+class DeviceModel(Effect):
     """Three gyroscopes, three accelerometers, a thermometer and a clock.
 
     Parameters
@@ -57,17 +54,8 @@ class DeviceModel:
     name: str = quantity("", None, "")
     source_tag: str = quantity("", None, "assumed")
 
-    def __post_init__(self) -> None:
-        settle(self)
-
     def without_noise(self) -> "DeviceModel":
-        """Return the same device with no noise, no jitter, no rounding and no end to its range.
-
-        Returns
-        -------
-        DeviceModel
-            Deterministic.
-        """
+        """Return the same device with no noise, no jitter, no rounding and no end to its range."""
         return replace(
             self,
             gyro=self.gyro.without_noise(),
@@ -77,7 +65,7 @@ class DeviceModel:
         )
 
 
-# ---- Device files: device.json, one object, kind "undrift.device", format 1.
+# ---- device.json
 
 KIND = "undrift.device"
 FORMAT = 1
@@ -85,9 +73,7 @@ FORMAT = 1
 
 def write_device(device: DeviceModel, path: Path | str) -> None:
     """Write a device to a file, whole or not at all."""
-    path = Path(path)
-    text = json.dumps(device_json(device), indent=1, allow_nan=False) + "\n"
-    write_whole(path, text)
+    write_whole(Path(path), json.dumps(device_json(device), indent=1, allow_nan=False) + "\n")
 
 
 def read_device(path: Path | str) -> DeviceModel:

@@ -1,21 +1,15 @@
-"""Simulate: what a device says to a motion, and what each effect has to do with it.
+"""Simulate: the readings of a device in a motion, and the contribution of each effect.
 
 The effects are composed left to right in the order of ``sim/device/effects.py``. Each stage maps a signal to a signal; the
-difference is
-the contribution of the effect, so that truth plus contributions is the reading. A gyroscope that averages between samples is
-driven by the rotation vector of each step over its duration, which loses no coning.
+difference is the contribution of the effect, so that truth plus contributions is the reading. A gyroscope that averages between
+samples is driven by the rotation vector of each step over its duration, which loses no coning.
 
-Dwells: what a device reads on average while it is turned at a steady rate, or rests, for a while.
+Dwells have a shorter way: the effects that are steady over a dwell are taken once a dwell; white noise, low-pass, rails and
+converter run over every sample of it, in a kernel; the flicker of the offset is exact from dwell to dwell for processes slower
+than a dwell and drawn afresh, as its mean over the dwell, for faster ones. The low-pass has settled when a dwell begins.
 
-The effects that are steady over a dwell (scale, non-linearity, g-sensitivity, offset, thermal scale, rate drift, warm-up,
-hysteresis) are those of ``simulate_device``, a sample a dwell. White noise, low-pass, rails and converter run over every sample of
-the dwell, in a kernel. The flicker of the offset is exact from dwell to dwell for processes slower than a dwell, and drawn afresh,
-as its mean over the dwell, for faster ones. The low-pass has settled when a dwell begins.
-
-Streams: one independent source of random numbers per effect, named, so that adding an effect changes no other's noise.
-
-A stream is a numpy generator seeded by (root, crc32 of the effect's name). The root is drawn from the caller's
-generator, 128 bits at a time: each call of a simulator gets fresh noise, and the same generator gives the same noise again.
+Each effect draws from a generator of its own, seeded by (root, crc32 of its name), so that adding an effect changes no other's
+noise. The root is drawn from the caller's generator, 128 bits at a time.
 """
 
 import math
@@ -82,7 +76,7 @@ def draw_streams(rng: np.random.Generator) -> Streams:
     return Streams(tuple(int(word) for word in rng.integers(0, 2**32, 4, dtype=np.uint64)))
 
 
-# ---- simulate
+# ---- A motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,10 +99,7 @@ class Triad:
     saturated: BoolArray  # (M, 3), true where a rail or the end of the codes held the reading
 
     def of(self, effect: str) -> FloatArray:
-        """Return the contribution of one effect.
-
-        Arrays:  -> (M, 3).
-        """
+        """Return the contribution of one effect, (M, 3)."""
         return next((c.value for c in self.contributions if c.effect == effect), np.zeros_like(self.true))
 
 
@@ -119,7 +110,7 @@ class Simulated:
     Parameters
     ----------
     record : Record
-        What the device said; NaN where the motion is unknown.
+        Readings of the device; NaN where the motion is unknown.
     gyro, accel : Triad
         Truth, contributions, saturation.
     temp_c : array, shape (M,)
@@ -198,13 +189,13 @@ def simulate_device(
             streams,
             _Sampler("accel", ticks, clock.on_grid, clock.accel_delay_s, clock.accel_averaging),
         )
-    said = thermometer_reading(model.thermometer, scene, streams.of("thermometer"))
+    shown = thermometer_reading(model.thermometer, scene, streams.of("thermometer"))
     seen = np.interp(ticks.true_s, motion.time, known.astype(float)) > 1.0 - 1e-9
     record = Record(
         time=ticks.stamped_s,
         gyro=np.where(seen[:, None], gyro_raw, np.nan),
         accel=np.where(seen[:, None], accel_raw, np.nan) if felt else None,
-        temp_c=_latest(said, scene.time, ticks),
+        temp_c=_latest(shown, scene.time, ticks),
         gyro_unit=model.gyro.unit,
         accel_unit=model.accel.unit,
         device=model.serial,
@@ -286,8 +277,8 @@ def _stages(chain: SensorChain, scene: Scene, streams: Streams, name: str) -> li
     stages.append(("scale", lambda x: _scaled(x, chain, arm)))
     if bend := chain.nonlinearity:
         stages.append(("nonlinearity", lambda x: bent(x, bend)))
-    if feigning := chain.g_sensitivity:
-        stages.append(("g_sensitivity", lambda x: with_g(x, feigning, scene)))
+    if felt := chain.g_sensitivity:
+        stages.append(("g_sensitivity", lambda x: with_g(x, felt, scene)))
     if offset := chain.offset:
         stages.append(("offset", lambda x: with_offset(x, offset, scene)))
     if warmth := chain.thermal_scale:
@@ -298,22 +289,12 @@ def _stages(chain: SensorChain, scene: Scene, streams: Streams, name: str) -> li
         stages.append(("warm_up", lambda x: warming_up(x, young, scene)))
     if loop := chain.hysteresis:
         stages.append(("hysteresis", lambda x: with_hysteresis(x, loop, scene)))
-    return stages + _noise_stages(chain, scene, streams, name) + _analogue_stages(chain, scene)
-
-
-def _noise_stages(chain: SensorChain, scene: Scene, streams: Streams, name: str) -> list[tuple[str, Stage]]:
-    stages: list[tuple[str, Stage]] = []
     if white := chain.white_noise:
         stages.append(("white_noise", lambda x: with_white_noise(x, white, scene.step_s, streams.of(f"{name}_white"))))
     if flicker := chain.instability:
         stages.append(("instability", lambda x: with_instability(x, flicker, scene, streams.of(f"{name}_instability"))))
     if walk := chain.random_walk:
         stages.append(("random_walk", lambda x: with_random_walk(x, walk, scene, streams.of(f"{name}_walk"))))
-    return stages
-
-
-def _analogue_stages(chain: SensorChain, scene: Scene) -> list[tuple[str, Stage]]:
-    stages: list[tuple[str, Stage]] = []
     if amplifier := chain.amplifier:
         stages.append(("amplifier", lambda x: amplified(x, amplifier, chain.scale.nominal_sensitivity)[0]))
     if low_pass := chain.low_pass:
@@ -356,15 +337,14 @@ def _filled(x: FloatArray, time: FloatArray) -> FloatArray:
     return np.stack([np.interp(time, time[known], x[known, k]) for k in range(x.shape[1])], axis=1)
 
 
-def _latest(said: FloatArray, time: FloatArray, ticks: Ticks) -> FloatArray:
+def _latest(shown: FloatArray, time: FloatArray, ticks: Ticks) -> FloatArray:
     """Return the thermometer's reading that is there when a sample is taken."""
     if ticks.true_s is time:
-        return said
-    at: FloatArray = said[np.maximum(np.searchsorted(time, ticks.true_s + 1e-12, side="right") - 1, 0)]
-    return at
+        return shown
+    return np.asarray(shown[np.maximum(np.searchsorted(time, ticks.true_s + 1e-12, side="right") - 1, 0)])
 
 
-# ---- Dwells: what a device reads on average while it is turned at a steady rate, or rests, for a while.
+# ---- Dwells
 
 BURN_IN_S = 0.3  # a second-order filter at 3 Hz has forgotten its start to 1 %
 
@@ -381,13 +361,8 @@ class Dwells:
 
     def __post_init__(self) -> None:
         n = len(self.temp_c)
-        for name, shape in (
-            ("start_s", (n,)),
-            ("duration_s", (n,)),
-            ("rate_b", (n, 3)),
-            ("force_b", (n, 3)),
-            ("temp_c", (n,)),
-        ):
+        for name, width in (("start_s", ()), ("duration_s", ()), ("rate_b", (3,)), ("force_b", (3,)), ("temp_c", ())):
+            shape = (n, *width)
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Dwells.{name}"))
         if n < 2 or (np.diff(self.start_s) <= 0.0).any() or (self.duration_s <= 0.0).any():
             raise InputError(
@@ -400,14 +375,14 @@ class Dwells:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DwellReadings:
-    """What the device said, N dwells."""
+    """Readings of the device over N dwells."""
 
     gyro: FloatArray  # (N, 3), mean reading, raw unit
     accel: FloatArray  # (N, 3), mean reading, raw unit
     gyro_variance: FloatArray  # (N, 3), variance of the samples, raw unit squared
     accel_variance: FloatArray  # (N, 3), variance of the samples, raw unit squared
     samples: IntArray  # (N,), in each dwell
-    temp_c: FloatArray  # (N,), what the thermometer said, settled, degC
+    temp_c: FloatArray  # (N,), reading of the thermometer, settled, degC
 
 
 def simulate_dwells(
@@ -418,16 +393,13 @@ def simulate_dwells(
     sample_rate_hz: float = 100.0,
     felt: BoolArray | None = None,
 ) -> DwellReadings:
-    """Return what a device reads over dwells.
-
-    Arrays: felt (N,).
-    """
+    """Return the mean readings of a device over dwells; accelerometers of dwells that are not felt get one sample."""
     streams = draw_streams(rng)
     samples = np.maximum(np.round(dwells.duration_s * sample_rate_hz).astype(np.int64), 1)
     steady = simulate_device(
         _steady(device), _motion(dwells), rng=streams.of("steady"), temp_c=dwells.temp_c, power_on_s=dwells.start_s[0]
     )
-    said = steady.record.temp_c if steady.record.temp_c is not None else dwells.temp_c
+    shown = steady.record.temp_c if steady.record.temp_c is not None else dwells.temp_c
     gyro, accel = steady.record.gyro, steady.record.accel
     found: list[FloatArray] = []
     for name, chain, level in (("gyro", device.gyro, gyro), ("accel", device.accel, accel)):
@@ -437,7 +409,7 @@ def simulate_dwells(
         lengths = samples if name == "gyro" or felt is None else np.where(felt, samples, 1)
         found += _averaged(chain, level + flicker, lengths, sample_rate_hz, streams, name)
     return DwellReadings(
-        gyro=found[0], gyro_variance=found[1], accel=found[2], accel_variance=found[3], samples=samples, temp_c=said
+        gyro=found[0], gyro_variance=found[1], accel=found[2], accel_variance=found[3], samples=samples, temp_c=shown
     )
 
 
