@@ -116,6 +116,68 @@ CATALOGUE: dict[str, Entry] = {
     # ---- drift: scale and dynamic drift
     # ---- drift: accelerometers
     # ---- correction
+    "correct.no_temperature": Entry(
+        1,
+        "{seconds:.1f} s without a temperature",
+        "the drift table cannot be evaluated there; the result is a gap (NaN) under every policy",
+        "fill in the temperature",
+    ),
+    "correct.outside": Entry(
+        1,
+        "{seconds:.1f} s outside the drift table",
+        "{low_c:.1f} to {high_c:.1f} degC were recorded (thermometer lag subtracted: {lag_s:g} s)",
+        "extend the table by a thermal session at these temperatures",
+    ),
+    "correct.extrapolated": Entry(
+        2,
+        "{seconds:.1f} s where the drift table is extrapolated",
+        "standard uncertainty there up to {uncertainty}",
+        "extend the thermal session to these temperatures and rates",
+    ),
+    "correct.extrapolated_unstated": Entry(
+        2,
+        "{seconds:.1f} s where the drift table is extrapolated",
+        "the table states no uncertainty there",
+        "extend the thermal session to these temperatures and rates",
+    ),
+    "correct.departure": Entry(
+        1,
+        "Temperature far from the reference temperature",
+        "by up to {departure_c:.1f} degC from {reference_c:.1f} degC; constant offsets hold within {span_c:g} degC",
+        "fit a drift table (undrift drift)",
+    ),
+    "correct.turn_rate": Entry(
+        1,
+        "Turn rate outside the dynamic drift table",
+        "{least_dps:.1f} to {greatest_dps:.1f} deg/s; the table ends at {first_dps:.1f} and {last_dps:.1f} deg/s and is held there",
+        "extend the table by turns at these rates",
+    ),
+    "correct.beyond_range": Entry(
+        1,
+        "{sensor}: {percent:.3g} % of the samples exceed the calibrated range",
+        "by more than a tenth: range {low:.3g} to {high:.3g} {unit}, worst {worst:.4g} {unit}; the model is extrapolated",
+        "calibrate over a wider range",
+    ),
+    "correct.no_model": Entry(
+        3, "{sensor}: the calibration has no model", "nominal values were passed on", "calibrate the {sensor} as well"
+    ),
+    "correct.device": Entry(
+        1,
+        "Recording and calibration name different devices",
+        "recording {recorded}, calibration {calibrated}",
+        "check that both belong together",
+    ),
+    "correct.hysteresis": Entry(
+        2,
+        "Hysteresis is not corrected",
+        "half-width up to {half_width_dps:.2g} deg/s; the table holds the mean of warming and cooling",
+    ),
+    "correct.warm_up": Entry(
+        1,
+        "No warm-up was subtracted",
+        "up to {largest_dps:.2g} deg/s, zero from {end_s:g} s after power-on",
+        "state the time since power-on at the first sample",
+    ),
     # ---- validation
     # ---- twin
     # ---- recordings (undrift info)

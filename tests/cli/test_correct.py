@@ -102,10 +102,10 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
         assert row["seconds_outside"] == pytest.approx(lasts / 3.0, abs=0.05)  # 2.5 degC of 15 at either end
         assert row["seconds_extrapolated"] == pytest.approx(lasts / 3.0, abs=0.05)  # 20 to 25 degC
         assert row["samples_outside"] == pytest.approx(row["seconds_outside"] * tuned.sample_rate_hz)
-        assert f"{row['seconds_outside']:.1f} s lie outside the drift table: 17.5 to 32.5 degC" in row["warnings"][0]
-        assert f"{row['seconds_extrapolated']:.1f} s lie where the drift table is extrapolated" in row["warnings"][1]
-        assert row["notes"][0].startswith("hysteresis: the table holds the middle")
-        assert row["notes"][1].startswith("no warm-up was subtracted: it reaches")
+        assert f"{row['seconds_outside']:.1f} s outside the drift table: 17.5 to 32.5 degC" in row["warnings"][0]
+        assert f"{row['seconds_extrapolated']:.1f} s where the drift table is extrapolated" in row["warnings"][1]
+        assert row["notes"][0].startswith("Hysteresis is not corrected: half-width up to")
+        assert row["notes"][1].startswith("No warm-up was subtracted: up to")
         assert len(row["notes"]) == 2
     assert rows[0]["warnings"] == rows[1]["warnings"], "streamed and at once"
 
@@ -126,7 +126,7 @@ def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(un
         row = undrift.good(*words, "--policy", policy, "--json").json()["recordings"][0]
         assert row["samples_without_temperature"] == 200
         assert row["seconds_without_temperature"] == pytest.approx(200 / tuned.sample_rate_hz, abs=1e-6)
-        assert "s have no temperature: the drift table cannot be looked up there" in row["warnings"][0]
+        assert "s without a temperature: the drift table cannot be evaluated there" in row["warnings"][0]
         assert "  warning: " + row["warnings"][0] in undrift.good(*words, "--policy", policy).out
         assert np.isnan(read_record(tmp_path / "o.parquet").gyro).any(axis=1).sum() == 200
 
@@ -226,10 +226,8 @@ def test_readings_beyond_what_the_fit_has_seen_are_told_and_left_as_they_are(und
         assert (told["sensor"], told["range"], told["unit"]) == ("gyro", [-0.2, 0.2], "rad/s")
         assert told["share"] == pytest.approx(share, abs=1e-12) == told["samples"] / len(done)
         assert told["worst"] == pytest.approx(worst, abs=1e-9)
-        (line,) = [
-            text for text in row["warnings"] if "beyond what the calibration has seen, -11.5 to 11.5 deg/s" in text
-        ]
-        assert f"the worst is {np.degrees(worst):.4g} deg/s" in line
+        (line,) = [text for text in row["warnings"] if "by more than a tenth: range -11.5 to 11.5 deg/s" in text]
+        assert f"worst {np.degrees(worst):.4g} deg/s" in line
         assert f"  warning: {line}\n" in undrift.good(*words).out
         made = read_record(tmp_path / f"c{path.suffix}")
         np.testing.assert_allclose(made.gyro, done.gyro, atol=1e-12, rtol=0.0)
@@ -240,7 +238,7 @@ def test_readings_beyond_what_the_fit_has_seen_are_told_and_left_as_they_are(und
 def test_orient_and_validate_tell_of_readings_beyond_the_fit_too(undrift, bench, tmp_path):
     known = read_calibration(bench / "calibration.json")
     write_calibration(replace(known, gyro=replace(known.gyro, valid_range=(-0.2, 0.2))), tmp_path / "narrow.json")
-    said = "beyond what the calibration has seen, -11.5 to 11.5 deg/s"
+    said = "by more than a tenth: range -11.5 to 11.5 deg/s"
     for calibration, count in ((tmp_path / "narrow.json", 1), (bench / "calibration.json", 0)):
         words = [bench / "trial.parquet", "--calibration", calibration, "--json"]
         oriented = undrift.good("orient", *words, "-o", tmp_path / "o.csv").json()["notes"]

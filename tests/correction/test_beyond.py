@@ -61,13 +61,13 @@ def test_gaps_and_noise_at_the_end_of_the_span_do_not_count():
     found = find_beyond(replace(done, gyro=gyro), calibration)[0]
     assert (found.samples, found.worst) == (1, -0.551)
     assert found.text == (
-        "gyroscope: 0.2 % of the samples lie beyond what the calibration has seen, -28.6 to 28.6 deg/s, by more than a tenth; the "
-        f"worst is {-0.551 / RADIAN_PER_DEGREE:.4g} deg/s: the model is extrapolated there"
+        "gyroscope: 0.2 % of the samples exceed the calibrated range: by more than a tenth: range -28.6 to 28.6 deg/s, "
+        f"worst {-0.551 / RADIAN_PER_DEGREE:.4g} deg/s; the model is extrapolated; calibrate over a wider range"
     )
 
 
 @pytest.mark.parametrize("span", [(0.0, 0.0), (np.nan, np.nan), (-np.inf, np.inf)])
-def test_a_fit_without_a_span_says_nothing(span):
+def test_a_fit_without_a_span_gives_no_warning(span):
     done, calibration = corrected()
     found = find_beyond(done, seen(calibration, span))
     assert [one.text for one in found if one.sensor == "gyro" and one.samples] == []

@@ -66,15 +66,17 @@ def test_a_warm_up_is_converted_with_the_readings():
     np.testing.assert_allclose(dps.gyro, si.gyro, rtol=0, atol=1e-12)  # rad/s of warm-ups near 40
 
 
-def test_without_the_time_since_power_on_no_warm_up_is_subtracted_and_a_note_says_how_large_it_is():
+def test_without_the_time_since_power_on_no_warm_up_is_subtracted_and_a_note_states_its_size():
     c, r = warming(tables()), record()
     done = correct_checked(r, c)
     assert done.record.gyro.tobytes() == corrected(r, device(drift=tables())).gyro.tobytes()
     most = np.degrees(np.abs(WARM.gyro_offset @ c.gyro.matrix.T).max())
     assert done.notes == (
-        f"no warm-up was subtracted: it reaches {most:.2g} deg/s and is over 1.5 s after power-on; give the time since "
+        f"No warm-up was subtracted: up to {most:.2g} deg/s, zero from 1.5 s after power-on; state the time since "
         "power-on at the first sample",
     )
+    assert done.findings[-1].code == "correct.warm_up"
+    assert done.findings[-1].values["largest_dps"] == pytest.approx(most, rel=1e-12)
     assert correct_checked(r, c, power_on_s=0.0).notes == ()
 
 
@@ -105,7 +107,7 @@ def test_a_gap_in_temperature_stays_a_gap_where_a_lag_is_taken_off():
     assert np.flatnonzero(np.isnan(done.record.gyro).any(axis=1)).tolist() == [0, 7, 8, 100]
 
 
-def test_the_range_is_that_of_the_temperature_without_lag_and_the_warning_says_so():
+def test_the_range_is_that_of_the_temperature_without_lag_and_the_warning_states_it():
     r = record(
         temp_c=np.linspace(40.0, 70.0, N)
     )  # at 15 degC/s half a second late, a tenth of it left: 6 degC more at the end
@@ -115,7 +117,8 @@ def test_the_range_is_that_of_the_temperature_without_lag_and_the_warning_says_s
         correct_checked(r, c)
     done = correct_checked(r, c, policy="hold")
     assert done.seconds_outside == pytest.approx(0.06, abs=0.011)  # 0.94 degC above 75; one sample at each end
-    assert done.warnings[0].endswith("degC were recorded, the thermometer's lag of 0.5 s taken off")
+    assert done.findings[0].values["lag_s"] == 0.5
+    assert "degC were recorded (thermometer lag subtracted: 0.5 s)" in done.warnings[0]
 
 
 def test_a_lag_without_a_table_changes_nothing():

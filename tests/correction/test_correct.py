@@ -100,19 +100,23 @@ def test_a_corrected_record_is_not_corrected_twice():
         correct(once, c)
 
 
-def test_a_triad_without_a_model_passes_nominal_values_and_says_so():
+def test_a_triad_without_a_model_passes_nominal_values_and_a_note():
     c = device(unit="si", accel=None)
     r = record(unit="si", temp_c=None).in_units("rad/s", "g")
     done = correct_checked(r, c)
     np.testing.assert_allclose(done.record.accel, r.in_si().accel, rtol=1e-15)
-    assert done.notes == ("accel: the calibration has no model, nominal values were passed on",)
+    assert done.notes == (
+        "accel: the calibration has no model: nominal values were passed on; calibrate the accel as well",
+    )
     with pytest.raises(InputError, match="accel: wanted a physical unit, got count"):
         correct(record(temp_c=None, accel_unit="count"), device(accel=None))
 
 
 def test_another_serial_number_is_noted():
     done = correct_checked(record(temp_c=None, device="B"), device())
-    assert done.notes == ("the recording is of B, the calibration of A",)
+    assert done.notes == (
+        "Recording and calibration name different devices: recording B, calibration A; check that both belong together",
+    )
 
 
 def test_g_sensitivity_needs_the_accelerometer_and_tables_need_the_temperature():
@@ -144,7 +148,7 @@ def test_a_gap_in_temperature_is_a_gap_in_the_result_and_not_outside(static):
 
 
 @pytest.mark.parametrize("policy", ["raise", "hold", "nan"])
-def test_a_gap_in_temperature_is_counted_and_told_whatever_the_policy(policy):
+def test_a_gap_in_temperature_is_counted_and_reported_whatever_the_policy(policy):
     r = record()
     temp = r.temp_c.copy()
     temp[50:90] = np.nan
@@ -153,8 +157,8 @@ def test_a_gap_in_temperature_is_counted_and_told_whatever_the_policy(policy):
     np.testing.assert_array_equal(done.missing, np.isnan(done.record.gyro).any(axis=1))
     assert np.count_nonzero(done.missing) == 40
     assert done.seconds_without_temperature == pytest.approx(0.4, abs=1e-8)
-    assert "0.4 s have no temperature: the drift table cannot be looked up there" in done.warnings[0]
-    assert "a gap (NaN) whatever the policy" in done.warnings[0]
+    assert "0.4 s without a temperature: the drift table cannot be evaluated there" in done.warnings[0]
+    assert "a gap (NaN) under every policy" in done.warnings[0]
     assert not correct_checked(r, device(drift=None), policy=policy).missing.any()  # nothing asks for a temperature
 
 
@@ -181,7 +185,7 @@ def test_a_temperature_outside_the_tables_is_an_error_with_the_numbers():
 def test_hold_keeps_the_end_of_the_table_and_masks_and_warns(static):
     r, c = record(low=0.0, high=100.0), device(drift=tables(static=static, dynamic=None))
     low, high = (18.0, 75.0) if static is STEPS else (17.0, 80.0)
-    with pytest.warns(DriftRangeWarning, match=r"s lie outside the drift table: .* degC were recorded"):
+    with pytest.warns(DriftRangeWarning, match=r"s outside the drift table: .* degC were recorded"):
         held = correct(r, c, policy="hold")
     done = correct_checked(r, c, policy="hold")
     np.testing.assert_array_equal(done.outside, (r.temp_c < low) | (r.temp_c > high))
@@ -197,16 +201,16 @@ def test_nan_makes_a_gap_of_what_a_table_does_not_cover_in_the_triads_that_have_
     assert np.isfinite(done.record.accel).all()
 
 
-def test_a_rate_beyond_the_dynamic_table_is_held_and_told():
+def test_a_rate_beyond_the_dynamic_table_is_held_and_reported():
     c = device(drift=tables())
     fast = replace(record(), gyro=np.full((N, 3), 3000.0))
-    with pytest.warns(DriftRangeWarning, match=r"the dynamic table ends at -90.0 and 90.0 deg/s and was held there"):
+    with pytest.warns(DriftRangeWarning, match=r"the table ends at -90.0 and 90.0 deg/s and is held there"):
         correct(fast, c)
 
 
-def test_constant_offsets_far_from_their_temperature_are_told():
+def test_constant_offsets_far_from_their_temperature_are_reported():
     c = device(drift=None)
-    with pytest.warns(DriftRangeWarning, match=r"departs by up to 1\d.\d degC from 25.0 degC"):
+    with pytest.warns(DriftRangeWarning, match=r"by up to 1\d.\d degC from 25.0 degC"):
         correct(record(low=20.0, high=40.0), c)
     assert correct_checked(record(low=20.1, high=29.9), c).warnings == ()
     assert correct_checked(record(low=20.0, high=40.0), c, reference_span_c=20.0).warnings == ()

@@ -80,7 +80,8 @@ def test_a_scale_table_states_a_share_of_the_reading():
     turned = [np.sqrt((u**2 @ c.gyro.forward_matrix**2).max()) for u in used]  # (dM K w)_i for one w_k at a time
     assert done.reach.stated.scale == pytest.approx(max(turned), rel=1e-3)  # one or two of the nodes may not be met
     share = 100.0 * done.reach.stated.scale
-    assert done.warnings[0].endswith(f"its standard uncertainty there reaches {share:.2g} % of the reading")
+    assert done.findings[0].code == "correct.extrapolated"
+    assert done.findings[0].values["uncertainty"] == (f"{share:.2g} % of the reading",)
 
 
 def test_what_lies_outside_the_table_is_outside_and_not_extrapolated():
@@ -94,10 +95,9 @@ def test_what_lies_outside_the_table_is_outside_and_not_extrapolated():
         inside = (r.temp_c >= 18.0) & (r.temp_c <= 75.0)
         # the marks of the accelerometers run the other way: below 23 and above 63 degC
         np.testing.assert_array_equal(done.extrapolated, inside & ((r.temp_c < 30.0) | (r.temp_c > 63.0)))
-        assert done.warnings[0].startswith(f"{done.outside.sum() * 0.01:.1f} s lie outside the drift table: 1")
-        assert done.warnings[1].startswith(
-            f"{done.extrapolated.sum() * 0.01:.1f} s lie where the drift table is extrapol"
-        )
+        assert [found.code for found in done.findings] == ["correct.outside", "correct.extrapolated"]
+        assert done.warnings[0].startswith(f"{done.outside.sum() * 0.01:.1f} s outside the drift table: 1")
+        assert done.warnings[1].startswith(f"{done.extrapolated.sum() * 0.01:.1f} s where the drift table is extrapol")
 
 
 def test_extrapolated_nodes_are_part_of_the_table_and_warn_whatever_the_policy():
@@ -107,14 +107,16 @@ def test_extrapolated_nodes_are_part_of_the_table_and_warn_whatever_the_policy()
         assert np.isfinite(done.record.gyro).all()
         rate = np.degrees(done.reach.stated.rate)
         assert done.warnings == (
-            f"{done.seconds_extrapolated:.1f} s lie where the drift table is extrapolated, no data were near: its standard "
-            f"uncertainty there reaches {rate:.2g} deg/s",
+            f"{done.seconds_extrapolated:.1f} s where the drift table is extrapolated: standard uncertainty there up to "
+            f"{rate:.2g} deg/s; extend the thermal session to these temperatures and rates",
         )
 
 
-def test_marks_without_an_uncertainty_say_that_none_is_stated():
+def test_marks_without_an_uncertainty_are_reported_as_such():
     c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, stated=False))
-    assert "it does not state how uncertain it is there" in correct_checked(record(), c).warnings[0]
+    done = correct_checked(record(), c)
+    assert [found.code for found in done.findings] == ["correct.extrapolated_unstated"]
+    assert "the table states no uncertainty there" in done.warnings[0]
     drift = marked(tables(dynamic=None), static=STEPS > 60.0)
     gappy = drift.static.gyro_uncertainty.copy()
     gappy[-20] = np.nan
@@ -122,7 +124,7 @@ def test_marks_without_an_uncertainty_say_that_none_is_stated():
     assert np.isinf(done.reach.stated.rate)
 
 
-def test_tables_without_a_mark_or_met_elsewhere_say_nothing():
+def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
     assert not correct_checked(record(), device(drift=marked(tables(dynamic=None), static=STEPS < 0.0))).warnings
     cold = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
     assert not correct_checked(record(high=60.0), cold).warnings
@@ -133,7 +135,7 @@ def test_tables_without_a_mark_or_met_elsewhere_say_nothing():
     assert not correct_checked(gap, cold).extrapolated.any()
 
 
-def test_a_stream_says_what_the_batch_says_of_extrapolated_nodes():
+def test_a_stream_reports_the_extrapolated_nodes_of_the_batch():
     marks = np.zeros((len(STEPS), len(GAP)), dtype=bool)
     marks[50:] = GAP > 0.5
     c, r = device(drift=marked(tables(), static=STEPS > 60.0, dynamic=marks)), record(low=10.0, high=80.0)
@@ -149,14 +151,16 @@ def test_a_stream_says_what_the_batch_says_of_extrapolated_nodes():
     assert many.warnings == batch.warnings
 
 
-def test_hysteresis_is_told_in_deg_per_s_and_not_applied():
+def test_hysteresis_is_reported_in_deg_per_s_and_not_applied():
     drift = tables(dynamic=None)
     with_loop = DriftTables(static=replace(drift.static, gyro_hysteresis=[4.0, -20.0, 0.0]))
     plain, done = (correct_checked(record(), device(drift=d)) for d in (drift, with_loop))
     assert done.record.gyro.tobytes() == plain.record.gyro.tobytes()
     left = np.degrees(np.abs(device().gyro.matrix @ [4.0, -20.0, 0.0]).max())
     assert done.notes == (
-        f"hysteresis: the table holds the middle of warming and cooling, either is off by up to {left:.2g} deg/s of rate",
+        f"Hysteresis is not corrected: half-width up to {left:.2g} deg/s; the table holds the mean of warming and cooling",
     )
+    assert done.findings[0].code == "correct.hysteresis"
+    assert done.findings[0].values["half_width_dps"] == pytest.approx(left, rel=1e-12)
     bare = DriftTables(static=StaticDrift(temp_c=[18.0, 75.0], gyro_hysteresis=[1.0, 1.0, 1.0]))
     assert correct_checked(record(), device(drift=bare)).notes == ()  # no table, no middle

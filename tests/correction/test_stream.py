@@ -68,7 +68,7 @@ def test_a_stream_warns_as_the_batch_does():
 
 
 @pytest.mark.parametrize("drift", [None, tables(), tables(static=None)], ids=["constant", "tables", "dynamic"])
-def test_a_stream_says_at_its_end_what_the_batch_says_and_each_once(drift):
+def test_a_stream_reports_at_its_end_what_the_batch_reports_and_each_once(drift):
     c, r = device(drift=drift), record(low=10.0, high=80.0)
     corrector = Corrector(c, "hold")
     for start in range(0, N, 29):

@@ -9,59 +9,55 @@ For a reading u (3,) at temperature T, in this order::
     4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
 
-A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, the thermometer's lag
-taken off where the calibration knows it (correction/plan.py). Tables are held at their ends; a temperature beyond
-them is an error, is held, or becomes a gap, as ``policy`` says; where none was recorded the result is a gap under every policy,
-and a warning says for how long; nodes that no data were near are part of the table and give a
-warning, whatever it says.
+A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, with the thermometer's lag
+subtracted where the calibration knows it. Tables are held at their ends; a temperature beyond them is an error, is held, or becomes
+a gap, as ``policy`` states. Without a temperature the result is a gap under every policy.
 
-``_evaluate_triad`` is where these lines are. Around it: correction/plan.py turns the calibration into what the kernels
-take, correction/coverage.py looks for what it does not cover, correction/plan.py and correction/plan.py say where
-to and on how many threads, and correction/stream.py does the same chunk by chunk.
+``_evaluate_triad`` is where these lines are. Around it: plan.py turns the calibration into what the kernels take, coverage.py
+finds what it does not cover, and stream.py does the same chunk by chunk.
 """
 
+import copy
 import warnings
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.correction.coverage import (
     NOWHERE,
-    UNMOVED,
     Reach,
     Span,
+    coverage_findings,
     find_extrapolated,
     find_missing,
     find_outside,
-    notes_on,
+    model_findings,
     seconds_of,
     temperature_reach,
-    warnings_on,
 )
 from undrift.correction.plan import (
-    UNKNOWN,
-    Buffers,
+    NOTHING,
     Carry,
     Conditions,
     Plans,
     TriadPlan,
-    adopt,
+    carry_at_start,
     conditions_of,
     flat,
     in_pieces,
-    out_buffers,
     plan_record,
-    switched_on,
 )
+from undrift.errors import InputError
+from undrift.findings import Finding
 from undrift.model import Calibration
 from undrift.record import Record
 
+Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
 
 REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
-NOTHING = np.empty(0)
 
 
 def _evaluate_triad(
@@ -121,11 +117,8 @@ class Corrected:
         True where it lay inside, at nodes that no data were near.
     missing : array, shape (N,)
         True where a tuning table found no temperature: what it corrects is NaN there, whatever the policy.
-    warnings : tuple of str
-        What went beyond the calibration: temperature, span of the constant offsets, rate.
-    notes : tuple of str
-        What was done that a reader may not expect: a triad without a model, another serial number, hysteresis that is left, a
-        warm-up that was not subtracted.
+    findings : tuple of Finding
+        Codes ``correct.*``: what went beyond the calibration (level warn), and what a reader may not expect (level info).
     reach : Reach
         How far temperature and rate went, where the calibration cares.
     carry : Carry
@@ -136,10 +129,19 @@ class Corrected:
     outside: BoolArray
     extrapolated: BoolArray
     missing: BoolArray
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    reach: Reach = UNMOVED
-    carry: Carry = UNKNOWN
+    findings: tuple[Finding, ...]
+    reach: Reach
+    carry: Carry
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What went beyond the calibration: temperature, span of the constant offsets, rate."""
+        return tuple(found.text for found in self.findings if found.level == "warn")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader may not expect: a triad without a model, another device, hysteresis, a warm-up left in."""
+        return tuple(found.text for found in self.findings if found.level == "info")
 
     @property
     def seconds_outside(self) -> float:
@@ -233,7 +235,7 @@ def correct_checked(
     Returns
     -------
     Corrected
-        The record, the masks, warnings and notes.
+        The record, the masks and the findings.
 
     Raises
     ------
@@ -242,7 +244,7 @@ def correct_checked(
     DriftRangeError
         As for ``correct``.
     """
-    plans, carry = plan_record(record, calibration), switched_on(float(record.time[0]), power_on_s)
+    plans, carry = plan_record(record, calibration), carry_at_start(float(record.time[0]), power_on_s)
     return correct_planned(
         record,
         calibration,
@@ -264,24 +266,23 @@ def correct_planned(
     out: Buffers | None = None,
     reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
-    carry: Carry = UNKNOWN,
+    carry: Carry = Carry(),
 ) -> Corrected:
-    """Correct a record with plans made beforehand, as a stream has them.
-
-    Arrays: out (N, 3).
-    """
+    """Correct a record with plans made beforehand, as a stream has them."""
     at = conditions_of(record, calibration, plans, carry)
     before, missing = carry.last_time, find_missing(record, at.temp_c, plans)
     outside = find_outside(record, at.temp_c, plans, allowed=policy != "raise", before=before)
-    outputs = out_buffers(len(record), plans, out)
+    outputs = _buffers(len(record), plans, out)
     spans = in_pieces(lambda start, stop: _evaluate(record, plans, at, outputs, start, stop), len(record), threads)
     extrapolated, stated = find_extrapolated(record, at.temp_c, plans, outputs, threads)
     if policy == "nan" and outside.any():
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    reach = replace(
-        temperature_reach(at.temp_c, calibration, plans),
+    span_c, departure_c = temperature_reach(at.temp_c, calibration, plans)
+    reach = Reach(
+        temp_c=span_c,
+        departure_c=departure_c,
         seconds_outside=seconds_of(outside, record.time, before),
         turn_rate=(min(low for low, _ in spans), max(high for _, high in spans)),
         seconds_extrapolated=seconds_of(extrapolated, record.time, before),
@@ -289,12 +290,43 @@ def correct_planned(
         seconds_without_temperature=seconds_of(missing, record.time, before),
     )
     return Corrected(
-        record=adopt(record, plans, outputs),
+        record=_adopted(record, plans, outputs),
         outside=outside,
         extrapolated=extrapolated,
         missing=missing,
-        warnings=warnings_on(reach, calibration, reference_span_c),
-        notes=notes_on(record, calibration, power_on_known=carry.power_on_time is not None),
+        findings=(
+            *coverage_findings(reach, calibration, reference_span_c),
+            *model_findings(record, calibration, power_on_known=carry.power_on_time is not None),
+        ),
         reach=reach,
         carry=at.carry,
     )
+
+
+def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
+    """The arrays to write to: fresh ones, or the caller's."""
+    if out is None:
+        gyro, accel = (np.empty((0 if plan is None else n, 3)) for plan in plans)
+        return gyro, accel
+    for plan, buffer in zip(plans, out, strict=True):
+        wanted = buffer.shape == (n, 3) and buffer.dtype == np.float64 and buffer.flags.c_contiguous
+        if plan is not None and not (wanted and buffer.flags.writeable):
+            raise InputError(
+                f"correct: wanted writeable float64 buffers of shape ({n}, 3) in C order, got {buffer.dtype} {buffer.shape}; "
+                "make them with numpy.empty"
+            )
+    return out
+
+
+def _adopted(record: Record, plans: Plans, buffers: Buffers) -> Record:
+    """The record with corrected readings; the kernels wrote them in the right shape: neither copied nor checked again."""
+    done = copy.copy(record)
+    for name, plan, buffer in zip(("gyro", "accel"), plans, buffers, strict=True):
+        values = None
+        if plan is not None:
+            values = buffer.view()
+            values.flags.writeable = False
+        object.__setattr__(done, name, values)
+    for name, text in (("gyro_unit", "rad/s"), ("accel_unit", "m/s2"), ("frame", "b"), ("state", "corrected")):
+        object.__setattr__(done, name, text)
+    return done

@@ -1,10 +1,8 @@
-"""A calibration made ready for the correction kernels: units folded in, one flat plan a triad.
+"""A calibration made ready for the correction kernels: units folded in, one flat plan for each triad.
 
-For readings in unit r, with c model units per r and s SI units per unit the model gives, the kernels take ::
+For readings in unit r, with c model units per r and s SI units per unit that the model gives, the kernels take ::
 
     M' = s M c        offset' = offset / c        h' = half a code step / c        warm_up' = warm_up / c
-
-Tables made ready for the correction kernels: steps made even, cells turned into coefficients.
 
 A table over nodes t_0 < ... < t_n is linear between them and held at its ends. In cell i, with f = (t - t_i) / (t_(i+1) - t_i)::
 
@@ -12,43 +10,145 @@ A table over nodes t_0 < ... < t_n is linear between them and held at its ends. 
     two dimensions   y = c0 + f c1 + r c2 + f r c3        r the fraction along the second axis
 
 Nodes that are whole multiples of one step (a rate grid with a gap around zero) are filled up to an even grid, which changes no
-value and finds the cell by one multiplication; others are searched.
-
-What the tables are looked up with, sample by sample: the temperature of the sensors and the time since power-on.
-
-The tables are over the temperature that the sensors have. Where the calibration says that the thermometer trails them (lag_s > 0),
-lag.py takes that off, looking back only, and hands its state from chunk to chunk. The record keeps what was recorded; lookup, range
-check and warnings look at the temperature without lag.
-
-Where a record meets nodes that no data were near, and how uncertain the tables say they are there.
-
-A value between two nodes draws on both, a value on a node on that one alone. A table is therefore looked at in halves: 2 i stands
-for node i, 2 i + 1 for what lies between nodes i and i + 1, and a half is extrapolated where any node that it draws on is.
+value and finds the cell by one multiplication; others are searched. Tables are over the temperature of the sensors: where the
+thermometer lags (lag_s > 0), drift/thermometer_lag.py subtracts that lag, looking back only, with a state from chunk to chunk.
 """
 
-import copy
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.drift.thermometer_lag import LagState, without_lag
 from undrift.errors import InputError
-from undrift.model import Calibration, DriftTables, DynamicDrift, Rounding, TriadModel
+from undrift.model import Calibration, DriftTables, DynamicDrift, TriadModel
 from undrift.record import Record
 from undrift.units import Quantity, is_physical, si_factor
 
 if TYPE_CHECKING:
     from undrift.kernels.correct import Grid, Tables
 
-# ---- Tables made ready for the correction kernels: steps made even, cells turned into coefficients.
-
+NOTHING = np.empty(0)
+EVERYWHERE = (-np.inf, np.inf)
 MOST_NODES = 4096  # an even grid finer than this is not worth its memory
 EVEN_WITHIN = 1e-9  # of a step
+THREADS_FROM = 100_000  # samples; below it a second thread costs more than it saves
+
+Sensor = Literal["gyro", "accel"]
+Kind = Literal["rate", "accel", "scale"]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MarkedTable:
+    """A table with extrapolated nodes, looked at in halves: 2 i is node i, 2 i + 1 lies between nodes i and i + 1.
+
+    A half is extrapolated where any node that it draws on is: a value on a node draws on that one alone.
+    """
+
+    kind: Kind  # what its uncertainty belongs to: rate (rad/s), specific force (m/s2), or either as a share of itself
+    temp: "Grid"
+    rate: "Grid | None"  # measured rates, rad/s; None for a table over temperature alone
+    stated: FloatArray  # (halves,), standard uncertainty, -1 where data were near, infinite where none is stated
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadPlan:
+    """One triad's model in the units of the readings, flat, as the kernels take it."""
+
+    matrix: FloatArray  # (9,), SI per reading unit, row by row
+    offset: FloatArray  # (3,), reading unit; codes rounded down have half a step less here
+    # (3,), half a code step, reading unit; zero unless codes were truncated toward zero
+    half_step: FloatArray = field(default_factory=lambda: np.zeros(3))
+    g_sensitivity: FloatArray | None = None  # (9,), rad/s per m/s2
+    tables: "Tables | None" = None  # cell coefficients; None where the triad has no table
+    temp_range: tuple[float, float] = EVERYWHERE  # temperatures that all its tables cover, degC
+    marked: tuple[MarkedTable, ...] = ()  # those of the tables that have extrapolated nodes
+    warm_up: "tuple[Grid, FloatArray] | None" = None  # offset over the time since power-on (s), reading unit
+
+
+Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers; None: the record has none
+
+
+def plan_record(record: Record, calibration: Calibration) -> Plans:
+    """Make a calibration ready for a record's units and channels."""
+    if record.state == "corrected":
+        raise InputError(
+            "correct: wanted raw readings, got a corrected record; correct the device's own recording, once"
+        )
+    gyro = None if record.gyro is None else _plan_triad(calibration, "gyro", record.gyro_unit)
+    accel = None if record.accel is None else _plan_triad(calibration, "accel", record.accel_unit)
+    if gyro is not None and gyro.g_sensitivity is not None and accel is None:
+        raise InputError(
+            "correct: wanted accelerometer readings, which the g-sensitivity of the gyroscopes needs, got none; "
+            "map the columns that hold them"
+        )
+    if record.temp_c is None and has_tables((gyro, accel)):
+        raise InputError("correct: wanted temperatures for the tuning tables, got none; map the column temp_c")
+    return gyro, accel
+
+
+def has_tables(plans: Plans) -> bool:
+    """Tell whether any table is looked up."""
+    return any(plan is not None and plan.tables is not None for plan in plans)
+
+
+def _plan_triad(calibration: Calibration, sensor: Sensor, unit: str) -> TriadPlan:
+    quantity: Quantity = "rate" if sensor == "gyro" else "accel"
+    model = calibration.gyro if sensor == "gyro" else calibration.accel
+    if model is None:
+        return TriadPlan(matrix=np.ravel(np.eye(3) * si_factor(unit, quantity)), offset=np.zeros(3))
+    drift, out = calibration.drift or DriftTables(), si_factor(model.unit_out, quantity)
+    factor = _input_factor(model, unit, sensor, quantity)
+    half_step, shift = _rounding(calibration, sensor, factor)
+    tables, temp_range = _tables(drift, sensor, factor, out, shift)
+    warm_up = drift.static.warm_up if drift.static is not None and sensor == "gyro" else None
+    g = model.g_sensitivity if sensor == "gyro" else None
+    return TriadPlan(
+        matrix=np.ravel(model.matrix * (factor * out)),
+        offset=model.offset / factor - shift,
+        half_step=half_step,
+        g_sensitivity=None if g is None else np.ravel(g * out),
+        tables=tables,
+        temp_range=temp_range,
+        marked=_marked_tables(drift, model, sensor, out),
+        warm_up=None if warm_up is None else line_cells(warm_up.power_on_s, warm_up.gyro_offset / factor),
+    )
+
+
+def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quantity) -> float:
+    """Factor from the record's unit to the model's."""
+    if unit == model.unit_in:
+        return 1.0
+    if not (is_physical(unit) and is_physical(model.unit_in)):
+        raise InputError(
+            f"{sensor}: wanted readings in {model.unit_in}, the unit that this calibration was made for, got {unit}; "
+            "correct the recording as the device wrote it, or calibrate in its unit",
+            wanted=model.unit_in,
+            got=unit,
+        )
+    return si_factor(unit, quantity) / si_factor(model.unit_in, quantity)
+
+
+def _rounding(calibration: Calibration, sensor: Sensor, factor: float) -> tuple[FloatArray, FloatArray]:
+    """Half a step to add with the sign of the code, and half a step to add always; reading unit."""
+    lsb, zero = _part(calibration.adc, sensor, "lsb"), np.zeros(3)
+    if lsb is None:
+        return zero, zero
+    mode, half = _part(calibration.adc, sensor, "rounding"), 0.5 * lsb / factor
+    return (half if mode == "toward_zero" else zero), (half if mode == "floor" else zero)
+
+
+def _part(value: object, sensor: Sensor, what: str) -> Any:
+    """One triad's part of a table, None where there is no table."""
+    return None if value is None else getattr(value, f"{sensor}_{what}")
+
+
+# ---- tables: steps made even, cells turned into coefficients
 
 
 def even_nodes(nodes: FloatArray) -> FloatArray | None:
@@ -70,10 +170,7 @@ def even_nodes(nodes: FloatArray) -> FloatArray | None:
 
 
 def grid_of(nodes: FloatArray) -> "Grid":
-    """Return how the kernel finds the cell: by one multiplication on the even grid, where there is one, else by bisection.
-
-    Arrays: nodes (n,).
-    """
+    """Return how the kernel finds the cell: by one multiplication on the even grid, where there is one, else by bisection."""
     from undrift.kernels.correct import Grid
 
     fine = even_nodes(nodes)
@@ -93,10 +190,7 @@ def line_cells(nodes: FloatArray, values: FloatArray) -> "tuple[Grid, FloatArray
 
 
 def plane_cells(dynamic: DynamicDrift) -> "tuple[Grid, Grid, FloatArray]":
-    """Return the grids of the dynamic table and its cell coefficients.
-
-    Arrays:  -> (temperature cells * rate cells * 12,).
-    """
+    """Return the grids of the dynamic table and its cell coefficients, (temperature cells * rate cells * 12,)."""
     error, grids = dynamic.error, []
     for axis, nodes in enumerate((dynamic.temp_c, dynamic.turn_rate)):
         grids.append(grid_of(nodes))
@@ -109,127 +203,70 @@ def plane_cells(dynamic: DynamicDrift) -> "tuple[Grid, Grid, FloatArray]":
 
 def _filled(fine: FloatArray, nodes: FloatArray, values: FloatArray) -> FloatArray:
     """Values on the grid: the given ones at the given nodes, the straight line between them."""
-    flat = values.reshape(len(nodes), -1)
     if len(fine) == len(nodes):
         return values
+    flat = values.reshape(len(nodes), -1)
     filled = np.column_stack([np.interp(fine, nodes, column) for column in flat.T])
     filled[np.abs(fine[:, None] - nodes).argmin(axis=0)] = flat
     return filled.reshape(len(fine), *values.shape[1:])
 
 
-# ---- Where a record meets nodes that no data were near, and how uncertain the tables say they are there.
+def _tables(
+    drift: DriftTables, sensor: Sensor, factor: float, out: float, shift: FloatArray
+) -> "tuple[Tables | None, tuple[float, float]]":
+    """The triad's tables in the reading unit and SI, and the temperatures that they cover."""
+    from undrift.kernels.correct import Grid, Tables
 
-Kind = Literal["rate", "accel", "scale"]
-Triad = Literal["rate", "accel"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stated:
-    """Largest standard uncertainties that tables state at the extrapolated nodes that were met; 0 where none was met."""
-
-    rate: float = 0.0  # Of the rate, rad/s: offsets of the gyroscopes and the dynamic table
-    accel: float = 0.0  # Of the specific force, m/s2: offsets of the accelerometers
-    scale: float = 0.0  # Of either as a share of itself, 1: matrices over temperature
-
-    def joined(self, other: "Stated") -> "Stated":
-        """Return the larger of both."""
-        return Stated(
-            rate=max(self.rate, other.rate), accel=max(self.accel, other.accel), scale=max(self.scale, other.scale)
-        )
-
-
-NONE_MET = Stated()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Doubt:
-    """A table with extrapolated nodes, as the kernels take it."""
-
-    kind: Kind  # What its uncertainty is of: rate, accel or scale
-    temp: "Grid"  # Temperatures
-    rate: "Grid | None"  # Measured rates, rad/s; None for a table over temperature alone
-    # (halves,), standard uncertainty, -1 where data were near, infinite where none is stated; rad/s, m/s2 or 1
-    stated: FloatArray
+    unused = Grid(np.zeros(2), 0.0, 0.0, 1)
+    tables, nodes = Tables(NOTHING, unused, NOTHING, unused, NOTHING, unused, unused), list[FloatArray]()
+    offset, matrix = _part(drift.static, sensor, "offset"), _part(drift.scale, sensor, "matrix")
+    if drift.static is not None and offset is not None:
+        nodes.append(drift.static.temp_c)
+        grid, cells = line_cells(nodes[-1], offset / factor - shift)
+        tables = tables._replace(offset=cells, offset_temp=grid)
+    if drift.scale is not None and matrix is not None:
+        nodes.append(drift.scale.temp_c)
+        grid, cells = line_cells(nodes[-1], matrix.reshape(-1, 9) * (factor * out))
+        tables = tables._replace(matrix=cells, matrix_temp=grid)
+    if sensor == "gyro" and drift.dynamic is not None:
+        nodes.append(drift.dynamic.temp_c)
+        temp, rate, cells = plane_cells(drift.dynamic)
+        tables = tables._replace(error=cells, error_temp=temp, error_rate=rate)
+    if not nodes:
+        return None, EVERYWHERE
+    return tables, (max(float(n[0]) for n in nodes), min(float(n[-1]) for n in nodes))
 
 
-def triad_doubts(drift: DriftTables | None, model: TriadModel, quantity: Triad) -> tuple[Doubt, ...]:
-    """Make a triad's tables ready for the kernels that look for extrapolated nodes.
+def _marked_tables(drift: DriftTables, model: TriadModel, sensor: Sensor, out: float) -> tuple[MarkedTable, ...]:
+    """The triad's tables that have extrapolated nodes, with the uncertainty that they state there.
 
     Uncertainties u of offsets become those of the result by the constant matrix M, sqrt(M^2 u^2), those U of a matrix a share of
     the result, sqrt(U^2 K^2) with K = M^-1 (squares by element); the largest axis counts.
     """
-    found: tuple[Doubt, ...] = ()
-    if drift is None:
-        return found
-    gyro, static, scale, dynamic = quantity == "rate", drift.static, drift.scale, drift.dynamic
-    if static is not None and (static.gyro_offset if gyro else static.accel_offset) is not None:
-        marks = static.gyro_extrapolated if gyro else static.accel_extrapolated
-        u = static.gyro_uncertainty if gyro else static.accel_uncertainty
-        squares = (model.matrix * si_factor(model.unit_out, quantity)).T ** 2
-        found += _line(quantity, static.temp_c, marks, None if u is None else np.sqrt(u**2 @ squares).max(axis=1))
-    if scale is not None and (scale.gyro_matrix if gyro else scale.accel_matrix) is not None:
-        marks = scale.gyro_extrapolated if gyro else scale.accel_extrapolated
-        u = scale.gyro_uncertainty if gyro else scale.accel_uncertainty
-        squares = model.forward_matrix**2
-        found += _line("scale", scale.temp_c, marks, None if u is None else np.sqrt(u**2 @ squares).max(axis=(1, 2)))
-    return found + _plane(dynamic) if gyro and dynamic is not None else found
-
-
-def mark_extrapolated(
-    doubts: tuple[Doubt, ...], temp_c: FloatArray, span_c: tuple[float, float], corrected: FloatArray, mask: BoolArray
-) -> Stated:
-    """Mark the samples that draw on extrapolated nodes of one triad's tables.
-
-    Arrays: temp_c (N,) degC, corrected (3 N,) rad/s, mask (N,).
-    """
-    from undrift.kernels.correct import mark_line, mark_plane
-
-    met = NONE_MET
-    low, high = span_c
-    for doubt in doubts:
-        if not _may_meet(doubt, low, high):  # most records stay where data were near
-            continue
-        if doubt.rate is None:
-            largest = mark_line(temp_c, low, high, doubt.temp, doubt.stated, mask)
-        else:
-            largest = mark_plane(temp_c, corrected, low, high, doubt.temp, doubt.rate, doubt.stated, mask)
-        met = met.joined(Stated(**{doubt.kind: max(float(largest), 0.0)}))
-    return met
-
-
-def _may_meet(doubt: Doubt, low: float, high: float) -> bool:
-    """Whether any half from the least to the greatest temperature is extrapolated."""
-    from undrift.kernels.correct import half
-
-    if not low <= high:  # all outside, or gaps alone
-        return False
-    rows = doubt.stated.reshape(2 * doubt.temp.cells + 1, -1)
-    return bool((rows[int(half(doubt.temp, low)) : int(half(doubt.temp, high)) + 1] >= 0.0).any())
-
-
-def _line(kind: Kind, temp_c: FloatArray, marks: BoolArray | None, u: FloatArray | None) -> tuple[Doubt, ...]:
-    """A table over temperature, where a node of it is extrapolated."""
-    if marks is None or not marks.any():
-        return ()
-    grid = grid_of(temp_c)
-    return (Doubt(kind=kind, temp=grid, rate=None, stated=_halves(grid, temp_c, _at_nodes(marks, u))),)
-
-
-def _plane(dynamic: DynamicDrift) -> tuple[Doubt, ...]:
-    """The dynamic table, where a node of it is extrapolated."""
-    if dynamic.extrapolated is None or not dynamic.extrapolated.any():
-        return ()
-    stated = _at_nodes(dynamic.extrapolated, None if dynamic.uncertainty is None else dynamic.uncertainty.max(axis=2))
-    temp, rate = grid_of(dynamic.temp_c), grid_of(dynamic.turn_rate)
-    stated = _halves(rate, dynamic.turn_rate, _halves(temp, dynamic.temp_c, stated).T).T
-    return (Doubt(kind="rate", temp=temp, rate=rate, stated=np.ravel(stated)),)
+    static, scale, dynamic = drift.static, drift.scale, drift.dynamic if sensor == "gyro" else None
+    found: list[MarkedTable] = []
+    marks, u = _part(static, sensor, "extrapolated"), _part(static, sensor, "uncertainty")
+    if static is not None and _part(static, sensor, "offset") is not None and marks is not None and marks.any():
+        grid, u = grid_of(static.temp_c), None if u is None else np.sqrt(u**2 @ (model.matrix * out).T ** 2).max(axis=1)
+        halves = _halves(grid, static.temp_c, _at_nodes(marks, u))
+        found.append(MarkedTable(kind="rate" if sensor == "gyro" else "accel", temp=grid, rate=None, stated=halves))
+    marks, u = _part(scale, sensor, "extrapolated"), _part(scale, sensor, "uncertainty")
+    if scale is not None and _part(scale, sensor, "matrix") is not None and marks is not None and marks.any():
+        grid, u = grid_of(scale.temp_c), None if u is None else np.sqrt(u**2 @ model.forward_matrix**2).max(axis=(1, 2))
+        halves = _halves(grid, scale.temp_c, _at_nodes(marks, u))
+        found.append(MarkedTable(kind="scale", temp=grid, rate=None, stated=halves))
+    if dynamic is not None and dynamic.extrapolated is not None and dynamic.extrapolated.any():
+        u = None if dynamic.uncertainty is None else dynamic.uncertainty.max(axis=2)
+        temp, rate = grid_of(dynamic.temp_c), grid_of(dynamic.turn_rate)
+        over_temp = _halves(temp, dynamic.temp_c, _at_nodes(dynamic.extrapolated, u))
+        halves = np.ravel(_halves(rate, dynamic.turn_rate, over_temp.T).T)
+        found.append(MarkedTable(kind="rate", temp=temp, rate=rate, stated=halves))
+    return tuple(found)
 
 
 def _at_nodes(marks: BoolArray, uncertainty: FloatArray | None) -> FloatArray:
     """Uncertainty at the marked nodes, -1 at the others."""
-    stated = (
-        np.full(marks.shape, np.inf) if uncertainty is None else np.nan_to_num(uncertainty, nan=np.inf, posinf=np.inf)
-    )
+    stated = np.inf if uncertainty is None else np.nan_to_num(uncertainty, nan=np.inf, posinf=np.inf)
     return np.where(marks, stated, -1.0)
 
 
@@ -245,183 +282,32 @@ def _halves(grid: "Grid", nodes: FloatArray, values: FloatArray) -> FloatArray:
     return drawn
 
 
-# ---- plan
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TriadPlan:
-    """One triad's model in the units of the readings, flat, as the kernels take it."""
-
-    matrix: FloatArray  # (9,), SI per reading unit, row by row
-    offset: FloatArray  # (3,), reading unit; codes rounded down have half a step less here
-    half_step: FloatArray  # (3,), half a code step, reading unit; zero unless codes were truncated toward zero
-    g_sensitivity: FloatArray | None  # (9,), rad/s per m/s2
-    tables: "Tables | None"  # Cell coefficients; None where the triad has no table
-    temp_range: tuple[float, float]  # Temperatures that all its tables hold, degC
-    rate_range: tuple[float, float]  # Rates that the dynamic table holds, rad/s
-    doubts: tuple[Doubt, ...] = ()  # Of these tables, the ones with extrapolated nodes
-    # Offset over the time since power-on (s), cell coefficients, reading unit
-    warm_up: "tuple[Grid, FloatArray] | None" = None
-
-
-Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers; None: the record has none
-
-
-def plan_record(record: Record, calibration: Calibration) -> Plans:
-    """Make a calibration ready for a record's units and channels."""
-    if record.state == "corrected":
-        raise InputError(
-            "correct: wanted raw readings, got a corrected record; correct the device's own recording, once"
-        )
-    gyro = None if record.gyro is None else plan_triad(calibration, "rate", record.gyro_unit)
-    accel = None if record.accel is None else plan_triad(calibration, "accel", record.accel_unit)
-    if gyro is not None and gyro.g_sensitivity is not None and accel is None:
-        raise InputError(
-            "correct: wanted accelerometer readings, which the g-sensitivity of the gyroscopes needs, got none; "
-            "map the columns that hold them"
-        )
-    if record.temp_c is None and any(plan is not None and plan.tables is not None for plan in (gyro, accel)):
-        raise InputError("correct: wanted temperatures for the tuning tables, got none; map the column temp_c")
-    return gyro, accel
-
-
-def plan_triad(calibration: Calibration, quantity: Triad, unit: str) -> TriadPlan:
-    """Make one triad ready for the kernels."""
-    gyro = quantity == "rate"
-    model = calibration.gyro if gyro else calibration.accel
-    if model is None:
-        return _constant_plan(np.eye(3) * si_factor(unit, quantity), np.zeros(3))
-    factor = _input_factor(model, unit, quantity)
-    matrix = model.matrix * (factor * si_factor(model.unit_out, quantity))
-    half_step, shift = _rounding(calibration, gyro, factor)
-    plan = _constant_plan(matrix, model.offset / factor - shift)
-    g = None
-    if gyro and model.g_sensitivity is not None:
-        g = np.ravel(model.g_sensitivity * si_factor(model.unit_out, quantity))
-    out = si_factor(model.unit_out, quantity)
-    tables, temp_range, rate_range = _tables(calibration, gyro, factor, out, shift)
-    return TriadPlan(
-        matrix=plan.matrix,
-        offset=plan.offset,
-        half_step=half_step,
-        g_sensitivity=g,
-        tables=tables,
-        temp_range=temp_range,
-        rate_range=rate_range,
-        doubts=triad_doubts(calibration.drift, model, quantity),
-        warm_up=_warm_up(calibration, factor) if gyro else None,
-    )
-
-
-def _constant_plan(matrix: FloatArray, offset: FloatArray) -> TriadPlan:
-    everywhere = (-np.inf, np.inf)
-    return TriadPlan(
-        matrix=np.ravel(matrix),
-        offset=offset,
-        half_step=np.zeros(3),
-        g_sensitivity=None,
-        tables=None,
-        temp_range=everywhere,
-        rate_range=everywhere,
-    )
-
-
-def _input_factor(model: TriadModel, unit: str, quantity: Quantity) -> float:
-    """Factor from the record's unit to the model's."""
-    if unit == model.unit_in:
-        return 1.0
-    if not (is_physical(unit) and is_physical(model.unit_in)):
-        what = "gyro" if quantity == "rate" else "accel"
-        raise InputError(
-            f"{what}: wanted readings in {model.unit_in}, the unit that this calibration was made for, got {unit}; "
-            "correct the recording as the device wrote it, or calibrate in its unit",
-            wanted=model.unit_in,
-            got=unit,
-        )
-    return si_factor(unit, quantity) / si_factor(model.unit_in, quantity)
-
-
-def _rounding(calibration: Calibration, gyro: bool, factor: float) -> tuple[FloatArray, FloatArray]:
-    """Half a step to add with the sign of the code, and half a step to add always; reading unit."""
-    adc, zero = calibration.adc, np.zeros(3)
-    lsb = None if adc is None else adc.gyro_lsb if gyro else adc.accel_lsb
-    if adc is None or lsb is None:
-        return zero, zero
-    mode: Rounding = adc.gyro_rounding if gyro else adc.accel_rounding
-    half = 0.5 * lsb / factor
-    return (half if mode == "toward_zero" else zero), (half if mode == "floor" else zero)
-
-
-def _warm_up(calibration: Calibration, factor: float) -> "tuple[Grid, FloatArray] | None":
-    """The gyroscopes' warm-up in the reading unit."""
-    static = calibration.drift.static if calibration.drift else None
-    if static is None or static.warm_up is None:
-        return None
-    return line_cells(static.warm_up.power_on_s, static.warm_up.gyro_offset / factor)
-
-
-def _tables(
-    calibration: Calibration, gyro: bool, factor: float, out: float, shift: FloatArray
-) -> "tuple[Tables | None, tuple[float, float], tuple[float, float]]":
-    """The triad's tables in the reading unit and SI, and the ranges that they hold."""
-    from undrift.kernels.correct import Grid, Tables
-
-    nothing, unused = np.empty(0), Grid(np.zeros(2), 0.0, 0.0, 1)
-    drift = calibration.drift
-    static, scale, dynamic = (drift.static, drift.scale, drift.dynamic) if drift else (None, None, None)
-    offsets = None if static is None else static.gyro_offset if gyro else static.accel_offset
-    matrices = None if scale is None else scale.gyro_matrix if gyro else scale.accel_matrix
-    tables = Tables(nothing, unused, nothing, unused, nothing, unused, unused)
-    nodes: list[FloatArray] = []
-    rates = (-np.inf, np.inf)
-    if static is not None and offsets is not None:
-        grid, cells = line_cells(static.temp_c, offsets / factor - shift)
-        tables, nodes = tables._replace(offset=cells, offset_temp=grid), [*nodes, static.temp_c]
-    if scale is not None and matrices is not None:
-        grid, cells = line_cells(scale.temp_c, matrices.reshape(-1, 9) * (factor * out))
-        tables, nodes = tables._replace(matrix=cells, matrix_temp=grid), [*nodes, scale.temp_c]
-    if gyro and dynamic is not None:
-        temp, rate, cells = plane_cells(dynamic)
-        tables, nodes = tables._replace(error=cells, error_temp=temp, error_rate=rate), [*nodes, dynamic.temp_c]
-        rates = (float(dynamic.turn_rate[0]), float(dynamic.turn_rate[-1]))
-    if not nodes:
-        return None, (-np.inf, np.inf), rates
-    return tables, (max(float(n[0]) for n in nodes), min(float(n[-1]) for n in nodes)), rates
-
-
-# ---- What the tables are looked up with, sample by sample: the temperature of the sensors and the time since power-on.
-
-NOTHING = np.empty(0)
+# ---- what the tables are looked up with, sample by sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carry:
     """What one chunk of a stream hands to the next."""
 
-    # When the device was switched on, on the recording's clock, s; None where that is not known
-    power_on_time: float | None = None
-    # Where taking off the thermometer's lag has come to; None before the first sample, or without lag
-    lag: LagState | None = None
-    last_time: float | None = None  # Time of the last sample, s; None before the first
-
-
-UNKNOWN = Carry()  # before the first sample, when power-on is not known
+    power_on_time: float | None = None  # on the recording's clock, s; None where it is not known
+    lag: LagState | None = None  # of the thermometer; None before the first sample, or without lag
+    last_time: float | None = None  # time of the last sample, s; None before the first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conditions:
-    """What the tables are looked up with."""
+    """Temperature of the sensors and time since power-on."""
 
-    temp_c: FloatArray  # (N,), temperature of the sensors, degC; empty where none was recorded
-    # (N,), time since power-on, s; empty where it is not known, no table asks for it, or the warm-up is over
+    temp_c: FloatArray  # (N,), degC; empty where none was recorded
+    # (N,), s; empty where it is not known, no table asks for it, or the warm-up is over
     power_on_s: FloatArray
-    carry: Carry  # For the chunk that follows
+    carry: Carry  # for the chunk that follows
 
 
-def switched_on(first_time: float, power_on_s: float | None) -> Carry:
+def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
     """Begin a record or a stream."""
     if power_on_s is None:
-        return UNKNOWN
+        return Carry()
     if not 0.0 <= power_on_s < np.inf:
         raise InputError(
             f"power_on_s: wanted the time since power-on at the first sample, 0 s or more, got {power_on_s:g}; leave it out "
@@ -432,11 +318,10 @@ def switched_on(first_time: float, power_on_s: float | None) -> Carry:
 
 
 def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry: Carry) -> Conditions:
-    """Find what the tables are looked up with."""
+    """Find what the tables are looked up with; the record keeps the temperature that was recorded."""
     drift, lag = calibration.drift, carry.lag
     temp_c = NOTHING if record.temp_c is None else record.temp_c
-    tables = any(plan is not None and plan.tables is not None for plan in plans)
-    if tables and drift is not None and drift.lag_s > 0.0:
+    if has_tables(plans) and drift is not None and drift.lag_s > 0.0:
         led, lag = without_lag(temp_c, record.time, lag_s=drift.lag_s, smooth_s=drift.lag_smooth_s, state=lag)
         led[np.isnan(temp_c)] = np.nan  # a gap stays a gap
         temp_c = led
@@ -449,60 +334,12 @@ def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry:
     return Conditions(temp_c=temp_c, power_on_s=since, carry=coming)
 
 
-# ---- Where corrected readings are written: fresh arrays or the caller's, and the record that takes them over uncopied.
-
-Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2
-
-
-def out_buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
-    """Return the arrays to write to.
-
-    Arrays: out (N, 3) -> (N, 3).
-    """
-    if out is None:
-        gyro, accel = (np.empty((0 if plan is None else n, 3)) for plan in plans)
-        return gyro, accel
-    for plan, buffer in zip(plans, out, strict=True):
-        wanted = buffer.shape == (n, 3) and buffer.dtype == np.float64 and buffer.flags.c_contiguous
-        if plan is not None and not (wanted and buffer.flags.writeable):
-            raise InputError(
-                f"correct: wanted writeable float64 buffers of shape ({n}, 3) in C order, got {buffer.dtype} {buffer.shape}; "
-                "make them with numpy.empty"
-            )
-    return out
+# ---- pieces of a long record, a thread each: the kernels let other threads run, and no sample looks at another
 
 
 def flat(values: FloatArray | None, start: int, stop: int) -> FloatArray:
-    """Return samples as the kernels take them.
-
-    Arrays: values (N, 3) -> (3 (stop - start).
-    """
-    return np.empty(0) if values is None else values[start:stop].reshape(-1)
-
-
-def adopt(record: Record, plans: Plans, buffers: Buffers) -> Record:
-    """Return the record with corrected readings. The kernels wrote them in the right shape, so they are neither copied nor
-    checked.
-
-    Arrays: buffers (N, 3).
-    """
-    done = copy.copy(record)
-    for name, plan, buffer in zip(("gyro", "accel"), plans, buffers, strict=True):
-        values = None
-        if plan is not None:
-            values = buffer.view()
-            values.flags.writeable = False
-        object.__setattr__(done, name, values)
-    for name, text in (("gyro_unit", "rad/s"), ("accel_unit", "m/s2"), ("frame", "b"), ("state", "corrected")):
-        object.__setattr__(done, name, text)
-    return done
-
-
-# ---- Cut a long record into pieces, a thread each: the kernels let other threads run, and no sample looks at another.
-
-THREADS_FROM = 100_000  # samples; below it a second thread costs more than it saves
-
-T = TypeVar("T")
+    """Return samples as the kernels take them, (N, 3) -> (3 (stop - start),)."""
+    return NOTHING if values is None else values[start:stop].reshape(-1)
 
 
 def in_pieces(work: Callable[[int, int], T], n: int, threads: int | None) -> list[T]:

@@ -1,21 +1,20 @@
 """Correct a stream: the model of correction/correct.py, chunk by chunk.
 
-No step of the model looks at another sample but the lead that takes off a thermometer's lag, and that one hands its state on; so
-chunks of any length give the bits of the batch. What is kept between chunks are the plans (the calibration made ready for the
-kernels) and the state, which may be saved and put back. Chunks from a file can be
-read ahead: the next one while this one is corrected.
+No step of the model looks at another sample but the one that subtracts a thermometer's lag, which hands its state on; so chunks of
+any length give the bits of the batch. Kept between chunks: the plans (the calibration made ready for the kernels) and the state,
+which may be saved and put back. Chunks from a file can be read ahead: the next one while this one is corrected.
 """
 
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from undrift.correction.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
-from undrift.correction.coverage import UNMOVED, Reach, warnings_on
-from undrift.correction.plan import UNKNOWN, Carry, Plans, plan_record, switched_on
+from undrift.correction.coverage import Reach, coverage_findings
+from undrift.correction.plan import Carry, Plans, carry_at_start, plan_record
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.record import Record
@@ -30,8 +29,8 @@ class CorrectorState:
     samples_extrapolated: int = 0  # Of those, inside them at nodes that no data were near
     samples_without_temperature: int = 0  # Of those, without the temperature that the tables want
     last_time: float = -np.inf  # Time of the last sample, s; minus infinity before the first
-    reach: Reach = UNMOVED  # How far temperature and rate went so far, where the calibration cares
-    carry: Carry = UNKNOWN  # When the device was switched on, and where taking off the thermometer's lag has come to
+    reach: Reach = field(default_factory=Reach)  # How far temperature and rate went so far, where the calibration cares
+    carry: Carry = field(default_factory=Carry)  # Time of power-on and state of the thermometer's lag
 
 
 class Corrector:
@@ -57,7 +56,7 @@ class Corrector:
         reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
     ) -> None:
-        switched_on(0.0, power_on_s)  # refuses now what it would refuse at the first chunk
+        carry_at_start(0.0, power_on_s)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c
         self._power_on_s = power_on_s
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
@@ -65,8 +64,8 @@ class Corrector:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Where the stream so far went beyond the calibration: what the batch would say, each once."""
-        return warnings_on(self.state.reach, self._calibration, self._span)
+        """Where the stream so far went beyond the calibration: what the batch would report, each once."""
+        return tuple(found.text for found in coverage_findings(self.state.reach, self._calibration, self._span))
 
     def push(self, chunk: Record) -> Record:
         """Correct the next chunk.
@@ -104,7 +103,7 @@ class Corrector:
         Returns
         -------
         Corrected
-            The same samples, corrected, with mask, warnings and notes of this chunk.
+            The same samples, corrected, with masks and findings of this chunk.
 
         Raises
         ------
@@ -128,7 +127,7 @@ class Corrector:
             self._plans[key],
             policy=self._policy,
             reference_span_c=self._span,
-            carry=self.state.carry if begun else switched_on(float(chunk.time[0]), self._power_on_s),
+            carry=self.state.carry if begun else carry_at_start(float(chunk.time[0]), self._power_on_s),
         )
         self.state = CorrectorState(
             samples=self.state.samples + len(chunk),
