@@ -5,7 +5,7 @@ import pytest
 
 from undrift.errors import FileFormatError, InputError
 from undrift.live.decoder import StreamDescription, read_description
-from undrift.live.transports import open_source, parse_address, source_at
+from undrift.live.transports import parse_address, source_at
 
 SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
@@ -63,7 +63,7 @@ def test_a_description_that_cannot_be_is_refused(options, text):
 @pytest.mark.parametrize(
     ("address", "text"),
     [
-        ("tcp", r"wanted one of tcp:..., udp:..., serial:..., lsl:..., ble:..., got 'tcp'; say where it sends"),
+        ("tcp", r"wanted one of tcp:..., udp:..., serial:..., lsl:..., ble:..., got 'tcp'; name how it is connected"),
         ("can:0?rate=1", r"wanted one of tcp"),
         ("tcp://h:1?rate", r"wanted options as name=value&name=value, got 'rate'"),
         ("tcp://h:1?rate=fast", r"wanted a number for rate, got 'fast'"),
@@ -80,7 +80,7 @@ def test_a_description_that_cannot_be_is_refused(options, text):
 )
 def test_an_address_that_is_none_is_refused_before_anything_is_opened(address, text):
     with pytest.raises(InputError, match=text):
-        open_source(address)
+        source_at(address).open()
 
 
 @pytest.mark.parametrize(

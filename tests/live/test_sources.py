@@ -15,7 +15,7 @@ from testkit.byte_sender import Sender
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigTimeout
 from undrift.live.decoder import StreamDescription
-from undrift.live.transports import BlePort, ByteSource, LslSource, open_source, source_at, stay_offline
+from undrift.live.transports import BlePort, ByteSource, LslSource, source_at, stay_offline
 
 OPTIONS = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
 TEXT = b"".join(b"%d,1,2,3\n" % k for k in range(5))
@@ -24,7 +24,8 @@ PLAIN = StreamDescription(channels=("gyro_x", "gyro_y", "gyro_z"), rate=100.0)
 
 @contextlib.contextmanager
 def opened(address):
-    source = open_source(address)
+    source = source_at(address)
+    source.open()
     try:
         yield source
     finally:
@@ -81,7 +82,7 @@ def test_nobody_there_is_a_lost_link():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(LinkError, match=r"wanted a connection, got '.*refused.*'; check power, cable and address"):
-        open_source(f"tcp://127.0.0.1:{port}{OPTIONS}")
+        source_at(f"tcp://127.0.0.1:{port}{OPTIONS}").open()
 
 
 def test_a_source_that_is_not_open_does_not_read():
@@ -108,7 +109,7 @@ def test_a_udp_port_that_is_taken_is_a_lost_link():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(LinkError, match=r"udp://127.0.0.1:\d+: wanted a connection, got"):
-            open_source(f"udp://127.0.0.1:{taken.getsockname()[1]}{OPTIONS}")
+            source_at(f"udp://127.0.0.1:{taken.getsockname()[1]}{OPTIONS}").open()
 
 
 def test_readings_come_over_a_serial_line():
@@ -126,7 +127,7 @@ def test_readings_come_over_a_serial_line():
 
 def test_a_serial_port_that_is_not_there_is_a_lost_link():
     with pytest.raises(LinkError, match=r"serial:/dev/none: wanted a connection, got"):
-        open_source(f"serial:///dev/none{OPTIONS}")
+        source_at(f"serial:///dev/none{OPTIONS}").open()
 
 
 class FakeInlet:

@@ -1,15 +1,9 @@
-"""Source: where readings come from. Each kind is a function of its own and a row in the table SOURCES.
-
-Readings from Lab Streaming Layer: ``lsl:name?channels=gyro_x,...&rate=100&offline=yes``.
-
-The time stamps of the sender are the device's clock. ``offline=yes`` looks for streams on this computer only, without multicast.
-
-Addresses of devices: ``kind:place?option=value&option=value`` -> an open source of readings.
+"""Sources: where readings come from, by address: ``kind:place?option=value&option=value``.
 
     tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name        ble:id?characteristic=uuid
 
-The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file of them. Adding a kind is a
-function that makes a source of an address, and one row in the table SOURCES.
+The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file of them. A new kind is one file with a
+function from an Address to a Source, and one row in SOURCES; or a package with an entry point in the group "undrift.sources".
 """
 
 import asyncio
@@ -30,6 +24,7 @@ import numpy as np
 
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.live.decoder import COUNTER, Chunk, StreamDescription, decoder_for, described, read_description
+from undrift.plugins import load_named, names_in
 
 POLL_S = 0.05
 
@@ -133,7 +128,16 @@ class ByteSource:
             raise LinkError(f"{self.name}: wanted readings, got a lost link: {reason}; reconnect") from error
 
 
-# ---- Addresses of devices: ``kind:place?option=value&option=value`` -> an open source of readings.
+# ---- Addresses: ``kind:place?option=value&option=value`` -> a source of readings.
+
+SOURCES = {  # kind -> the function that makes a source of an address
+    "tcp": "undrift.live.transports:tcp_source",
+    "udp": "undrift.live.transports:udp_source",
+    "serial": "undrift.live.transports:serial_source",
+    "lsl": "undrift.live.transports:lsl_source",
+    "ble": "undrift.live.transports:ble_source",
+}
+GROUP = "undrift.sources"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,10 +163,9 @@ class Address:
 def parse_address(text: str, description: StreamDescription | None = None) -> Address:
     """Take an address apart."""
     kind, colon, rest = text.partition(":")
-    if not colon or kind not in SOURCES:
-        raise InputError(
-            f"device: wanted one of {', '.join(f'{k}:...' for k in SOURCES)}, got '{text}'; say where it sends"
-        )
+    if not colon or (kind not in SOURCES and kind not in names_in(SOURCES, GROUP)):
+        known = ", ".join(f"{name}:..." for name in names_in(SOURCES, GROUP))
+        raise InputError(f"device: wanted one of {known}, got '{text}'; name how it is connected")
     place, _, query = rest.partition("?")
     try:
         options = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
@@ -174,13 +177,7 @@ def parse_address(text: str, description: StreamDescription | None = None) -> Ad
 def source_at(text: str, description: StreamDescription | None = None) -> "Source":
     """Return the source of an address, not opened yet."""
     address = parse_address(text, description)
-    return SOURCES[address.kind](address)
-
-
-def open_source(text: str, description: StreamDescription | None = None) -> "Source":
-    """Open a source of readings."""
-    source = source_at(text, description)
-    source.open()
+    source: Source = load_named(address.kind, SOURCES, GROUP)(address)
     return source
 
 
@@ -209,7 +206,7 @@ class SerialPort:
         self._port.close()
 
 
-def open_from_serial(address: Address) -> Source:
+def serial_source(address: Address) -> Source:
     """Return a source that reads a serial port."""
     place = address.place.removeprefix("//")
     text = address.option("baud", str(BAUD))
@@ -268,7 +265,7 @@ def host_and_port(address: Address) -> tuple[str, int]:
     return parts.hostname or "", port
 
 
-def open_from_tcp(address: Address) -> Source:
+def tcp_source(address: Address) -> Source:
     """Return a source that connects over TCP."""
     host, port = host_and_port(address)
     if not host:
@@ -286,7 +283,7 @@ def open_from_tcp(address: Address) -> Source:
 BUFFER_BYTES = 1 << 22  # what the system keeps while nobody looks
 
 
-def open_from_udp(address: Address) -> Source:
+def udp_source(address: Address) -> Source:
     """Return a source that listens for datagrams."""
     host, port = host_and_port(address)
 
@@ -385,7 +382,7 @@ async def _with_end(task: Awaitable[Any]) -> Any:
     return await asyncio.wait_for(task, CONNECT_S_BLE)
 
 
-def open_from_ble(address: Address) -> Source:
+def ble_source(address: Address) -> Source:
     """Return a source that listens to a Bluetooth device."""
     place, characteristic = address.place, address.option("characteristic", "")
     if not place or not characteristic:
@@ -489,7 +486,7 @@ def stay_offline() -> None:
         os.environ["LSLAPICFG"] = str(path)
 
 
-def open_from_lsl(address: Address) -> Source:
+def lsl_source(address: Address) -> Source:
     """Return a source that reads an LSL stream."""
     name, offline = address.place, address.option("offline", "no")
     if not name or offline not in ("yes", "no"):
@@ -515,12 +512,3 @@ def _inlet(name: str) -> Inlet:
         found[0], recover=False, processing_flags=pylsl.proc_dejitter | pylsl.proc_monotonize
     )
     return steadied
-
-
-SOURCES: dict[str, Callable[[Address], Source]] = {
-    "tcp": open_from_tcp,
-    "udp": open_from_udp,
-    "serial": open_from_serial,
-    "lsl": open_from_lsl,
-    "ble": open_from_ble,
-}

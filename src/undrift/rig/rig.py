@@ -25,16 +25,16 @@ Addresses of rigs: ``kind:url?option=value&option=value`` -> an open Rig.
 Adding a rig is one file with a function ``open_from(url, settings)`` and one row in the table RIGS.
 """
 
-import importlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, cast
+from typing import Protocol
 from urllib.parse import parse_qsl
 
 import numpy as np
 
 from undrift.errors import InputError, LimitError
+from undrift.plugins import load_named, names_in
 from undrift.rig.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -293,11 +293,12 @@ def _check(check: Callable[[float], None], value: float, most: float | None, wha
 
 # ---- Addresses of rigs: ``kind:url?option=value&option=value`` -> an open Rig.
 
-RIGS = {
-    "galil": "undrift.rig.galil",
-    "grbl": "undrift.rig.grbl",
-    "manual": "undrift.rig.manual",
+CONTROLLERS = {  # kind -> the function that opens a rig
+    "galil": "undrift.rig.galil:open_from",
+    "grbl": "undrift.rig.grbl:open_from",
+    "manual": "undrift.rig.manual:open_from",
 }
+GROUP = "undrift.rigs"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -317,7 +318,6 @@ class RigSettings:
     ask: Callable[[str], str] | None = None
 
 
-Opener = Callable[[str, RigSettings], Rig]
 OPTIONS: dict[str, Callable[[str], object]] = {
     "encoder_lines": int,
     "axis": str.upper,
@@ -332,17 +332,16 @@ OPTIONS: dict[str, Callable[[str], object]] = {
 def open_rig(address: str, settings: RigSettings = RigSettings()) -> Rig:
     """Open a rig; nothing moves."""
     kind, url, settings = parse_address(address, settings)
-    opener = cast(Opener, importlib.import_module(RIGS[kind]).open_from)
-    return opener(url, settings)
+    rig: Rig = load_named(kind, CONTROLLERS, GROUP)(url, settings)
+    return rig
 
 
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
     """Take an address apart."""
     kind, colon, rest = address.partition(":")
-    if not colon or kind not in RIGS:
-        raise InputError(
-            f"rig: wanted one of {', '.join(f'{k}:...' for k in RIGS)}, got '{address}'; say which rig it is"
-        )
+    if not colon or (kind not in CONTROLLERS and kind not in names_in(CONTROLLERS, GROUP)):
+        known = ", ".join(f"{name}:..." for name in names_in(CONTROLLERS, GROUP))
+        raise InputError(f"rig: wanted one of {known}, got '{address}'; name the kind of rig")
     url, _, query = rest.partition("?")
     try:
         given = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))

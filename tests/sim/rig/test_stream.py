@@ -12,7 +12,7 @@ from undrift.arrays import frozen
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.live.decoder import FrameDecoder, LineDecoder, StreamDescription
 from undrift.live.recorder import DwellReadings, Recorder
-from undrift.live.transports import open_source, source_at
+from undrift.live.transports import source_at
 from undrift.record import FACES
 from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
 from undrift.rig.rig import open_rig
@@ -46,7 +46,8 @@ class Heard:
         self.clock = HandClock()
         warm = lambda times: np.full(len(times), 25.0)  # noqa: E731
         self.device = EmulatedDevice(device, table or Table(), warm, self.clock, StreamSettings(**settings))
-        self.source = open_source(self.device.address(1.0))
+        self.source = source_at(self.device.address(1.0))
+        self.source.open()
         end = time.monotonic() + 60.0
         while not self.device._sessions and time.monotonic() < end:
             time.sleep(0.002)

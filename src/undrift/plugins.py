@@ -1,0 +1,31 @@
+"""Registries: plain tables from a name to the place of an object, "package.module:object", imported when it is asked for.
+
+Another package adds a row by an entry point, without a change here::
+
+    [project.entry-points."undrift.rigs"]
+    lathe = "my_package.lathe:open_from"
+
+The package's own rows come first, so that no other package can replace them.
+"""
+
+import importlib
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any
+
+from undrift.errors import InputError
+
+
+def names_in(table: Mapping[str, str], group: str) -> tuple[str, ...]:
+    """Return all names of a table and of the group of entry points that extends it."""
+    return (*table, *(point.name for point in entry_points(group=group) if point.name not in table))
+
+
+def load_named(name: str, table: Mapping[str, str], group: str) -> Any:
+    """Return the object of a name; KeyError where neither table nor entry points have it."""
+    place = table.get(name) or {point.name: point.value for point in entry_points(group=group)}[name]
+    module, _, attribute = place.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"{name}: wanted {place}, got '{error}'; install the package that has it") from error

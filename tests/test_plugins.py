@@ -1,0 +1,97 @@
+"""Other packages add a rig and a source by entry points; nothing is imported before it is asked for."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from undrift.errors import InputError
+from undrift.live.transports import SOURCES, source_at
+from undrift.rig.rig import CONTROLLERS, open_rig
+
+LATHE = """
+import numpy as np
+from undrift.live.decoder import Chunk, StreamDescription
+from undrift.rig.manual import ManualRig
+
+class Lathe(ManualRig):
+    def identify(self):
+        return "a lathe in " + self.place
+
+def open_lathe(url, settings):
+    rig = Lathe(lambda line: "", settings.limits)
+    rig.place = url
+    return rig
+
+class Ramp:
+    errors = 0
+    def __init__(self, address):
+        self.name, self.description = address.place, address.describe()
+    def open(self): pass
+    def close(self): pass
+    def read(self, deadline_s):
+        return Chunk(host_time=np.zeros(2), counter=np.arange(2.0), values=np.ones((2, 6)))
+"""
+POINTS = """
+[undrift.rigs]
+lathe = lathe:open_lathe
+broken = lathe:not_there
+galil = lathe:open_lathe
+
+[undrift.sources]
+ramp = lathe:Ramp
+"""
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Install a package with entry points, as far as Python can tell."""
+    (tmp_path / "lathe.py").write_text(LATHE)
+    information = tmp_path / "lathe-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: lathe\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(POINTS)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    sys.modules.pop("lathe", None)
+
+
+def test_a_rig_of_another_package_is_opened_by_its_address(installed):
+    assert open_rig("lathe:shed").identify() == "a lathe in shed"
+    assert CONTROLLERS.keys() == {"galil", "grbl", "manual"}
+
+
+def test_a_source_of_another_package_is_opened_by_its_address(installed):
+    source = source_at("ramp:a?rate=10")
+    assert (source.name, source.description.rate) == ("a", 10.0)
+    assert np.array_equal(source.read(1.0).values, np.ones((2, 6)))
+    assert SOURCES.keys() == {"tcp", "udp", "serial", "lsl", "ble"}
+
+
+def test_an_unknown_kind_names_those_of_other_packages_too(installed):
+    with pytest.raises(InputError, match=r"rig: wanted one of galil:..., .*lathe:..., .*got 'press:'"):
+        open_rig("press:")
+    with pytest.raises(InputError, match=r"device: wanted one of tcp:..., .*ramp:..., got 'press:'"):
+        source_at("press:")
+
+
+def test_a_package_without_the_object_of_its_entry_point_is_refused(installed):
+    with pytest.raises(InputError, match=r"broken: wanted lathe:not_there, got .*; install the package that has it"):
+        open_rig("broken:")
+
+
+def test_the_own_rows_of_a_table_cannot_be_replaced(installed):
+    with pytest.raises(InputError, match="link: wanted tcp://host:port"):
+        open_rig("galil:shed")
+
+
+def test_an_address_imports_no_controller_and_no_library_of_a_source():
+    code = (
+        "import sys; from undrift.rig.rig import parse_address; from undrift.live.transports import source_at;"
+        "parse_address('galil:tcp://a:1'); source_at('serial:///dev/x?rate=1'); "
+        "source_at('lsl:a?rate=1&channels=gyro_x,gyro_y,gyro_z');"
+        "print(sorted({'serial', 'pylsl', 'bleak', 'gclib', 'undrift.rig.galil', 'undrift.rig.grbl'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
