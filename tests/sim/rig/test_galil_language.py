@@ -1,6 +1,7 @@
 """The card's language: transcripts after the makers' manuals, each error code, formats, and random lines."""
 
 import random
+import re
 
 import pytest
 
@@ -192,10 +193,52 @@ def test_a_program_that_fails_says_so_and_ends():
     assert long.code() == 60
 
 
+def test_the_card_records_positions_at_even_samples_of_its_own():
+    bench, other = GalilBench(), GalilBench()
+    for made in (bench, other):
+        assert made.say("SH;DM P[40],E[40];RA P[],E[];RD _TPX,_TEX;JG 9000") == ":::::"
+    assert bench.say("BG;RC 2,40;RC ?;MG _RC{F1.0}") == "::1\r\n: 1\r\n:"
+    assert other.say("BG") == ":"
+    expected = []
+    for _ in range(40):  # every 2^2 samples of 0.1 ms
+        other.clock.advance(4e-4)
+        expected.append(other.number("TP"))
+    for wait_s in (0.0031, 0.0007, 0.02):  # whenever someone looks
+        bench.say("TP", wait_s)
+    assert bench.say("RC ?;MG _RD{F3.0}") == "0\r\n: 040\r\n:"
+    said = bench.say("QU P[],0,19,1") + bench.say("QU P[],20")
+    assert [float(number) for number in re.split(r"[,\s]+", said.replace(":", " ").strip())] == expected
+    assert expected[-1] > 20.0
+
+
+@pytest.mark.parametrize(
+    ("lines", "code"),
+    [
+        (("DM A[1001]",), 66),
+        (("RA A[]",), 82),
+        (("RC 1",), 82),
+        (("DM A[5]", "RA A[]", "RD _TPX", "RC 9"), 6),
+        (("DM A[5]", "RA A[]", "RD _TPX", "RC 1,6"), 6),
+        (("DM A[5]", "RA A[]", "RD _TPX", "RC 1", "RC 1"), 80),
+        (("DM A[5]", "RA A[]", "RD _TPX,_TEX", "RC 1"), 82),
+        (("DM A[5]", "RD _KPX"), 4),
+        (("QU A[]",), 82),
+        (("DM A",), 4),
+    ],
+)
+def test_recordings_without_room_arrays_or_operands_are_refused(lines, code):
+    bench = GalilBench()
+    for line in lines[:-1]:
+        assert bench.say(line) == ":"
+    assert bench.say(lines[-1]) == "?"
+    assert bench.code() == code
+
+
 def random_line(rng: random.Random) -> str:
     words = ["SH", "MO", "JG", "PR", "PA", "BG", "ST", "AB", "TP", "TE", "TV", "TC", "MG", "KP", "AC", "TM", "ER", "OE", "CN",
              "DP", "FL", "BL", "QR", "RS", "LS", "XQ", "HX", "EN", "WT", "CW", "LZ", "PF", "VF", "EO", "TL", "KI", "foo", "ZZ",
-             "A=", "B=1"]  # fmt: skip
+             "DM A[9]", "DM", "DA A[]", "RA A[]", "RA", "RD _TPX", "RD", "RC 1,9", "RC", "QU A[],1,3", "QU", "A=",
+             "B=1"]  # fmt: skip
     pieces = ["?", "X", "Y", "=", ",", "-", "+", "*", "/", "(", ")", '"', "{F8.3}", "{N", "@ABS[", "]", "_TPX", "TIME", "$FF",
               "1e5", ".", " ", "%", "<>", "\x12\x16", "\x00", "\xff", "9" * 12]  # fmt: skip
     line = ""

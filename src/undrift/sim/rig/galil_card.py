@@ -30,6 +30,7 @@ UNKNOWN, ONLY_IN_PROGRAM, NOT_IN_PROGRAM, OPERAND, BUFFER_FULL, OUT_OF_RANGE = 1
 RUNNING, NOT_RUNNING, VARIABLE, NO_LABEL, JOG_ONLY, PROGRAM_RUNNING = 7, 8, 9, 10, 13, 17
 MOTOR_OFF, BEGIN_RUNNING, AT_LIMIT = 20, 21, 22
 NOT_ENOUGH, NO_QUESTION, PARENTHESES, LINE_TOO_LONG, NOT_A_NUMBER = 50, 51, 59, 60, 83
+NO_ROOM, RECORDING_RUNS, NO_ARRAY = 66, 80, 82
 SERIAL_TIMEOUT, PERIOD_TIMEOUT = 131, 143
 
 ERROR_TEXT = {
@@ -53,6 +54,9 @@ ERROR_TEXT = {
     NO_QUESTION: "Question mark not valid",
     PARENTHESES: "Mismatched parentheses",
     LINE_TOO_LONG: "Download error - line too long or too many lines",
+    NO_ROOM: "Array space full",
+    RECORDING_RUNS: "Record mode already running",
+    NO_ARRAY: "Undefined array",
     NOT_A_NUMBER: "Not a valid number",
     SERIAL_TIMEOUT: "Serial port timeout",
     PERIOD_TIMEOUT: "TM timed out",
@@ -130,6 +134,7 @@ class CardSettings:
 
     revision: str = "DMC1415 Rev 1.0u"  # Answer to ^R^V
     speed_step: int = 1  # Resolution of JG, counts/s: 2 on older cards
+    array_elements: int = 1000  # In all arrays together [known-low for the 1400 class; 8000 on a DMC-2x00]
     minimum_sample_us: float = 62.5  # Shortest TM that the card can keep, us; shorter is error 143
     speeds_follow_sample_time: bool = False  # True for old firmware: speeds scale with TM and are not corrected
     line_length: int = 80  # Longest command, characters; longer is error 5
@@ -151,6 +156,19 @@ class Motion:
     running: bool = False  # A motion is in progress
     reason: int = STOP_DONE  # Stop code that the present motion will end with
     stop_code: int = STOP_DONE  # What SC tells
+
+
+@dataclass(slots=True)
+class Recording:
+    """What RA, RD and RC have the card record by itself."""
+
+    arrays: tuple[str, ...] = ()
+    operands: tuple[str, ...] = ()  # "TP", "TE", ..., one for each array
+    every: int = 2  # Samples from one record to the next
+    wanted: int = 0  # Records
+    taken: int = 0  # Records
+    next_sample: float = 0.0
+    running: bool = False
 
 
 @dataclass(slots=True)
@@ -181,6 +199,8 @@ class Card:
         self.motion = Motion()
         self.motor_on = False
         self.variables: dict[str, float] = {}
+        self.arrays: dict[str, list[float]] = {}
+        self.recording = Recording()
         self.error_code = 0
         self.auxiliary = 0
         self.time_offset = self.axis.values[k.SAMPLES]
@@ -202,7 +222,21 @@ class Card:
         return int((self.axis.values[k.SAMPLES] - self.time_offset) * self.values["TM"] / 1000.0)
 
     def advance(self, time: float) -> None:
-        """Bring the card up to a moment."""
+        """Bring the card up to a moment, and record on the way."""
+        recording, axis = self.recording, self.axis
+        while recording.running:
+            due = axis.time + (recording.next_sample - axis.values[k.SAMPLES]) * axis.coefficients.period
+            if due > time:
+                break
+            self._advance(due)
+            for array, operand in zip(recording.arrays, recording.operands, strict=True):
+                self.arrays[array][recording.taken] = value_of(self, operand)
+            recording.taken += 1
+            recording.next_sample += recording.every
+            recording.running = recording.taken < recording.wanted
+        self._advance(time)
+
+    def _advance(self, time: float) -> None:
         self._watch_amplifier()
         while (event := self.axis.advance(time)) != k.NOTHING:
             if event == k.DONE and self.motion.running:
@@ -505,6 +539,7 @@ def value_of(card: Card, word: str) -> float:
         "TT": values[k.VOLTAGE], "RP": int(values[k.REFERENCE] // 1), "TD": card.auxiliary, "DE": card.auxiliary,
         "TS": switches(card), "SC": motion.stop_code, "TC": card.error_code, "BG": motion.running, "MO": not card.motor_on,
         "JG": motion.jog, "PR": motion.distance, "PA": motion.target,
+        "RC": card.recording.running, "RD": card.recording.taken,
         "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": 1, "TB": 1, "TI": 255, "AB": 1,
     }  # fmt: skip
     if word not in known:

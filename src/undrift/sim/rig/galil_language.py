@@ -15,14 +15,17 @@ import threading
 from collections.abc import Callable
 
 from undrift.arrays import FloatArray
+from undrift.kernels import device as k
 from undrift.sim.rig.axes import Clock, ServoSettings
 from undrift.sim.rig.galil_card import (
     BUFFER_FULL,
     ERROR_TEXT,
     LARGEST,
     LINE_TOO_LONG,
+    NO_ARRAY,
     NO_LABEL,
     NO_QUESTION,
+    NO_ROOM,
     NOT_A_NUMBER,
     NOT_ENOUGH,
     NOT_IN_PROGRAM,
@@ -31,6 +34,7 @@ from undrift.sim.rig.galil_card import (
     OPERAND,
     OUT_OF_RANGE,
     PROGRAM_RUNNING,
+    RECORDING_RUNS,
     RUNNING,
     SERIAL_TIMEOUT,
     SETTINGS,
@@ -40,6 +44,7 @@ from undrift.sim.rig.galil_card import (
     VARIABLE_NAME,
     Card,
     CardSettings,
+    Recording,
     Refused,
     evaluate,
     operand_value,
@@ -266,6 +271,94 @@ def _split(rest: str) -> list[str]:
     return [item.strip() for item in items if item.strip()]
 
 
+# ---- Arrays, and what the card records into them (manuals DMC-1700/1800 p. 159, DMC-1600 p. 142).
+
+_ARRAY = re.compile(r"([A-Z][A-Z0-9]{0,7})\[(\d{0,4})\]")
+
+
+def _arrays(rest: str, sized: bool) -> list[tuple[str, int]]:
+    found = [_ARRAY.fullmatch(item.strip()) for item in rest.split(",")]
+    if not all(match and bool(match.group(2)) == sized for match in found):
+        raise Refused(OPERAND)
+    return [(match.group(1), int(match.group(2) or 0)) for match in found if match]
+
+
+def _define_arrays(card: Card, rest: str) -> str:
+    wanted = _arrays(rest, sized=True)
+    if sum(map(len, card.arrays.values())) + sum(size for _, size in wanted) > card.settings.array_elements:
+        raise Refused(NO_ROOM)
+    _no_longer_recorded(card)
+    card.arrays |= {name: [0.0] * size for name, size in wanted}
+    return ""
+
+
+def _free_arrays(card: Card, rest: str) -> str:
+    names = _arrays(rest, sized=False)
+    _no_longer_recorded(card)
+    for name, _ in names:
+        card.arrays.pop(name, None)
+    return ""
+
+
+def _no_longer_recorded(card: Card) -> None:
+    if card.recording.running:
+        raise Refused(RECORDING_RUNS)
+    card.recording = Recording()
+
+
+def _record_into(card: Card, rest: str) -> str:
+    names = tuple(name for name, _ in _arrays(rest, sized=False))
+    if any(name not in card.arrays for name in names):
+        raise Refused(NO_ARRAY)
+    card.recording = Recording(arrays=names)
+    return ""
+
+
+def _record_what(card: Card, rest: str) -> str:
+    operands = [item.strip() for item in rest.split(",")]
+    if any(item[:1] != "_" or item[1:3] not in TELL or item[3:] not in ("A", "X") for item in operands):
+        raise Refused(OPERAND)
+    card.recording.operands = tuple(item[1:3] for item in operands)
+    return ""
+
+
+def _record(card: Card, rest: str) -> str:
+    recording = card.recording
+    if rest.strip() == "?":
+        return f"{int(recording.running)}{CRLF}"
+    exponent, _, count = rest.partition(",")
+    power = int(_number(card, exponent))
+    if not 0 <= power <= 8:
+        raise Refused(OUT_OF_RANGE)
+    if power == 0:
+        recording.running = False
+        return ""
+    if recording.running:
+        raise Refused(RECORDING_RUNS)
+    if not recording.arrays or len(recording.arrays) != len(recording.operands):
+        raise Refused(NO_ARRAY)
+    room = min(len(card.arrays[name]) for name in recording.arrays)
+    wanted = int(_number(card, count)) if count.strip() else room
+    if not 1 <= wanted <= room:
+        raise Refused(OUT_OF_RANGE)
+    recording.every, recording.wanted, recording.taken, recording.running = 2**power, wanted, 0, True
+    recording.next_sample = card.axis.values[k.SAMPLES] + recording.every
+    return ""
+
+
+def _upload(card: Card, rest: str) -> str:
+    name, *numbers = rest.split(",")
+    ((array, _),) = _arrays(name, sized=False)
+    if array not in card.arrays:
+        raise Refused(NO_ARRAY)
+    first, last, commas = (int(_number(card, text)) for text in (*numbers[:3], *("0", "-1", "0")[len(numbers) :]))
+    values = card.arrays[array][first : last + 1 if last >= 0 else None]
+    if not values:
+        raise Refused(OUT_OF_RANGE)
+    form = places(card.values["VF"])
+    return (", " if commas else CRLF).join(shown(value, *form, True) for value in values) + CRLF
+
+
 _WORDS: dict[str, Callable[[Card, str], str]] = {
     "SH": _switch(True),
     "MO": _switch(False),
@@ -277,6 +370,12 @@ _WORDS: dict[str, Callable[[Card, str], str]] = {
     "MG": _message,
     "QR": lambda card, rest: record(card) + _nothing(card, rest),
     "ID": lambda card, rest: card.settings.revision + CRLF + _nothing(card, rest),
+    "DM": _define_arrays,
+    "DA": _free_arrays,
+    "RA": _record_into,
+    "RD": _record_what,
+    "RC": _record,
+    "QU": _upload,
     "BN": _nothing,
     "BV": _nothing,
     "CF": _nothing,
