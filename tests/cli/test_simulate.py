@@ -125,3 +125,29 @@ def test_what_cannot_be_simulated_is_refused_in_one_line(
     assert message in said
     assert said.count("\n") == 1
     assert not (tmp_path / "r.csv").exists()
+
+
+def test_the_cut_off_of_poses_is_chosen_stated_or_left_out(undrift, bench, tmp_path):
+    found = {}
+    for word in ("auto", "8", "none"):
+        out = tmp_path / f"{word}.parquet"
+        call = ("simulate", bench / "reference.parquet", "--device", "bmi270", "--cutoff-hz", word, "-o", out)
+        found[word] = undrift.good(*call, "--json").json()
+        assert out.exists()
+    chosen = found["auto"]["cutoff"]
+    assert {"orientation", "position"} == set(chosen)
+    assert all(1.0 <= one["cutoff_hz"] <= 35.0 and one["method"] in ("rest", "residual") for one in chosen.values())
+    assert "cutoff" not in found["8"]
+    strong, weak = (found[word]["gyro_rad_s"]["contribution_rms"] for word in ("none", "8"))
+    assert strong != weak  # camera noise passes where nothing is filtered
+
+
+@pytest.mark.parametrize(
+    ("motion", "word", "complaint"),
+    [("reference.parquet", "soft", "wanted a number in Hz, auto or none"), ("step", "auto", "wanted no --cutoff-hz")],
+)
+def test_a_cut_off_that_means_nothing_is_refused(undrift, bench, tmp_path, motion, word, complaint):
+    motion = bench / motion if motion.endswith(".parquet") else motion
+    call = ("simulate", motion, "--device", "bmi270", "--cutoff-hz", word, "-o", tmp_path / "x.csv")
+    assert complaint in undrift.refused(*call)
+    assert not (tmp_path / "x.csv").exists()

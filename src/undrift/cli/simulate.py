@@ -1,4 +1,4 @@
-"""``undrift simulate``: what a device would say to a motion, taken from poses or drawn as a task, or in a thermal session."""
+"""``undrift simulate``: simulated sensor output for recorded poses, for a task, or for a thermal session."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
@@ -12,9 +12,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from undrift.arrays import FloatArray
+    from undrift.record import Reference
     from undrift.sim.device.model import DeviceModel
     from undrift.sim.device.simulate import Simulated, Triad
     from undrift.sim.motion.motion import Motion
+    from undrift.sim.motion.poses import Cutoff, PoseSettings
     from undrift.sim.thermal import ThermalKind
 
 THERMAL = "thermal_"  # before the kind of a thermal session
@@ -33,6 +35,7 @@ def simulate(
     gravity_m_s2: float = STANDARD_GRAVITY,
     markers: str | None = None,
     reference_up: Literal["y", "z"] | None = None,
+    cutoff_hz: str | None = None,
     truth: Path | None = None,
     save_device: Path | None = None,
     seed: int = 0,
@@ -63,6 +66,9 @@ def simulate(
         Labels of one rigid cluster, comma between, for TRC or C3D.
     reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
+    cutoff_hz : str or None
+        Low-pass of recorded poses, Hz: a number for orientation and position, auto to choose both from the recording, none to
+        filter nothing; 20 Hz for orientation and 10 Hz for position where not given.
     truth : Path or None
         Write the true orientation at the samples there, and the position where the motion has one, as a reference: .parquet or
         .csv, which this command takes for a motion again.
@@ -90,28 +96,35 @@ def simulate(
     rng = np.random.default_rng(seed)
     model = _device(device, draw, rng)
     if motion.startswith(THERMAL):
-        kind = _thermal_kind(motion, temp_c=temp_c, markers=markers, reference_up=reference_up, truth=truth)
-        said = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
+        kind = _thermal_kind(
+            motion, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
+        )
+        held = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
         if save_device is not None:
             write_device(model, save_device)
         if json:
-            write_json({"motion": motion, "output": str(output), **said})
+            write_json({"motion": motion, "output": str(output), **held})
         else:
-            console().print(_in_words(motion, output, said), markup=False)
+            console().print(_summary(motion, output, held), markup=False)
         return 0
     with waiting(f"simulating {motion}"):
-        moved, where = _motion(motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), reference_up, rng)
+        moved, where, chosen = _motion(
+            motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), reference_up, cutoff_hz, rng
+        )
         made = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
     write_record(made.record, output)
     if truth is not None:
         _write_truth(moved, where, truth)
     if save_device is not None:
         write_device(model, save_device)
-    found = _figures(made, model)
     if json:
-        write_json({"motion": motion, "output": str(output), **found})
+        cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
+        shown = {"cutoff": cutoffs} if chosen else {}
+        write_json({"motion": motion, "output": str(output), **shown, **_figures(made, model)})
         return 0
     out = console()
+    for signal, one in chosen.items():
+        out.print(f"cut-off of the {signal}: {one.cutoff_hz:.1f} Hz, as {one.reason}", markup=False)
     out.print(f"{motion} -> {output}: {len(made.record)} samples at {made.record.sample_rate_hz:.6g} Hz", markup=False)
     _show(made, model)
     return 0
@@ -180,11 +193,11 @@ def _thermal(
     }
 
 
-def _in_words(motion: str, output: Path, said: dict[str, object]) -> str:
-    low, high = cast("list[float]", said["temp_c"])
+def _summary(motion: str, output: Path, held: dict[str, object]) -> str:
+    low, high = cast("list[float]", held["temp_c"])
     return (
-        f"{motion} -> {output}: {said['samples']} samples at {said['sample_rate_hz']:.6g} Hz over {said['duration_s']:.0f} s, "
-        f"{low:.1f} to {high:.1f} degC, {said['stills']} stills, {said['turns']} turns"
+        f"{motion} -> {output}: {held['samples']} samples at {held['sample_rate_hz']:.6g} Hz over {held['duration_s']:.0f} s, "
+        f"{low:.1f} to {high:.1f} degC, {held['stills']} stills, {held['turns']} turns"
     )
 
 
@@ -207,27 +220,57 @@ def _motion(
     gravity_m_s2: float,
     markers: tuple[str, ...] | None,
     up: Literal["y", "z"] | None,
+    cutoff_hz: str | None,
     rng: "np.random.Generator",
-) -> tuple["Motion", "FloatArray | None"]:
-    """Return the motion, and where it takes the device, m: None of poses without positions."""
+) -> tuple["Motion", "FloatArray | None", "dict[str, Cutoff]"]:
+    """Return the motion, the positions of the device in m (None of poses without), and the cut-offs that were chosen."""
     import numpy as np
 
     from undrift.io.reference import read_reference
-    from undrift.sim.motion.poses import fit_pose_spline, motion_from_poses
+    from undrift.sim.motion.poses import fit_pose_spline
     from undrift.sim.motion.tasks import TaskName, draw_task
 
     for task in get_args(TaskName):
         if name == task:
+            if cutoff_hz is not None:
+                raise InputError(
+                    f"{task}: wanted no --cutoff-hz, got {cutoff_hz}; a task has no camera noise, leave it out"
+                )
             performed = draw_task(task, rng=rng)
             time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
-            return performed.at(time, gravity_m_s2), performed.position(time)
+            return performed.at(time, gravity_m_s2), performed.position(time), {}
     if not Path(name).exists():
         raise InputError(
             f"motion: wanted a file of poses or markers, or one of {', '.join(get_args(TaskName))}, got '{name}'; name one"
         )
     reference = read_reference(Path(name), labels=markers, up=up)
-    moved = motion_from_poses(reference, sample_rate_hz=sample_rate_hz, gravity_m_s2=gravity_m_s2)
-    return moved, None if reference.position is None else fit_pose_spline(reference).position(moved.time)
+    settings, chosen = _pose_settings(reference, cutoff_hz)
+    spline = fit_pose_spline(reference, settings)
+    start, stop = spline.span_s
+    time = start + np.arange(int((stop - start) * sample_rate_hz + 1e-6) + 1) / sample_rate_hz
+    return spline.at(time, gravity_m_s2), None if reference.position is None else spline.position(time), chosen
+
+
+def _pose_settings(reference: "Reference", cutoff_hz: str | None) -> tuple["PoseSettings", "dict[str, Cutoff]"]:
+    """Return how poses are filtered, and the cut-offs that were chosen from the recording."""
+    from undrift.sim.motion.poses import PoseSettings, Signal, choose_cutoff
+
+    if cutoff_hz is None:
+        return PoseSettings(), {}
+    if cutoff_hz == "none":
+        return PoseSettings(cutoff_hz=None, position_cutoff_hz=None), {}
+    if cutoff_hz == "auto":
+        signals: tuple[Signal, ...] = ("orientation",) if reference.position is None else ("orientation", "position")
+        chosen = {str(signal): choose_cutoff(reference, signal=signal) for signal in signals}
+        position = chosen["position"].cutoff_hz if "position" in chosen else None
+        return PoseSettings(cutoff_hz=chosen["orientation"].cutoff_hz, position_cutoff_hz=position), chosen
+    try:
+        stated = float(cutoff_hz)
+    except ValueError:
+        raise InputError(
+            f"--cutoff-hz: wanted a number in Hz, auto or none, got '{cutoff_hz}'; give one of them"
+        ) from None
+    return PoseSettings(cutoff_hz=stated, position_cutoff_hz=stated), {}
 
 
 def _labels(markers: str | None) -> tuple[str, ...] | None:
@@ -235,7 +278,7 @@ def _labels(markers: str | None) -> tuple[str, ...] | None:
 
 
 def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
-    """Return what JSON says: the device, saturation, and the size of each effect."""
+    """Return the device, saturation, and the size of each effect, for JSON."""
     import numpy as np
 
     def side(triad: "Triad") -> dict[str, object]:
@@ -277,6 +320,6 @@ def _show(made: "Simulated", model: "DeviceModel") -> None:
             out.print(f"  warning: {name} held to its range in {held} samples")
     gaps = 0 if made.record.gyro is None else int(np.isnan(made.record.gyro[:, 0]).sum())
     if gaps:
-        out.print(f"  warning: {gaps} samples are gaps, where the poses do not tell")
+        out.print(f"  warning: {gaps} samples are gaps, where the poses are not known")
     if made.record.accel is None:
         out.print("  no accelerometer: these poses hold no positions")

@@ -1,66 +1,40 @@
-"""Poses: from what a camera system saw to what an ideal sensor at the body's origin would feel.
+"""Poses: from the poses that cameras saw to what an ideal sensor at the body's origin would feel.
 
 Stretch by stretch between long gaps: short gaps bridged by a cubic, low-pass without delay in n (quaternions without jumps of
-sign; position; rotation into b comes last), then one quintic spline through each::
-
-    w_b, w_b', q_nb     from the spline of the quaternions, exact derivatives of one another
-    f_b = R_nb^T (p'' + g z)
-
-so that integrating the rate gives the pose back. A pose sequence that is drawn on straight lines between the frames that the
-cameras took must be brought back to those frames first.
-
-Cut-off: how much of a pose sequence is motion and how much is camera noise, and where to cut.
-
-Four ways, of which each states its reason::
-
-    fixed      a number that the caller stands for
-    residual   R(f) = rms(x - lowpass(x, f)); the straight line of the noise, through the upper half of f, meets f = 0 at the
-               noise's own rms; the cut-off is where R(f) falls to it [1]_
-    rest       the lowest f from where on the spectrum of the motion stays below twice that of a rest
-    gyro       the f at which the rate from the poses is closest to that of a real gyroscope, 3 x 3 and offset free
-
-References
-----------
-.. [1] D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th ed., 2009, section 3.4.4.3.
-
-Spline: a pose as a function of time, with its exact derivatives.
-
-Position p(t) and the four numbers s(t) of a quaternion are quintic splines; the orientation is s over its length. With
-conj(s) s' = (s . s') + (vector part), everything follows in closed form and belongs together::
+sign; position; rotation into b comes last), then one quintic spline through each. Position p(t) and the four numbers s(t) of a
+quaternion are splines; the orientation is s over its length, and everything follows in closed form::
 
     q = s / |s|
     w = 2 Im(conj(s) s') / |s|^2                                       angular rate of b against n, seen in b
     w' = 2 Im(conj(s) s'') / |s|^2  -  2 w (s . s') / |s|^2            conj(s') s' is a number, so it adds nothing
-    a = p''                                                            in n
+    f_b = R_nb^T (p'' + g z)
 
-Gaps: the stretches of a recording over which one spline may be drawn, and how much of each is to be believed.
+so that integrating the rate gives the pose back. A pose sequence on straight lines between the frames that the cameras took must
+be brought back to those frames first. The low-pass is a Butterworth of order n, forward and back; two passes would be 6 dB down
+at the cut-off f_c, so each is designed for f_c / (sqrt(2) - 1)^(1 / 2n) [1]_.
 
-A pose that is missing for no longer than ``gap_s`` is bridged. A longer gap ends the stretch: nothing is drawn across it, and
-beside it ``trim_s`` is taken off, where the filter and the spline still lean on the edge. The ends of the recording lose
-``end_trim_s``.
+The cut-off, how much is motion and how much is camera noise, can be chosen two ways::
 
-Low-pass: Butterworth, run forward and back over evenly spaced samples.
-
-Order n in each direction, so n-th order poles twice and no delay. Two passes would be 6 dB down at the cut-off f_c, so each is
-designed for f_c / (sqrt(2) - 1)^(1 / 2n) [1]_ and the two together are 3 dB down there::
-
-    |H(f)|^2 = 1 / (1 + (sqrt(2) - 1) (f / f_c)^(2n))        amplitude of both passes, analogue prototype
+    rest       the lowest f from where on the spectrum of the motion stays below twice that of a rest
+    residual   R(f) = rms(x - lowpass(x, f)); the straight line of the noise, through the upper half of f, meets f = 0 at the
+               noise's own rms; the cut-off is where R(f) falls to it [2]_
 
 References
 ----------
 .. [1] D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th ed., 2009, section 3.4.4.2.
+.. [2] the same, section 3.4.4.3.
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, TypeVar, get_args
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.record import Reference, Still, Turn
+from undrift.record import Reference
 from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.motion import Motion, mean_rate
 from undrift.sim.motion.tasks import Task
@@ -69,7 +43,7 @@ from undrift.units import RADIAN_PER_DEGREE
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-# ---- Spline: a pose as a function of time, with its exact derivatives.
+# ---- Spline of a pose
 
 DEGREE = 5
 
@@ -84,20 +58,14 @@ class Turning:
 
 
 def quintic(time: FloatArray, values: FloatArray) -> "BSpline":
-    """Return the quintic spline through values.
-
-    Arrays: time (K,) s, values (K, C).
-    """
+    """Return the quintic spline through values."""
     from scipy.interpolate import make_interp_spline
 
     return make_interp_spline(time, values, k=DEGREE)
 
 
 def turning(spline: "BSpline", time: FloatArray) -> Turning:
-    """Return orientation, rate and angular acceleration of a spline of quaternions.
-
-    Arrays: time (N,) s.
-    """
+    """Return orientation, rate and angular acceleration of a spline of quaternions."""
     s, first, second = spline(time), spline(time, nu=1), spline(time, nu=2)
     square = (s * s).sum(axis=1, keepdims=True)
     inverse = quaternion_conjugate(s)
@@ -107,7 +75,7 @@ def turning(spline: "BSpline", time: FloatArray) -> Turning:
     return Turning(q_nb=s / np.sqrt(square), rate_b=rate, acceleration_b=acceleration)
 
 
-# ---- Gaps: the stretches of a recording over which one spline may be drawn, and how much of each is to be believed.
+# ---- Stretches between long gaps
 
 FEWEST = 12  # poses in a stretch: twice what a quintic needs to be one
 
@@ -118,16 +86,13 @@ class Stretch:
 
     rows: IntArray  # (K,), rows of the recording that were seen
     start_s: float  # From where to where the motion is known, s: the stretch less what is trimmed
-    stop_s: float  # From where to where the motion is known, s: the stretch less what is trimmed
+    stop_s: float
 
 
 def find_stretches(
     time: FloatArray, seen: BoolArray, *, gap_s: float = 0.1, trim_s: float = 0.2, end_trim_s: float = 0.1
 ) -> tuple[Stretch, ...]:
-    """Return the stretches between long gaps.
-
-    Arrays: time (N,) s, seen (N,).
-    """
+    """Return the stretches between long gaps."""
     rows = np.flatnonzero(seen)
     breaks = np.flatnonzero(np.diff(time[rows]) > gap_s * (1.0 + 1e-9)) + 1
     found = []
@@ -147,17 +112,14 @@ def find_stretches(
     return tuple(found)
 
 
-# ---- Low-pass: Butterworth, run forward and back over evenly spaced samples.
+# ---- Low-pass
 
 ORDER = 4  # in each direction: a quarter of the cut-off passes within 1e-5, so a signal is not booked as scale factor
 _PAD = 3.0  # periods of the cut-off mirrored at each end
 
 
 def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order: int = ORDER) -> FloatArray:
-    """Return the columns of x low-pass filtered without delay.
-
-    Arrays: x (N, C) -> (N, C).
-    """
+    """Return the columns of x low-pass filtered without delay."""
     from scipy.signal import butter, sosfiltfilt
 
     each = cutoff_hz / (math.sqrt(2.0) - 1.0) ** (0.5 / order)
@@ -169,11 +131,10 @@ def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order:
         )
     sections = butter(order, each, fs=sample_rate_hz, output="sos")
     pad = min(len(x) - 1, math.ceil(_PAD * sample_rate_hz / cutoff_hz))
-    filtered: FloatArray = np.ascontiguousarray(sosfiltfilt(sections, x, axis=0, padtype="odd", padlen=pad))
-    return filtered
+    return np.ascontiguousarray(sosfiltfilt(sections, x, axis=0, padtype="odd", padlen=pad))
 
 
-# ---- poses
+# ---- Poses to motion
 
 _EVEN = 0.02  # of a step: poses further off their even grid are drawn to it before filtering
 
@@ -188,16 +149,16 @@ class PoseSettings:
     position_cutoff_hz: float | None = 10.0
     order: int = ORDER  # Of the Butterworth low-pass in each direction; higher is sharper and rings longer
     gap_s: float = 0.1  # Longest gap that is bridged, s
-    trim_s: float = 0.2  # Not believed beside a longer gap, s
-    end_trim_s: float = 0.1  # Not believed at the ends of the recording, s
+    trim_s: float = 0.2  # Trimmed beside a longer gap, s
+    end_trim_s: float = 0.1  # Trimmed at the ends of the recording, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PosePiece:
     """One stretch as splines."""
 
-    start_s: float  # Where it is believed, s
-    stop_s: float  # Where it is believed, s
+    start_s: float  # Where it is valid, s
+    stop_s: float
     quaternion: "BSpline"  # Four columns over time, 1
     position: "BSpline | None"  # Three columns over time, m, frame n
 
@@ -207,8 +168,8 @@ class PoseSpline:
     """A motion that can be asked at any instants: splines through the poses, one for each stretch between long gaps."""
 
     pieces: tuple[PosePiece, ...]  # In order of time
-    moving_time: FloatArray  # (K,), the author's marks of motion and when, s; all 1 where there were none
-    moving: FloatArray  # (K,), the author's marks of motion and when, s; all 1 where there were none
+    moving_time: FloatArray  # (K,), times of the marks of motion, s
+    moving: FloatArray  # (K,), 1 in motion; all 1 where there were no marks
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -216,10 +177,7 @@ class PoseSpline:
         return self.pieces[0].start_s, self.pieces[-1].stop_s
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
-        """Return the motion at given instants.
-
-        Arrays: time (N,) s.
-        """
+        """Return the motion at given instants."""
         n = len(time)
         q, rate, swing, force = (np.full((n, width), np.nan) for width in (4, 3, 3, 3))
         valid = np.zeros(n)
@@ -247,10 +205,7 @@ class PoseSpline:
         )
 
     def position(self, time: FloatArray) -> FloatArray:
-        """Return where the body's origin is.
-
-        Arrays: time (N,) s -> (N, 3) m.
-        """
+        """Return where the body's origin is."""
         out = np.full((len(time), 3), np.nan)
         for piece in self.pieces:
             if piece.position is not None:
@@ -292,10 +247,7 @@ def motion_from_poses(
     time: FloatArray | None = None,
     settings: PoseSettings = PoseSettings(),
 ) -> Motion:
-    """Return what an ideal sensor at the body's origin would feel.
-
-    Arrays: time (N,) s.
-    """
+    """Return what an ideal sensor at the body's origin would feel."""
     if (sample_rate_hz is None) == (time is None):
         raise InputError(
             "motion: wanted either a sample rate or the instants, got "
@@ -310,20 +262,13 @@ def motion_from_poses(
 
 
 def signed(q: FloatArray) -> FloatArray:
-    """Return quaternions without jumps of sign.
-
-    Arrays: q (K, 4) -> (K, 4).
-    """
+    """Return quaternions without jumps of sign."""
     flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    same: FloatArray = q * np.append(1.0, np.cumprod(flips))[:, None]
-    return same
+    return np.asarray(q * np.append(1.0, np.cumprod(flips))[:, None])
 
 
 def evenly(time: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return values on an even grid: as they are where they lie on one, else drawn to it by a cubic.
-
-    Arrays: time (K,) s, values (K, C) -> (L,) s, (L, C).
-    """
+    """Return values on an even grid: as they are where they lie on one, else drawn to it by a cubic."""
     count = round((time[-1] - time[0]) / step) + 1
     even = np.linspace(time[0], time[-1], count)
     if len(time) == count and np.abs(time - even).max() <= _EVEN * step:
@@ -341,9 +286,9 @@ def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float 
     return quintic(even, zero_phase(values, cutoff_hz, sample_rate_hz=rate, order=order))
 
 
-# ---- Cut-off: how much of a pose sequence is motion and how much is camera noise, and where to cut.
+# ---- Choice of the cut-off
 
-Method = Literal["fixed", "residual", "rest", "gyro"]
+Method = Literal["rest", "residual"]
 Signal = Literal["orientation", "position"]
 _SMOOTH_HZ = 2.0  # a spectrum of few segments scatters by half: neighbours are averaged
 _TOP = 0.35  # of the sample rate: the highest cut-off that is tried
@@ -351,12 +296,11 @@ _TOP = 0.35  # of the sample rate: the highest cut-off that is tried
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutoffSettings:
-    """What a cut-off is chosen by."""
+    """How a cut-off is chosen."""
 
-    fixed_hz: float = 20.0  # For method fixed, Hz
     lowest_hz: float = 1.0  # Lowest that is tried, Hz
-    tries: int = 40  # Cut-offs tried, from lowest to 0.35 of the sample rate, in equal ratios
-    # Rest for method rest, s; None takes the longest stretch that the recording does not mark as moving
+    tries: int = 160  # Cut-offs tried by the residual, from lowest to 0.35 of the sample rate
+    # Rest for method rest, s; None takes what the recording marks as not moving
     rest_s: tuple[float, float] | None = None
     noise_factor: float = 2.0  # Power of the motion over that of the rest at which it counts as noise
     segment_s: float = 2.0  # Length of a spectrum's segments, s; the resolution is its inverse
@@ -367,49 +311,35 @@ class Cutoff:
     """A cut-off and why."""
 
     cutoff_hz: float  # 3 dB down after both passes, Hz
-    method: Method  # fixed, residual, rest or gyro
+    method: Method
     reason: str  # One sentence with the figures it rests on
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RealRate:
-    """Readings of a real gyroscope on the clock of the poses."""
-
-    time: FloatArray  # (N,), s, its delay taken off
-    rate: FloatArray  # (N, 3), rad/s, axes and offset as they are
+    crossing: bool = True  # False where motion and rest have no crossing up to the highest tried
 
 
 def choose_cutoff(
     reference: Reference,
     *,
-    method: Method,
+    method: Method | None = None,
     signal: Signal = "orientation",
     settings: CutoffSettings = CutoffSettings(),
-    gyro: RealRate | None = None,
 ) -> Cutoff:
-    """Choose the cut-off of the low-pass for poses."""
-    if method not in get_args(Method) or signal not in get_args(Signal):
-        raise InputError(
-            f"cut-off: wanted a method of {', '.join(get_args(Method))} and a signal of {', '.join(get_args(Signal))}, got "
-            f"{method!r} and {signal!r}; choose one of each"
-        )
-    if method == "fixed":
-        return Cutoff(cutoff_hz=settings.fixed_hz, method=method, reason=f"{settings.fixed_hz:g} Hz as stated")
-    if method == "gyro":
-        if gyro is None or signal != "orientation":
-            raise InputError(
-                "cut-off: wanted readings of a gyroscope and the orientation, got other; choose method residual"
-            )
-        return _by_gyro(reference, gyro, settings)
+    """Choose the cut-off of the low-pass for poses; None takes the rest where it has a crossing, else the residual."""
     if method == "rest":
         return _by_rest(reference, signal, settings)
+    if method is None and (settings.rest_s is not None or _marks_rest(reference)):
+        try:
+            found = _by_rest(reference, signal, settings)
+        except InputError:  # too short a rest for a spectrum
+            return _by_residual(reference, signal, settings)
+        if found.crossing:
+            return found
     return _by_residual(reference, signal, settings)
 
 
 def _by_residual(reference: Reference, signal: Signal, settings: CutoffSettings) -> Cutoff:
     time, values = _series(reference, signal, np.ones(len(reference), dtype=np.bool_))
     rate = float((len(time) - 1) / (time[-1] - time[0]))
-    tried = np.linspace(settings.lowest_hz, _TOP * rate, 4 * settings.tries)
+    tried = np.linspace(settings.lowest_hz, _TOP * rate, settings.tries)
     left = np.array([_rms(values - zero_phase(values, f, sample_rate_hz=rate)) for f in tried])
     upper = tried > 0.5 * tried[-1]
     _, noise = np.polyfit(tried[upper], left[upper], 1)
@@ -419,8 +349,8 @@ def _by_residual(reference: Reference, signal: Signal, settings: CutoffSettings)
     return Cutoff(
         cutoff_hz=chosen,
         method="residual",
-        reason=f"what a low-pass at {chosen:.1f} Hz leaves equals the noise of {scale * noise:.3g} {unit} rms that the line from "
-        f"{tried[upper][0]:.0f} to {tried[-1]:.0f} Hz points to",
+        reason=f"the residual of a low-pass at {chosen:.1f} Hz equals the noise of {scale * noise:.3g} {unit} rms, extrapolated "
+        f"from {tried[upper][0]:.0f} to {tried[-1]:.0f} Hz",
     )
 
 
@@ -448,7 +378,8 @@ def _by_rest(reference: Reference, signal: Signal, settings: CutoffSettings) -> 
     chosen = float(frequency[above[-1] + 1]) if above.size else settings.lowest_hz
     if chosen > last:  # cameras are noisier in motion than at rest
         reason = f"up to {last:.1f} Hz, the highest tried, the motion has more than {settings.noise_factor:g} times the power"
-        return Cutoff(cutoff_hz=last, method="rest", reason=f"{reason} of the rest: no crossing, choose another method")
+        reason += " of the rest: no crossing, choose another method"
+        return Cutoff(cutoff_hz=last, method="rest", reason=reason, crossing=False)
     return Cutoff(
         cutoff_hz=chosen,
         method="rest",
@@ -456,35 +387,15 @@ def _by_rest(reference: Reference, signal: Signal, settings: CutoffSettings) -> 
     )
 
 
-def _by_gyro(reference: Reference, gyro: RealRate, settings: CutoffSettings) -> Cutoff:
-    tried = np.geomspace(settings.lowest_hz, _TOP * reference.sample_rate_hz, settings.tries)
-    poses = replace(reference, position=None)
-    left, signal = [], 0.0
-    for f in tried:
-        motion = fit_pose_spline(poses, PoseSettings(cutoff_hz=float(f))).at(gyro.time, 0.0)
-        use = (motion.valid * motion.moving > 0.0) & np.isfinite(gyro.rate).all(axis=1)
-        if use.sum() < 100:
-            raise InputError(
-                f"cut-off: wanted 100 readings or more while the poses move, got {use.sum()}; check the gyroscope's clock"
-            )
-        design = np.column_stack((motion.rate_b[use], np.ones(use.sum())))
-        solution = np.linalg.lstsq(design, gyro.rate[use])[0]
-        left.append(_rms(gyro.rate[use] - design @ solution))
-        signal = _rms(gyro.rate[use])
-    best = int(np.argmin(left))
-    return Cutoff(
-        cutoff_hz=float(tried[best]),
-        method="gyro",
-        reason=f"at {tried[best]:.1f} Hz the rate from the poses is closest to the gyroscope: "
-        f"{left[best] / RADIAN_PER_DEGREE:.3g} of {signal / RADIAN_PER_DEGREE:.3g} deg/s rms are left",
-    )
+def _marks_rest(reference: Reference) -> bool:
+    return reference.moving is not None and bool((reference.moving == 0.0).any())
 
 
 def _rest(reference: Reference, settings: CutoffSettings) -> BoolArray:
     time = reference.time
     if settings.rest_s is not None:
         return np.asarray((time >= settings.rest_s[0]) & (time <= settings.rest_s[1]))
-    if reference.moving is None or not (reference.moving == 0.0).any():
+    if reference.moving is None or not _marks_rest(reference):
         raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; state rest_s")
     return np.asarray(reference.moving == 0.0)
 
@@ -507,47 +418,7 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt((values**2).sum(axis=1).mean() / 3.0))
 
 
-# ---- Parts: a motion cut where it is not known, so that a device can be simulated on each piece without a gap.
-
-Label = TypeVar("Label", Still, Turn)
-
-
-def part_of(motion: Motion, start: int, stop: int) -> Motion:
-    """Return samples [start, stop) of a motion."""
-    if not 0 <= start < stop - 1 < len(motion):
-        raise InputError(f"motion: wanted samples within 0 and {len(motion)}, two or more, got [{start}, {stop})")
-    cut = slice(start, stop)
-    swing = motion.angular_acceleration_b
-    return Motion(
-        time=motion.time[cut],
-        q_nb=motion.q_nb[cut],
-        rate_b=motion.rate_b[cut],
-        mean_rate_b=motion.mean_rate_b[cut],
-        force_b=motion.force_b[cut],
-        gravity_m_s2=motion.gravity_m_s2,
-        stills=tuple(_moved(s, start) for s in motion.stills if start <= s.start and s.stop <= stop),
-        turns=tuple(_moved(t, start) for t in motion.turns if start <= t.start and t.stop <= stop),
-        moving=motion.moving[cut],
-        angular_acceleration_b=None if swing is None else swing[cut],
-        valid=motion.valid[cut],
-    )
-
-
-def known_parts(motion: Motion) -> tuple[Motion, ...]:
-    """Return the pieces of a motion that are known, each without a gap."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0.0], motion.valid > 0.0, [0.0]))))
-    return tuple(
-        part_of(motion, int(start), int(stop))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        if stop - start > 1
-    )
-
-
-def _moved(label: Label, start: int) -> Label:
-    return replace(label, start=label.start - start, stop=label.stop - start)
-
-
-# ---- Optics: poses of the device as a camera system reports them, with noise, gaps and a clock of their own.
+# ---- Simulated optics
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
