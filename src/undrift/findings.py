@@ -182,4 +182,65 @@ CATALOGUE: dict[str, Entry] = {
     # ---- twin
     # ---- recordings (undrift info)
     # ---- study
+    "study.subjects_left_out": Entry(
+        2, "Subjects left out", "no protocol calibrated the device of subject {subjects} of surface.parquet"
+    ),
+    "study.runs_missing": Entry(
+        2, "Runs missing", "{missing} of {runs}: the protocol could not calibrate the device and is no candidate"
+    ),
+    "study.mixed_model": Entry(
+        2,
+        "Mixed model for parameters with missing runs",
+        "{parameters}. It assumes that runs are missing at random; failures are not, so it favours the value that failed",
+    ),
+    "study.flat_minimum": Entry(
+        4,
+        "Flat minimum",
+        "{alike} of {protocols} protocols are as good as the optimum over {subjects} subjects (paired t, Holm)",
+        "use the shortest session",
+    ),
+    "study.as_good": Entry(
+        4,
+        "Protocols as good as the optimum",
+        "{alike} of {protocols} over {subjects} subjects (paired t, Holm)",
+    ),
+    "study.shorter_session": Entry(
+        4,
+        "Shortest session as good as the optimum",
+        "{saved_min:.1f} min shorter; rms error {difference_deg:+.4f} deg, not significant",
+    ),
+    "study.deciding": Entry(
+        4,
+        "Parameters that decide the error",
+        "{parameters} (best to worst {span_deg:.3f} deg; p {p_holm:.2g} after Holm)",
+    ),
+    "study.none_decides": Entry(4, "No parameter decides the error", "least p {p_holm:.2g} after Holm"),
+    "study.not_tested": Entry(4, "Parameters not tested", "one value of each, or no difference between subjects"),
+    "study.value_not_tried": Entry(4, "Not tried", "{parameter} {value_dps:.4g} deg/s ({reason})"),
+    "study.halving": Entry(
+        4,
+        "Successive halving",
+        "{protocols} protocols met {subjects} subjects; {runs} runs, full grid {grid}",
+    ),
+    "study.note_is_optimum": Entry(
+        4, "The note's protocol is the optimum", "{alike} of {others} other protocols are as good"
+    ),
+    "study.note_as_good": Entry(
+        4,
+        "The note's protocol is as good as the optimum",
+        "{error_deg:.3f} against {optimum_deg:.3f} deg. {subjects} subjects detect differences above {detectable_deg:.3f} deg",
+    ),
+    "study.note_worse": Entry(
+        3,
+        "The note's protocol is worse than the optimum",
+        "{error_deg:.3f} against {optimum_deg:.3f} deg; no single parameter explains it",
+    ),
+    "study.note_worse_by_one": Entry(
+        3,
+        "The note's protocol is worse than the optimum",
+        "{error_deg:.3f} against {optimum_deg:.3f} deg. "
+        "{parameter} {ours:.4g} in place of {note:.4g} {unit} alone removes {gain_deg:.3f} deg",
+    ),
+    "study.note_not_tried": Entry(4, "The note's protocol was not tried"),
+    "study.note_uncalibrated": Entry(3, "The note's protocol left a device uncalibrated"),
 }

@@ -88,17 +88,92 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     assert (out / "surface.parquet").read_bytes() == before
 
 
+WIDE = """
+[study]
+name = "wide"
+subjects = 12
+[[task]]
+name = "step"
+[task.space]
+cutoff_hz = [1.0, 2.0, 4.0, 11.4]
+turn_rate_step_dps = [6.0]
+turn_rate_min_dps = [9.0]
+turn_rate_max_dps = [15.0, 21.0, 27.0, 33.0]
+[task.protocol]
+dwell_s = 1.0
+bracket_s = 3.0
+set_points_c = [18.0, 36.0, 54.0, 75.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """A plan, and the folder of its grid search."""
+    folder = tmp_path_factory.mktemp("wide")
+    (folder / "study.toml").write_text(WIDE)
+    return folder / "study.toml", folder / "grid"
+
+
+def test_halving_finds_the_optimum_of_the_grid_with_fewer_runs(undrift, searched, tmp_path):
+    plan, folder = searched
+    grid = done(undrift, "study", plan, "-o", folder, "--workers", "1", "--no-rivals", "--json").json()
+    assert (grid["search"], grid["runs"], grid["tasks"][0]["halving"]) == ("grid", 192, None)
+    answer = done(undrift, "study", plan, "-o", tmp_path / "h", "--workers", "1", "--no-rivals", "--search", "halving")
+    halved = json.loads((tmp_path / "h" / "summary.json").read_text())
+    (task,), (whole,) = halved["tasks"], grid["tasks"]
+    assert task["optimum"] == whole["optimum"]
+    for name in ("error_rms_deg", "error_max_deg", "rig_minutes"):  # a protocol has the same noise in both searches
+        assert task[name] == pytest.approx(whole[name], rel=1e-12)
+    counts = [(len(each["protocols"]), each["subjects"]) for each in task["halving"]["rounds"]]
+    assert counts == [(16, 3), (8, 6), (4, 12)]
+    assert (halved["search"], halved["runs"]) == ("halving", 16 * 3 + 8 * 3 + 4 * 6)
+    assert (task["halving"]["runs"], task["halving"]["runs_of_grid"]) == (96, 192)
+    first, *_, last = (each["protocols"] for each in task["halving"]["rounds"])
+    best = min(last, key=lambda row: row["mean_deg"])
+    assert {name: best[name] for name in task["optimum"]} == task["optimum"]
+    assert {tuple(row.values())[:4] for row in last} <= {tuple(row.values())[:4] for row in first}
+    table = pq.read_table(tmp_path / "h" / "surface.parquet")
+    assert table.num_rows == 96
+    assert "wide: step, round 2 of 3: 8 protocols on 6 subjects" in answer.err.splitlines()
+    assert "calibration sessions: 96 of 96 runs" in answer.err
+    assert "Successive halving: 16, 8, 4 protocols met 3, 6, 12 subjects; 96 runs, full grid 192" in (
+        tmp_path / "h" / "report.html"
+    ).read_text().replace("</strong>", "")
+
+
+def test_a_halving_resumes_and_keeps_to_its_folder(undrift, searched, tmp_path):
+    plan = searched[0]
+    text = WIDE.replace("subjects = 12", 'subjects = 6\nsearch = "halving"').replace("[1.0, 2.0, 4.0, 11.4]", "[11.4]")
+    plan = tmp_path / "study.toml"
+    plan.write_text(text)
+    words = ["study", plan, "-o", tmp_path / "h", "--workers", "1", "--no-rivals", "--json"]
+    whole = done(undrift, *words)
+    pieces = sorted((tmp_path / "h" / "halving").glob("step/round-*/runs/*.parquet"))
+    assert len(pieces) == 6
+    kept = {piece: piece.stat().st_mtime_ns for piece in pieces[:4]}
+    for piece in pieces[4:]:
+        piece.unlink()
+    again = done(undrift, *words)
+    assert again.json() == whole.json()
+    assert {piece: piece.stat().st_mtime_ns for piece in pieces[:4]} == kept
+    assert all(piece.exists() for piece in pieces)
+    line = undrift.refused(*words[:-1], "--search", "grid")
+    assert "wanted an empty folder or one of this study" in line
+    plan.write_text(text.replace('"halving"', '"guess"'))
+    assert "grid" in undrift.refused(*words)
+
+
 def test_values_that_no_protocol_has_are_named_with_the_reason(undrift, plan, tmp_path):
     text = TEXT.replace("step_dps = [5.0]", "step_dps = [5.0, 70.0]").replace("[50.0, 70.0, 90.0]", "[5.0, 50.0, 90.0]")
     path = tmp_path / "more.toml"
     path.write_text(text)
     answer = done(undrift, "study", path, "-o", tmp_path / "out", "--workers", "1", "--no-rivals")
-    said = (
-        "Not tried: step d 70 deg/s (divides no span from an omega_m to an omega_M); "
-        "omega_M 5 deg/s (not above any omega_m)."
-    )
-    assert f"sit_to_stand: {said}" in answer.out
-    assert said in (tmp_path / "out" / "report.html").read_text()
+    for reason in (
+        "step d 70 deg/s (divides no span from an omega_m to an omega_M)",
+        "omega_M 5 deg/s (not above any omega_m)",
+    ):
+        assert f"sit_to_stand: Not tried: {reason}" in answer.out
+        assert f"<strong>Not tried</strong>: {reason}" in (tmp_path / "out" / "report.html").read_text()
     (task,) = json.loads((tmp_path / "out" / "summary.json").read_text())["tasks"]
     assert [(row["parameter"], row["value"]) for row in task["untried"]] == [
         ("turn_rate_step_dps", 70.0),
@@ -156,12 +231,14 @@ def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, 
     assert cutoff["mixed_model"]["values"] == 9
     assert cutoff["f"] == cutoff["mixed_model"]["f"]
     assert greatest["anova"]["subjects"] == 5
-    told = "Missing: 3 of 30 runs"
+    codes = {item["code"]: item["values"] for item in task["findings"]}
+    assert codes["study.runs_missing"] == {"missing": 3, "runs": 30}
+    assert codes["study.mixed_model"] == {"parameters": ["cut-off"]}
     page = (tmp_path / "a" / "report.html").read_text()
-    assert told in page
-    assert "cut-off (Hz) is judged by a mixed model" in page
-    assert "Optional stopping: looking again after each added subject" in page
-    assert told in " ".join(done(undrift, *words[:-1]).out.split())
+    assert "<strong>Runs missing</strong>: 3 of 30" in page
+    assert "<strong>Mixed model for parameters with missing runs</strong>: cut-off." in page
+    assert "Optional stopping: adding subjects until p falls below the level" in page
+    assert "Runs missing: 3 of 30" in " ".join(done(undrift, *words[:-1]).out.split())
 
 
 def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):
@@ -183,7 +260,7 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Discussion as an experiment: other ways to calibrate" in page
     assert "optics see orientation, not specific force" in page
-    assert "Figure 3: what sets simulated and actual apart" in page
+    assert "Figure 3: simulated against actual, effect by effect" in page
     done(undrift, "study", plan, "-o", tmp_path / "quick", "--workers", "1", "--quick")
     assert len(asked) == 1
 
@@ -210,7 +287,7 @@ def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
     assert rest["median"]["rmse_total_deg"] < none["median"]["rmse_total_deg"]
     assert {row["measure"] for row in told["captures"]} >= {"lean", "duration"}
     assert [row["level"] for row in told["worn"]["rows"]] == ["none", "static", "full"]
-    assert any("eyes closed on foam" in row["said"] for row in told["stances"])
+    assert any("eyes closed on foam" in row["note"] == row["said"] for row in told["stances"])
     assert "agreement over trials: 3 trials or more are needed, 2 were given" in told["lacks"]
     page = (tmp_path / "out" / "report.html").read_text()
     lines = [line for line in answer.out.splitlines() if line.startswith("real, ")]

@@ -79,10 +79,10 @@ def test_a_planted_optimum_is_found_with_a_third_of_the_runs(tmp_path: Path) -> 
     assert np.array([best.turn_rate_step, best.turn_rate_min, best.turn_rate_max]) / DPS == pytest.approx(BEST[1:])
     show("runs over those of the full grid", found.runs / found.runs_of_grid, "1/3")
     assert found.runs <= found.runs_of_grid / 3
-    sizes = [len(rung.candidates) for rung in found.rungs]
+    sizes = [len(each.candidates) for each in found.rounds]
     assert sizes[0] == len(found.protocols)
     assert sizes == sorted(sizes, reverse=True)
-    assert [rung.subjects for rung in found.rungs][-1] == STUDY.subjects
+    assert [each.subjects for each in found.rounds][-1] == STUDY.subjects
 
 
 def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
@@ -106,9 +106,9 @@ def test_real_runs_halve_too(tmp_path: Path) -> None:
         base=TASK.base,
     )
     found = halve(study, narrow, InProcess(), tmp_path, settings=HalvingSettings(first_subjects=1, least=1))
-    assert [len(rung.candidates) for rung in found.rungs] == [3, 2, 1]
+    assert [len(each.candidates) for each in found.rounds] == [3, 2, 1]
     assert found.runs == 3 + 2 + 1
-    assert np.isfinite(found.rungs[-1].mean_deg).all()
+    assert np.isfinite(found.rounds[-1].mean_deg).all()
 
 
 def test_nothing_that_calibrates_is_said(tmp_path: Path) -> None:

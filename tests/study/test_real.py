@@ -14,8 +14,8 @@ from undrift.sim.motion.tasks import draw_task
 from undrift.study.real import (
     MEASURES,
     REPETITION,
-    BesideRow,
     Capture,
+    CohortComparison,
     Stance,
     agreement_of,
     motion_rows,
@@ -63,7 +63,7 @@ def test_a_performance_of_the_cohort_lies_inside_the_cohort() -> None:
         show(f"{row.measure}, {row.unit}", f"{row.real:.1f} in {row.low:.1f} to {row.high:.1f}")
     assert tuple(row.measure for row in rows) == tuple(name for name, _ in REPETITION)
     assert sum(row.inside for row in rows) >= 3  # each is inside nineteen times in twenty
-    assert not BesideRow(
+    assert not CohortComparison(
         trial="", task="", measure="", unit="", real=float("nan"), low=0.0, median=1.0, high=2.0
     ).inside
 

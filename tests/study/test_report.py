@@ -45,17 +45,20 @@ def noisy(means: list[float], sd: float = 0.02) -> np.ndarray:
 
 def test_the_note_agrees_where_nothing_tells_its_protocol_from_the_optimum() -> None:
     held = surface(noisy([0.3, 0.3, 0.3, 0.3]))
-    found = compare_with_note(held, find_optimum(held), ROW)
-    assert found.verdict == "agrees"
-    assert "the four parameters do not decide the error here" in found.because
+    optimum = find_optimum(held)
+    found = compare_with_note(held, optimum, ROW)
+    assert (found.verdict, found.finding.code, found.finding.values["subjects"]) == ("agrees", "study.note_as_good", 30)
+    assert optimum.equivalent.all()  # nothing that was tried is worse
+    assert optimum.deciding == ()
     held = surface(noisy([0.301, 0.3, 0.5, 0.5]))
     found = compare_with_note(held, find_optimum(held), ROW)
-    assert "; still omega_M decides the error" in found.because  # half of the protocols are as good
-    assert "flat" not in found.because
+    optimum = find_optimum(held)
+    assert (optimum.deciding, optimum.flat) == (("turn_rate_max_dps",), False)  # half of the protocols are as good
+    assert found.verdict == "agrees"
     held = surface(noisy([0.3, 0.5, 0.5, 0.5]))
     found = compare_with_note(held, find_optimum(held), ROW)
     assert (found.verdict, found.place) == ("agrees", 0)
-    assert "its protocol is our optimum" in found.because
+    assert found.finding.code == "study.note_is_optimum"
 
 
 def test_the_note_differs_for_the_parameter_that_makes_the_difference() -> None:
@@ -63,18 +66,19 @@ def test_the_note_differs_for_the_parameter_that_makes_the_difference() -> None:
     found = compare_with_note(held, find_optimum(held), ROW)
     assert found.verdict == "differs"
     assert found.difference_deg == pytest.approx(0.22, abs=0.02)  # 0.02 / sqrt(30) of each mean, a few sigma
-    assert re.search(r"omega_M 60 in place of 90 deg/s alone takes 0\.\d+ deg off", found.because)
+    assert (found.finding.code, found.finding.level) == ("study.note_worse_by_one", "warn")
+    assert re.search(r"omega_M 60 in place of 90 deg/s alone removes 0\.\d+ deg", found.finding.text)
+    assert found.finding.values["gain_deg"] == pytest.approx(0.2, abs=0.02)
 
 
 def test_a_row_that_was_not_tried_is_not_judged() -> None:
     held = surface(noisy([0.3, 0.3, 0.3, 0.3]))
     found = compare_with_note(held, find_optimum(held), TABLE_1["step"])
-    assert (found.verdict, found.place) == ("not tried", None)
+    assert (found.verdict, found.place, found.finding.code) == ("not tried", None, "study.note_not_tried")
     failed = noisy([0.3, 0.3, 0.3, 0.3])
     failed[3, 0] = np.nan
-    assert (
-        "left a device uncalibrated" in compare_with_note(surface(failed), find_optimum(surface(failed)), ROW).because
-    )
+    found = compare_with_note(surface(failed), find_optimum(surface(failed)), ROW)
+    assert (found.verdict, found.finding.code) == ("not tried", "study.note_uncalibrated")
 
 
 def test_the_other_cohort_shares_nothing_with_the_one_that_chose(outcome: StudyOutcome) -> None:

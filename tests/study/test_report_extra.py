@@ -6,7 +6,7 @@ from undrift.report.study_rivals import design_sections, real_sections, rival_se
 from undrift.study.judge import cohort_of, other_study
 from undrift.study.outcome import StudyOutcome
 from undrift.study.plan import note_study
-from undrift.study.real import BesideRow, RealData, RealErrors, RealOutcome, Worn, agreement_of, judge_real
+from undrift.study.real import CohortComparison, RealData, RealErrors, RealOutcome, Worn, agreement_of, judge_real
 from undrift.study.rivals import RivalRow, Spread
 
 NONE = Spread(median=np.nan, least=np.nan, greatest=np.nan)
@@ -25,8 +25,8 @@ def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
         end_total_deg=np.nan,
         agreement=pairwise,
     )
-    row = BesideRow(
-        trial="a", task="squat", measure="lean", unit="deg", real=np.nan, low=1.0, median=2.0, high=3.0, said="no squat"
+    row = CohortComparison(
+        trial="a", task="squat", measure="lean", unit="deg", real=np.nan, low=1.0, median=2.0, high=3.0, note="no squat"
     )
     real = RealOutcome(
         errors=(level,),
@@ -40,8 +40,8 @@ def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
     told = "largest lean, deg: bias -0.25, limits of agreement -0.82 to 0.32 (4 trials); ICC(2,1) 0.9"
     assert any(told in text for text in trials.text)
     assert any(text.startswith("full: ") and told in text for text in worn.text)
-    assert trials.rows == (("median", "rest", "undone", "1.25", "0.50", "not told", "not told"),)
-    assert captured.rows[0][3:] == ("not told", "2.00", "1.00 to 3.00", "")
+    assert trials.rows == (("median", "rest", "undone", "1.25", "0.50", "–", "–"),)
+    assert captured.rows[0][3:] == ("–", "2.00", "1.00 to 3.00", "")
     assert "a: no squat." in captured.text
     assert lacks.text == ("x: none.",)
 
@@ -65,7 +65,7 @@ def test_a_method_whose_units_were_all_refused_has_no_figure() -> None:
         change_max_deg=NONE,
         units=5,
         refused=5,
-        said=("nothing was recorded",),
+        notes=("nothing was recorded",),
     )
     study = note_study(quick=True, subjects=3)
     outcome = StudyOutcome(

@@ -51,16 +51,16 @@ def test_poses_alone_calibrate_gyroscopes_and_leave_the_tilt_at_the_start(
         assert row.observable == ("gyro",)
         assert row.change_max_deg.median < 0.2
         assert row.error_max_deg.median > 3.0 * row.change_max_deg.median
-        assert any("accelerometers not observable" in word for word in row.said)
+        assert any("accelerometers not observable" in word for word in row.notes)
     both = rows["sit_to_stand", "plane_and_mocap"]
     assert both.observable == ("gyro", "accel")
     assert both.error_max_deg.median < 0.3
 
 
-def test_what_a_method_cannot_see_is_said_by_its_own_fit(rows: dict[tuple[str, str], RivalRow]) -> None:
-    words = {method: " ".join(rows["sit_to_stand", method].said) for method in METHODS}
+def test_what_a_method_cannot_see_is_a_finding_of_its_own_fit(rows: dict[tuple[str, str], RivalRow]) -> None:
+    words = {method: " ".join(rows["sit_to_stand", method].notes) for method in METHODS}
     for method in METHODS:
-        for word in rows["sit_to_stand", method].said:
+        for word in rows["sit_to_stand", method].notes:
             show(method, word)
     assert "gyroscope not observable" in words["inclined_plane"]
     assert "none that serve" in words["trolley"]

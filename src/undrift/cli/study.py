@@ -14,143 +14,14 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.study.judge import Cohort, ParameterEffect, Tested
+    from undrift.study.judge import ParameterEffect
     from undrift.study.outcome import EffectPower, Stage, StageName, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
-    from undrift.study.real import BesideRow, RealData, RealOutcome
-
-# ---- What ``undrift study`` says before and while it runs: what is not tried, how long each stage takes, where it is.
-
-SHOWN_EVERY_S = 10.0  # where stderr is not a terminal
-
-
-def announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json: bool) -> None:
-    """Say how many runs there are, about how long all stages take, and which values no protocol has.
-
-    Parameters
-    ----------
-    planned : Study
-        What will be done.
-    stages : tuple of Stage
-        Forecast.
-    workers : int
-        That share the calibration sessions.
-    json : bool
-        Stdout is for JSON: stderr is used.
-    """
-    from rich.console import Console
-
-    from undrift.cli.common import console
-    from undrift.report.study import untried_words
-    from undrift.study.run import count_runs
-
-    out = Console(stderr=True, highlight=False, soft_wrap=True) if json else console()
-    tasks = ", ".join(task.name for task in planned.tasks)
-    most = sorted(stages, key=lambda stage: -stage.seconds)[:3]
-    parts = ", ".join(f"{stage.name} {duration(stage.seconds)}" for stage in stages if stage in most)
-    out.print(
-        f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects) on {workers} "
-        f"worker{'s' * (workers > 1)}, in all about {duration(sum(stage.seconds for stage in stages))} ({parts})",
-        markup=False,
-    )
-    for task in planned.tasks:
-        if words := untried_words(task.space.untried()):
-            out.print(f"{task.name}: {words}", markup=False)
-
-
-class StudyProgress:
-    """A bar on a terminal; elsewhere a line on stderr for each stage, and now and then one within the first.
-
-    Parameters
-    ----------
-    name : str
-        Of the study.
-    stages : tuple of Stage
-        Forecast.
-    """
-
-    def __init__(self, name: str, stages: "tuple[Stage, ...]") -> None:
-        from undrift.cli.common import progress
-
-        self._name, self._stages = name, stages
-        self._live = sys.stderr.isatty()
-        self._shown = progress()
-        self._bar = self._shown.add_task(name, total=None)
-        self._next_s = 0.0
-
-    def __enter__(self) -> Self:
-        self._shown.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._shown.stop()
-
-    def say(self, stage: "StageName") -> None:
-        """Tell that a stage begins.
-
-        Parameters
-        ----------
-        stage : str
-            Which.
-        """
-        names = [each.name for each in self._stages]
-        left = self._stages[names.index(stage) :] if stage in names else ()
-        if not left:  # not forecast, since there is nothing to do
-            return
-        text = f"{stage}, about {duration(left[0].seconds)}"
-        if len(left) > 1:
-            text += f"; {duration(sum(each.seconds for each in left))} left in all"
-        self._tell(text)
-
-    def advance(self, done: int, total: int) -> None:
-        """Tell how many units of work are done.
-
-        Parameters
-        ----------
-        done, total : int
-            Of the first stage.
-        """
-        self._shown.update(self._bar, completed=done, total=total)
-        now_s = time.monotonic()
-        if self._live or done == 0:
-            self._next_s = now_s + SHOWN_EVERY_S
-        elif done == total or now_s >= self._next_s:
-            self._next_s = now_s + SHOWN_EVERY_S
-            self._tell(f"calibration sessions: {done} of {total} units of work")
-
-    def _tell(self, text: str) -> None:
-        if self._live:  # a stage of its own bar: only the first counts units
-            self._shown.remove_task(self._bar)
-            self._bar = self._shown.add_task(f"{self._name}: {text}", total=None)
-        else:
-            sys.stderr.write(f"{self._name}: {text}\n")
-            sys.stderr.flush()
-
-
-def duration(seconds: float) -> str:
-    """Return a time for people.
-
-    Parameters
-    ----------
-    seconds : float
-        s.
-
-    Returns
-    -------
-    str
-        In s, min or h.
-    """
-    if seconds < 90.0:
-        return f"{max(seconds, 1.0):.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
-
-
-# ---- study
+    from undrift.study.real import CohortComparison, RealOutcome
 
 QUICK_SUBJECTS = 8
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
+SHOWN_EVERY_S = 10.0  # where stderr is not a terminal
 
 
 def study(
@@ -160,6 +31,7 @@ def study(
     output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("study"),
     preset: Literal["note"] | None = None,
     quick: Flag = False,
+    search: Literal["grid", "halving"] | None = None,
     subjects: int | None = None,
     seed: int | None = None,
     workers: int | None = None,
@@ -168,18 +40,21 @@ def study(
     real: Path | None = None,
     json: Flag = False,
 ) -> int:
-    """Try calibration protocols on simulated subjects; say which is enough, how surely, and in how many minutes on the rig.
+    """Try calibration protocols on simulated subjects; find which is enough, with its error and its minutes on the rig.
 
     Parameters
     ----------
     plan : Path or None
         study.toml: tasks, subjects, device, what is tried. See docs/study.md.
     output : Path
-        Folder for surface.parquet, report.html and summary.json; one that holds a part of the same study is gone on with.
+        Folder for surface.parquet, report.html and summary.json; an interrupted study in it resumes.
     preset : str or None
         "note" in place of a plan: the technical note's three tasks, thirty subjects, over 400 protocols each.
     quick : bool
         The ends of what is tried, on eight subjects: a first look.
+    search : str or None
+        "grid" runs every protocol on every subject; "halving" keeps the better half of the protocols and doubles the subjects,
+        round by round. The plan's where not given, else "grid".
     subjects : int or None
         Other number of subjects than the plan's.
     seed : int or None
@@ -192,7 +67,7 @@ def study(
         Leave out the other ways to calibrate, which the note's Discussion names, about 20 s, and Figure 3 effect by effect, about
         15 s. --quick implies it.
     real : Path or None
-        real.toml: real recordings to judge beside the study. See docs/study.md.
+        real.toml: real recordings to judge too. See docs/study.md.
     json : bool
         One JSON object on stdout.
 
@@ -201,21 +76,34 @@ def study(
     int
         Exit code.
     """
-    from undrift.cli.common import plain, write_json
+    from undrift.cli.common import plain, waiting, write_json
     from undrift.files import write_whole
     from undrift.report.study import write_study_report
     from undrift.study.outcome import forecast, judge_study
+    from undrift.study.real import read_real
     from undrift.study.run import choose_executor
 
-    planned = _planned(plan, preset, quick, subjects, seed)
-    held = None if real is None else _read_real(real)
+    planned = _planned(plan, preset, quick, search, subjects, seed)
+    held = None
+    if real is not None:
+        with waiting("reading real recordings"):
+            held = read_real(real)
     executor = choose_executor(scheduler, workers)
     workers, rivals = executor.workers, not (no_rivals or quick)
     _check_folder(output, planned)
     stages = forecast(planned, output, workers=workers, rivals=rivals, real=held)
-    announce(planned, stages, workers, json)
-    with StudyProgress(planned.name, stages) as shown:
-        outcome = judge_study(planned, executor, output, advance=shown.advance, rivals=rivals, real=held, say=shown.say)
+    _announce(planned, stages, workers, json)
+    with _Progress(planned, stages) as shown:
+        outcome = judge_study(
+            planned,
+            executor,
+            output,
+            advance=shown.advance,
+            rivals=rivals,
+            real=held,
+            begin=shown.begin,
+            tell=shown.tell,
+        )
     summary = study_summary(outcome)
     write_whole(output / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
     write_study_report(outcome, output / "report.html")
@@ -226,7 +114,14 @@ def study(
     return 0
 
 
-def _planned(plan: Path | None, preset: str | None, quick: bool, subjects: int | None, seed: int | None) -> "Study":
+def _planned(
+    plan: Path | None,
+    preset: str | None,
+    quick: bool,
+    search: Literal["grid", "halving"] | None,
+    subjects: int | None,
+    seed: int | None,
+) -> "Study":
     from dataclasses import replace
 
     from undrift.study.plan import ends_of, note_study, read_study
@@ -240,7 +135,7 @@ def _planned(plan: Path | None, preset: str | None, quick: bool, subjects: int |
     if quick and plan is not None:
         held = ends_of(held)
     count = subjects if subjects is not None else min(QUICK_SUBJECTS, held.subjects) if quick else held.subjects
-    return replace(held, subjects=count, seed=held.seed if seed is None else seed)
+    return replace(held, subjects=count, search=search or held.search, seed=held.seed if seed is None else seed)
 
 
 def _check_folder(output: Path, planned: "Study") -> None:
@@ -256,27 +151,94 @@ def _check_folder(output: Path, planned: "Study") -> None:
     RunStore(output, planned)
 
 
-def _read_real(path: Path) -> "RealData":
-    from undrift.cli.common import waiting
-    from undrift.study.real import read_real
+# ---- before and while it runs
 
-    with waiting("reading real recordings"):
-        return read_real(path)
+
+def _announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json: bool) -> None:
+    """Print how many runs there are, about how long all stages take, and which values no protocol has."""
+    from rich.console import Console
+
+    from undrift.cli.common import console
+    from undrift.study.outcome import untried_findings
+    from undrift.study.run import count_runs
+
+    out = Console(stderr=True, highlight=False, soft_wrap=True) if json else console()
+    tasks = ", ".join(task.name for task in planned.tasks)
+    most = sorted(stages, key=lambda stage: -stage.seconds)[:3]
+    parts = ", ".join(f"{stage.name} {duration(stage.seconds)}" for stage in stages if stage in most)
+    out.print(
+        f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects) on {workers} "
+        f"worker{'s' * (workers > 1)}, in all about {duration(sum(stage.seconds for stage in stages))} ({parts})",
+        markup=False,
+    )
+    for task in planned.tasks:
+        for item in untried_findings(task.space.untried()):
+            out.print(f"{task.name}: {item.text}", markup=False)
+
+
+class _Progress:
+    """A bar on a terminal; elsewhere a line on stderr for each stage and round, and now and then one within the first."""
+
+    def __init__(self, planned: "Study", stages: "tuple[Stage, ...]") -> None:
+        from undrift.cli.common import progress
+
+        self._name, self._stages = planned.name, stages
+        self._counted = "runs" if planned.search == "halving" else "units of work"
+        self._live = sys.stderr.isatty()
+        self._shown = progress()
+        self._bar = self._shown.add_task(self._name, total=None)
+        self._next_s = 0.0
+
+    def __enter__(self) -> Self:
+        self._shown.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._shown.stop()
+
+    def begin(self, stage: "StageName") -> None:
+        """Show that a stage begins; one without a forecast has nothing to do."""
+        names = [each.name for each in self._stages]
+        left = self._stages[names.index(stage) :] if stage in names else ()
+        if left:
+            text = f"{stage}, about {duration(left[0].seconds)}"
+            rest = f"; {duration(sum(each.seconds for each in left))} left in all" if len(left) > 1 else ""
+            self.tell(text + rest)
+
+    def advance(self, done: int, total: int) -> None:
+        """Show how much of the first stage is done."""
+        self._shown.update(self._bar, completed=done, total=total)
+        now_s = time.monotonic()
+        if self._live or done == 0:
+            self._next_s = now_s + SHOWN_EVERY_S
+        elif done == total or now_s >= self._next_s:
+            self._next_s = now_s + SHOWN_EVERY_S
+            self.tell(f"calibration sessions: {done} of {total} {self._counted}")
+
+    def tell(self, text: str) -> None:
+        """Show a line; on a terminal it begins a bar of its own."""
+        if self._live:
+            self._shown.remove_task(self._bar)
+            self._bar = self._shown.add_task(f"{self._name}: {text}", total=None)
+        else:
+            sys.stderr.write(f"{self._name}: {text}\n")
+            sys.stderr.flush()
+
+
+def duration(seconds: float) -> str:
+    """Return a time in s, min or h."""
+    if seconds < 90.0:
+        return f"{max(seconds, 1.0):.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+# ---- summary.json
 
 
 def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
-    """Return what JSON says of a study.
-
-    Parameters
-    ----------
-    outcome : StudyOutcome
-        What came out.
-
-    Returns
-    -------
-    dict
-        Tasks, cohorts, Figure 3, rates to dwell at, rival methods, real recordings.
-    """
+    """Return the JSON of a study."""
     from dataclasses import asdict
 
     held, figure = outcome.study, outcome.figure3
@@ -286,11 +248,23 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         "subjects": held.subjects,
         "seed": held.seed,
         "objective": held.objective,
+        "search": held.search,
         "level": held.level,
         "runs": outcome.runs,
         "tasks": [_task_summary(task) for task in outcome.tasks],
-        "cohorts": [_cohort_summary(cohort) for cohort in outcome.cohorts],
-        "figure3": {
+        "cohorts": [
+            {
+                "group": cohort.group,
+                "subjects": cohort.count,
+                "age_years": cohort.age_years,
+                "height_m": cohort.height,
+                "note_age_years": cohort.printed.age_years,
+                "note_height_m": cohort.printed.height,
+            }
+            for cohort in outcome.cohorts
+        ],
+        "figure3": figure
+        and {
             "none_max_deg": figure.actual_max_deg[0],
             "static_max_deg": figure.actual_max_deg[1],
             "full_max_deg": figure.actual_max_deg[2],
@@ -298,23 +272,26 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
             "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
             "simulated_max_deg": figure.simulated_max_deg,
             "simulated_actual_by_level_deg": figure.simulated_actual_max_deg,
-        }
-        if figure is not None
-        else None,
+        },
         "figure3_missing": outcome.figure3_missing or None,
         "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
         "designs": [asdict(row) for row in outcome.designs],
-        "rivals": [asdict(row) for row in outcome.rivals] or None,
+        "rivals": [_with_old_key(asdict(row), row.notes) for row in outcome.rivals] or None,
         "rivals_missing": outcome.rivals_missing or None,
-        "real": None if outcome.real is None else _real_summary(outcome.real),
+        "real": outcome.real and _real_summary(outcome.real),
     }
+
+
+def _with_old_key(row: dict[str, object], note: object) -> dict[str, object]:
+    """Return a row with its notes under the key of earlier versions too."""
+    return row | {"said": note}
 
 
 def _real_summary(real: "RealOutcome") -> dict[str, object]:
     from dataclasses import asdict
 
-    def beside(rows: "tuple[BesideRow, ...]") -> list[dict[str, object]]:
-        return [asdict(row) | {"inside": row.inside} for row in rows]
+    def compared(rows: "tuple[CohortComparison, ...]") -> list[dict[str, object]]:
+        return [_with_old_key(asdict(row) | {"inside": row.inside}, row.note) for row in rows]
 
     return {
         "trials": [
@@ -323,34 +300,30 @@ def _real_summary(real: "RealOutcome") -> dict[str, object]:
                 "rounding": level.rounding,
                 "median": {name: getattr(level, name) for name in REAL_FIGURES},
                 "trials": [{"recording": trial.recording} | asdict(trial.figures) for trial in level.trials],
-                "agreement": None if level.agreement is None else asdict(level.agreement),
+                "agreement": level.agreement and asdict(level.agreement),
             }
             for level in real.errors
         ],
-        "captures": beside(real.motions),
-        "worn": None
-        if real.worn is None
-        else {
+        "captures": compared(real.motions),
+        "worn": real.worn
+        and {
             "rows": [asdict(row) for row in real.worn.rows],
             "agreement": {level: asdict(pairwise) for level, pairwise in real.worn.agreement},
         },
-        "stances": beside(real.sways),
+        "stances": compared(real.sways),
         "lacks": real.lacks,
     }
 
 
-def _protocol(task: "TaskOutcome", place: int) -> dict[str, object]:
-    from undrift.study.judge import PARAMETERS
-
-    return {name: round(float(getattr(task.surface, name)[place]), 9) for name in PARAMETERS}
-
-
 def _task_summary(task: "TaskOutcome") -> dict[str, object]:
-    surface, found = task.surface, task.optimum
+    from dataclasses import asdict
+
+    surface, found, stopping, note = task.surface, task.optimum, task.stopping, task.note
     powers = {power.name: power for power in task.powers}
+    tested = [{key: value for key, value in asdict(each).items() if key != "place"} for each in task.tested]
     return {
         "task": surface.task,
-        "optimum": _protocol(task, found.best),
+        "optimum": _protocol(surface, found.best),
         "error_rms_deg": found.error_rms_deg,
         "error_max_deg": found.error_max_deg,
         "honest_error_deg": found.honest_error_deg,
@@ -363,14 +336,14 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
         "failed_runs": found.failed,
         "rig_minutes": float(surface.rig_minutes[found.best]),
         "cheapest": {
-            "protocol": _protocol(task, found.cheapest),
+            "protocol": _protocol(surface, found.cheapest),
             "error_rms_deg": float(surface.error_rms_deg[:, found.cheapest].mean()),
             "rig_minutes": float(surface.rig_minutes[found.cheapest]),
         },
-        "tested": {name: _tested_summary(t) for name, t in zip(("optimum", "cheapest"), task.tested, strict=True)},
+        "tested": dict(zip(("optimum", "cheapest"), tested, strict=True)),
         "pareto": [
             {
-                **_protocol(task, int(place)),
+                **_protocol(surface, int(place)),
                 "rig_minutes": float(surface.rig_minutes[place]),
                 "error_rms_deg": float(surface.error_rms_deg[:, place].mean()),
                 "error_max_deg": float(surface.error_max_deg[:, place].mean()),
@@ -387,15 +360,52 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             for row in task.untried
         ],
         "effects": [_effect_summary(effect, powers.get(effect.name)) for effect in found.effects],
-        "optional_stopping": None
-        if task.stopping is None
-        else {
+        "optional_stopping": stopping
+        and {
             "parameter": task.stopping_of,
-            "looks": task.stopping.looks,
-            "crossings": task.stopping.crossings,
-            "false_alarm": task.stopping.false_alarm,
+            "looks": stopping.looks,
+            "crossings": stopping.crossings,
+            "false_alarm": stopping.false_alarm,
         },
-        "note": None if task.beside is None else _note_summary(task),
+        "note": note
+        and {
+            **asdict(note.row),
+            "error_deg": note.error_deg,
+            "difference_deg": note.difference_deg,
+            "verdict": note.verdict,
+            "because": note.finding.text,
+        },
+        "halving": _halving_summary(task),
+        "findings": [
+            {"code": f.code, "level": f.level, "values": dict(f.values), "text": f.text, "action": f.action}
+            for f in task.findings
+        ],
+    }
+
+
+def _protocol(surface: object, place: int) -> dict[str, float]:
+    from undrift.study.judge import PARAMETERS
+
+    return {name: round(float(getattr(surface, name)[place]), 9) for name in PARAMETERS}
+
+
+def _halving_summary(task: "TaskOutcome") -> dict[str, object] | None:
+    halving = task.halving
+    if halving is None:
+        return None
+    return {
+        "runs": halving.runs,
+        "runs_of_grid": halving.runs_of_grid,
+        "rounds": [
+            {
+                "subjects": each.subjects,
+                "protocols": [
+                    _protocol(halving.every, int(place)) | {"mean_deg": mean}
+                    for place, mean in zip(each.candidates, each.mean_deg.tolist(), strict=True)
+                ],
+            }
+            for each in halving.rounds
+        ],
     }
 
 
@@ -411,15 +421,15 @@ def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> d
         "missing": effect.missing,
         "dropped": effect.dropped,
         "untested": effect.untested or None,
-        "f": None if test is None else test.f,
-        "p_value": None if test is None else test.p_value,
+        "f": test and test.f,
+        "p_value": test and test.p_value,
         "p_holm": effect.p_holm,
-        "partial_eta_squared": None if test is None else test.partial_eta_squared,
-        "greenhouse_geisser": None if effect.anova is None else effect.epsilon,
-        "power": None if power is None else power.power,
-        "subjects_needed": None if power is None else power.subjects,
-        "anova": None if effect.anova is None else asdict(effect.anova),
-        "mixed_model": None if effect.mixed is None else asdict(effect.mixed),
+        "partial_eta_squared": test and test.partial_eta_squared,
+        "greenhouse_geisser": effect.anova and effect.epsilon,
+        "power": power and power.power,
+        "subjects_needed": power and power.subjects,
+        "anova": effect.anova and asdict(effect.anova),
+        "mixed_model": effect.mixed and asdict(effect.mixed),
         "pairs": [
             asdict(pair) | {"first": effect.values[pair.first], "second": effect.values[pair.second]}
             for pair in effect.pairs
@@ -427,76 +437,48 @@ def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> d
     }
 
 
-def _note_summary(task: "TaskOutcome") -> dict[str, object]:
-    from dataclasses import asdict
-
-    held = task.beside
-    if held is None:
-        return {}
-    return {
-        **asdict(held.row),
-        "error_deg": held.error_deg,
-        "difference_deg": held.difference_deg,
-        "verdict": held.verdict,
-        "because": held.because,
-    }
-
-
-def _tested_summary(tested: "Tested") -> dict[str, object]:
-    from dataclasses import asdict
-
-    return {key: value for key, value in asdict(tested).items() if key != "place"}
-
-
-def _cohort_summary(cohort: "Cohort") -> dict[str, object]:
-    return {
-        "group": cohort.group,
-        "subjects": cohort.count,
-        "age_years": cohort.age_years,
-        "height_m": cohort.height,
-        "note_age_years": cohort.printed.age_years,
-        "note_height_m": cohort.printed.height,
-    }
+# ---- terminal
 
 
 def _show(outcome: "StudyOutcome", output: Path) -> None:
     from undrift.cli.common import console, table
-    from undrift.report.figures import NAMES
-    from undrift.report.study import missing_words, untried_words
-    from undrift.study.outcome import TOO_LONG
+    from undrift.findings import SHOWN_FIRST, most_consequential_first
 
     out = console()
     heads = ("cut-off (Hz)", "step (deg/s)", "omega_m (deg/s)", "omega_M (deg/s)", "p", "rms (deg)", "rig (min)")
-    shown = table("Optimised parameters, the note's beside them", "task", *heads)
+    shown = table("Optimised parameters and the note's", "task", *heads)
     for task in outcome.tasks:
-        found, surface = task.optimum, task.surface
+        found, surface, note = task.optimum, task.surface, task.note
         rows = [(surface.task, found.best), (" cheapest", found.cheapest)]
         for name, place in rows[: 1 if found.best == found.cheapest else 2]:
-            own = [f"{value:.4g}" for value in _protocol(task, place).values()]
+            own = [f"{value:.4g}" for value in _protocol(surface, place).values()]
             p = f"{found.p_value:.2g}" if place == found.best else ""
             error, minutes = surface.error_rms_deg[:, place].mean(), surface.rig_minutes[place]
             shown.add_row(name, *own, p, f"{error:.3f}", f"{minutes:.0f}")
-        if task.beside is not None:
-            row = task.beside.row
-            four = row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps
-            shown.add_row(" the note", *(f"{value:.4g}" for value in four), f"{row.p_value:.3f} (its own)", "", "")
+        if note is not None:
+            four = (
+                note.row.cutoff_hz,
+                note.row.turn_rate_step_dps,
+                note.row.turn_rate_min_dps,
+                note.row.turn_rate_max_dps,
+            )
+            shown.add_row(" the note", *(f"{value:.4g}" for value in four), f"{note.row.p_value:.3f} (its own)", "", "")
     out.print(shown)
     for task in outcome.tasks:
-        tested, found = task.tested[0], task.optimum
+        tested = task.tested[0]
         out.print(
-            f"{task.surface.task}: {found.equivalent.sum()} of {len(found.equivalent)} protocols are as good as the optimum; on "
-            f"{tested.subjects} other subjects {tested.error_rms_deg:.3f} deg rms "
-            f"[{tested.interval_rms_deg[0]:.3f}, {tested.interval_rms_deg[1]:.3f}], {tested.error_max_deg:.3f} deg at most",
+            f"{task.surface.task}: {tested.error_rms_deg:.3f} deg rms [{tested.interval_rms_deg[0]:.3f}, "
+            f"{tested.interval_rms_deg[1]:.3f}] on {tested.subjects} other subjects, largest error {tested.error_max_deg:.3f} deg",
             markup=False,
         )
-        if found.deciding:
-            out.print(f"  what decides the error: {', '.join(NAMES[name] for name in found.deciding)}", markup=False)
-        late = tuple(row for row in task.untried if row.reason == TOO_LONG)
-        for told in (untried_words(late), missing_words(task).strip()):
-            if told:
-                out.print(f"  {told}", markup=False)
-        if task.beside is not None:
-            out.print(f"  the note {task.beside.verdict}: {task.beside.because}", markup=False)
+        own_findings = [item for item in task.findings if task.note is None or item != task.note.finding]
+        ordered = most_consequential_first(own_findings)
+        for item in ordered[:SHOWN_FIRST]:
+            out.print(f"  {item.text}", markup=False)
+        if task.note is not None:
+            out.print(f"  the note {task.note.verdict}: {task.note.finding.text}", markup=False)
+        if len(ordered) > SHOWN_FIRST:
+            out.print(f"  {len(ordered) - SHOWN_FIRST} more in {output / 'report.html'}", markup=False)
     if outcome.figure3 is not None:
         none, static, full = outcome.figure3.actual_max_deg
         out.print(
@@ -509,31 +491,20 @@ def _show(outcome: "StudyOutcome", output: Path) -> None:
 
 
 def real_lines(real: "RealOutcome") -> tuple[str, ...]:
-    """Return what real recordings came to, a line a recording.
-
-    Parameters
-    ----------
-    real : RealOutcome
-        Judged.
-
-    Returns
-    -------
-    tuple of str
-        Trials beside optics, captures, stances, and what is not there.
-    """
+    """Return a line for each real recording, and for each part that is missing."""
     lines = []
     first, left_in = real.errors[:3], real.errors[3:]
     for place, trial in enumerate(first[0].trials if first else ()):
-        told = ", ".join(f"{level.level} {level.trials[place].figures.rmse_total_deg:.2f}" for level in first)
-        line = f"{trial.recording}: total rms {told} deg"
+        each = ", ".join(f"{level.level} {level.trials[place].figures.rmse_total_deg:.2f}" for level in first)
+        line = f"{trial.recording}: total rms {each} deg"
         if left_in:
-            told = ", ".join(f"{level.trials[place].figures.rmse_total_deg:.2f}" for level in left_in)
-            line += f", the converter's rounding undone; {told} deg, left in"
+            each = ", ".join(f"{level.trials[place].figures.rmse_total_deg:.2f}" for level in left_in)
+            line += f", the converter's rounding undone; {each} deg, left in"
         lines.append(line)
     worn = () if real.worn is None else real.worn.rows
     for name in dict.fromkeys(row.trial for row in worn):
-        told = ", ".join(f"{row.level} {row.error_rms_deg:.2f}" for row in worn if row.trial == name)
-        lines.append(f"{name}: pitch of the simulated device worn in it, rms {told} deg")
+        each = ", ".join(f"{row.level} {row.error_rms_deg:.2f}" for row in worn if row.trial == name)
+        lines.append(f"{name}: pitch of the simulated device worn in it, rms {each} deg")
     for name in dict.fromkeys(row.trial for row in (*real.motions, *real.sways)):
         own = [row for row in (*real.motions, *real.sways) if row.trial == name and row.real == row.real]
         lines.append(f"{name}: {sum(row.inside for row in own)} of {len(own)} figures within the cohort's 95 %")

@@ -217,13 +217,13 @@ NAMES = {
     "turn_rate_min_dps": "omega_m (deg/s)",
     "turn_rate_max_dps": "omega_M (deg/s)",
 }
-LEAST_P = 1e-4  # below it a p value is no longer told by its digits
+LEAST_P = 1e-4  # a smaller p value is shown as a bound
 LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
 LEVEL_NAMES = ("no compensation", "static", "static and dynamic")
 LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
 
 
-def told_p(p: float) -> str:
+def p_text(p: float) -> str:
     """Return a p value for people."""
     return f"{p:.2g}" if p >= LEAST_P else f"< {LEAST_P:.4f}"
 
@@ -240,8 +240,8 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
         low, high = middle / reach, middle * reach
     mesh: Any = None
     marks = [(task.optimum.best, "*", DEVICE, 90)]
-    if task.beside is not None and task.beside.place is not None:
-        marks.append((task.beside.place, "o", OPTICS, 110))
+    if task.note is not None and task.note.place is not None:
+        marks.append((task.note.place, "o", OPTICS, 110))
     for row, name in enumerate(("cutoff_hz", "turn_rate_min_dps")):
         ys, xs = np.unique(getattr(surface, name)), np.unique(surface.turn_rate_max_dps)
         for column, step in enumerate(steps):
@@ -291,7 +291,7 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
             effect.values, effect.means_deg, yerr=reach if reach > 0.0 else None, color=DEVICE, marker="o", ms=3.5
         )
         panel.set_xlabel(NAMES[effect.name])
-        p = f"p {told_p(effect.p_holm)}" if effect.test is not None else "not tested"
+        p = f"p {p_text(effect.p_holm)}" if effect.test is not None else "not tested"
         panel.set_title(p, fontsize=9)
         ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
         panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[::3])
@@ -330,8 +330,8 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
             zorder=4,
             label=label,
         )
-    if task.beside is not None and task.beside.place is not None:
-        at = task.beside.place
+    if task.note is not None and task.note.place is not None:
+        at = task.note.place
         axes.scatter(
             surface.rig_minutes[at],
             mean[at],

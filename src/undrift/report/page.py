@@ -1,28 +1,54 @@
 """A report page: one self-contained HTML file with tables and pictures, nothing to download."""
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from undrift import __version__
 from undrift.files import write_whole
-from undrift.model import Verdict
+from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
+from undrift.model import AXES, Verdict
 
 if TYPE_CHECKING:
     from undrift.model import Calibration, TriadModel
 
+Item = TypeVar("Item")
+Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each with what makes its cells
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A heading, what is said under it, a table and pictures."""
+    """A heading with text, findings, a table and pictures under it."""
 
-    title: str  # Heading
+    title: str
     text: tuple[str, ...] = ()  # Paragraphs
+    findings: tuple[Finding, ...] = ()  # The most consequential are shown, the others folded
     columns: tuple[str, ...] = ()  # Heads of the table, with units
     rows: tuple[tuple[str, ...], ...] = ()  # Cells
     pictures: tuple[str, ...] = ()  # SVG elements
     words: bool = False  # Cells hold words rather than figures: aligned at the left
+
+
+def table_section(
+    title: str,
+    items: Iterable[Item],
+    cells: Cells[Item],
+    *,
+    text: Sequence[str] = (),
+    pictures: Sequence[str] = (),
+    words: bool = False,
+) -> Section:
+    """Return a section with a row for each item; each column is a head and the function that makes its cell."""
+    return Section(
+        title=title,
+        text=tuple(text),
+        columns=tuple(head for head, _ in cells),
+        rows=tuple(tuple(cell(item) for _, cell in cells) for item in items),
+        pictures=tuple(pictures),
+        words=words,
+    )
 
 
 def write_page(
@@ -32,11 +58,36 @@ def write_page(
     from jinja2 import Environment, PackageLoader
 
     template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
-    text = template.render(title=title, lead=lead, sections=sections, verdict=verdict, version=__version__)
+    remarks = () if verdict is None else tuple({"headline": remark} for remark in verdict.remarks)
+    text = template.render(
+        title=title,
+        lead=lead,
+        sections=sections,
+        verdict=verdict,
+        reasons=() if verdict is None else (*most_consequential_first(verdict.findings), *remarks),
+        ordered=most_consequential_first,
+        first=SHOWN_FIRST,
+        version=__version__,
+    )
     write_whole(path, text)
 
 
-# ---- The part of a page that shows a calibration: matrices with their uncertainty, and what the fits say.
+# ---- cells
+
+
+def number(value: float, form: str = ".2f") -> str:
+    """Return a figure, or a dash where there is none."""
+    return f"{value:{form}}" if math.isfinite(value) else "–"
+
+
+def interval(ends: Sequence[float], form: str = ".3f") -> str:
+    """Return an interval."""
+    return f"{ends[0]:{form}} to {ends[1]:{form}}"
+
+
+def plain_words(name: str) -> str:
+    """Return a name of the code as words."""
+    return name.replace("_", " ")
 
 
 def concise(value: float, uncertainty: float) -> str:
@@ -49,27 +100,27 @@ def concise(value: float, uncertainty: float) -> str:
     return f"{value:.{places}f}({round(uncertainty * 10.0**places)})"
 
 
+# ---- a calibration
+
+
 def triad_rows(triad: "TriadModel") -> tuple[tuple[str, ...], ...]:
     """Return one row of cells for each axis: matrix, offset, scale factor, values with their uncertainty."""
     sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
-    rows = []
-    for k, axis in enumerate("xyz"):
-        matrix = [concise(triad.matrix[k, i], sigma.get(f"m_{axis}{other}", 0.0)) for i, other in enumerate("xyz")]
-        offset = concise(triad.offset[k], sigma.get(f"offset_{axis}", 0.0))
-        rows.append((axis, *matrix, offset, f"{triad.scale_factor[k]:.6g}"))
-    return tuple(rows)
+    return tuple(
+        (
+            axis,
+            *(concise(triad.matrix[k, i], sigma.get(f"m_{axis}{other}", 0.0)) for i, other in enumerate(AXES)),
+            concise(triad.offset[k], sigma.get(f"offset_{axis}", 0.0)),
+            f"{triad.scale_factor[k]:.6g}",
+        )
+        for k, axis in enumerate(AXES)
+    )
 
 
 def triad_heads(triad: "TriadModel") -> tuple[str, ...]:
     """Return the heads of ``triad_rows``."""
-    return (
-        "axis",
-        "m x",
-        "m y",
-        "m z",
-        f"offset ({triad.unit_in})",
-        f"scale factor ({triad.unit_in} per {triad.unit_out})",
-    )
+    scale = f"scale factor ({triad.unit_in} per {triad.unit_out})"
+    return ("axis", "m x", "m y", "m z", f"offset ({triad.unit_in})", scale)
 
 
 def triad_notes(triad: "TriadModel") -> tuple[str, ...]:

@@ -656,10 +656,11 @@ def units_of(study: Study) -> tuple[Unit, ...]:
 def run_unit(unit: Unit) -> UnitRuns:
     """Run all protocols of a unit."""
     study, protocols = unit.study, unit.task.candidates(unit.cutoff_hz)
+    numbers = [number for number, _ in unit.task.space.numbered_grids()]  # a protocol has one noise in every search
     case = make_case(study, unit.task, unit.subject, unit.cutoff_hz)
     rms, worst, minutes = (np.full(len(protocols), np.nan) for _ in range(3))
     for k, protocol in enumerate(protocols):
-        rng = seeded(study, "session", unit.task.name, unit.subject, k)
+        rng = seeded(study, "session", unit.task.name, unit.subject, numbers[k])
         imposed = impose(protocol)
         minutes[k] = imposed.duration_s / 60.0
         readings = read_session(imposed, case.device, rng=rng)

@@ -1,29 +1,18 @@
-"""Optimum of a task: the protocol with the least error, those that are as good, and the cheapest of them.
+"""Judge the surface of a task: the optimum, what each parameter does, the other cohort, the note's row.
 
-The least of many noisy means is too small (the winner was also lucky). So the error that is stated for the optimum is taken
-from subjects that did not choose it: the subjects are split in two, each half chooses, the other half says what that is
-worth. A protocol is as good as the optimum where a paired t test over the subjects, after Holm over all protocols, does not
-tell them apart. Where that holds for many and no parameter's own test says that it matters, the minimum is flat. The cheapest of
-them in minutes on the rig is the one to use.
+The least of many noisy means is biased low. So the error of the optimum is taken from subjects that did not choose it: the
+subjects are split in two, each half chooses, the other half gives the error. A protocol is as good as the optimum where a
+one-sided paired t test over the subjects, after Holm over all protocols, does not tell them apart. Where a quarter are as good
+and no parameter decides, the minimum is flat. The cheapest of them in minutes on the rig is the one to use.
 
-What each parameter of the protocol does to the error, the others at the optimum.
+A parameter is tested with the others at the optimum. All subjects with a value at all levels: analysis of variance, paired
+tests of the levels. A run missing, because its protocol could not calibrate that subject's device: the mixed model, contrasts
+of the levels. p is after Holm over the parameters; levels are compared where it is below the level of the test, p after Holm
+over all pairs of them. A level that calibrates fewer than half of the devices is left out.
 
-All subjects with a value at all levels: analysis of variance with its corrections (study/statistics.py), paired tests of the
-levels. A
-run missing, because its protocol could not calibrate that subject's device: the mixed model (study/statistics.py), contrasts of the
-levels. p is after Holm over the parameters; levels are compared where it is below the level of the test, p after Holm over all
-pairs of them. A level that calibrates fewer than half of the devices is left out.
-
-The other cohort: protocols that a study chose are run on subjects, and units of the device, that it never saw.
-
-The note's Table 2 has two groups of thirty; the second tests what the first chose. Device, temperature, performance and noise
-are drawn from another seed, so that nothing is shared.
-
-The note's Table 1 beside ours: does a study agree with the row, or why does it not?
-
-A row agrees where its protocol is statistically as good as the optimum, whatever the four numbers are: where a minimum is flat,
-two honest studies name different protocols. Where it differs, the four parameters are exchanged one at a time for ours, and the
-one that takes most of the error off is named.
+The other cohort (the note's Table 2 has two groups of thirty) has its own seed: device, temperature, performance and noise are
+shared with nothing. The note's row agrees where its protocol is statistically as good as the optimum, whatever the four numbers
+are; where it differs, the four parameters are exchanged one at a time, and the one that takes most of the error off is named.
 """
 
 from dataclasses import dataclass, replace
@@ -34,6 +23,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TABLE_2, Group, TableRow
 from undrift.study.case import subject_of
 from undrift.study.plan import NoteRow, Space, Study, StudyTask
@@ -50,9 +40,10 @@ from undrift.study.statistics import (
 )
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- What each parameter of the protocol does to the error, the others at the optimum.
+# ---- effect of each parameter, the others at the optimum
 
 PARAMETERS = ("cutoff_hz", "turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
+SYMBOLS = dict(zip(PARAMETERS, ("cut-off", "step d", "omega_m", "omega_M"), strict=True))
 FEWEST_SHARE = 0.5  # of the subjects whose device a level has to calibrate
 
 
@@ -116,9 +107,9 @@ def effects_at(
     held = [_levels(surface, name, best, error, allowed) for name in PARAMETERS]
     tests = [_tested(each) for each in held]
     p = np.array([np.nan if isinstance(test, str) else test.p_value for test in tests])
-    told = np.flatnonzero(~np.isnan(p))
+    known = ~np.isnan(p)
     holm = np.full(len(p), np.nan)
-    holm[told] = adjust_holm(p[told])
+    holm[known] = adjust_holm(p[known])
     return tuple(
         ParameterEffect(
             name=each.name,
@@ -174,7 +165,7 @@ def _pairs(held: _Levels, test: Anova | MixedModel) -> tuple[Pair, ...]:
     return compare_pairs_of(test) if isinstance(test, MixedModel) else compare_pairs(held.error)
 
 
-# ---- judge
+# ---- optimum
 
 FLAT_SHARE = 0.25  # a minimum that a quarter of the protocols share is called flat where no parameter decides
 
@@ -284,7 +275,7 @@ def _honest(error: FloatArray, usable: BoolArray) -> tuple[float, tuple[float, f
     return mean, (mean - reach, mean + reach)
 
 
-# ---- The other cohort: protocols that a study chose are run on subjects, and units of the device, that it never saw.
+# ---- the other cohort
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,7 +306,7 @@ def other_study(study: Study) -> Study:
     """Return the same study for the other cohort, with random numbers of its own."""
     group: Group = "testing" if study.group == "simulation" else "simulation"
     seed = int(np.random.SeedSequence((study.seed, 1)).generate_state(1, np.uint64)[0])
-    return replace(study, group=group, seed=seed)
+    return replace(study, group=group, seed=seed, search="grid")
 
 
 def run_testing(
@@ -383,74 +374,60 @@ def _span(values: FloatArray) -> tuple[float, float, float]:
     return float(values.min()), float(values.mean()), float(values.max())
 
 
-# ---- The note's Table 1 beside ours: does a study agree with the row, or why does it not?
-
-UNITS = {
-    "cutoff_hz": ("cut-off", "Hz"),
-    "turn_rate_step_dps": ("step", "deg/s"),
-    "turn_rate_min_dps": ("omega_m", "deg/s"),
-    "turn_rate_max_dps": ("omega_M", "deg/s"),
-}
+# ---- comparison with the note's Table 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Beside:
-    """A row of the note beside an optimum."""
+class NoteComparison:
+    """A row of the note compared with an optimum."""
 
     row: NoteRow  # As printed
     place: int | None  # Of the note's protocol on the surface; None where it was not tried
     error_deg: float  # Mean of the objective with the note's protocol, deg
     difference_deg: float  # That minus the optimum's, deg
-    verdict: Literal["agrees", "differs", "not tried"]  # agrees, differs or not tried
-    because: str  # Why, in words and figures
+    verdict: Literal["agrees", "differs", "not tried"]
+    finding: Finding  # Why
 
 
 def compare_with_note(
     surface: TaskSurface, optimum: Optimum, row: NoteRow, *, objective: str = "rms", level: float = 0.05
-) -> Beside:
-    """Compare an optimum with the note's."""
+) -> NoteComparison:
+    """Compare an optimum with the note's: they agree where the note's protocol is statistically as good."""
     wanted = np.array([getattr(row, name) for name in PARAMETERS])
     table = np.stack([getattr(surface, name) for name in PARAMETERS], axis=1)
-    place, nan = _place(table, wanted), float("nan")
-    error_of = surface.error(objective)
+    place, nan, error_of = _place(table, wanted), float("nan"), surface.error(objective)
     mean = error_of.mean(axis=0)
     if place is None or not np.isfinite(mean[place]):
-        why = "its protocol is not among those tried" if place is None else "its protocol left a device uncalibrated"
-        return Beside(row=row, place=place, error_deg=nan, difference_deg=nan, verdict="not tried", because=why)
-    error, apart = float(mean[place]), float(mean[place] - mean[optimum.best])
+        why = finding("study.note_not_tried" if place is None else "study.note_uncalibrated", "info")
+        return NoteComparison(row=row, place=place, error_deg=nan, difference_deg=nan, verdict="not tried", finding=why)
+    error, best = float(mean[place]), float(mean[optimum.best])
     count, tried = int(optimum.equivalent.sum()), len(mean)
-    flat = "; the minimum is flat" if optimum.flat else ""
-    if optimum.deciding and count > 1:
-        flat = f"; still {_words_of(optimum.deciding)} the error"
-    elif count == tried:
-        flat = "; nothing that was tried is worse, so the four parameters do not decide the error here"
     if place == optimum.best:
-        because = f"its protocol is our optimum, with {count - 1} of {tried - 1} others as good{flat}"
-        verdict: Literal["agrees", "differs"] = "agrees"
+        why = finding("study.note_is_optimum", "info", alike=count - 1, others=tried - 1)
     elif optimum.equivalent[place]:
-        seen = _least_seen(error_of[:, place] - error_of[:, optimum.best], tried, level)
-        because = (
-            f"its protocol is one of the {count} of {tried} that {len(error_of)} subjects do not tell from the optimum "
-            f"({error:.3f} against {mean[optimum.best]:.3f} deg; {seen:.3f} deg more would have shown){flat}"
+        why = finding(
+            "study.note_as_good",
+            "info",
+            error_deg=error,
+            optimum_deg=best,
+            subjects=len(error_of),
+            detectable_deg=_least_seen(error_of[:, place] - error_of[:, optimum.best], tried, level),
         )
-        verdict = "agrees"
     else:
-        because = (
-            f"its protocol errs by {apart:.3f} deg more than ours ({error:.3f} against {mean[optimum.best]:.3f} deg)"
-            + _reason(table, mean, place, optimum.best)
-        )
-        verdict = "differs"
-    return Beside(row=row, place=place, error_deg=error, difference_deg=apart, verdict=verdict, because=because)
+        why = _worse(table, mean, place, optimum.best)
+    return NoteComparison(
+        row=row,
+        place=place,
+        error_deg=error,
+        difference_deg=error - best,
+        verdict="agrees" if optimum.equivalent[place] else "differs",
+        finding=why,
+    )
 
 
 def _place(table: FloatArray, wanted: FloatArray) -> int | None:
     hits = np.flatnonzero(np.isclose(table, wanted, rtol=1e-6).all(axis=1))
     return int(hits[0]) if len(hits) else None
-
-
-def _words_of(deciding: tuple[str, ...]) -> str:
-    words = [UNITS[name][0] for name in deciding]
-    return f"{' and '.join(words)} {'decides' if len(words) == 1 else 'decide'}"
 
 
 def _least_seen(apart: FloatArray, tests: int, level: float) -> float:
@@ -461,18 +438,27 @@ def _least_seen(apart: FloatArray, tests: int, level: float) -> float:
     return float(t_distribution.ppf(1.0 - level / tests, n - 1) * apart.std(ddof=1) / np.sqrt(n))
 
 
-def _reason(table: FloatArray, mean: FloatArray, place: int, best: int) -> str:
+def _worse(table: FloatArray, mean: FloatArray, place: int, best: int) -> Finding:
     """Name the parameter whose exchange for ours takes most of the error off, where such protocols were tried."""
-    gains: list[tuple[float, str]] = []
-    for k, name in enumerate(PARAMETERS):
+    gains: list[tuple[float, int]] = []
+    for k in range(len(PARAMETERS)):
         exchanged = table[place].copy()
         exchanged[k] = table[best, k]
         at = _place(table, exchanged)
         if at is not None and at != place and np.isfinite(mean[at]):
-            word, unit = UNITS[name]
-            text = f"{word} {table[best, k]:.4g} in place of {table[place, k]:.4g} {unit}"
-            gains.append((float(mean[place] - mean[at]), text))
+            gains.append((float(mean[place] - mean[at]), k))
+    error, optimum = float(mean[place]), float(mean[best])
     if not gains or max(gains)[0] <= 0.0:
-        return "; no single parameter explains it"
-    gain, text = max(gains)
-    return f"; {text} alone takes {gain:.3f} deg off"
+        return finding("study.note_worse", "warn", error_deg=error, optimum_deg=optimum)
+    gain, k = max(gains)
+    return finding(
+        "study.note_worse_by_one",
+        "warn",
+        error_deg=error,
+        optimum_deg=optimum,
+        parameter=SYMBOLS[PARAMETERS[k]],
+        note=table[place, k],
+        ours=table[best, k],
+        unit="Hz" if k == 0 else "deg/s",
+        gain_deg=gain,
+    )

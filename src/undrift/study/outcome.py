@@ -1,12 +1,10 @@
-"""Outcome of a study: for each task the optimum, what it is worth on other subjects, its statistics, and the note's row.
+"""Outcome of a study: for each task the optimum, its error on other subjects, its statistics, and the note's row.
 
-surfaces -> optimum -> the other cohort -> power, optional stopping -> Table 1 beside the note's, Figure 3
--> rates to dwell at, rival methods, real recordings
+    surfaces -> optimum -> the other cohort -> power, optional stopping -> Table 1 with the note's rows, Figure 3
+             -> rates to dwell at, rival methods, real recordings
 
-Forecast: how long each stage of a study will take on this machine, all of them, before anything runs.
-
-Calibration sessions and the other cohort are measured by a unit of each task; the rest costs about the same whatever the study is,
-as timed on one processor of two that were both busy.
+The forecast gives the time of each stage on this machine before anything runs. Calibration sessions and the other cohort are
+measured by a unit of each task; the rest costs about the same whatever the study is, as timed on one of two busy processors.
 """
 
 from collections.abc import Callable
@@ -18,14 +16,16 @@ from typing import Literal, cast, get_args
 import numpy as np
 
 from undrift.errors import InputError, UndriftError
+from undrift.findings import Finding, finding
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.motion.tasks import TaskName
 from undrift.study.case import Unit, device_of, run_unit, seeded, units_of
 from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
 from undrift.study.judge import (
     PARAMETERS,
-    Beside,
+    SYMBOLS,
     Cohort,
+    NoteComparison,
     Optimum,
     ParameterEffect,
     Tested,
@@ -38,11 +38,21 @@ from undrift.study.judge import (
 from undrift.study.plan import DEVICE, TABLE_1, Study, StudyTask, Untried
 from undrift.study.real import RealData, RealOutcome, judge_real
 from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
-from undrift.study.run import Executor, RunStore, TaskSurface, count_runs, run_study, without_lost
+from undrift.study.run import (
+    Executor,
+    Halving,
+    RunStore,
+    TaskSurface,
+    count_runs,
+    halve_study,
+    run_study,
+    runs_held,
+    without_lost,
+)
 from undrift.study.statistics import OptionalStopping, power_of_anova, stopping_of, subjects_needed
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Forecast: how long each stage of a study will take on this machine, all of them, before anything runs.
+# ---- forecast
 
 StageName = Literal[
     "calibration sessions",
@@ -63,48 +73,45 @@ TRIAL_S, WORN_S, ROWS_S = 2.5, 3.5, 0.3  # a real trial; the device worn in capt
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
-    """One stage of a study."""
+    """One stage of a study and its forecast."""
 
-    name: StageName  # Which, as ``judge_study`` tells it
-    seconds: float  # How long it will take, s
+    name: StageName
+    seconds: float
 
 
 def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None) -> tuple[Stage, ...]:
-    """Say how long a study will take."""
-    store = RunStore(folder, study)
-    left = [unit for unit in units_of(study) if not store.holds(unit)]
+    """Return the stages of a study with their times; what is on the disk already costs nothing."""
+    store, halving = RunStore(folder, study), study.search == "halving"
+    units = units_of(study)
+    left = units if halving else tuple(unit for unit in units if not store.holds(unit))
     sessions, cohort = 0.0, 0.0
     for task in study.tasks:
-        own = [unit for unit in left if unit.task.name == task.name]
-        one = Unit(study=study, task=_one(task), subject=0, cutoff_hz=task.space.cutoff_hz[0])
+        one = next(unit for unit in units if unit.task is task)
+        one = replace(one, task=replace(task, space=replace(task.space, only=(next(task.space.grids()),))))
         run_unit(one)  # what is compiled or imported the first time does not count
         cohort += 2.0 * study.subjects * _unit_s(one)
+        own = [unit for unit in left if unit.task is task]
         sessions += len(own) * _unit_s(own[0]) if own else 0.0
-    stages = [
-        Stage(name="calibration sessions", seconds=sessions / workers + (POOL_S if left and workers > 1 else 0.0)),
-        Stage(name="the other cohort", seconds=cohort),
-        Stage(name="rates to dwell at", seconds=DESIGNS_S * len(study.tasks)),
-    ]
+    if halving:
+        grid = study.subjects * sum(len(task.protocols()) for task in study.tasks)
+        sessions *= max(count_runs(study) - runs_held(folder), 0) / grid
     figured = any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks)
+    seconds: dict[StageName, float] = {
+        "calibration sessions": sessions / workers + (POOL_S if left and workers > 1 else 0.0),
+        "the other cohort": cohort,
+        "rates to dwell at": DESIGNS_S * len(study.tasks),
+    }
     if figured:
-        stages.append(Stage(name="Figure 3", seconds=FIGURE3_S))
+        seconds["Figure 3"] = FIGURE3_S
     if figured and rivals:
-        stages.append(Stage(name="Figure 3, effect by effect", seconds=EFFECTS_S))
+        seconds["Figure 3, effect by effect"] = EFFECTS_S
     if rivals:
-        stages.append(Stage(name="rival methods", seconds=RIVALS_S))
+        seconds["rival methods"] = RIVALS_S
     if real is not None:
-        stages.append(Stage(name="real recordings", seconds=_real_s(real)))
-    return tuple(stages)
-
-
-def _real_s(real: RealData) -> float:
-    trials = sum(len(device.pairs) for device in real.devices)
-    return TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * (len(real.captures) + len(real.stances))
-
-
-def _one(task: StudyTask) -> StudyTask:
-    space = task.space
-    return replace(task, space=replace(space, only=(next(space.grids()),)))
+        trials = sum(len(device.pairs) for device in real.devices)
+        rows = len(real.captures) + len(real.stances)
+        seconds["real recordings"] = TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * rows
+    return tuple(Stage(name=name, seconds=value) for name, value in seconds.items())
 
 
 def _unit_s(unit: Unit) -> float:
@@ -122,18 +129,18 @@ TOO_LONG = "every session with it takes longer than rig_minutes_max"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EffectPower:
-    """How surely a study of this size finds what one parameter does."""
+    """Power of a study of this size for one parameter."""
 
     name: str  # Of the parameter
     power: float  # Were this study's means the truth, 0 to 1
-    subjects: int | None  # For a power of 0.8; None where no number is worth it
+    subjects: int | None  # For a power of 0.8; None where no number is enough
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaskOutcome:
-    """What a study says of one task."""
+    """What came out of one task."""
 
-    surface: TaskSurface  # All errors
+    surface: TaskSurface  # All errors; of the last round's protocols in a halving
     optimum: Optimum  # With its equals
     tested: tuple[Tested, Tested]  # The optimum and its cheapest equal on the other cohort
     # Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and
@@ -142,23 +149,29 @@ class TaskOutcome:
     powers: tuple[EffectPower, ...]  # One for each parameter that could be tested
     stopping: OptionalStopping | None  # Of the parameter with the least p; None with ten subjects or fewer
     stopping_of: str  # That parameter
-    beside: Beside | None  # The note's row; None for other tasks
+    note: NoteComparison | None  # With the note's row; None for other tasks
     untried: tuple[Untried, ...] = ()  # Values of the plan that no protocol has, or none that is short enough
+    halving: Halving | None = None  # Its rounds, where protocols were searched so
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What a person should know of this task."""
+        return (*_findings(self), *untried_findings(self.untried), *(() if self.note is None else (self.note.finding,)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StudyOutcome:
-    """What a study says."""
+    """What came out of a study."""
 
-    study: Study  # What was done
+    study: Study
     runs: int  # Sessions simulated, fitted and judged
     tasks: tuple[TaskOutcome, ...]  # One a task
     cohorts: tuple[Cohort, Cohort]  # Who chose, and who tested
     figure3: Figure3 | None  # For a study with a sit-to-stand
     figure3_missing: str  # Why there is none
-    # What sets its two devices apart, effect by effect; empty where the rivals were not asked for either
+    # Differences of its two devices, effect by effect; empty where the rivals were not asked for either
     figure3_effects: tuple[EffectRow, ...] = ()
-    designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates beside the uniform grid, by task
+    designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates and the uniform grid, by task
     rivals: tuple[RivalRow, ...] = ()  # Other ways to calibrate; empty where they were not asked for
     rivals_missing: str = "not asked for"  # Why there are none
     real: RealOutcome | None = None  # Real recordings, where some were given
@@ -172,33 +185,43 @@ def judge_study(
     advance: Callable[[int, int], None] | None = None,
     rivals: bool = False,
     real: RealData | None = None,
-    say: Callable[[StageName], None] | None = None,
+    begin: Callable[[StageName], None] = lambda stage: None,
+    tell: Callable[[str], None] | None = None,
 ) -> StudyOutcome:
-    """Run a study, or what is left of it, and judge it."""
-    say = say or _silent
-    say("calibration sessions")
-    surfaces = tuple(map(without_lost, run_study(study, executor, folder, advance=advance)))
+    """Run a study, or what is left of it, and judge it; ``begin`` gets each stage, ``tell`` each round of a halving."""
+    begin("calibration sessions")
+    halved: tuple[Halving, ...] = ()
+    if study.search == "halving":
+        halved = halve_study(study, executor, folder, advance=advance, tell=tell)
+        surfaces = tuple(without_lost(each.surface) for each in halved)
+    else:
+        surfaces = tuple(map(without_lost, run_study(study, executor, folder, advance=advance)))
     optima = tuple(
         find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
         for surface in surfaces
     )
-    say("the other cohort")
+    begin("the other cohort")
     tested = run_testing(study, surfaces, optima, folder / TESTING)
-    say("rates to dwell at")
+    begin("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
-    say("Figure 3")
+    begin("Figure 3")
     figure, missing = _figure3(study)
     effects: tuple[EffectRow, ...] = ()
     if rivals and figure is not None:
-        say("Figure 3, effect by effect")
+        begin("Figure 3, effect by effect")
         effects = _figure3_effects(study)
-    rows, rivals_missing = _rivals(study, say) if rivals else ((), "not asked for")
+    rows: tuple[RivalRow, ...] = ()
+    rivals_missing = "not asked for"
+    if rivals:
+        begin("rival methods")
+        rows, rivals_missing = _rivals(study)
     if real is not None:
-        say("real recordings")
+        begin("real recordings")
+    halvings = halved or (None,) * len(study.tasks)
     return StudyOutcome(
         study=study,
-        runs=count_runs(study),
-        tasks=tuple(_judge(study, *held) for held in zip(study.tasks, surfaces, optima, tested, strict=True)),
+        runs=sum(each.runs for each in halved) if halved else count_runs(study),
+        tasks=tuple(_judge(study, *held) for held in zip(study.tasks, surfaces, optima, tested, halvings, strict=True)),
         cohorts=(cohort_of(study), cohort_of(other_study(study))),
         figure3=figure,
         figure3_missing=missing,
@@ -210,10 +233,6 @@ def judge_study(
     )
 
 
-def _silent(stage: StageName) -> None:
-    """Say nothing."""
-
-
 def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optimum) -> tuple[DesignRow, ...]:
     step, low, high = (
         round(float(getattr(surface, name)[optimum.best]), 9) * RADIAN_PER_DEGREE
@@ -223,11 +242,10 @@ def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optim
     return design_rows(study, task, found)
 
 
-def _rivals(study: Study, say: Callable[[StageName], None]) -> tuple[tuple[RivalRow, ...], str]:
+def _rivals(study: Study) -> tuple[tuple[RivalRow, ...], str]:
     """Compare the methods on units of the study's kind, or of the note's where every subject wears one device."""
     known = get_args(TaskName)
     tasks = tuple(cast("TaskName", task.name) for task in study.tasks if task.motion is None and task.name in known)
-    say("rival methods")
     try:
         return compare_rivals(kind=DEVICE if study.worn else study.device, seed=study.seed, tasks=tasks or TASKS), ""
     except UndriftError as error:  # this device cannot be calibrated so: the study's own figures stand
@@ -235,7 +253,12 @@ def _rivals(study: Study, say: Callable[[StageName], None]) -> tuple[tuple[Rival
 
 
 def _judge(
-    study: Study, task: StudyTask, surface: TaskSurface, optimum: Optimum, tested: tuple[Tested, Tested]
+    study: Study,
+    task: StudyTask,
+    surface: TaskSurface,
+    optimum: Optimum,
+    tested: tuple[Tested, Tested],
+    halving: Halving | None,
 ) -> TaskOutcome:
     row = TABLE_1.get(cast("TaskName", surface.task))
     least, stopping = _stopping(study, surface, optimum)
@@ -247,10 +270,11 @@ def _judge(
         powers=tuple(_power(study, effect) for effect in optimum.effects if effect.test is not None),
         stopping=stopping,
         stopping_of=least,
-        beside=None
+        note=None
         if row is None
         else compare_with_note(surface, optimum, row, objective=study.objective, level=study.level),
-        untried=(*task.space.untried(), *_too_long(study, surface)),
+        untried=(*task.space.untried(), *_too_long(study, surface if halving is None else halving.every)),
+        halving=halving,
     )
 
 
@@ -283,7 +307,7 @@ def _power(study: Study, effect: ParameterEffect) -> EffectPower:
     means, variance, epsilon = found.means, effect.error_variance, effect.epsilon
     try:
         count: int | None = subjects_needed(means, variance, epsilon=epsilon, level=study.level)
-    except InputError:  # the means hardly differ: no number of subjects is worth it
+    except InputError:  # the means hardly differ: no number of subjects is enough
         count = None
     reached = power_of_anova(means, variance, found.subjects, epsilon=epsilon, level=study.level)
     return EffectPower(name=effect.name, power=reached, subjects=count)
@@ -295,10 +319,9 @@ def _stopping(study: Study, surface: TaskSurface, optimum: Optimum) -> tuple[str
     if not tested:
         return "", None
     least = min(tested, key=lambda effect: effect.p_holm)
-    others = [name for name in PARAMETERS if name != least.name]
     columns = {name: getattr(surface, name) for name in PARAMETERS}
-    same = np.all([np.isclose(columns[name], columns[name][optimum.best]) for name in others], axis=0)
-    held = same & np.isin(columns[least.name], least.values)
+    same = [np.isclose(c, c[optimum.best]) for name, c in columns.items() if name != least.name]
+    held = np.all(same, axis=0) & np.isin(columns[least.name], least.values)
     table = surface.error(study.objective)[:, held]
     table = table[np.isfinite(table).all(axis=1)]  # looks are at subjects with every run
     if len(table) <= FIRST_LOOK:
@@ -327,3 +350,58 @@ def _typical(study: Study) -> DeviceModel:
     from undrift.sim.device.presets import preset
 
     return device_of(study, 0) if study.worn else preset(study.device)
+
+
+# ---- findings
+
+
+def _findings(task: TaskOutcome) -> tuple[Finding, ...]:
+    found, surface, halving = task.optimum, task.surface, task.halving
+    subjects, alike, protocols = len(surface.error_rms_deg), int(found.equivalent.sum()), len(surface.cutoff_hz)
+    rows = []
+    if surface.left_out:
+        rows.append(finding("study.subjects_left_out", "warn", subjects=surface.left_out))
+    if found.failed:
+        rows.append(finding("study.runs_missing", "warn", missing=found.failed, runs=surface.error_rms_deg.size))
+    if mixed := tuple(SYMBOLS[effect.name] for effect in found.effects if effect.mixed is not None):
+        rows.append(finding("study.mixed_model", "warn", parameters=mixed))
+    if found.cheapest != found.best:
+        saved = float(surface.rig_minutes[found.best] - surface.rig_minutes[found.cheapest])
+        more = float(surface.error_rms_deg[:, found.cheapest].mean() - surface.error_rms_deg[:, found.best].mean())
+        rows.append(finding("study.shorter_session", "info", saved_min=saved, difference_deg=more))
+    if matter := [effect for effect in found.effects if effect.name in found.deciding]:
+        names, spans = tuple(SYMBOLS[e.name] for e in matter), tuple(e.span_deg for e in matter)
+        rows.append(
+            finding("study.deciding", "info", parameters=names, span_deg=spans, p_holm=tuple(e.p_holm for e in matter))
+        )
+    elif np.isfinite(found.p_value):
+        rows.append(finding("study.none_decides", "info", p_holm=found.p_value))
+    else:
+        rows.append(finding("study.not_tested", "info"))
+    if found.flat:
+        rows.append(finding("study.flat_minimum", "info", alike=alike, protocols=protocols, subjects=subjects))
+    elif protocols > 1:
+        rows.append(finding("study.as_good", "info", alike=alike, protocols=protocols, subjects=subjects))
+    if halving is not None:
+        counts = tuple(len(each.candidates) for each in halving.rounds)
+        met = tuple(each.subjects for each in halving.rounds)
+        rows.append(
+            finding(
+                "study.halving", "info", protocols=counts, subjects=met, runs=halving.runs, grid=halving.runs_of_grid
+            )
+        )
+    return tuple(rows)
+
+
+def untried_findings(rows: tuple[Untried, ...]) -> tuple[Finding, ...]:
+    """Return a finding for each value of the plan that no protocol has."""
+    return tuple(
+        finding(
+            "study.value_not_tried",
+            "info",
+            parameter=SYMBOLS[f"{row.parameter}_dps"],
+            value_dps=row.value / RADIAN_PER_DEGREE,
+            reason=row.reason,
+        )
+        for row in rows
+    )

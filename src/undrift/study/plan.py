@@ -58,6 +58,8 @@ from undrift.sim.motion.tasks import Group, TaskName
 from undrift.units import RADIAN_PER_DEGREE
 
 Objective = Literal["rms", "maximum"]
+Search = Literal["grid", "halving"]
+Grid = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,17 +79,21 @@ class Space:
     turn_rate_step: tuple[float, ...]  # d, omega_m, omega_M, rad/s
     turn_rate_min: tuple[float, ...]  # d, omega_m, omega_M, rad/s
     turn_rate_max: tuple[float, ...]  # d, omega_m, omega_M, rad/s
-    only: tuple[tuple[float, float, float], ...] = ()  # These combinations of the three and no others, where given
+    only: tuple[Grid, ...] = ()  # Of the combinations of the three these and no others, where given
 
-    def grids(self) -> Iterator[tuple[float, float, float]]:
-        """Return the combinations of step, omega_m and omega_M whose step divides the span."""
-        if self.only:
-            yield from self.only
-            return
+    def numbered_grids(self) -> Iterator[tuple[int, Grid]]:
+        """Return the combinations of step, omega_m and omega_M whose step divides the span, numbered without ``only``."""
+        number = 0
         for step, low, high in product(self.turn_rate_step, self.turn_rate_min, self.turn_rate_max):
             count = (high - low) / step
             if high > low and abs(count - round(count)) < 1e-6:
-                yield step, low, high
+                if not self.only or (step, low, high) in self.only:
+                    yield number, (step, low, high)
+                number += 1
+
+    def grids(self) -> Iterator[Grid]:
+        """Return the combinations of step, omega_m and omega_M that are tried."""
+        return (grid for _, grid in self.numbered_grids())
 
     def untried(self) -> tuple[Untried, ...]:
         """Return the rates and steps that no combination has, and why."""
@@ -150,6 +156,10 @@ class StudyTask:
             for step, low, high in self.space.grids()
         )
 
+    def protocols(self) -> tuple[Protocol, ...]:
+        """Return all protocols that are tried, by cut-off frequency, then by grid."""
+        return tuple(protocol for cutoff in self.space.cutoff_hz for protocol in self.candidates(cutoff))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
@@ -164,6 +174,7 @@ class Study:
     # Board temperature of the trials above the calibration's, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
     objective: Objective = "rms"  # rms or maximum of the pitch error
+    search: Search = "grid"  # Every protocol on every subject, or successive halving
     level: float = 0.05  # Of the tests
     rig_minutes_max: float | None = None  # Longest session that is allowed, min
     seed: int = 0  # Same seed, same bits
@@ -334,6 +345,7 @@ class StudyEntry(Entry):
         default_factory=lambda: [10.0, 15.0]
     )
     objective: Objective = "rms"  # rms or maximum
+    search: Search = "grid"  # or halving: the better part of the protocols meets more subjects
     level: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05  # Of the tests
     rig_minutes_max: Positive | None = None  # Longest session, min
     seed: Annotated[int, Field(ge=0)] = 0  # Same seed, same bits
@@ -349,20 +361,21 @@ class StudyFile(Entry):
 def read_study(path: str | Path) -> Study:
     """Read a study."""
     held = read_toml(path, StudyFile)
-    folder, said = Path(path).parent, held.study
+    folder, head = Path(path).parent, held.study
     try:
         return Study(
-            name=said.name or Path(path).stem,
-            device=said.device if said.device in PRESETS else Path(said.device).stem,
-            worn="" if said.device in PRESETS else _device_text(folder / said.device, said.device),
+            name=head.name or Path(path).stem,
+            device=head.device if head.device in PRESETS else Path(head.device).stem,
+            worn="" if head.device in PRESETS else _device_text(folder / head.device, head.device),
             tasks=tuple(_task_file(entry, folder) for entry in held.task),
-            subjects=said.subjects,
-            group=said.group,
-            excursion_k=(said.excursion_k[0], said.excursion_k[1]),
-            objective=said.objective,
-            level=said.level,
-            rig_minutes_max=said.rig_minutes_max,
-            seed=said.seed,
+            subjects=head.subjects,
+            group=head.group,
+            excursion_k=(head.excursion_k[0], head.excursion_k[1]),
+            objective=head.objective,
+            search=head.search,
+            level=head.level,
+            rig_minutes_max=head.rig_minutes_max,
+            seed=head.seed,
         )
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
@@ -408,12 +421,12 @@ def _si(values_dps: list[float]) -> tuple[float, ...]:
     return tuple(value * RADIAN_PER_DEGREE for value in values_dps)
 
 
-def _device_text(path: Path, said: str) -> str:
+def _device_text(path: Path, head: str) -> str:
     """Return a device.json in one spelling, after it was read as a device."""
     import json
 
     from undrift.sim.device.model import device_json, read_device
 
     if not path.exists():
-        raise InputError(f"device: wanted one of {', '.join(PRESETS)} or a device.json, got '{said}'; name one of them")
+        raise InputError(f"device: wanted one of {', '.join(PRESETS)} or a device.json, got '{head}'; name one of them")
     return json.dumps(device_json(read_device(path)), sort_keys=True)

@@ -134,10 +134,10 @@ def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, ...]:
         [trial.figures.rmse_total_deg for _, trials in levels for trial in trials] for levels in (undone, left_in)
     ]
     if np.array_equal(errors[0], errors[1], equal_nan=True):
-        return tuple(_told(level, "none found", trials) for level, trials in undone)
+        return tuple(_at_level(level, "none found", trials) for level, trials in undone)
     return (
-        *(_told(level, "undone", trials) for level, trials in undone),
-        *(_told(level, "left in", trials) for level, trials in left_in),
+        *(_at_level(level, "undone", trials) for level, trials in undone),
+        *(_at_level(level, "left in", trials) for level, trials in left_in),
     )
 
 
@@ -166,7 +166,7 @@ def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwi
     )
 
 
-def _told(level: str, rounding: Rounding, trials: tuple[Trial, ...]) -> RealErrors:
+def _at_level(level: str, rounding: Rounding, trials: tuple[Trial, ...]) -> RealErrors:
     def median(name: str) -> float:
         return float(np.nanmedian([getattr(trial.figures, name) for trial in trials]))
 
@@ -187,7 +187,7 @@ def _told(level: str, rounding: Rounding, trials: tuple[Trial, ...]) -> RealErro
 # ---- Captured people beside the simulated cohort: lean, rates and time of rising, and what a worn device would err by.
 
 Captured = Literal["sit_to_stand", "squat", "stairs"]
-BESIDE: dict[Captured, TaskName] = {"sit_to_stand": "sit_to_stand", "squat": "sit_to_stand", "stairs": "step"}
+LIKE: dict[Captured, TaskName] = {"sit_to_stand": "sit_to_stand", "squat": "sit_to_stand", "stairs": "step"}
 LACKS: dict[Captured, str] = {
     "sit_to_stand": "",
     "squat": "the library has no squat: sit-to-stand stands beside it, and is not a model of it",
@@ -209,7 +209,7 @@ class Capture:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BesideRow:
+class CohortComparison:
     """A real figure beside the simulated cohort's."""
 
     trial: str  # Which recording, and what was done
@@ -220,7 +220,7 @@ class BesideRow:
     low: float  # Of the cohort: 2.5, 50 and 97.5 %
     median: float  # Of the cohort: 2.5, 50 and 97.5 %
     high: float  # Of the cohort: 2.5, 50 and 97.5 %
-    said: str = ""  # What the data lack, empty where nothing
+    note: str = ""  # What the data lack, empty where nothing
 
     @property
     def inside(self) -> bool:
@@ -234,23 +234,23 @@ WHOLE = (("pitch range", "deg"), ("peak pitch rate", "deg/s"), ("peak roll rate"
 
 def motion_rows(
     captures: tuple[Capture, ...], *, subjects: int = 30, seed: int = 0, group: Group = "simulation"
-) -> tuple[BesideRow, ...]:
+) -> tuple[CohortComparison, ...]:
     """Lay captures beside the simulated cohort."""
-    names = tuple(dict.fromkeys(BESIDE[capture.task] for capture in captures))
+    names = tuple(dict.fromkeys(LIKE[capture.task] for capture in captures))
     people = cohort(group, rng=np.random.default_rng([seed, 0]))[:subjects]
     drawn = []
     for name in names:
         rng = np.random.default_rng([seed, 1])
         done = [draw_task(name, rng=rng, subject=person) for person in people]
         drawn.append(np.array([_of_task(task) for task in done]))
-    rows: list[BesideRow] = []
+    rows: list[CohortComparison] = []
     for capture in captures:
         measures = WHOLE if capture.task == "stairs" else REPETITION
-        low, middle, high = np.percentile(drawn[names.index(BESIDE[capture.task])], (2.5, 50.0, 97.5), axis=0)
+        low, middle, high = np.percentile(drawn[names.index(LIKE[capture.task])], (2.5, 50.0, 97.5), axis=0)
         found, count = _of_capture(capture)
         for k, (measure, unit) in enumerate(measures):
             rows.append(
-                BesideRow(
+                CohortComparison(
                     trial=capture.name,
                     task=f"{capture.task}, {count} repetitions" if count else capture.task,
                     measure=measure,
@@ -259,7 +259,7 @@ def motion_rows(
                     low=float(low[k]),
                     median=float(middle[k]),
                     high=float(high[k]),
-                    said=LACKS[capture.task],
+                    note=LACKS[capture.task],
                 )
             )
     return tuple(rows)
@@ -410,7 +410,7 @@ def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
     )
 
 
-def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0) -> tuple[BesideRow, ...]:
+def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0) -> tuple[CohortComparison, ...]:
     """Lay stances beside the simulated cohort's sway."""
     people = cohort("simulation", rng=np.random.default_rng([seed, 0]))[:subjects]
     rng = np.random.default_rng([seed, 1])
@@ -420,10 +420,10 @@ def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0)
     rows = []
     for stance in stances:
         other = stance.condition != "closed on foam"
-        said = f"{stance.condition}: the library's stance is eyes closed on foam, which sways more" if other else ""
+        note = f"{stance.condition}: the library's stance is eyes closed on foam, which sways more" if other else ""
         for k, ((measure, unit), real) in enumerate(zip(MEASURES, sway_figures(stance), strict=True)):
             rows.append(
-                BesideRow(
+                CohortComparison(
                     trial=stance.name,
                     task="posturography",
                     measure=measure,
@@ -432,7 +432,7 @@ def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0)
                     low=float(low[k]),
                     median=float(middle[k]),
                     high=float(high[k]),
-                    said=said,
+                    note=note,
                 )
             )
     return tuple(rows)
@@ -654,8 +654,8 @@ class RealOutcome:
 
     # Levels none, rest, calibrated, the converter's rounding undone and left in; empty without trials
     errors: tuple[RealErrors, ...]
-    motions: tuple[BesideRow, ...]  # Captures and stances beside the cohort
-    sways: tuple[BesideRow, ...]  # Captures and stances beside the cohort
+    motions: tuple[CohortComparison, ...]  # Captures and stances beside the cohort
+    sways: tuple[CohortComparison, ...]  # Captures and stances beside the cohort
     worn: Worn | None  # The study's device worn in the captures
     lacks: tuple[str, ...]  # What could not be said, and why
 
@@ -736,7 +736,7 @@ def judge_real(data: RealData, study: Study) -> RealOutcome:
     device = device_of(study, 0) if study.worn else preset(study.device)
     warmer, count, seed = sum(study.excursion_k) / 2.0, min(study.subjects, 30), study.seed
     no_errors: tuple[RealErrors, ...] = ()
-    no_rows: tuple[BesideRow, ...] = ()
+    no_rows: tuple[CohortComparison, ...] = ()
     errors = tried("trials beside optics", lambda: real_errors(data.devices), data.devices, no_errors)
     if errors and errors[0].agreement is None:
         lacks.append(

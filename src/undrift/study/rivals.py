@@ -101,7 +101,7 @@ class Rivalled:
     calibration: Calibration  # What the method gave, the data sheet where it gave nothing
     minutes: float  # Of recordings, min
     observable: tuple[str, ...]  # gyro, accel: what the method calibrated
-    said: tuple[str, ...]  # What the fits said
+    notes: tuple[str, ...]  # What the fits said
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +127,7 @@ class _Found:
 
     gyro: TriadModel | None
     accel: TriadModel | None
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
     rests: tuple[Record, ...]
     seconds: float
     calibration: Calibration | None = None
@@ -161,7 +161,7 @@ def calibrate_by(
         ),
         minutes=found.seconds / SECONDS_PER_MINUTE,
         observable=tuple(name for name, model in known.items() if model is not None),
-        said=found.said,
+        notes=found.notes,
     )
 
 
@@ -200,7 +200,7 @@ def _driven(bench: _Bench, kind: Literal["trolley", "piston"], settings: RivalSe
     motion = rival_motion(kind, rng=bench.rng, settings=settings)
     told = rival_motion(kind, rng=np.random.default_rng(0), settings=replace(settings, tilt_sd=0.0, shake=0.0))
     session = bench.session(motion)
-    said = (*_words(session), f"accelerometers fitted to what the {kind} was told to do, not to what it did")
+    notes = (*_words(session), f"accelerometers fitted to what the {kind} was told to do, not to what it did")
     record = session.records[0]
     accel = record.accel
     if accel is None:
@@ -222,7 +222,7 @@ def _driven(bench: _Bench, kind: Literal["trolley", "piston"], settings: RivalSe
                 verdict=Verdict(),
             ).model
             best = (size, model)
-    return _Found(None, None if best is None else best[1], said, _stills(session), _length_s(motion))
+    return _Found(None, None if best is None else best[1], notes, _stills(session), _length_s(motion))
 
 
 def _mocap(bench: _Bench) -> _Found:
@@ -256,7 +256,7 @@ def _plane_and_mocap(bench: _Bench) -> _Found:
     return replace(
         optics,
         accel=plane.accel,
-        said=(*(word for word in plane.said if "gyro" not in word), *optics.said[:-1]),
+        notes=(*(word for word in plane.notes if "gyro" not in word), *optics.notes[:-1]),
         seconds=plane.seconds + optics.seconds,
     )
 
@@ -399,7 +399,7 @@ class RivalRow:
     # off; those have no error and are not in the figures
     refused: int
     # What the fits said of the first unit, what the method cannot see; and why units were refused
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def compare_rivals(
@@ -449,7 +449,7 @@ def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refusals: lis
         change_max_deg=change,
         units=len(done),
         refused=int(np.isnan(errors[:, 0]).sum()),
-        said=(*first.said, *refusals[:1]),
+        notes=(*first.notes, *refusals[:1]),
     )
 
 

@@ -1,26 +1,18 @@
-"""Run a study: its units on an executor, each kept as it is finished, and the whole error surface in the end.
+"""Run a study: its units on an executor, each kept as it is finished, then the error surface of each task.
 
-Executor: the one seam between a study and the machines that it runs on.
+Executors: in this process, on a pool of processes, on a Dask scheduler. A unit carries its own seed, so the bits of its result
+depend on neither the executor, nor the number of workers, nor the order. The unit of a killed worker is done again.
 
-A study hands over a function and its units of work and takes what comes back, in any order. Three executors do that alike: in
-this process, on a pool of processes, on a Dask scheduler. A unit carries its own seed, so the bits of its result depend on
-neither the executor, nor the number of workers, nor the order. A worker that is killed loses what it had in hand; that is
-done again.
+Store: one Parquet piece for each finished unit, whole or not there. DIR/study.json says which study the pieces belong to; a
+folder of another study is refused, and an interrupted study resumes with the units that have no piece.
 
-Store of a study's runs: one Parquet piece for each finished unit, whole or not there; joined to one surface in the end.
+Grid search: every protocol meets every subject. Successive halving: all candidates meet a few subjects, the better part meets
+more, the last few meet all::
 
-DIR/study.json says which study the pieces belong to; a folder of another study is refused. A study that was cut off goes on
-with the units that have no piece.
+    round r: n_r candidates on s_r subjects;  n_{r+1} = ceil(n_r / keep),  s_{r+1} = min(growth s_r, S)
 
-Successive halving: for spaces too wide for every protocol to meet every subject.
-
-All candidates meet a few subjects, the better part goes on to more, and so on; the last few meet all::
-
-    rung r: n_r candidates on s_r subjects;  n_{r+1} = ceil(n_r / keep),  s_{r+1} = min(growth s_r, S)
-
-Subjects are the same for all candidates of a rung, and the errors of earlier rungs are kept: only new subjects cost anything.
-A candidate that could not calibrate a device falls out. The winner was also lucky; what it is worth is said by the other
-cohort (study/judge.py).
+Errors of earlier rounds are kept: only new subjects cost runs. A candidate that could not calibrate a device drops out. The
+error of the winner is biased low by the selection; the other cohort gives an unbiased one (study/judge.py).
 """
 
 import hashlib
@@ -38,13 +30,12 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable, UndriftError
 from undrift.files import write_whole
 from undrift.rig.programme import Protocol as CalibrationProtocol
-from undrift.study.case import COLUMNS, Unit, UnitRuns, run_unit, units_of
+from undrift.study.case import COLUMNS, Unit, UnitRuns, impose, run_unit, units_of
 from undrift.study.plan import Study, StudyTask
+from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Executor: the one seam between a study and the machines that it runs on.
+# ---- executors: where units of work are done
 
-Job = TypeVar("Job", contravariant=True)
-Result = TypeVar("Result", covariant=True)
 U = TypeVar("U")
 R = TypeVar("R")
 
@@ -59,7 +50,7 @@ class Executor(Protocol):
         """How many units are worked on at a time."""
 
     def run(self, work: Callable[[U], R], units: Sequence[U]) -> Iterator[tuple[int, R]]:
-        """Do units of work."""
+        """Do units of work; yield the place of each and its result, in any order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,10 +125,7 @@ class Dask:
 
         in_order_of_end: Any = as_completed
         with self._client() as client:
-            places: dict[Any, int] = {}
-            for place, unit in enumerate(units):
-                future = client.submit(work, unit, pure=False)
-                places[future] = place
+            places: dict[Any, int] = {client.submit(work, unit, pure=False): k for k, unit in enumerate(units)}
             try:
                 for future in in_order_of_end(list(places), loop=client.loop):
                     yield places[future], future.result()
@@ -146,7 +134,7 @@ class Dask:
                 raise _given_up(error.allowed_failures + 1) from error
             except CancelledError as error:
                 raise UndriftError(
-                    f"scheduler: wanted an answer from {self.address}, got none any more; start it again and go on"
+                    f"scheduler: wanted an answer from {self.address}, got none any more; start it again and resume"
                 ) from error
             finally:
                 with suppress(RuntimeError):
@@ -184,261 +172,139 @@ def choose_executor(scheduler: str | None = None, workers: int | None = None) ->
     return InProcess() if count == 1 else Pool(count)
 
 
-# ---- Store of a study's runs: one Parquet piece for each finished unit, whole or not there; joined to one surface in the end.
+# ---- store: finished units in a folder
 
 PIECES = "runs"
 HEAD = "study.json"
 SURFACE = "surface.parquet"
+HALVING = "halving"  # folder of its rounds
 
 
 class RunStore:
     """Finished units of a study in a folder."""
 
     def __init__(self, folder: Path, study: Study, *, only: tuple[StudyTask, ...] = ()) -> None:
-        self._pieces = folder / PIECES
-        self._folder = folder
+        self._folder, self._pieces = folder, folder / PIECES
         try:
             self._pieces.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: wanted a folder to write to, got {error.strerror}; choose another") from error
-        held = asdict(study)
-        held["tasks"] = [asdict(task) for task in only or study.tasks]
-        told = json.dumps(held, sort_keys=True)
-        head = folder / HEAD
-        if head.exists():
-            self._check(head, told)
-        else:
-            write_whole(
-                head, json.dumps({"kind": "undrift.study-runs", "format": 1, "study": json.loads(told)}, indent=1)
+        held = asdict(study) | {"tasks": [asdict(task) for task in only or study.tasks]}
+        if study.search == "grid":  # folders of grids were there before the choice was
+            del held["search"]
+        text, head = json.dumps(held, sort_keys=True), folder / HEAD
+        if not head.exists():
+            content = {"kind": "undrift.study-runs", "format": 1, "study": json.loads(text)}
+            write_whole(head, json.dumps(content, indent=1))
+        elif _study_in(head) != text:
+            mark = hashlib.sha256(text.encode()).hexdigest()[:8]
+            raise InputError(
+                f"{folder}: wanted an empty folder or one of this study ({mark}), got another's runs; choose another"
             )
 
     def holds(self, unit: Unit) -> bool:
         """Return whether a unit is finished."""
         return self._piece(unit).exists()
 
+    def finish(self, units: Sequence[Unit], executor: Executor) -> Iterator[Unit]:
+        """Do the units that have no piece yet; yield each as it is finished."""
+        left = [unit for unit in units if not self.holds(unit)]
+        for place, runs in executor.run(run_unit, left):
+            self.write(left[place], runs)
+            yield left[place]
+
     def write(self, unit: Unit, runs: UnitRuns) -> None:
-        """Keep what came of a unit."""
-        import io
-
+        """Keep the runs of a unit."""
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
-        columns = {name: np.asarray(getattr(runs, name)) for name in COLUMNS}
         count = len(runs.error_rms_deg)
         columns = {
             "task": np.full(count, unit.task.name),
             "subject": np.full(count, unit.subject, dtype=np.int32),
-            **columns,
+            **{name: np.asarray(getattr(runs, name)) for name in COLUMNS},
         }
-        held = io.BytesIO()
-        pq.write_table(pa.table(columns), held)
-        write_whole(self._piece(unit), held.getvalue())
+        _write_table(self._piece(unit), pa.table(columns), compression="snappy")
 
     def read(self, unit: Unit) -> dict[str, FloatArray]:
-        """Read what came of a unit.
-
-        Arrays:  -> (P,).
-        """
+        """Read the runs of a unit, an array (P,) for each of ``COLUMNS``."""
         import pyarrow.parquet as pq
 
         table = pq.read_table(self._piece(unit))
         return {name: np.asarray(table.column(name).to_numpy(), float) for name in COLUMNS}
 
-    def join(self, units: tuple[Unit, ...]) -> Path:
+    def join(self, units: Sequence[Unit]) -> Path:
         """Join the pieces to one file."""
-        import io
-
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        table = pa.concat_tables([pq.read_table(self._piece(unit)) for unit in units])
-        held = io.BytesIO()
-        pq.write_table(table, held, compression="zstd")
-        path = self._folder / SURFACE
-        write_whole(path, held.getvalue())
-        return path
+        return join_pieces([self._piece(unit) for unit in units], self._folder)
 
     def _piece(self, unit: Unit) -> Path:
         return self._pieces / f"{unit.key}.parquet"
 
-    def _check(self, head: Path, told: str) -> None:
-        try:
-            held = json.loads(head.read_text(encoding="utf-8"))
-            same = json.dumps(held["study"], sort_keys=True) == told
-        except (OSError, ValueError, KeyError, TypeError):
-            same = False
-        if not same:
-            mark = hashlib.sha256(told.encode()).hexdigest()[:8]
-            raise InputError(
-                f"{head.parent}: wanted an empty folder or one of this study ({mark}), got another's runs; choose another"
-            )
+
+def join_pieces(pieces: Sequence[Path], folder: Path) -> Path:
+    """Join pieces to the surface file of a folder."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = folder / SURFACE
+    _write_table(path, pa.concat_tables([pq.read_table(piece) for piece in pieces]), compression="zstd")
+    return path
 
 
-# ---- Successive halving: for spaces too wide for every protocol to meet every subject.
+def _write_table(path: Path, table: Any, *, compression: str) -> None:
+    import io
+
+    import pyarrow.parquet as pq
+
+    held = io.BytesIO()
+    pq.write_table(table, held, compression=compression)
+    write_whole(path, held.getvalue())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HalvingSettings:
-    """How fast candidates are dropped."""
-
-    first_subjects: int = 3  # Of the first rung; too few, and the best protocol may be dropped by chance
-    keep: float = 2.0  # Candidates of a rung over those of the next
-    growth: float = 2.0  # Subjects of the next rung over those of a rung
-    least: int = 4  # So many candidates meet all subjects
-
-    def __post_init__(self) -> None:
-        if self.first_subjects < 1 or not self.keep > 1.0 or not self.growth > 1.0 or self.least < 1:
-            raise InputError(
-                f"halving: wanted one subject or more, keep and growth above 1 and one last candidate or more, got "
-                f"{self.first_subjects}, {self.keep:g}, {self.growth:g} and {self.least}"
-            )
+def _study_in(head: Path) -> str | None:
+    try:
+        return json.dumps(json.loads(head.read_text(encoding="utf-8"))["study"], sort_keys=True)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rung:
-    """A rung."""
-
-    subjects: int  # That its candidates had met at its end
-    candidates: IntArray  # Places among all candidates
-    # (len(candidates), mean of the objective, deg; infinite where a device was left uncalibrated
-    mean_deg: FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Halving:
-    """Outcome."""
-
-    protocols: tuple[CalibrationProtocol, ...]  # All candidates
-    best: int  # Place of the best of the last rung
-    rungs: tuple[Rung, ...]  # From all candidates to the last few
-    runs: int  # Sessions simulated and fitted
-    runs_of_grid: int  # What every candidate on every subject would have cost
-
-
-def halve(
-    study: Study, task: StudyTask, executor: Executor, folder: Path, *, settings: HalvingSettings = HalvingSettings()
-) -> Halving:
-    """Find the best protocol of a task with a part of the runs."""
-    protocols = tuple(p for cutoff in task.space.cutoff_hz for p in task.candidates(cutoff))
-    error = np.full((study.subjects, len(protocols)), np.nan)
-    left: IntArray = np.arange(len(protocols))
-    met, wanted, runs = 0, min(settings.first_subjects, study.subjects), 0
-    rungs: list[Rung] = []
-    while True:
-        block = tuple(range(met, wanted)), left
-        error[met:wanted, left] = _run(study, task, block, protocols, executor, folder / f"rung-{len(rungs)}")
-        runs += (wanted - met) * len(left)
-        mean = error[:wanted, left].mean(axis=0)
-        mean = np.where(np.isfinite(mean), mean, np.inf)
-        rungs.append(Rung(subjects=wanted, candidates=left, mean_deg=mean))
-        if not np.isfinite(mean).any():
-            raise NotObservable(
-                f"halving: wanted a protocol of {task.name} that calibrates every device, got none; try other rates"
-            )
-        if wanted == study.subjects:
-            best = int(left[np.argmin(mean)])
-            break
-        kept = max(math.ceil(len(left) / settings.keep), settings.least)
-        left = np.sort(left[np.argsort(mean, kind="stable")[:kept]])
-        met, wanted = wanted, min(math.ceil(wanted * settings.growth), study.subjects)
-        if len(left) <= settings.least:
-            wanted = study.subjects
-    return Halving(
-        protocols=protocols,
-        best=best,
-        rungs=tuple(rungs),
-        runs=runs,
-        runs_of_grid=study.subjects * len(protocols),
-    )
-
-
-def _run(
-    study: Study,
-    task: StudyTask,
-    block: tuple[tuple[int, ...], IntArray],
-    protocols: tuple[CalibrationProtocol, ...],
-    executor: Executor,
-    folder: Path,
-) -> FloatArray:
-    """Return the errors of a block of subjects and candidates: units as a study's, with the candidates that are left."""
-    subjects, left = block
-    cutoffs = np.array([protocols[place].cutoff_hz for place in left])
-    only = {
-        cutoff: replace(
-            task,
-            space=replace(
-                task.space,
-                cutoff_hz=(cutoff,),
-                only=tuple(_grid(protocols[place]) for place in left[cutoffs == cutoff]),
-            ),
-        )
-        for cutoff in dict.fromkeys(cutoffs.tolist())
-    }
-    units = [Unit(study=study, task=only[cutoff], subject=s, cutoff_hz=cutoff) for s in subjects for cutoff in only]
-    store = RunStore(folder, study, only=tuple(only.values()))
-    todo = [unit for unit in units if not store.holds(unit)]
-    for place, found in executor.run(run_unit, todo):
-        store.write(todo[place], found)
-    error, wanted = (
-        np.empty((len(subjects), len(left))),
-        "error_rms_deg" if study.objective == "rms" else "error_max_deg",
-    )
-    for unit in units:
-        error[subjects.index(unit.subject), cutoffs == unit.cutoff_hz] = store.read(unit)[wanted]
-    return error
-
-
-def _grid(protocol: CalibrationProtocol) -> tuple[float, float, float]:
-    return protocol.turn_rate_step, protocol.turn_rate_min, protocol.turn_rate_max
-
-
-# ---- run
+# ---- grid search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaskSurface:
     """All errors of one task: S subjects, P protocols."""
 
-    task: str  # Its name
-    cutoff_hz: FloatArray  # (P,), the protocols, Hz and deg/s
-    turn_rate_step_dps: FloatArray  # (P,), the protocols, Hz and deg/s
-    turn_rate_min_dps: FloatArray  # (P,), the protocols, Hz and deg/s
-    turn_rate_max_dps: FloatArray  # (P,), the protocols, Hz and deg/s
+    task: str
+    cutoff_hz: FloatArray  # (P,)
+    turn_rate_step_dps: FloatArray  # (P,), d
+    turn_rate_min_dps: FloatArray  # (P,), omega_m
+    turn_rate_max_dps: FloatArray  # (P,), omega_M
     rig_minutes: FloatArray  # (P,), length of a session, min
-    # (S, P), pitch error over the motion, deg; NaN where the protocol could not calibrate the device
-    error_rms_deg: FloatArray
-    # (S, P), pitch error over the motion, deg; NaN where the protocol could not calibrate the device
-    error_max_deg: FloatArray
-    # Subjects that are not among the S, since no protocol could calibrate their device
-    left_out: tuple[int, ...] = ()
+    error_rms_deg: FloatArray  # (S, P), pitch error over the motion, deg; NaN where the device was left uncalibrated
+    error_max_deg: FloatArray  # (S, P), as above
+    left_out: tuple[int, ...] = ()  # subjects not among the S: no protocol could calibrate their device
 
     def error(self, objective: str) -> FloatArray:
-        """Return the errors that are to be small.
-
-        Arrays:  -> (S, P) deg.
-        """
+        """Return the errors (S, P) that are to be small, deg."""
         return self.error_rms_deg if objective == "rms" else self.error_max_deg
 
 
 def run_study(
     study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None] | None = None
 ) -> tuple[TaskSurface, ...]:
-    """Run a study, or what is left of it."""
+    """Run every protocol on every subject, or what is left of that; ``advance`` gets units done and units in all."""
     units, store = units_of(study), RunStore(folder, study)
-    left = [unit for unit in units if not store.holds(unit)]
-    done = len(units) - len(left)
+    done = sum(map(store.holds, units))
     if advance:
         advance(done, len(units))
-    for place, runs in executor.run(run_unit, left):
-        store.write(left[place], runs)
-        done += 1
+    for count, _ in enumerate(store.finish(units, executor), done + 1):
         if advance:
-            advance(done, len(units))
+            advance(count, len(units))
     return read_surfaces(store.join(units), study)
 
 
 def read_surfaces(path: Path, study: Study) -> tuple[TaskSurface, ...]:
-    """Read the surface of a finished study."""
+    """Read the surfaces of a finished grid search."""
     import pyarrow.parquet as pq
 
     table = pq.read_table(path)
@@ -446,16 +312,12 @@ def read_surfaces(path: Path, study: Study) -> tuple[TaskSurface, ...]:
     found = []
     for task in study.tasks:
         rows = columns["task"] == task.name
-        protocols = sum(len(task.candidates(cutoff)) for cutoff in task.space.cutoff_hz)
+        protocols = len(task.protocols())
         if rows.sum() != study.subjects * protocols:
             raise InputError(
                 f"{path}: wanted {study.subjects * protocols} runs of {task.name}, got {rows.sum()}; run the study to its end"
             )
-        shaped = {
-            name: np.asarray(values[rows], float).reshape(study.subjects, protocols)
-            for name, values in columns.items()
-            if name not in ("task", "subject")
-        }
+        shaped = {n: np.asarray(columns[n][rows], float).reshape(study.subjects, protocols) for n in COLUMNS}
         found.append(
             TaskSurface(
                 task=task.name,
@@ -468,7 +330,7 @@ def read_surfaces(path: Path, study: Study) -> tuple[TaskSurface, ...]:
 
 
 def without_lost(surface: TaskSurface) -> TaskSurface:
-    """Leave out the subjects whose device no protocol could calibrate: they say nothing of which protocol is better."""
+    """Leave out the subjects whose device no protocol could calibrate: they do not compare protocols."""
     there = np.isfinite(surface.error_rms_deg).any(axis=1)
     if there.all() or there.sum() < 3:
         return surface
@@ -481,5 +343,217 @@ def without_lost(surface: TaskSurface) -> TaskSurface:
 
 
 def count_runs(study: Study) -> int:
-    """Return how many sessions a study simulates and fits."""
-    return sum(study.subjects * len(task.candidates(cutoff)) for task in study.tasks for cutoff in task.space.cutoff_hz)
+    """Return how many sessions a study simulates and fits, resumed or not."""
+    return sum(
+        sum(c * s for c, s in new_runs(len(task.protocols()), study.subjects))
+        if study.search == "halving"
+        else study.subjects * len(task.protocols())
+        for task in study.tasks
+    )
+
+
+# ---- successive halving
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HalvingSettings:
+    """How fast candidates are dropped."""
+
+    first_subjects: int = 3  # Of the first round; too few, and the best protocol may be dropped by chance
+    keep: float = 2.0  # Candidates of a round over those of the next
+    growth: float = 2.0  # Subjects of the next round over those of a round
+    least: int = 4  # So many candidates meet all subjects
+
+    def __post_init__(self) -> None:
+        if self.first_subjects < 1 or not self.keep > 1.0 or not self.growth > 1.0 or self.least < 1:
+            raise InputError(
+                f"halving: wanted one subject or more, keep and growth above 1 and one last candidate or more, got "
+                f"{self.first_subjects}, {self.keep:g}, {self.growth:g} and {self.least}"
+            )
+
+
+HALVING_SETTINGS = HalvingSettings()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Round:
+    """One round of a halving."""
+
+    subjects: int  # That its candidates had met at its end
+    candidates: IntArray  # (n,), places among all protocols
+    mean_deg: FloatArray  # (n,), of the objective; infinite where a device was left uncalibrated
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Halving:
+    """Outcome of a halving: its rounds, and the surface of all runs that were made."""
+
+    protocols: tuple[CalibrationProtocol, ...]  # All candidates
+    best: int  # Place of the best of the last round
+    rounds: tuple[Round, ...]  # From all candidates to the last few
+    runs: int  # Sessions simulated and fitted
+    runs_of_grid: int  # The same for every candidate on every subject
+    every: TaskSurface  # All P candidates; NaN where a candidate did not meet a subject
+
+    @property
+    def surface(self) -> TaskSurface:
+        """The candidates of the last round, which met every subject."""
+        last = self.rounds[-1].candidates
+        names = [name for name in COLUMNS if not name.startswith("error")]
+        return replace(
+            self.every,
+            **{name: getattr(self.every, name)[last] for name in names},
+            error_rms_deg=self.every.error_rms_deg[:, last],
+            error_max_deg=self.every.error_max_deg[:, last],
+        )
+
+
+def rounds_of(
+    candidates: int, subjects: int, settings: HalvingSettings = HALVING_SETTINGS
+) -> tuple[tuple[int, int], ...]:
+    """Return how many candidates each round has, and how many subjects they have met at its end."""
+    plan = [(candidates, min(settings.first_subjects, subjects))]
+    while plan[-1][1] < subjects:
+        count, met = plan[-1]
+        count = min(count, max(math.ceil(count / settings.keep), settings.least))
+        plan.append((count, subjects if count <= settings.least else min(math.ceil(met * settings.growth), subjects)))
+    return tuple(plan)
+
+
+def new_runs(candidates: int, subjects: int) -> tuple[tuple[int, int], ...]:
+    """Return the candidates of each round and the subjects that are new to them."""
+    plan = rounds_of(candidates, subjects)
+    return tuple((count, met - before) for (count, met), (_, before) in zip(plan, ((0, 0), *plan), strict=False))
+
+
+def halve_study(
+    study: Study,
+    executor: Executor,
+    folder: Path,
+    *,
+    advance: Callable[[int, int], None] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> tuple[Halving, ...]:
+    """Search every task by halving, or resume that; ``advance`` gets runs done and runs in all, ``tell`` each round."""
+    total, done = count_runs(study), 0
+    RunStore(folder, study)
+
+    def count(runs: int) -> None:
+        nonlocal done
+        done += runs
+        if advance:
+            advance(done, total)
+
+    count(0)
+    found = tuple(
+        halve(study, task, executor, folder / HALVING / task.name, count=count, tell=tell) for task in study.tasks
+    )
+    join_pieces(_pieces_of(folder), folder)
+    return found
+
+
+def runs_held(folder: Path) -> int:
+    """Return how many runs of a halving are on the disk."""
+    import pyarrow.parquet as pq
+
+    return sum(pq.read_metadata(piece).num_rows for piece in _pieces_of(folder))
+
+
+def _pieces_of(folder: Path) -> list[Path]:
+    return sorted((folder / HALVING).glob(f"*/*/{PIECES}/*.parquet"))
+
+
+def halve(
+    study: Study,
+    task: StudyTask,
+    executor: Executor,
+    folder: Path,
+    *,
+    settings: HalvingSettings = HALVING_SETTINGS,
+    count: Callable[[int], None] = lambda runs: None,
+    tell: Callable[[str], None] | None = None,
+) -> Halving:
+    """Find the best protocol of a task with a part of the runs; ``count`` gets the runs of each finished unit."""
+    protocols = task.protocols()
+    every = _nothing_yet(study, task, protocols)
+    left: IntArray = np.arange(len(protocols))
+    if study.rig_minutes_max is not None:
+        every.rig_minutes[:] = [impose(protocol).duration_s / 60.0 for protocol in protocols]
+        left = np.flatnonzero(every.rig_minutes <= study.rig_minutes_max)
+    plan = rounds_of(len(left), study.subjects, settings)
+    rounds: list[Round] = []
+    met = runs = 0
+    for number, (kept, wanted) in enumerate(plan, 1):
+        if rounds:
+            left = np.sort(left[np.argsort(rounds[-1].mean_deg, kind="stable")[:kept]])
+        if tell and len(left):
+            tell(f"{task.name}, round {number} of {len(plan)}: {len(left)} protocols on {wanted} subjects")
+        runs += len(left) * (wanted - met)
+        _run_round(study, task, (range(met, wanted), left), executor, folder / f"round-{number}", every, count)
+        error = every.error(study.objective)[:wanted, left]
+        there = np.isfinite(error).any(axis=1)  # a device that no candidate calibrates does not compare them
+        mean = error[there].mean(axis=0) if there.any() else np.full(len(left), np.inf)
+        mean = np.where(np.isfinite(mean), mean, np.inf)
+        rounds.append(Round(subjects=wanted, candidates=left, mean_deg=mean))
+        if not np.isfinite(mean).any():
+            raise NotObservable(
+                f"halving: wanted a protocol of {task.name} that calibrates every device, got none; try other rates"
+            )
+        met = wanted
+    return Halving(
+        protocols=protocols,
+        best=int(left[np.argmin(rounds[-1].mean_deg)]),
+        rounds=tuple(rounds),
+        runs=runs,
+        runs_of_grid=study.subjects * len(protocols),
+        every=every,
+    )
+
+
+def _nothing_yet(study: Study, task: StudyTask, protocols: tuple[CalibrationProtocol, ...]) -> TaskSurface:
+    step, low, high = (
+        np.array([getattr(protocol, name) for protocol in protocols]) / RADIAN_PER_DEGREE
+        for name in ("turn_rate_step", "turn_rate_min", "turn_rate_max")
+    )
+    return TaskSurface(
+        task=task.name,
+        cutoff_hz=np.array([protocol.cutoff_hz for protocol in protocols]),
+        turn_rate_step_dps=step,
+        turn_rate_min_dps=low,
+        turn_rate_max_dps=high,
+        rig_minutes=np.full(len(protocols), np.nan),
+        error_rms_deg=np.full((study.subjects, len(protocols)), np.nan),
+        error_max_deg=np.full((study.subjects, len(protocols)), np.nan),
+    )
+
+
+def _run_round(
+    study: Study,
+    task: StudyTask,
+    block: tuple[range, IntArray],
+    executor: Executor,
+    folder: Path,
+    every: TaskSurface,
+    count: Callable[[int], None],
+) -> None:
+    """Run a block of subjects and candidates and write its errors into the surface."""
+    subjects, left = block
+    grids, tasks, places_of = tuple(task.space.grids()), [], {}
+    for cutoff in dict.fromkeys(every.cutoff_hz[left].tolist()):
+        places = places_of[cutoff] = left[every.cutoff_hz[left] == cutoff]
+        only = tuple(grids[place % len(grids)] for place in places)  # protocols are ordered by cut-off, then by grid
+        tasks.append(replace(task, space=replace(task.space, cutoff_hz=(cutoff,), only=only)))
+    units = [
+        Unit(study=study, task=only, subject=subject, cutoff_hz=only.space.cutoff_hz[0])
+        for subject in subjects
+        for only in tasks
+    ]
+    store = RunStore(folder, study, only=tuple(tasks))
+    count(sum(len(unit.task.space.only) for unit in units if store.holds(unit)))
+    for unit in store.finish(units, executor):
+        count(len(unit.task.space.only))
+    for unit in units:
+        found, places = store.read(unit), places_of[unit.cutoff_hz]
+        every.rig_minutes[places] = found["rig_minutes"]
+        every.error_rms_deg[unit.subject, places] = found["error_rms_deg"]
+        every.error_max_deg[unit.subject, places] = found["error_max_deg"]
