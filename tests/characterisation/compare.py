@@ -51,7 +51,8 @@ LEFT_OUT = re.compile(
 KEPT_TEXT = re.compile(
     r"status|unit|unit_in|unit_out|gyro_unit|accel_unit|rounding|gyro_rounding|accel_rounding|code_sha256|refused"
 )
-ADDED: tuple[tuple[str, str], ...] = ((r"study_small", r"tasks.*halving"),)  # (call, path), regular expressions: new since the recording, on purpose
+# (call, path), regular expressions: new since the recording, on purpose
+ADDED: tuple[tuple[str, str], ...] = (("study_small", r"tasks.*halving"),)
 RENAMED: tuple[tuple[str, str], ...] = ()  # (recorded, now), for re.sub on recorded paths
 
 # (call, path, r) on another machine: the softness of this surface has a flat loss, on which the search stops elsewhere
