@@ -11,8 +11,7 @@ import pytest
 
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigError, RigTimeout
-from undrift.rig.galil import Gains, read_gains, set_gains
-from undrift.rig.rig import Limits, RigSettings, open_rig
+from undrift.rig.rig import Gains, Limits, RigSettings, open_rig
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
 DEGREE = math.pi / 180.0
@@ -77,7 +76,7 @@ def test_every_command_of_a_session_is_understood(emulator):
         rig.enable(True)
         assert emulator.motor_on
         assert rig.set_acceleration(40.0) == pytest.approx(254_976 * 2 * math.pi / 40_000)
-        assert set_gains(rig.card, Gains(kp=12.5, ki=0.0, kd=245.0)) == read_gains(rig.card)
+        assert rig.servo.set_gains(Gains(kp=12.5, ki=0.0, kd=245.0)) == rig.servo.read_gains()
         assert rig.turn(90.0 * DEGREE) == pytest.approx(90.0 * DEGREE, rel=1e-12)
         assert rig.turn(-45.0 * DEGREE) == pytest.approx(-45.0 * DEGREE, rel=1e-12)
         rig.stop()

@@ -4,20 +4,18 @@ import pytest
 
 from testkit.scripted_server import Card, Scripted, transcript
 from testkit.waiting import eventually
-from undrift.errors import LinkError, RigFault, RigTimeout
+from undrift.errors import LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.galil import (
     ERRORS,
     STOPS,
-    Gains,
     GalilCard,
+    GalilServo,
     Switches,
     error_in_words,
-    read_gains,
-    set_gains,
-    set_sample_time,
     stop_in_words,
 )
 from undrift.rig.link import LinkPort, LinkSettings, reply_end
+from undrift.rig.rig import CountScale, Gains
 
 PATIENT, IMPATIENT = LinkSettings(reply_timeout_s=20.0), LinkSettings(reply_timeout_s=0.5)
 
@@ -216,27 +214,15 @@ def test_a_card_that_is_gone_is_shouted_at_without_complaint():
 
 def test_gains_are_rounded_as_the_card_rounds_and_read_back():
     with Talk(Card()) as talk:
-        assert set_gains(talk.card, Gains(kp=12.5, ki=0.0, kd=245.06)) == Gains(kp=12.5, ki=0.0, kd=245.0)
+        assert GalilServo(talk.card, CountScale.from_lines(10_000)).set_gains(
+            Gains(kp=12.5, ki=0.0, kd=245.06)
+        ) == Gains(kp=12.5, ki=0.0, kd=245.0)
         assert [line for line in talk.server.heard if "?" not in line] == ["KP 12.5", "KI 0", "KD 245"]
-        assert read_gains(talk.card) == Gains(kp=12.5, ki=0.0, kd=245.0)
+        assert GalilServo(talk.card, CountScale.from_lines(10_000)).read_gains() == Gains(kp=12.5, ki=0.0, kd=245.0)
 
 
 def test_gains_beyond_the_card_are_refused_before_a_byte_is_sent():
-    from undrift.errors import LimitError
-
     with Talk(Card()) as talk:
         with pytest.raises(LimitError, match=r"KD: wanted 0 to 4095.875, got 5000"):
-            set_gains(talk.card, Gains(kp=1.0, ki=1.0, kd=5000.0))
+            GalilServo(talk.card, CountScale.from_lines(10_000)).set_gains(Gains(kp=1.0, ki=1.0, kd=5000.0))
         assert talk.server.heard == []
-
-
-def test_a_sample_time_is_set_and_one_that_is_very_fast_is_warned_of(caplog):
-    from undrift.errors import InputError
-
-    with Talk(Card()) as talk:
-        assert set_sample_time(talk.card, 1000.0) == 1000.0
-        assert caplog.text == ""
-        assert set_sample_time(talk.card, 100.0) == 100.0
-        assert "TM 100 us is faster than cards of the 1400 series are likely to allow" in caplog.text
-        with pytest.raises(InputError, match="TM: wanted 1 to 20000 us, got 0"):
-            set_sample_time(talk.card, 0.0)

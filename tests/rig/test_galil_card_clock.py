@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from undrift.rig.galil import CardClock
+from undrift.rig.link import CardClock
 
 
 def answers(tick_s, count, rng, *, step_s=0.1, late_s=0.02, speed=1.0, start_s=1000.0):

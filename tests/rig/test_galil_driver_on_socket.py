@@ -15,10 +15,7 @@ from undrift.rig.galil import (
     GalilSettings,
     error_in_words,
     open_from,
-    read_gains,
     read_status,
-    set_gains,
-    set_sample_time,
 )
 from undrift.rig.link import Clock, LinkPort, LinkSettings
 from undrift.rig.rig import Limits, RigSettings
@@ -171,10 +168,9 @@ def test_every_command_of_the_driver_does_on_the_card_what_it_says(name):
 def test_the_tuning_commands_reach_the_card():
     with connected() as (emulator, rig):
         card = emulator.machine.card
-        assert set_gains(rig.card, Gains(kp=12.5, ki=0.5, kd=245.06)) == Gains(kp=12.5, ki=0.5, kd=245.0)
-        assert read_gains(rig.card) == Gains(kp=12.5, ki=0.5, kd=245.0)
+        assert rig.servo.set_gains(Gains(kp=12.5, ki=0.5, kd=245.06)) == Gains(kp=12.5, ki=0.5, kd=245.0)
+        assert rig.servo.read_gains() == Gains(kp=12.5, ki=0.5, kd=245.0)
         assert (card.values["KP"], card.values["KI"], card.values["KD"]) == (12.5, 0.5, 245.0)
-        assert set_sample_time(rig.card, 500.0) == card.values["TM"] == 500.0
 
 
 def test_the_status_is_read_beside_whoever_drives():
@@ -317,7 +313,7 @@ def test_code_131_is_a_serial_line_that_lost_the_end_of_a_command_and_nothing_mo
 def test_code_143_reaches_whoever_sets_a_sample_time_through_the_driver():
     with connected() as (emulator, rig):
         with pytest.raises(RigFault, match=f"wanted 'TM 10', got error 143: {ERRORS[143]}") as raised:
-            set_sample_time(rig.card, 10.0)
+            rig.card.do("TM 10")
         assert raised.value.code == 143
         assert rig.card.number("MG _TM") == emulator.machine.card.values["TM"]
 

@@ -1,63 +1,38 @@
-"""Galil motion controllers, by their two-letter ASCII language.
+"""Galil motion controllers (DMC-14xx, 2x00, 40x0, 41x3, 30010): one servo axis behind an ASCII language.
 
-Galil cards (DMC-14xx, 2x00, 40x0, 41x3, 30010): one servo axis behind an ASCII language.
+A command ends with a carriage return. The card answers ``:`` when it accepts, ``?`` when it refuses (TC1 then gives the reason),
+and text before the ``:`` when it was asked for some. An answer that is not exactly of the kind that was asked for is a LinkError:
+a rig never moves on garbage. Rates are counts/s of an encoder with 4 counts a line. Every number is rounded as the card rounds it
+before it is sent, and read back before it is used, so that a lost byte never becomes a wrong rate.
 
-Rates are counts/s of an encoder with 4 counts a line. Every number is rounded as the card rounds it before it is sent, and read
-back before it is used, so that a lost byte never becomes a wrong rate. The rate that was achieved is the difference of positions
-(TP) over the time between them by the card's own clock; its TV is an average over 0.25 s and is not used. Whenever an answer is
-late or makes no sense the driver stops the axis (ST, then AB), switches the motor off (MO), and says whether the card confirmed it.
+The rate that was achieved is the difference of positions (TP) over the time between them by the card's own clock; its TV is an
+average over 0.25 s and is not used. TP and TIME come in one answer; cards that do not give both give TP alone, half-way between
+question and answer. A position that no axis can have reached since the last one is garbage.
 
-One axis of a Galil card: whether it moves, bringing it to rest - and to safety when the link fails.
+Whenever an answer is late or makes no sense the driver stops the axis (ST, then AB), switches the motor off (MO), and reports
+whether the card confirmed it. Waiting for rest polls ``MG _BG``, which is 1 while the profile runs.
 
-Waiting for rest polls `MG _BG`, which is 1 while the profile runs. Safety is ST, AB when that does not help, then MO.
+Servo filter of older cards (1000, 1400, 1500 and Optima): D(z) = 4 KP + 4 KD (1 - 1/z) + KI / 2 / (1 - 1/z); newer ones leave out
+the fours. The card records positions and errors into arrays (RA, RD, RC) every 2^n samples by itself.
 
-The language of Galil cards: one command, one answer, read strictly.
-
-A command ends with a carriage return. The card answers ``:`` when it accepts, ``?`` when it refuses (TC1 then says why), and text
-before the ``:`` when it was asked for some. An answer that is not exactly of the kind that was asked for is a LinkError: a rig
-never moves on garbage. The port beneath is a Link, or the maker's library.
-
-What the numbers of a Galil card mean: error codes (TC), stop codes (SC), switches (TS), in words a bench can act on.
-
-The numbers are those of the makers' command references; the sentences are ours.
-
-Where the axis of a Galil card is, in counts, and when that was.
-
-TP and the card's TIME come in one answer, and the time is then the card's own (rig/galil.py); cards that do not tell both give
-TP alone, half-way between question and answer. A position that no axis can have reached since the last is taken for garbage.
-
-The card's own clock: when a position was taken, free of the delays of the link.
-
-The operand TIME grows by a tick a sample, or a nominal millisecond, and cards count milliseconds of 1/1024 s: which of the four,
-
-    tick = 1 ms, 1000/1024 ms, TM, TM 1000/1024
-
-is seen from the host's clock. Two answers, n0 ticks asked at a0 and answered at b0, n ticks at a and b, bound it,
-
-    (a - b0) / (n - n0) <= tick <= (b - a0) / (n - n0)
-
-and as soon as one candidate alone is left, the time of a position is offset + tick (n + 1/2), known to half a tick. Before that,
-and when none fits - a clock_speed that is wrong, a card that counts otherwise - it is the middle between question and answer.
-Only differences of these times count: over hours the crystals of card and host part by milliseconds.
-Source of the 2.4 %: DMC-1400 command reference, TM and TIME.
-
-What the maker's tuning program sets: the servo filter's gains and its sample time.
-
-Older cards (1000, 1400, 1500 and Optima): D(z) = 4 KP + 4 KD (1 - 1/z) + KI / 2 / (1 - 1/z); newer ones leave out the fours. On
-older cards every speed changes with the sample time, so change it before, not during, a run.
+Sources: command references DMC-1400, 2x00 and 40x0; user manuals DMC-1700/1800 p. 159 and DMC-1600 p. 142 (arrays).
 """
 
+import cmath
 import logging
 import math
 import re
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
+from undrift.arrays import FloatArray
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.link import Clock, GalilPort, GclibPort, LinkPort, LinkSettings
+from undrift.rig.link import CardClock, Clock, GalilPort, GclibPort, LinkPort, LinkSettings
 from undrift.rig.rig import (
     ACCELERATION,
     JOG,
@@ -66,9 +41,11 @@ from undrift.rig.rig import (
     MOVE,
     SLEW,
     CountScale,
+    Gains,
     Limits,
     Position,
     RigSettings,
+    Trace,
     parse_address,
 )
 from undrift.units import RADIAN_PER_DEGREE
@@ -286,61 +263,6 @@ def _refusal(port: GalilPort, command: str) -> RigFault:
     )
 
 
-# ---- The card's own clock: when a position was taken, free of the delays of the link.
-
-MILLISECOND = 1e-3
-OLD_SECOND = 1000.0 / 1024.0  # a card's second that is divided by 1024
-CRYSTAL = 2e-4  # how far the clocks of card and host may differ by themselves, 1
-
-
-class CardClock:
-    """When positions were taken, by the card's ticks."""
-
-    def __init__(self, sample_time_us: float) -> None:
-        sample = 1e-6 * sample_time_us
-        ticks = (MILLISECOND, MILLISECOND * OLD_SECOND, sample, sample * OLD_SECOND)
-        self._candidates = {round(tick, 12) for tick in ticks}
-        self._latest = -1
-        self._bounds = (0.0, math.inf)
-        self._anchor: tuple[int, float, float] | None = None  # quickest answer: ticks, when asked, when answered
-        self._offset: float | None = None
-
-    @property
-    def tick_s(self) -> float | None:
-        """Length of a tick, s; None while it is not known."""
-        low, high = self._bounds
-        fit = [c for c in self._candidates if low * (1.0 - CRYSTAL) <= c <= high * (1.0 + CRYSTAL)]
-        return fit[0] if len(fit) == 1 else None
-
-    def when(self, ticks: int, asked: float, answered: float) -> tuple[float, float]:
-        """Return when an answer was true."""
-        if ticks < self._latest:  # the card was restarted
-            self._forget()
-        self._latest = ticks
-        self._learn(ticks, asked, answered)
-        tick = self.tick_s
-        if tick is None or self._anchor is None:
-            self._offset = None
-            return 0.5 * (asked + answered), 0.5 * (answered - asked)
-        if self._offset is None:
-            then, first, last = self._anchor
-            self._offset = 0.5 * (first + last) - tick * then
-        return self._offset + tick * (ticks + 0.5), 0.5 * tick
-
-    def _forget(self) -> None:
-        self._bounds, self._anchor, self._offset = (0.0, math.inf), None, None
-
-    def _learn(self, ticks: int, asked: float, answered: float) -> None:
-        if self._anchor is not None and ticks > self._anchor[0]:
-            then, first, last = self._anchor
-            low, high = self._bounds
-            count = ticks - then
-            # a reading of n ticks is a time of n to n + 1 of them
-            self._bounds = (max(low, (asked - last) / (count + 1)), min(high, (answered - first) / max(count - 1, 0.5)))
-        if self._anchor is None or answered - asked < self._anchor[2] - self._anchor[1]:
-            self._anchor = (ticks, asked, answered)
-
-
 # ---- Where the axis of a Galil card is, in counts, and when that was.
 
 BOTH = re.compile(r" *(-?\d{10}) +(-?\d{10}) *")
@@ -403,6 +325,11 @@ class GalilPlace:
                 break
             before = now
         return now
+
+    @property
+    def sample_s(self) -> float | None:
+        """Time between two samples of the servo by the card's clock, s; None where it is not known."""
+        return None if self._card_clock is None else self._card_clock.sample_s
 
     def _counts_and_ticks(self) -> tuple[int, int]:
         answer = self._card.text(self._both)
@@ -504,7 +431,7 @@ class GalilAxis:
                 self._reconnect()
             port.shout(f"ST{self.card.axis}")  # at once; its answer is thrown away by the next line
             port.resynchronise()
-            self._come_to_rest()
+            self.come_to_rest()
             self.command("MO")
             return not self.is_on()
         except RigError as error:
@@ -519,7 +446,8 @@ class GalilAxis:
             self.card.port.shout(command)
             time.sleep(0.05)
 
-    def _come_to_rest(self) -> None:
+    def come_to_rest(self) -> None:
+        """Stop (ST), or abort (AB) where that does not help."""
         try:
             self.stop()
         except (RigTimeout, RigFault):
@@ -626,7 +554,135 @@ class GalilReports:
             yield
 
 
-# ---- Galil cards (DMC-14xx, 2x00, 40x0, 41x3, 30010): one servo axis behind an ASCII language.
+# ---- The servo filter, and what the card records of its own loop (RA, RD, RC).
+
+RECORDED = (("UNDRTP", "TP"), ("UNDRTE", "TE"))  # our arrays, and what goes into them: position and following error
+ROOM = (500, 250, 100)  # elements of each; small cards have room for 1000 in all arrays
+BLOCK = 100  # elements in one answer
+UPLOAD_S = 10.0  # longest wait for a block, s: 19,200 baud need one
+ELEMENTS = re.compile(r"[ ]*-?[ ]?\d{1,10}(?:\.0{1,4})?(?:,[ ]*-?[ ]?\d{1,10}(?:\.0{1,4})?)*[ ]*")
+
+
+class GalilServo:
+    """The loop that a card closes: its gains, and records of position and error at even samples of the card's own clock."""
+
+    def __init__(
+        self,
+        card: GalilCard,
+        scale: CountScale,
+        place: GalilPlace | None = None,
+        guarded: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
+        self._card, self._scale, self._place, self._guarded = card, scale, place, guarded
+        self._room = 0
+        self._records, self._period_s = 0, 0.0
+
+    def read_gains(self) -> Gains:
+        """Return the servo filter that the card runs (KP, KI, KD)."""
+        with self._guarded():
+            kp, ki, kd = (self._card.number(f"MG _{name}{self._card.axis}") for name in ("KP", "KI", "KD"))
+        return Gains(kp=kp, ki=ki, kd=kd)
+
+    def set_gains(self, gains: Gains) -> Gains:
+        """Set the servo filter until the next power-up; what the card holds is returned."""
+        wanted = []
+        for name, value, step, largest in (
+            ("KP", gains.kp, 1 / 8, 1023.875),
+            ("KI", gains.ki, 1 / 128, 2047.875),
+            ("KD", gains.kd, 1 / 8, 4095.875),
+        ):
+            if not 0.0 <= value <= largest:
+                raise LimitError(f"{name}: wanted 0 to {largest}, got {value:g}; choose another gain", gain=value)
+            wanted.append((name, min(step * math.floor(value / step + 0.5), largest), step))
+        with self._guarded():
+            kp, ki, kd = (self._card.set(name, value, tolerance=step) for name, value, step in wanted)
+        return Gains(kp=kp, ki=ki, kd=kd)
+
+    def gains_for(self, margin: float, crossover: float, response: complex) -> Gains | None:
+        """Return gains with a phase margin at a crossover, from the open loop's response there; None where no PD filter has it.
+
+        The plant is response / D, so the wanted filter is D' = exp(j (margin - pi)) D / response; KI is kept.
+        """
+        gains, sample_s = self.read_gains(), self._sample_s()
+        lag = cmath.exp(-1j * crossover * sample_s)  # 1/z
+        integral = 0.5 * gains.ki / (1.0 - lag)
+        held = 4.0 * gains.kp + 4.0 * gains.kd * (1.0 - lag) + integral
+        wanted = cmath.exp(1j * (margin - math.pi)) * held / response - integral
+        kd = wanted.imag / (1.0 - lag).imag / 4.0
+        kp = wanted.real / 4.0 - kd * (1.0 - lag).real
+        if not (0.0 < kp <= 1023.875 and 0.0 < kd <= 4095.875):
+            return None
+        return Gains(kp=round(8.0 * kp) / 8.0, ki=gains.ki, kd=round(8.0 * kd) / 8.0)
+
+    def start(self, span_s: float) -> None:
+        """Begin to record for a while, every 2^n samples, as densely as the arrays allow."""
+        with self._guarded():
+            self._room = self._room or self._make_room()
+            sample_s = self._sample_s()
+            power = min(max(1, math.ceil(math.log2(span_s / (self._room * sample_s)))), 8)
+            self._period_s = sample_s * 2**power
+            self._records = min(max(2, math.ceil(span_s / self._period_s)), self._room)
+            self._card.do("RA " + ",".join(f"{array}[]" for array, _ in RECORDED))
+            self._card.do("RD " + ",".join(f"_{word}{self._card.axis}" for _, word in RECORDED))
+            self._card.do(f"RC {power},{self._records}")
+
+    def recording(self) -> bool:
+        """Return whether the card still records."""
+        with self._guarded():
+            return bool(self._card.integer("MG _RC", 0, 1))
+
+    def trace(self) -> Trace:
+        """Wait for the end of the record and return it."""
+        last = time.monotonic() + 2.0 * self._records * self._period_s + UPLOAD_S
+        while self.recording():
+            if time.monotonic() > last:
+                raise RigTimeout(
+                    f"{self._card.port.name}: wanted the end of a record, got it still running; look at the card"
+                )
+            time.sleep(0.002)
+        with self._guarded():
+            position, error = (self._upload(array) for array, _ in RECORDED)
+        return Trace(
+            period_s=self._period_s, position=self._scale.angle(1.0) * position, error=self._scale.angle(1.0) * error
+        )
+
+    def free(self) -> None:
+        """Give the arrays' room back to the card."""
+        if self._room:
+            self._room = 0
+            with self._guarded():
+                self._card.do("RC 0")
+                self._card.do("DA " + ",".join(f"{array}[]" for array, _ in RECORDED))
+
+    def _make_room(self) -> int:
+        self._card.tries("DA " + ",".join(f"{array}[]" for array, _ in RECORDED))  # of a check that was interrupted
+        for room in ROOM:
+            if self._card.tries("DM " + ",".join(f"{array}[{room}]" for array, _ in RECORDED)):
+                return room
+        raise RigFault(
+            f"{self._card.port.name}: wanted room for two arrays of {ROOM[-1]}, got none; free arrays on the card (DA)"
+        )
+
+    def _sample_s(self) -> float:
+        known = self._place.sample_s if self._place else None
+        return known or 1e-6 * self._card.number("MG _TM")
+
+    def _upload(self, array: str) -> FloatArray:
+        """Return an array, block by block; a lost byte leaves a number or a comma out, or something that is no number."""
+        numbers: list[float] = []
+        for first in range(0, self._records, BLOCK):
+            last = min(first + BLOCK, self._records) - 1
+            command = f"QU {array}[],{first},{last},1"
+            answer = self._card.text(command, UPLOAD_S)
+            parts = answer.split(",") if ELEMENTS.fullmatch(answer) else []
+            if len(parts) != last - first + 1:
+                wanted = f"wanted {last - first + 1} counts in answer to '{command}'"
+                raise LinkError(f"{self._card.port.name}: {wanted}, got {answer[:60]!r}; {CABLE}")
+            numbers += [float(part.replace(" ", "")) for part in parts]
+        return np.array(numbers)
+
+
+# ---- The rig.
 
 
 class GalilRig(GalilReports):
@@ -639,6 +695,7 @@ class GalilRig(GalilReports):
         except RigError:
             port.close()
             raise
+        self.servo = GalilServo(self.card, self._scale, self._axis.place, self._guarded)
 
     def enable(self, on: bool) -> None:
         """Switch the motor on (SH) or off (MO); off stops the axis first."""
@@ -703,17 +760,29 @@ class GalilRig(GalilReports):
             self._axis.stop()
             self._axis.place.settled()
 
-    def close(self) -> None:
-        """Stop, switch the motor off, let go of the link; harmless when called again."""
+    def close(self, *, as_found: bool = False) -> None:
+        """Stop, switch the motor off or to what it was, let go of the link; harmless when called again."""
         if self._closed:
             return
         self._closed = True
         try:
-            confirmed = self._axis.make_safe()
+            confirmed = self._restore() if as_found and self._axis.refused is None else self._axis.make_safe()
         finally:
             self.card.port.close()
         if not confirmed:
             raise LinkError(f"{self.card.port.name}: wanted the motor off at the end, got no answer; {UNCONFIRMED}")
+
+    def _restore(self) -> bool:
+        """Come to rest, with the accelerations and the motor as they were found; safe where that fails."""
+        was_on, acceleration, deceleration = self._found
+        with self._axis.guarded():
+            self.card.port.resynchronise()
+            self._axis.come_to_rest()
+            self.card.set("AC", acceleration, tolerance=1024)
+            self.card.set("DC", deceleration, tolerance=1024)
+            if self._axis.is_on() != was_on:
+                self._axis.command("SH" if was_on else "MO")
+            return self._axis.is_on() == was_on
 
     def _prepare(self) -> int:
         """Bring the card into the state that this driver reads, and return where the axis stands; nothing moves."""
@@ -728,6 +797,7 @@ class GalilRig(GalilReports):
             card.set("SP", self._move_speed, tolerance=2)
             self._axis.deceleration = card.number(f"MG _DC{card.axis}")
             self._axis.enabled = self._axis.is_on()
+            self._found = (self._axis.enabled, card.number(f"MG _AC{card.axis}"), self._axis.deceleration)
             self._axis.place.find_clock()
             home = self._axis.place.read().counts
             forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # as good as none
@@ -779,51 +849,6 @@ def open_from(url: str, settings: RigSettings) -> GalilRig:
             ),
         )
     return GalilRig(port, own)
-
-
-# ---- What the maker's tuning program sets: the servo filter's gains and its sample time.
-
-FASTEST_US = 250.0  # below this, cards of the 1400 series may refuse
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gains:
-    """The servo filter."""
-
-    kp: float  # 0 to 1023.875 in steps of 1/8
-    ki: float  # 0 to 2047.875 in steps of 1/128
-    kd: float  # 0 to 4095.875 in steps of 1/8
-
-
-def set_gains(card: GalilCard, gains: Gains) -> Gains:
-    """Set the servo filter (KP, KI, KD)."""
-    wanted = []
-    for name, value, step, largest in (
-        ("KP", gains.kp, 1 / 8, 1023.875),
-        ("KI", gains.ki, 1 / 128, 2047.875),
-        ("KD", gains.kd, 1 / 8, 4095.875),
-    ):
-        if not 0.0 <= value <= largest:
-            raise LimitError(f"{name}: wanted 0 to {largest}, got {value:g}; choose another gain", gain=value)
-        wanted.append((name, min(step * math.floor(value / step + 0.5), largest), step))
-    kp, ki, kd = (card.set(name, value, tolerance=step) for name, value, step in wanted)
-    return Gains(kp=kp, ki=ki, kd=kd)
-
-
-def read_gains(card: GalilCard) -> Gains:
-    """Return the servo filter that the card runs."""
-    kp, ki, kd = (card.number(f"MG _{name}{card.axis}") for name in ("KP", "KI", "KD"))
-    return Gains(kp=kp, ki=ki, kd=kd)
-
-
-def set_sample_time(card: GalilCard, sample_time_us: float) -> float:
-    """Set the servo's sample time (TM)."""
-    if not 1.0 <= sample_time_us <= 20_000.0:
-        raise InputError(f"TM: wanted 1 to 20000 us, got {sample_time_us:g}; 1000 is usual")
-    if sample_time_us < FASTEST_US:
-        log.warning("TM %g us is faster than cards of the 1400 series are likely to allow", sample_time_us)
-    card.do(f"TM {sample_time_us:.10g}")
-    return card.number("MG _TM")
 
 
 # ---- Where a Galil table stands and what is wrong with it, read beside whoever drives it: nothing is set and nothing stops.

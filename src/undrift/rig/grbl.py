@@ -362,12 +362,14 @@ class GrblAxis:
         self.feeder: Feeder | None = None
         self._axis = axis
         self._last: tuple[float, float] | None = None  # deg, and when it was asked for, s
+        self._found_asleep: bool | None = None
         self.greeting = self.wake_up()
         _, self.steps_per_deg = stored(self.grbl, STEPS, axis)
         _, fastest_deg_per_min = stored(self.grbl, RATE, axis)
         self.fastest_dps = fastest_deg_per_min / 60.0
         self._reach_dps = 1.5 * self.fastest_dps
         _, self.acceleration_dps2 = stored(self.grbl, ACCELERATION, axis)
+        self._found_dps2 = self.acceleration_dps2
         self.place_deg = self.home_deg = self.read_place()
 
     @property
@@ -383,6 +385,8 @@ class GrblAxis:
             said = link.resynchronise("?", status_end, terminator="")
         except RigTimeout:  # a board that a serial port's opening restarted
             said = ""
+        if self._found_asleep is None:
+            self._found_asleep = not said or "<Sleep" in said
         greeting = self.grbl.reset(max(link.settings.reply_timeout_s, 3.0))
         if self.grbl.status().state == "Alarm" and any(f"<{state}" in said for state in OWN_STOPS):
             self.grbl.do("$X")
@@ -466,6 +470,18 @@ class GrblAxis:
             outcome = "the table was stopped and its motor put to sleep" if self.make_safe() else UNCONFIRMED
             self.grbl.broken = None
             raise type(first)(f"{first}; {outcome}", **first.numbers) from error
+
+    def restore(self) -> bool:
+        """Come to rest, with the acceleration and the motor as they were found."""
+        with self.guarded():
+            self.grbl.link.resynchronise("?", status_end, terminator="")
+            self.stop()
+            if self.acceleration_dps2 != self._found_dps2:
+                store_acceleration(self.grbl, self._axis, self._found_dps2)
+            if not self._found_asleep:
+                return self.grbl.status().state == "Idle"
+            self.grbl.do("$SLP")
+            return self.grbl.wait_for(("Sleep",), 0.0).state == "Sleep"
 
     def make_safe(self) -> bool:
         """End the chain, stop, put the motor to sleep."""
@@ -565,6 +581,8 @@ SLOWEST_DEG_PER_MIN = 1.0  # GRBL raises anything slower to this
 class GrblRig(GrblReports):
     """A rate table behind GRBL; opening resets the controller, which ends any motion."""
 
+    servo = None  # commanded steps count as positions
+
     def enable(self, on: bool) -> None:
         """Wake the motor up, or stop and put it to sleep (``$SLP``)."""
         with self._guarded():
@@ -632,13 +650,13 @@ class GrblRig(GrblReports):
         with self._guarded():
             self._axis.stop()
 
-    def close(self) -> None:
-        """Stop, put the motor to sleep, let go of the link; harmless when called again."""
+    def close(self, *, as_found: bool = False) -> None:
+        """Stop, put the motor to sleep or leave it as it was, let go of the link; harmless when called again."""
         if self._closed:
             return
         self._closed = True
         try:
-            confirmed = self._axis.make_safe()
+            confirmed = self._axis.restore() if as_found else self._axis.make_safe()
         finally:
             self._axis.grbl.link.close()
         if not confirmed:

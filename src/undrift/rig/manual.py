@@ -45,6 +45,8 @@ QUESTIONS = 3  # how often an answer that is no number is asked for again
 class ManualRig:
     """A person who is asked, one line at a time."""
 
+    servo = None
+
     def __init__(
         self, ask: Callable[[str], str], limits: Limits = Limits(turn_rate=1e3), clock: Clock = Clock()
     ) -> None:
@@ -123,7 +125,7 @@ class ManualRig:
         """Return None: a person says so when something is wrong."""
         return None
 
-    def close(self) -> None:
+    def close(self, *, as_found: bool = False) -> None:
         """Ask nothing more; harmless when called again."""
         self._closed = True
 

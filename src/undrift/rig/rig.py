@@ -33,6 +33,7 @@ from urllib.parse import parse_qsl
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.errors import InputError, LimitError
 from undrift.plugins import load_named, names_in
 from undrift.rig.programme import Dwell, Programme
@@ -159,8 +160,55 @@ class Position:
     within_s: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gains:
+    """A servo filter, in the controller's own units."""
+
+    kp: float  # Galil: 0 to 1023.875 in steps of 1/8
+    ki: float  # Galil: 0 to 2047.875 in steps of 1/128
+    kd: float  # Galil: 0 to 4095.875 in steps of 1/8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trace:
+    """What a controller recorded by itself, at even steps of its own clock."""
+
+    period_s: float  # From one sample to the next, controller s
+    position: FloatArray  # (n,), rad
+    error: FloatArray  # (n,), commanded minus actual, rad
+
+
+class Servo(Protocol):
+    """What a controller that closes a loop around an encoder adds to a rig."""
+
+    def read_gains(self) -> Gains:
+        """Return the gains that it runs."""
+
+    def set_gains(self, gains: Gains) -> Gains:
+        """Set gains; what the controller holds is returned."""
+
+    def gains_for(self, margin: float, crossover: float, response: complex) -> Gains | None:
+        """Return gains with a phase margin (rad) at a crossover (rad/s), from the open loop's response there."""
+
+    def start(self, span_s: float) -> None:
+        """Begin to record for a while."""
+
+    def recording(self) -> bool:
+        """Return whether it still records."""
+
+    def trace(self) -> Trace:
+        """Wait for the end of the record and return it."""
+
+    def free(self) -> None:
+        """Give back what the records needed."""
+
+
 class Rig(Protocol):
     """One axis that turns a device."""
+
+    @property
+    def servo(self) -> Servo | None:
+        """The loop that it closes, None for a stepper without encoder or a person."""
 
     @property
     def limits(self) -> Limits:
@@ -196,8 +244,8 @@ class Rig(Protocol):
     def fault(self) -> str | None:
         """Return what is wrong with it, or None."""
 
-    def close(self) -> None:
-        """Stop, switch the motor off, let go of the link; harmless when called again."""
+    def close(self, *, as_found: bool = False) -> None:
+        """Stop, switch the motor off (or leave it as it was found), let go of the link; harmless when called again."""
 
 
 # ---- The rate that was achieved, from positions of the encoder over a dwell.
