@@ -9,6 +9,8 @@ from undrift.io.reference import read_reference
 from undrift.report.validation import trial_figure
 from undrift.validation.trial import TrialSettings, validate_trial
 
+pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+
 
 @pytest.mark.parametrize("name", ["02_undisturbed_slow_rotation_B", "05_undisturbed_slow_rotation_with_breaks_B"])
 def test_the_largest_pitch_error_of_the_table_is_drawn(name):

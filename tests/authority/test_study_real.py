@@ -9,7 +9,7 @@ from functools import cache
 
 import pytest
 
-from testkit.broad_trials import DEVICES, FILES, trial
+from testkit.broad_trials import DEVICES, FILES, of_device
 from testkit.data import data_path, show
 from undrift.io.mocap import read_c3d, read_trc
 from undrift.io.reference import device_on, find_body
@@ -26,6 +26,8 @@ from undrift.study.real import (
     sway_rows,
     worn_in,
 )
+
+pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
 
 TRIALS: tuple[tuple[str, Captured, tuple[str, str]], ...] = (
     ("STS1", "sit_to_stand", ("mocap_sit_to_stand", "STS1.trc.gz")),
@@ -70,10 +72,7 @@ def tell(rows: tuple[BesideRow, ...]) -> None:
 
 
 def test_broad_trials_by_level_and_their_agreement() -> None:
-    devices = tuple(
-        DeviceTrials(device=name, names=tuple(FILES[n] for n in numbers), pairs=tuple(trial(n) for n in numbers))
-        for name, numbers in DEVICES.items()
-    )
+    devices = tuple(DeviceTrials(device=name, names=of_device(name)[1], pairs=of_device(name)[0]) for name in DEVICES)
     levels = real_errors(devices)
     none, rest, calibrated, *left_in = levels
     for level in levels:

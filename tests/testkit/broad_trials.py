@@ -22,6 +22,11 @@ FILES = {
 DEVICES = {"B": (2, 5, 7, 9), "C": (3, 24), "D": (32, 35)}  # by their offsets; the data set has no device id
 
 
+def of_device(device: str) -> tuple[tuple[tuple[Record, Reference], ...], tuple[str, ...]]:
+    """Return the trials of a device and their names."""
+    return tuple(trial(number) for number in DEVICES[device]), tuple(FILES[number] for number in DEVICES[device])
+
+
 @cache
 def trial(number: int) -> tuple[Record, Reference]:
     """Return record and reference of a trial."""
