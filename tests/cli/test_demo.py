@@ -16,9 +16,7 @@ from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.report import demo as demo_module
 from undrift.rig.programme import read_protocol
-from undrift.study import virtual_bench as bench_checks_module
-from undrift.study import virtual_bench as bench_demo_module
-from undrift.study import virtual_bench as bench_run_module
+from undrift.study import virtual_bench
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
 CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
@@ -53,7 +51,8 @@ def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_err
 
 
 def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
-    lines = quick[1].stderr.splitlines()
+    # a computer that is busy for a moment loses an answer: the run resumes with a line that says so
+    lines = [line for line in quick[1].stderr.splitlines() if "; resuming, attempt " not in line]
     assert all(" s left  " in line for line in lines)
     assert any("thermal" in line for line in lines)
     left_s = [float(line.split(" s left")[0]) for line in lines]
@@ -82,7 +81,7 @@ def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
     assert len(np.unique(apart.argmin(axis=1))) == len(set_points)
     page = (out / "report.html").read_text()
     assert page.count("<svg") >= 7
-    for title in ("Held against the hidden truth", "The virtual bench", "Rates that the encoder showed", "Table 1"):
+    for title in ("Compared with the hidden truth", "The virtual bench", "Rates that the encoder showed", "Table 1"):
         assert f"<h2>{title}" in page
     assert ">nan<" not in page
 
@@ -113,7 +112,7 @@ def test_a_bench_that_is_interrupted_leaves_no_thread_and_no_socket(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, told=interrupt)
+        record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, tell=interrupt)
     assert set(threading.enumerate()) <= before
     assert read_session(tmp_path / "bench").stills  # what was done is on the disk
 
@@ -127,7 +126,7 @@ def test_a_bench_on_a_busy_computer_resumes_where_an_answer_came_too_late(tmp_pa
         if "thermal 15/" in what and "settling" in what and (error := next(late, None)) is not None:
             raise error
 
-    run = record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, told=starve)
+    run = record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, tell=starve)
     steps = [piece.step for piece in run.thermal.pieces]
     assert sorted(set(steps)) == steps
     assert run.thermal.added < len(steps)
@@ -139,9 +138,9 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     from undrift.cli import demo
 
     worst = (Check(name="never", value=2.0, limit=1.0),)
-    monkeypatch.setattr(bench_run_module, "record_on_bench", lambda *_, **__: None)
-    monkeypatch.setattr(bench_demo_module, "judge_levels", lambda *_: ())
-    monkeypatch.setattr(bench_checks_module, "bench_checks", lambda *_: worst)
+    monkeypatch.setattr(virtual_bench, "record_on_bench", lambda *_, **__: None)
+    monkeypatch.setattr(virtual_bench, "judge_levels", lambda *_: ())
+    monkeypatch.setattr(virtual_bench, "compare_with_truth", lambda *_: worst)
     monkeypatch.setattr(demo_module, "write_demo_report", lambda *_: None)
     monkeypatch.setattr(store_module, "calibration_json", lambda _: {})
     monkeypatch.setattr(study_module, "study_summary", lambda _: {})

@@ -191,9 +191,9 @@ def test_the_page_says_what_decides_which_values_differ_and_why_a_mixed_model_wa
     assert page.index("Answer: the protocol to use") < page.index("Table 1: optimised parameters")
     for wanted in (
         "10 to 40 by 10",
-        "What decides the error: omega_M (deg/s) (0.0",
-        "Missing: 3 of 108 runs",
-        "Since runs are missing, cut-off (Hz) is judged by a mixed model",
+        "<strong>Parameters that decide the error</strong>: omega_M (best to worst 0.0",
+        "<strong>Runs missing</strong>: 3 of 108",
+        "<strong>Mixed model for parameters with missing runs</strong>: cut-off.",
         "mixed model, 1 missing",
         "step: which values differ from the optimum&#39;s",
         "The tests in full",

@@ -50,20 +50,20 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     from undrift.files import write_whole
     from undrift.io.store import calibration_json
     from undrift.report.demo import write_demo_report
-    from undrift.study.virtual_bench import bench_checks, bench_device, bench_plan, judge_levels, record_on_bench
+    from undrift.study.virtual_bench import bench_device, bench_plan, compare_with_truth, judge_levels, record_on_bench
 
     _check_fresh(out)
     device, plan = bench_device(), bench_plan(quick=quick)
     after_s = STUDY_HOST_S[quick] + REST_HOST_S[quick]
     shown = _Shown()
     try:
-        run = record_on_bench(plan, device, out, told=lambda what, left_s: shown(what, left_s + after_s))
+        run = record_on_bench(plan, device, out, tell=lambda what, left_s: shown(what, left_s + after_s))
         shown("fitting calibration and tables, judging a worn trial", after_s)
         fit = _fitted(out)
         trials = judge_levels(fit, _worn(device, out))
         _correct(out)
         study = _studied(quick, out, shown)
-        checks = bench_checks(fit, trials, device)
+        checks = compare_with_truth(fit, trials, device)
         shown("report", 0.5 * REST_HOST_S[quick])
         write_demo_report(out / "report.html", (run, fit, trials), checks, study)
     finally:
@@ -101,8 +101,8 @@ def _check_fresh(out: Path) -> None:
 def _is_demo(out: Path) -> bool:
     """Return whether a demo wrote here, or began to."""
     try:
-        told = text_json.loads((out / "summary.json").read_text())
-        return isinstance(told, dict) and "checks" in told
+        summary = text_json.loads((out / "summary.json").read_text())
+        return isinstance(summary, dict) and "checks" in summary
     except (OSError, ValueError):
         return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "journal.jsonl").is_file()
 

@@ -1,24 +1,13 @@
-"""A virtual bench recorded over real sockets: emulated table, thermal chamber, device and hands; a run folder for each protocol.
+"""The note's method on a virtual bench: emulated table, chamber and device over real sockets, fits, a worn trial, checks.
 
-::
+    bench      faces and rates at room temperature                   -> calibrate    offset, matrix
+    thermal    rates, in the longer plan faces too, at set-points    -> fit_drift    tables
+    a sit-to-stand, worn, warmer -> correct, orient, compare with the optics: none, static, static and dynamic
 
-    bench      faces and rates at room temperature            for the constant calibration
-    thermal    rates, and in the longer plan faces, at set-points    for the tables
-
-All goes over TCP on the loopback through the drivers that drive hardware. Emulated time runs fifty times faster than the host's.
-Rates are what positions of the encoder show against the card's clock; a busy host delays answers, and does not blur them. Hours of
-soaking would still be long, so that this chamber heats by 10 K a second and this board, with its thermometer in moving air, follows
-within seconds.
-
-The note's method on what a virtual bench recorded: constant calibration, tables, and a worn trial at three levels.
-
-::
-
-    bench                        -> calibrate    offset, matrix
-    bench and thermal            -> fit_drift    tables
-    a sit-to-stand, worn, warmer -> correct, orient, compare with the optics     none, static, static and dynamic
-
-Only ``bench_checks`` knows the hidden truth.
+All data cross TCP on the loopback through the drivers that drive hardware; each protocol makes a run folder. Emulated time runs
+fifty times faster than the host's. Rates come from the encoder's positions by the card's clock, so a busy host delays answers
+and does not change them. The chamber heats by 10 K a second, and the board, with its thermometer in moving air, follows within
+seconds; real soaks take hours. Only ``compare_with_truth`` knows the hidden truth.
 """
 
 import logging
@@ -60,179 +49,7 @@ from undrift.study.figure3 import ROOM_TEMP_C, worn_record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial, validate_trial
 
-# ---- The note's method on what a virtual bench recorded: constant calibration, tables, and a worn trial at three levels.
-
-Level = Literal["constant calibration", "static table", "all tables"]
-LEVELS: tuple[Level, ...] = ("constant calibration", "static table", "all tables")
-EXCURSION_K = 12.5  # between the note's 10 and 15
-OPTICS = OpticsSettings(gaps=0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BenchFit:
-    """What the runs gave."""
-
-    constant: Calibration  # Of the bench run alone
-    drift: DriftFit  # Its calibration has the tables
-
-    @property
-    def levels(self) -> tuple[Calibration, Calibration, Calibration]:
-        """Calibrations for each of ``LEVELS``."""
-        full = self.drift.calibration
-        static = replace(full.drift or DriftTables(), scale=None, dynamic=None)
-        return self.constant, replace(full, drift=static), full
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WornTrial:
-    """A sit-to-stand of a person who wears the device."""
-
-    record: Record  # What the device read
-    reference: Reference  # What the optics saw
-
-
-def fit_bench(bench: Session, thermal: Session) -> BenchFit:
-    """Fit what a virtual bench recorded."""
-    constant = calibrate(bench)
-    return BenchFit(constant=constant, drift=fit_drift((bench, thermal), constant))
-
-
-def worn_trial(device: DeviceModel, *, seed: int, excursion_k: float = EXCURSION_K) -> WornTrial:
-    """Simulate a sit-to-stand with a device that its wearer has warmed."""
-    person, noise = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
-    performed = draw_task("sit_to_stand", rng=person)
-    reference = see(performed, rng=person, settings=OPTICS)
-    return WornTrial(record=worn_record(device, performed, excursion_k=excursion_k, rng=noise), reference=reference)
-
-
-def judge_levels(fit: BenchFit, worn: WornTrial) -> tuple[Trial, ...]:
-    """Hold the trial against the optics at each level of correction."""
-    return tuple(
-        validate_trial(worn.record, worn.reference, calibration=calibration, name=name)
-        for name, calibration in zip(LEVELS, fit.levels, strict=True)
-    )
-
-
-# ---- What a virtual bench found, held against the hidden truth: the one place that may look at it.
-
-MATRIX_LIMIT = 3e-3  # half a bit of 12 is 1e-3 of gravity, and there are three axes
-WARM_MATRIX_LIMIT = 6e-3  # fewer and shorter turns at each set-point
-GYRO_LIMIT_DPS = (
-    0.25  # hysteresis of this kind is up to 0.1, what is left of the warm-up 0.05, the wander of an hour the rest
-)
-ACCEL_LIMIT_MG = 5.0  # three bits of 12
-STATIC_SHARE, FULL_SHARE = 0.5, 0.25  # of the error without tables
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
-    """A figure and the limit that it is held to."""
-
-    name: str  # What it is, with its unit
-    value: float  # The figure, and the most that it may be
-    limit: float  # The figure, and the most that it may be
-
-    @property
-    def passed(self) -> bool:
-        """True where the value does not exceed the limit."""
-        return bool(self.value <= self.limit)
-
-
-def bench_checks(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceModel) -> tuple[Check, ...]:
-    """Compare what was found with the hidden truth, and the errors of the trial with each other."""
-    truth = true_calibration(device, temp_c=ROOM_TEMP_C)
-    matrices = tuple(
-        Check(
-            name=f"{name}: matrix against the hidden one, largest element (1)",
-            value=_matrix_apart(one, other),
-            limit=MATRIX_LIMIT,
-        )
-        for name, one, other in (
-            ("accelerometers", fit.constant.accel, truth.accel),
-            ("gyroscopes", fit.constant.gyro, truth.gyro),
-        )
-    )
-    return (*matrices, *_table_checks(fit, device), *_pitch_checks(trials))
-
-
-def board_temperature(device: DeviceModel, reading_c: FloatArray) -> FloatArray:
-    """Return the temperature of the board where a settled thermometer gives a reading.
-
-    Arrays: reading_c (n,) degC -> (n,) degC.
-    """
-    thermometer = device.thermometer
-    felt = (reading_c - thermometer.trim_error_c + 25.0 * thermometer.slope_error) / (1.0 + thermometer.slope_error)
-    board: FloatArray = felt - thermometer.self_heating_c
-    return board
-
-
-def _table_checks(fit: BenchFit, device: DeviceModel) -> tuple[Check, ...]:
-    """Offsets and the gyroscopes' matrix over the temperatures that were measured."""
-    tables, summary = fit.drift.calibration.drift, fit.drift.gyro_summary
-    if tables is None or tables.static is None or summary is None:
-        raise InputError("tables: wanted offsets over temperature, got none; run the thermal programme")
-    nodes = tables.static.temp_c
-    seen = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
-    true = true_tables(device, board_temperature(device, nodes[seen]), np.array([-1.0, 0.0, 1.0]))
-    constant = fit.constant
-    gyro = _offset_apart(constant.gyro, tables, true, seen) / RADIAN_PER_DEGREE
-    accel = _offset_apart(constant.accel, tables, true, seen) / STANDARD_GRAVITY * 1e3
-    checks = [
-        Check(name="gyroscopes: offset over temperature, largest error (deg/s)", value=gyro, limit=GYRO_LIMIT_DPS),
-        Check(name="accelerometers: offset over temperature, largest error (mg)", value=accel, limit=ACCEL_LIMIT_MG),
-    ]
-    if tables.scale is not None and tables.scale.gyro_matrix is not None and true.scale is not None:
-        hidden = true.scale.gyro_matrix
-        pairs = zip(tables.scale.gyro_matrix[seen], () if hidden is None else hidden, strict=True)
-        apart = max(_apart(one, other) for one, other in pairs)
-        name = "gyroscopes: matrix over temperature, largest element (1)"
-        checks.append(Check(name=name, value=apart, limit=WARM_MATRIX_LIMIT))
-    return tuple(checks)
-
-
-def _offset_apart(triad: TriadModel | None, found: DriftTables, true: DriftTables, seen: BoolArray) -> float:
-    """Return the largest error of an offset table, in the unit that the triad makes of readings."""
-    name = "gyro_offset" if triad is not None and triad.unit_out == "rad/s" else "accel_offset"
-    table, hidden = (None if drift.static is None else getattr(drift.static, name) for drift in (found, true))
-    if triad is None or table is None or hidden is None:
-        raise InputError(f"tables: wanted {name} over temperature, got none; run the thermal programme")
-    return float(np.abs((table[seen] - hidden) @ triad.matrix.T).max())
-
-
-def _matrix_apart(found: TriadModel | None, true: TriadModel | None) -> float:
-    if found is None or true is None:
-        raise InputError("matrix: wanted that of both triads, got one missing; record faces and rates")
-    return _apart(found.matrix, true.matrix)
-
-
-def _apart(found: FloatArray, true: FloatArray) -> float:
-    """Return the largest element of M_found M_true^-1 - I."""
-    return float(np.abs(found @ np.linalg.inv(true) - np.eye(3)).max())
-
-
-def _pitch_checks(trials: tuple[Trial, ...]) -> tuple[Check, ...]:
-    none, static, full = (trial.figures for trial in trials)
-    what = "worn sit-to-stand, pitch against the optics"
-    return (
-        Check(
-            name=f"{what}, largest error, static table (deg)",
-            value=static.max_abs_pitch_deg,
-            limit=STATIC_SHARE * none.max_abs_pitch_deg,
-        ),
-        Check(
-            name=f"{what}, largest error, all tables (deg)",
-            value=full.max_abs_pitch_deg,
-            limit=FULL_SHARE * none.max_abs_pitch_deg,
-        ),
-        Check(
-            name=f"{what}, rms, all tables (deg)",
-            value=full.rmse_pitch_deg,
-            limit=FULL_SHARE * none.rmse_pitch_deg,
-        ),
-    )
-
-
-# ---- virtual bench
+# ---- recording on the virtual bench
 
 KIND = "enc03j_3031"
 UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well inside what this kind spreads
@@ -241,23 +58,21 @@ THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
 AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
 SOAK_S = 25.0  # forecast of a soak: overshoot, then the window
-CRYSTAL = ClockSettings(
-    memory_s=1e5, rate_tolerance=1e-4
-)  # a board that samples by a crystal: a busy host does not bend it
+CRYSTAL = ClockSettings(memory_s=1e5, rate_tolerance=1e-4)  # the board samples by a crystal, whatever the host does
 ATTEMPTS = 3  # a computer that is busy for a moment loses an answer; the run resumes
 STEP_HOST_S = 0.04  # sockets and disk take as long for each step, host s
 
 log = logging.getLogger(__name__)
 
-Told = Callable[[str, float], None]  # what is being done, and the seconds of the host that are left of it
+Tell = Callable[[str, float], None]  # gets what is being done, and the seconds of the host that are left of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchPlan:
     """What is recorded on a virtual bench."""
 
-    bench: Protocol  # At room temperature, and at set-points
-    thermal: Protocol  # At room temperature, and at set-points
+    bench: Protocol  # At room temperature
+    thermal: Protocol  # At set-points
     speed: float = 50.0  # Emulated seconds in one of the host's
     soak: SoakSettings = SOAK  # When a set-point counts as reached
     seed: int = 0  # Of the device's noise
@@ -278,9 +93,9 @@ class BenchPlan:
 class BenchRun:
     """What was recorded."""
 
-    plan: BenchPlan  # What was asked for
-    bench: RunResult  # What was done
-    thermal: RunResult  # What was done
+    plan: BenchPlan
+    bench: RunResult
+    thermal: RunResult
     host_s: float  # How long both took, host s
 
 
@@ -318,7 +133,7 @@ def bench_device(seed: int = UNIT_SEED) -> DeviceModel:
     return replace(unit, thermometer=replace(unit.thermometer, lag_s=THERMOMETER_LAG_S))
 
 
-def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, told: Told) -> BenchRun:
+def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
     """Emulate a bench with a device on it and record both protocols."""
     began = time.monotonic()
     emulated = EmulatedBenchSettings(
@@ -327,10 +142,10 @@ def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, told:
     room, warm = plan.programmes
     later_s = warm.duration_s / plan.speed + STEP_HOST_S * len(warm.steps)
     with stopping_on_signals(), start_bench(emulated) as bench:
-        told("virtual bench: faces and rates at room temperature", plan.host_s)
-        first = _record(plan, bench, (plan.bench, room), folder / "bench", _steps("bench", plan, later_s, told))
-        told("virtual bench: set-points in the thermal chamber", later_s)
-        second = _record(plan, bench, (plan.thermal, warm), folder / "thermal", _steps("thermal", plan, 0.0, told))
+        tell("virtual bench: faces and rates at room temperature", plan.host_s)
+        first = _record(plan, bench, (plan.bench, room), folder / "bench", _steps("bench", plan, later_s, tell))
+        tell("virtual bench: set-points in the thermal chamber", later_s)
+        second = _record(plan, bench, (plan.thermal, warm), folder / "thermal", _steps("thermal", plan, 0.0, tell))
     return BenchRun(plan=plan, bench=first, thermal=second, host_s=time.monotonic() - began)
 
 
@@ -391,9 +206,140 @@ def _record_once(
         )
 
 
-def _steps(name: str, plan: BenchPlan, later_s: float, told: Told) -> Callable[[Progress], None]:
+def _steps(name: str, plan: BenchPlan, later_s: float, tell: Tell) -> Callable[[Progress], None]:
     def report(progress: Progress) -> None:
         left_s = progress.left_s / plan.speed + STEP_HOST_S * (progress.steps - progress.number) + later_s
-        told(f"{name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}", left_s)
+        tell(f"{name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}", left_s)
 
     return report
+
+
+# ---- fits and the worn trial
+
+Level = Literal["constant calibration", "static table", "all tables"]
+LEVELS: tuple[Level, ...] = ("constant calibration", "static table", "all tables")
+EXCURSION_K = 12.5  # between the note's 10 and 15
+OPTICS = OpticsSettings(gaps=0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BenchFit:
+    """What the runs gave."""
+
+    constant: Calibration  # Of the bench run alone
+    drift: DriftFit  # Its calibration has the tables
+
+    @property
+    def levels(self) -> tuple[Calibration, Calibration, Calibration]:
+        """Calibrations for each of ``LEVELS``."""
+        full = self.drift.calibration
+        static = replace(full.drift or DriftTables(), scale=None, dynamic=None)
+        return self.constant, replace(full, drift=static), full
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WornTrial:
+    """A sit-to-stand of a person who wears the device."""
+
+    record: Record  # What the device read
+    reference: Reference  # What the optics saw
+
+
+def fit_bench(bench: Session, thermal: Session) -> BenchFit:
+    """Fit what a virtual bench recorded."""
+    constant = calibrate(bench)
+    return BenchFit(constant=constant, drift=fit_drift((bench, thermal), constant))
+
+
+def worn_trial(device: DeviceModel, *, seed: int, excursion_k: float = EXCURSION_K) -> WornTrial:
+    """Simulate a sit-to-stand with a device that its wearer has warmed."""
+    person, noise = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
+    performed = draw_task("sit_to_stand", rng=person)
+    reference = see(performed, rng=person, settings=OPTICS)
+    return WornTrial(record=worn_record(device, performed, excursion_k=excursion_k, rng=noise), reference=reference)
+
+
+def judge_levels(fit: BenchFit, worn: WornTrial) -> tuple[Trial, ...]:
+    """Compare the trial with the optics at each level of correction."""
+    return tuple(
+        validate_trial(worn.record, worn.reference, calibration=calibration, name=name)
+        for name, calibration in zip(LEVELS, fit.levels, strict=True)
+    )
+
+
+# ---- comparison with the hidden truth
+
+MATRIX_LIMIT = 3e-3  # half a bit of 12 is 1e-3 of gravity, and there are three axes
+WARM_MATRIX_LIMIT = 6e-3  # fewer and shorter turns at each set-point
+GYRO_LIMIT_DPS = (
+    0.25  # hysteresis of this kind is up to 0.1, the rest of the warm-up 0.05, random walk of an hour the rest
+)
+ACCEL_LIMIT_MG = 5.0  # three bits of 12
+STATIC_SHARE, FULL_SHARE = 0.5, 0.25  # of the error without tables
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """A figure and its limit."""
+
+    name: str  # What it is, with its unit
+    value: float
+    limit: float  # The most that it may be
+
+    @property
+    def passed(self) -> bool:
+        """True where the value does not exceed the limit."""
+        return bool(self.value <= self.limit)
+
+
+def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceModel) -> tuple[Check, ...]:
+    """Compare the fits with the hidden truth, and the errors of the trial with each other."""
+    found, true = fit.constant, true_calibration(device, temp_c=ROOM_TEMP_C)
+    tables, summary = fit.drift.calibration.drift, fit.drift.gyro_summary
+    if tables is None or tables.static is None or summary is None:
+        raise InputError("tables: wanted offsets over temperature, got none; run the thermal programme")
+    nodes = tables.static.temp_c
+    seen = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
+    warm = true_tables(device, board_temperature(device, nodes[seen]), np.array([-1.0, 0.0, 1.0]))
+    rows = []
+    for name, one, other in (("accelerometers", found.accel, true.accel), ("gyroscopes", found.gyro, true.gyro)):
+        if one is None or other is None:
+            raise InputError("matrix: wanted that of both triads, got one missing; record faces and rates")
+        text = f"{name}: matrix against the true one, largest element (1)"
+        rows.append((text, _apart(one.matrix, other.matrix), MATRIX_LIMIT))
+    gyro = _offset_apart(found.gyro, tables, warm, seen) / RADIAN_PER_DEGREE
+    accel = _offset_apart(found.accel, tables, warm, seen) / STANDARD_GRAVITY * 1e3
+    rows.append(("gyroscopes: offset over temperature, largest error (deg/s)", gyro, GYRO_LIMIT_DPS))
+    rows.append(("accelerometers: offset over temperature, largest error (mg)", accel, ACCEL_LIMIT_MG))
+    scale, hidden = tables.scale, None if warm.scale is None else warm.scale.gyro_matrix
+    if scale is not None and scale.gyro_matrix is not None and hidden is not None:
+        apart = max(_apart(one, other) for one, other in zip(scale.gyro_matrix[seen], hidden, strict=True))
+        rows.append(("gyroscopes: matrix over temperature, largest element (1)", apart, WARM_MATRIX_LIMIT))
+    none, static, full = (trial.figures for trial in trials)
+    largest, what = none.max_abs_pitch_deg, "worn sit-to-stand, pitch against the optics"
+    rows.append((f"{what}, largest error, static table (deg)", static.max_abs_pitch_deg, STATIC_SHARE * largest))
+    rows.append((f"{what}, largest error, all tables (deg)", full.max_abs_pitch_deg, FULL_SHARE * largest))
+    rows.append((f"{what}, rms, all tables (deg)", full.rmse_pitch_deg, FULL_SHARE * none.rmse_pitch_deg))
+    return tuple(Check(name=name, value=value, limit=limit) for name, value, limit in rows)
+
+
+def board_temperature(device: DeviceModel, reading_c: FloatArray) -> FloatArray:
+    """Return the temperature of the board, degC, where a settled thermometer gives a reading."""
+    thermometer = device.thermometer
+    felt = (reading_c - thermometer.trim_error_c + 25.0 * thermometer.slope_error) / (1.0 + thermometer.slope_error)
+    board: FloatArray = felt - thermometer.self_heating_c
+    return board
+
+
+def _offset_apart(triad: TriadModel | None, found: DriftTables, true: DriftTables, seen: BoolArray) -> float:
+    """Return the largest error of an offset table, in the unit of the triad's output."""
+    name = "gyro_offset" if triad is not None and triad.unit_out == "rad/s" else "accel_offset"
+    table, hidden = (None if drift.static is None else getattr(drift.static, name) for drift in (found, true))
+    if triad is None or table is None or hidden is None:
+        raise InputError(f"tables: wanted {name} over temperature, got none; run the thermal programme")
+    return float(np.abs((table[seen] - hidden) @ triad.matrix.T).max())
+
+
+def _apart(found: FloatArray, true: FloatArray) -> float:
+    """Return the largest element of M_found M_true^-1 - I."""
+    return float(np.abs(found @ np.linalg.inv(true) - np.eye(3)).max())
