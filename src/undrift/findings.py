@@ -105,12 +105,280 @@ CATALOGUE: dict[str, Entry] = {
     # ---- any file written before findings had codes
     "earlier.text": Entry(4, "{text}"),
     # ---- calibration: session, stills, temperature
+    "session.temperatures": Entry(
+        3,
+        "Several temperatures in one session",
+        "{groups} from {least_temp_c:.1f} to {most_temp_c:.1f} degC; the {pieces} stills and turns at {temp_c:.1f} degC were used",
+        "make tables of all with undrift drift",
+    ),
+    "session.one_temperature": Entry(
+        3,
+        "Calibrated at one temperature",
+        "offset and scale hold near {temp_c:.1f} degC",
+        "for others, record a thermal session and run undrift drift",
+    ),
+    "session.unknown_temperature": Entry(
+        3,
+        "Calibrated at one unknown temperature",
+        "no temperature was recorded",
+        "for others, record a thermal session and run undrift drift",
+    ),
+    "session.no_still": Entry(3, "No rest found in recording {recording}", "{reason}"),
+    "session.short_pauses": Entry(
+        3,
+        "Pauses too short in recording {recording}",
+        "{pauses} pauses were shorter than the {least_s:g} s that a pose must last",
+        "hold each for 3 s or more",
+    ),
+    "session.too_few_poses": Entry(
+        3,
+        "Accelerometer not observable",
+        "wanted rests on six faces or {wanted} free poses, got {rests}; faces without a rest: {missing}",
+        "record them",
+    ),
+    "session.fit_failed": Entry(3, "Full fit not possible: {triad}", "{reason}"),
+    "still.sway": Entry(
+        1,
+        "{still} not at rest ({stills} above the limit)",
+        "readings that sway by up to {sway:.3g} {unit} rms",
+        "shorten it to the part at rest, or leave it out",
+    ),
+    "still.tilt": Entry(
+        1,
+        "{still} not at rest ({stills} above the limit)",
+        "a tilt of {tilt_deg:.2f} deg from its first to its last third",
+        "shorten it to the part at rest, or leave it out",
+    ),
+    "still.rate": Entry(
+        1,
+        "{still} not at rest ({stills} above the limit)",
+        "a mean rate {rate:.3g} {unit} off that of the other stills",
+        "check for a slow turn, another unit, or offset drift; warm the device up before recording",
+    ),
+    "paper_mode.offset_left": Entry(
+        1,
+        "Mode paper: offset left in the readings",
+        "offset ({offset:.4g}) {unit}; the gain along it is {loss_percent:.2g} % too small",
+        "remove the offset first, or use mode affine",
+    ),
+    "paper_mode.offset_removed": Entry(
+        4, "Mode paper: offset removed before the fit", "it is the mean of opposite inputs or of the rests"
+    ),
+    "paper_mode.not_used": Entry(
+        3, "Mode {mode} not used for the {triad}", "{method} has no such mode", "for it, record {needs}"
+    ),
     # ---- calibration: six faces
+    "six_face.fixture": Entry(
+        3,
+        "Sensor misalignment not separated from the fixture",
+        "the axes are those of the faces, and a case out of square counts as misaligned sensors",
+        "record nine or more free poses to measure the angles between the sensors",
+    ),
+    "six_face.face_missing": Entry(
+        2, "Face {face} is missing", "its axis relies on the offset of the others", "record it"
+    ),
+    "six_face.short_faces": Entry(
+        2,
+        "Mode affine used in place of levelled",
+        "the faces are too short to estimate the noise of their means",
+        "rest 6 s",
+    ),
+    "six_face.tilt_large": Entry(
+        2,
+        "Faces tilted by {tilt_deg:.2f} deg (1 sigma)",
+        "six faces do not separate tilt from misaligned sensors; the uncertainty of the cross-axis terms includes it",
+        "align the fixture, or rest in nine or more free poses",
+    ),
+    "six_face.tilt_small": Entry(
+        4,
+        "Faces level within {tilt_deg:.1g} deg (1 sigma)",
+        "the uncertainty of the cross-axis terms includes it",
+    ),
+    "six_face.tilt_left_out": Entry(
+        2,
+        "Mode paper assumes level faces",
+        "they are tilted by {tilt_deg:.2g} deg (1 sigma); the uncertainty excludes that, about {gain_share:.2g} of the gain",
+        "use mode levelled",
+    ),
+    "six_face.scatter": Entry(
+        2,
+        "Residuals {ratio:.1f} times the noise of the means",
+        "the faces were not level, and the uncertainty excludes that",
+        "use mode levelled",
+    ),
     # ---- calibration: rate table
+    "gyro.not_observable": Entry(3, "Gyroscope not observable", "", "record turns by known rates or angles"),
+    "gyro.offset_alone": Entry(
+        3,
+        "Gyroscope: offset alone",
+        "the scale is the unit's own and was not checked",
+        "record turns by known rates or angles",
+    ),
+    "gyro.offset_in_counts": Entry(
+        3,
+        "Gyroscope offset not kept: no scale",
+        "at rest it reads ({offset:.5g}) {unit} within {uncertainty:.2g}",
+        "give the scale of the columns, or record turns",
+    ),
+    "gyro.scale_factor": Entry(
+        1,
+        "Implausible scale factor of gyroscope {axis}",
+        "it is {off_percent:+.1f} % off the unit's own scale",
+        "check the conversion from counts, the range setting, the stated rates or angles and the sample rate",
+    ),
+    "rate_table.axes_missing": Entry(
+        3,
+        "Rate table: no turns about {missing}",
+        "turns about {turned} alone do not show the scale factors and cross-axis terms of the others",
+        "mount the device with each axis along the table's axis in turn",
+    ),
+    "rate_table.axis": Entry(
+        4,
+        "Turns about {axis}: scale factor {scale:.5g} {unit}",
+        "uncertain by {uncertainty_percent:.2g} %; nonlinearity {nonlinearity_dps:.2g} deg/s ({nonlinearity_percent:.2g} %), "
+        "asymmetry {asymmetry_percent:.2g} %",
+    ),
+    "rate_table.rates_not_stated": Entry(
+        3, "{turns} steady turns without a rate", "", "state the turn_rate_dps and axis of each to use them"
+    ),
+    "rate_table.no_accel": Entry(
+        3,
+        "g-sensitivity of the gyroscopes not observable",
+        "the session has no accelerometer rests on six faces",
+        "record them in the same session",
+    ),
+    "rate_table.g_sensitivity": Entry(
+        4,
+        "g-sensitivity up to {dps_per_g:.2g} (deg/s)/g",
+        "fitted from dwells and rests; corrected by the specific force",
+    ),
+    "rate_table.drift": Entry(
+        2,
+        "Offset drift in the session: {dps_per_minute:.2g} deg/s per minute",
+        "random walk, 1 sigma; wanted {wanted:g}; the offset holds for the middle of the session",
+        "warm the device up before, and rest before and after the dwells",
+    ),
+    "rate_table.axis_offset": Entry(
+        2,
+        "Offset differs by {offset_dps:.2g} deg/s between table axes",
+        "wanted {wanted:g}; it hardly changes with time, which points to g-sensitivity; the offset is a mean over the poses",
+        "rest on six faces in the same session to fit the g-sensitivity",
+    ),
+    "rate_table.scatter": Entry(
+        2,
+        "Residuals {ratio:.1f} times the noise",
+        "{residual_percent:.2g} % of the largest rate (wanted {wanted:g} %); the uncertainty is widened by that",
+        "check for vibration, nonlinearity, or a table that turns unevenly",
+    ),
+    "rate_table.uncertainty": Entry(
+        2,
+        "Gyroscope matrix uncertain by {uncertainty_percent:.2g} %",
+        "largest element, 1 sigma; wanted {wanted:g} %",
+        "turn at more rates, dwell longer, and check the residual of each dwell",
+    ),
     # ---- calibration: known rotation
+    "known_rotation.needs_accel": Entry(
+        3,
+        "Turns by known angles need an accelerometer",
+        "its readings at rest on six faces give the g-sensitivity",
+        "map the accel columns, or turn at known rates",
+    ),
+    "known_rotation.needs_faces": Entry(3, "Turns by known angles need all six faces", "", "rest on each face"),
+    "known_rotation.needs_turns": Entry(
+        3,
+        "No turns by known angles",
+        "wanted one about each axis, got none",
+        "turn the device once about x, y and z between two rests and state angle_deg",
+    ),
+    "known_rotation.turns_found": Entry(
+        2, "Three full turns found", "used as {turns}", "state angle_deg to confirm them"
+    ),
+    "known_rotation.no_spare_equations": Entry(
+        2, "Turn angles not checked", "each turn is one equation for its column of the matrix; none is spare"
+    ),
+    "known_rotation.angles_exact": Entry(
+        2,
+        "Turn angles assumed exact",
+        "1 deg of 360 deg is 0.28 % of scale; the uncertainty excludes it",
+        "give angle_uncertainty",
+    ),
+    "known_rotation.other_rates": Entry(
+        3,
+        "Scale at other rates not observable",
+        "turns by known angles give one scale for all rates",
+        "use a rate table",
+    ),
     # ---- calibration: multi-position
+    "multi_position.mounting": Entry(
+        3,
+        "Sensor mounting in the case not observable",
+        "free poses show lengths alone; the axes are the accelerometer's own",
+        "rest on six faces of the case",
+    ),
+    "multi_position.g_sensitivity": Entry(
+        3,
+        "g-sensitivity of the gyroscopes not observable",
+        "moves between poses do not show it; assumed zero",
+        "rest on six faces and turn by known angles about x, y and z, or use a rate table",
+    ),
+    "multi_position.residual": Entry(
+        1,
+        "Poses miss gravity by {rms_mg:.2g} mg rms",
+        "wanted {wanted:g} mg; the device moved in some of them, or the sensor is not linear",
+        "repeat the poses that moved",
+    ),
+    "multi_position.uncertainty": Entry(
+        2,
+        "Corrected gravity uncertain by {uncertainty_mg:.2g} mg",
+        "wanted {wanted:g} mg",
+        "record more poses, held longer",
+    ),
+    "multi_position.cross_axis_fixed": Entry(4, "Cross-axis terms fixed at zero", "they were not fitted"),
+    "multi_position.scale_alone": Entry(
+        3, "Accelerometer: scale and offset alone", "cross-axis terms were not observable and are zero"
+    ),
+    "multi_position.moves_miss": Entry(
+        1,
+        "Moves miss gravity by {rms_deg:.2g} deg rms",
+        "wanted {wanted:g} deg",
+        "turn more slowly, rest longer between turns",
+    ),
+    "multi_position.gyro_uncertainty": Entry(
+        2,
+        "Gyroscope matrix uncertain by {uncertainty_percent:.2g} %",
+        "largest element, 1 sigma; wanted {wanted:g} %",
+        "make more and larger turns",
+    ),
+    "multi_position.gyro_drift": Entry(
+        2,
+        "Offset drift of {drift_dps:.2g} deg/s in the session",
+        "wanted {wanted:g}; followed from still to still, its mean is kept, and the uncertainty includes the drift",
+        "warm the device up before",
+    ),
     # ---- calibration: reference
+    "reference.uncertainty": Entry(
+        2,
+        "Gyroscope matrix uncertain by {uncertainty_percent:.2g} %",
+        "largest element, 1 sigma; wanted 0.2 %",
+        "record longer, with more turning about every axis",
+    ),
+    "reference.rest_offset": Entry(
+        2,
+        "Rest offset differs by {spread_dps:.3f} deg/s between recordings",
+        "standard deviation; wanted 0.03",
+        "warm the device up before each",
+    ),
+    "reference.g_sensitivity": Entry(4, "g-sensitivity not significant", "", "leave it out"),
     # ---- calibration: noise and ADC
+    "noise.not_observable": Entry(
+        3, "{triad} {axes}: {term} not observable", "record of {duration_s:.0f} s", "record longer at rest"
+    ),
+    "noise.model_error": Entry(
+        1,
+        "{triad}: Allan curve departs from the model",
+        "by {error_percent:.0f} % of the variance; the readings are filtered or disturbed",
+        "record raw readings on a bench without vibration",
+    ),
     # ---- drift: sessions and temperature
     # ---- drift: offsets over temperature
     # ---- drift: scale and dynamic drift

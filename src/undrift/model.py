@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
-from undrift.findings import Finding, most_consequential_first
+from undrift.findings import Finding, Level, most_consequential_first
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
 Status = Literal["good", "marginal", "bad"]
@@ -54,6 +54,12 @@ class Verdict:
         """The findings as texts, most consequential first."""
         return (*(item.text for item in most_consequential_first(self.findings)), *self.remarks)
 
+    @classmethod
+    def of(cls, *findings: Finding) -> "Verdict":
+        """Return the verdict that follows from findings: bad with a fail, marginal with a warn, else good."""
+        levels = {item.level for item in findings}
+        return cls(status="bad" if "fail" in levels else "marginal" if "warn" in levels else "good", findings=findings)
+
     def also(self, other: "Verdict") -> "Verdict":
         """Return both verdicts as one: the worse status, all findings, each once."""
         worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
@@ -63,6 +69,11 @@ class Verdict:
             findings=(*self.findings, *(item for item in other.findings if item.text not in known)),
             remarks=(*self.remarks, *(r for r in other.remarks if r not in self.remarks)),
         )
+
+
+def level_of(value: float, limits: tuple[float, float]) -> Level:
+    """Return warn above the first of two limits, fail above the second, else info."""
+    return "fail" if value > limits[1] else "warn" if value > limits[0] else "info"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,9 +91,9 @@ class TriadModel:
     offset : array, shape (3,)
         Reading at zero input and reference temperature, unit_in.
     g_sensitivity : array, shape (3, 3), or None
-        Rate that one m/s2 of specific force feigns, unit_out per m/s2; gyroscopes only.
+        Apparent rate for each m/s2 of specific force, unit_out per m/s2; gyroscopes only.
     parameters : tuple of str
-        Names of the parameters that ``covariance`` speaks of: m_xx..m_zz row by row, offset_x.., g_xx..
+        Names of the rows of ``covariance``: m_xx..m_zz row by row, offset_x.., g_xx..
     covariance : array, shape (P, P)
         Of those parameters, in their units; a parameter that was held fixed has zeros.
     rms_residual : float
@@ -113,9 +124,9 @@ class TriadModel:
 
     def __post_init__(self) -> None:
         p = len(self.parameters)
-        _freeze(self, matrix=(3, 3), offset=(3,), covariance=(p, p))
-        if self.g_sensitivity is not None:
-            _freeze(self, g_sensitivity=(3, 3))
+        _freeze(self, (3, 3), "matrix", "g_sensitivity")
+        _freeze(self, (3,), "offset")
+        _freeze(self, (p, p), "covariance")
 
     @property
     def standard_uncertainty(self) -> FloatArray:
@@ -140,22 +151,27 @@ class TriadModel:
         axes: FloatArray = self.forward_matrix / self.scale_factor[:, None]
         return axes
 
+    @property
+    def relative_uncertainty(self) -> float:
+        """Largest standard uncertainty of an element of matrix @ K: 0.01 is one per cent of the gain."""
+        sigma = self.standard_uncertainty[:9].reshape(3, 3)
+        return float((sigma @ np.abs(self.forward_matrix)).max())
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WarmUp:
-    """Extra offset of a device that was switched on a short while ago; it dies away to zero."""
+    """Extra offset of a device after power-on; it decays to zero."""
 
     power_on_s: FloatArray  # (k,), nodes of the time since power-on, s, increasing from 0
-    gyro_offset: FloatArray  # (k, 3), to be added to the settled offset, raw unit; the last row is zero
+    gyro_offset: FloatArray  # (k, 3), added to the settled offset, raw unit; the last row is zero
 
     def __post_init__(self) -> None:
-        _freeze(self, power_on_s=(None,))
-        _check_nodes(self.power_on_s, "warm-up power_on_s")
-        _freeze(self, gyro_offset=(len(self.power_on_s), 3))
+        _freeze_nodes(self, "warm-up", "power_on_s")
+        _freeze(self, (len(self.power_on_s), 3), "gyro_offset")
         if self.power_on_s[0] != 0.0 or self.gyro_offset[-1].any():
             raise InputError(
                 f"warm-up: wanted nodes from 0 s to an offset of zero, got {self.power_on_s[0]:g} s and "
-                f"{np.abs(self.gyro_offset[-1]).max():g} at the end; the settled offset belongs into the static table"
+                f"{np.abs(self.gyro_offset[-1]).max():g} at the end; put the settled offset into the static table"
             )
 
 
@@ -170,17 +186,15 @@ class StaticDrift:
     accel_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node, raw unit
     gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
     accel_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
-    # (3,), half the loop: offset while cooling minus offset while warming, over two, raw unit; the table holds the
-    # middle
+    # (3,), half-width: offset while cooling minus offset while warming, over two, raw unit; the table holds the mean
     gyro_hysteresis: FloatArray | None = None
-    warm_up: WarmUp | None = None  # Extra offset after power-on
+    warm_up: WarmUp | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, temp_c=(None,))
+        _freeze_nodes(self, "static drift", "temp_c")
         n = len(self.temp_c)
-        _check_nodes(self.temp_c, "static drift temp_c")
-        _freeze_some(self, (n, 3), "gyro_offset", "accel_offset", "gyro_uncertainty", "accel_uncertainty")
-        _freeze_some(self, (3,), "gyro_hysteresis")
+        _freeze(self, (n, 3), "gyro_offset", "accel_offset", "gyro_uncertainty", "accel_uncertainty")
+        _freeze(self, (3,), "gyro_hysteresis")
         _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
 
 
@@ -197,16 +211,15 @@ class ScaleDrift:
     accel_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
 
     def __post_init__(self) -> None:
-        _freeze(self, temp_c=(None,))
+        _freeze_nodes(self, "scale drift", "temp_c")
         n = len(self.temp_c)
-        _check_nodes(self.temp_c, "scale drift temp_c")
-        _freeze_some(self, (n, 3, 3), "gyro_matrix", "accel_matrix", "gyro_uncertainty", "accel_uncertainty")
+        _freeze(self, (n, 3, 3), "gyro_matrix", "accel_matrix", "gyro_uncertainty", "accel_uncertainty")
         _freeze_marks(self, (n,), "gyro_extrapolated", "accel_extrapolated")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DynamicDrift:
-    """Rate error left over after static and matrix correction: e(measured rate, T), bilinear."""
+    """Rate error that remains after static and matrix correction: e(measured rate, T), bilinear."""
 
     temp_c: FloatArray  # (m,), nodes, degC, increasing
     turn_rate: FloatArray  # (k,), nodes of the measured rate, rad/s, increasing
@@ -215,12 +228,9 @@ class DynamicDrift:
     extrapolated: BoolArray | None = None  # (m, k), true where no data were near the node
 
     def __post_init__(self) -> None:
-        _freeze(self, temp_c=(None,), turn_rate=(None,))
+        _freeze_nodes(self, "dynamic drift", "temp_c", "turn_rate")
         m, k = len(self.temp_c), len(self.turn_rate)
-        _check_nodes(self.temp_c, "dynamic drift temp_c")
-        _check_nodes(self.turn_rate, "dynamic drift turn_rate")
-        _freeze(self, error=(m, k, 3))
-        _freeze_some(self, (m, k, 3), "uncertainty")
+        _freeze(self, (m, k, 3), "error", "uncertainty")
         _freeze_marks(self, (m, k), "extrapolated")
 
 
@@ -237,9 +247,9 @@ class DriftTables:
     dynamic : DynamicDrift or None
         Rate-dependent error over temperature.
     lag_s : float
-        Time constant by which the thermometer trails the sensors, s; the tables are over the temperature without it.
+        Time constant by which the thermometer lags the sensors, s; the tables are over the temperature without it.
     lag_smooth_s : float
-        Time constant of the smoothing that taking the lag off needs, s; above 0 where there is a lag.
+        Time constant of the smoothing that removing the lag needs, s; above 0 where there is a lag.
     """
 
     static: StaticDrift | None = None
@@ -253,13 +263,13 @@ class DriftTables:
         if not (0.0 <= lag < np.inf and 0.0 <= smooth < np.inf) or (lag > 0.0 and smooth == 0.0):
             raise InputError(
                 "drift tables: wanted lag_s and lag_smooth_s of 0 s or more, with a lag the smoothing above 0, "
-                f"got {lag:g} and {smooth:g}; drift.lag.default_smooth_s gives one"
+                f"got {lag:g} and {smooth:g}; give both, or neither"
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdcModel:
-    """How codes were made of voltages: the step and the rounding of each triad.
+    """Step and rounding of the codes of each triad.
 
     Parameters
     ----------
@@ -275,25 +285,23 @@ class AdcModel:
     accel_rounding: Rounding = "nearest"
 
     def __post_init__(self) -> None:
-        for name in ("gyro_lsb", "accel_lsb"):
-            if getattr(self, name) is not None:
-                _freeze(self, **{name: (3,)})
+        _freeze(self, (3,), "gyro_lsb", "accel_lsb")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseModel:
-    """Noise coefficients of both triads at rest, as IEEE Std 952 names them; NaN where the record was too short to tell."""
+    """Noise coefficients of both triads at rest, as IEEE Std 952 names them, (3,) each; NaN where not observable."""
 
-    angle_random_walk: FloatArray  # (3,), gyroscopes: rad/s/sqrt(Hz), rad/s, rad/s/sqrt(s)
-    bias_instability: FloatArray  # (3,), gyroscopes: rad/s/sqrt(Hz), rad/s, rad/s/sqrt(s)
-    rate_random_walk: FloatArray  # (3,), gyroscopes: rad/s/sqrt(Hz), rad/s, rad/s/sqrt(s)
-    velocity_random_walk: FloatArray  # (3,), accelerometers: m/s2/sqrt(Hz), m/s2, m/s2/sqrt(s)
-    accel_bias_instability: FloatArray  # (3,), accelerometers: m/s2/sqrt(Hz), m/s2, m/s2/sqrt(s)
-    accel_random_walk: FloatArray  # (3,), accelerometers: m/s2/sqrt(Hz), m/s2, m/s2/sqrt(s)
+    angle_random_walk: FloatArray  # rad/s/sqrt(Hz)
+    bias_instability: FloatArray  # rad/s
+    rate_random_walk: FloatArray  # rad/s/sqrt(s)
+    velocity_random_walk: FloatArray  # m/s2/sqrt(Hz)
+    accel_bias_instability: FloatArray  # m/s2
+    accel_random_walk: FloatArray  # m/s2/sqrt(s)
 
     def __post_init__(self) -> None:
-        _freeze(self, angle_random_walk=(3,), bias_instability=(3,), rate_random_walk=(3,))
-        _freeze(self, velocity_random_walk=(3,), accel_bias_instability=(3,), accel_random_walk=(3,))
+        _freeze(self, (3,), "angle_random_walk", "bias_instability", "rate_random_walk")
+        _freeze(self, (3,), "velocity_random_walk", "accel_bias_instability", "accel_random_walk")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -355,17 +363,49 @@ class Calibration:
     verdict: Verdict = Verdict()
     provenance: Provenance = Provenance()
 
+    def __repr__(self) -> str:
+        where = "unknown temperature" if np.isnan(self.reference_temp_c) else f"{self.reference_temp_c:.1f} degC"
+        count = len(self.verdict.reasons)
+        return "\n".join((
+            f"Calibration of {self.device or 'a device without serial number'} at {where}",
+            f"gyro     {_in_a_line(self.gyro)}",
+            f"accel    {_in_a_line(self.accel)}",
+            f"drift    {'no tables' if self.drift is None else _tables_in_a_line(self.drift)}",
+            f"verdict  {self.verdict.status}, {count} finding{'' if count == 1 else 's'}",
+        ))  # fmt: skip
 
-def _freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
-    for name, shape in shapes.items():
-        array: ArrayLike = getattr(value, name)
-        object.__setattr__(value, name, frozen(array, shape, f"{type(value).__name__}.{name}"))
+
+def _in_a_line(triad: TriadModel | None) -> str:
+    if triad is None:
+        return "not calibrated"
+    scale = ", ".join(f"{value:.5g}" for value in triad.scale_factor)
+    return (
+        f"{triad.method}: scale {scale} {triad.unit_in} per {triad.unit_out}, uncertain by up to "
+        f"{100.0 * triad.relative_uncertainty:.2g} % (1 sigma)"
+    )
 
 
-def _freeze_some(value: object, shape: tuple[int, ...], *names: str) -> None:
+def _tables_in_a_line(drift: DriftTables) -> str:
+    tables = {"static": drift.static, "scale": drift.scale, "dynamic": drift.dynamic}
+    shown = [f"{name} {t.temp_c[0]:.1f} to {t.temp_c[-1]:.1f} degC" for name, t in tables.items() if t is not None]
+    return ", ".join(shown) or "no tables"
+
+
+def _freeze(value: object, shape: tuple[int | None, ...], *names: str) -> None:
     for name in names:
-        if getattr(value, name) is not None:
-            _freeze(value, **{name: shape})
+        array: ArrayLike | None = getattr(value, name)
+        if array is not None:
+            object.__setattr__(value, name, frozen(array, shape, f"{type(value).__name__}.{name}"))
+
+
+def _freeze_nodes(value: object, table: str, *names: str) -> None:
+    _freeze(value, (None,), *names)
+    for name in names:
+        nodes = getattr(value, name)
+        if len(nodes) < 2 or not (np.diff(nodes) > 0.0).all():
+            raise InputError(
+                f"{table} {name}: wanted two or more increasing nodes, got {len(nodes)}; sort and merge them"
+            )
 
 
 def _freeze_marks(value: object, shape: tuple[int, ...], *names: str) -> None:
@@ -379,8 +419,3 @@ def _freeze_marks(value: object, shape: tuple[int, ...], *names: str) -> None:
                 )
             held.flags.writeable = False
             object.__setattr__(value, name, held)
-
-
-def _check_nodes(nodes: FloatArray, name: str) -> None:
-    if len(nodes) < 2 or not (np.diff(nodes) > 0.0).all():
-        raise InputError(f"{name}: wanted two or more increasing nodes, got {len(nodes)}; sort and merge them")

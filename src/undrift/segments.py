@@ -167,10 +167,7 @@ def _white(values: FloatArray, smooth: int) -> float:
 
 
 def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[FloatArray, FloatArray]:
-    """Return the mean and the spread of every window of a smoothed triad.
-
-    Arrays: values (N, 3) -> (M, 3), (M,).
-    """
+    """Return the mean and the spread of every window of a smoothed triad: values (N, 3) -> (M, 3), (M,)."""
     gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
     centre = values[~gap].mean(axis=0) if (~gap).any() else np.zeros(3)
     smoothed = _running_mean(np.where(gap[:, None], 0.0, values - centre), smooth)
@@ -273,10 +270,7 @@ def _phases(quiet: BoolArray, count: int, edge: int, shortest: int, recording: i
 
 
 def runs(flag: BoolArray) -> IntArray:
-    """Return the stretches where a flag is up.
-
-    Arrays: flag (N,) -> (R, 2).
-    """
+    """Return the stretches where a flag is up: flag (N,) -> (R, 2)."""
     change = np.flatnonzero(np.diff(np.concatenate(([False], flag, [False])).astype(np.int8)))
     return change.reshape(-1, 2)
 
@@ -298,10 +292,7 @@ def _why_none(thresholds: list[StillThreshold], settings: StillSettings) -> str:
 
 
 def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
-    """Return the mean reading of each still phase, gaps left out.
-
-    Arrays: values (N, 3) -> (P, 3).
-    """
+    """Return the mean reading of each still phase, gaps left out: values (N, 3) -> (P, 3)."""
     for still in stills:
         if np.isnan(values[still.start : still.stop]).all(axis=0).any():
             raise InputError(
@@ -321,10 +312,7 @@ def label_faces(record: Record, stills: Sequence[Still], *, margin_deg: float = 
 
 
 def faces_of(means: FloatArray, *, centred: bool, margin_deg: float = 15.0) -> tuple[Face | None, ...]:
-    """Name the axis that points up for each mean reading.
-
-    Arrays: means (P, 3).
-    """
+    """Name the axis that points up for each mean reading: means (P, 3)."""
     up = means if centred else means - _sphere_centre(means)
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     faces: list[Face | None] = []

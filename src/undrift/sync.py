@@ -94,10 +94,7 @@ class RunningIntegral:
         self._sum = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(area, axis=0)))
 
     def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the mean reading of each stretch.
-
-        Arrays: start (K,) s, stop (K,) s -> (K, C), (K,).
-        """
+        """Return the mean reading of each stretch: start (K,) s, stop (K,) s -> (K, C), (K,)."""
         first, at_first = self._at(start)
         last, at_last = self._at(stop)
         valid = (start >= self.time[0]) & (stop <= self.time[-1])
@@ -113,10 +110,7 @@ class RunningIntegral:
 
 
 def box_sums(values: FloatArray, width: int) -> FloatArray:
-    """Return sums over every run of ``width`` rows.
-
-    Arrays: values (K, C) -> (K - width + 1, C).
-    """
+    """Return sums over every run of ``width`` rows: values (K, C) -> (K - width + 1, C)."""
     total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
     sums: FloatArray = total[width:] - total[:-width]
     return sums
@@ -129,10 +123,7 @@ LEAST_OVERLAP = 0.3  # of the shorter side
 
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
-    """Return the lag at which the lengths of the two rates correlate best.
-
-    Arrays: time (N,) s, gyro (N, 3).
-    """
+    """Return the lag at which the lengths of the two rates correlate best: time (N,) s, gyro (N, 3)."""
     centred = gyro - _offset(gyro)
     u, w = np.linalg.norm(centred, axis=1), np.linalg.norm(rates.rate, axis=1)
     middle = 0.5 * (rates.start + rates.stop)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.findings import only
 from undrift.calibration.rate_table import RateTableSettings, dwell_means, fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable
 from undrift.record import Record, Turn
@@ -63,7 +64,7 @@ def test_the_bosch_sensor_is_within_its_line_and_scale(run):
     assert -0.12 - 2.0 * uncertainty < fit.offset[1] < 0.01 + 2.0 * uncertainty
     assert uncertainty < 0.1
     assert 0.0 < abs(lag) < 0.7
-    assert "do not show the scale factors of x and z" in fit.verdict.reasons[0]
+    assert only(fit.verdict.findings, "rate_table.axes_missing").values["missing"] == ("x", "z")
     with pytest.raises(NotObservable, match="got none about x, z"):
         fit_rate_table(dwells)
 

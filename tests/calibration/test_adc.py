@@ -48,14 +48,14 @@ def test_a_resting_device_does_not_tell_its_rounding():
     np.testing.assert_allclose(found.lsb, 1.0)
 
 
-def test_an_offset_taken_off_the_codes_hides_the_rounding_but_not_the_step():
+def test_an_offset_subtracted_from_the_codes_hides_the_rounding_but_not_the_step():
     codes = np.trunc(sweeping(np.random.default_rng(4))) + 0.37
     step, phase = code_grid(codes[:, 0])
     assert step == pytest.approx(1.0)
     assert phase == pytest.approx(0.37, abs=1e-6)
     found = identify_adc(codes)
     assert found.rounding is None
-    assert "an offset was taken off the codes" in found.reason
+    assert "an offset was subtracted from the codes" in found.reason
 
 
 def test_few_readings_or_constant_ones_have_no_grid():
@@ -63,7 +63,7 @@ def test_few_readings_or_constant_ones_have_no_grid():
     assert np.isnan(code_grid(np.array([1.0, 2.0, np.nan]))[0])
 
 
-def test_the_model_keeps_only_what_was_told_for_certain():
+def test_the_model_keeps_only_what_is_certain():
     known = identify_adc(np.trunc(sweeping(np.random.default_rng(5))))
     unknown = AdcFinding(
         lsb=np.ones(3), rounding=None, ratio=np.full(3, np.nan), ratio_uncertainty=np.full(3, np.nan), reason=""

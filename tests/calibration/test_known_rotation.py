@@ -1,10 +1,11 @@
-"""Known rotation: exact on made sums, reversed turns named, what is missing said."""
+"""Known rotation: exact on made sums, reversed turns named, what is missing named."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from testkit.findings import codes, only
 from undrift.calibration.checks import axis_vectors, face_vectors
 from undrift.calibration.known_rotation import KnownRotationSettings, RotationData, fit_known_rotation, rotation_data
 from undrift.calibration.six_face import FaceMeans
@@ -96,8 +97,11 @@ def test_the_angle_uncertainty_moves_a_whole_column_of_the_matrix():
     added = np.sqrt(np.diag(unsure.covariance - sure.covariance)[:9]).reshape(3, 3)
     # 1 deg of 360 is 0.28 % of every gain
     np.testing.assert_allclose(np.diag(added), np.diag(sure.matrix) / 360.0, rtol=1e-3)
-    doubtful = fit_known_rotation(data(), gravity=G).verdict.reasons[0]
-    assert "takes them as exact" in doubtful
+    exact = fit_known_rotation(data(), gravity=G).verdict
+    assert codes(exact.findings) == ["known_rotation.no_spare_equations", "known_rotation.angles_exact"]
+    assert "1 deg of 360 deg is 0.28 % of scale" in only(exact.findings, "known_rotation.angles_exact").detail
+    stated = fit_known_rotation(data(), gravity=G, settings=KnownRotationSettings(angle_uncertainty=np.radians(1.0)))
+    assert codes(stated.verdict.findings) == ["known_rotation.no_spare_equations"]
 
 
 def test_the_covariance_is_the_scatter_of_many_fits():
@@ -112,7 +116,7 @@ def test_the_covariance_is_the_scatter_of_many_fits():
         model = fit_known_rotation(noisy, gravity=G).model
         found.append(np.concatenate((model.matrix.reshape(-1), model.offset, model.g_sensitivity.reshape(-1))))
     claimed = np.sqrt(np.diag(fit_known_rotation(data(), gravity=G).model.covariance))
-    np.testing.assert_allclose(np.std(found, axis=0), claimed, rtol=0.1)  # 800 draws tell it to 2.5 %
+    np.testing.assert_allclose(np.std(found, axis=0), claimed, rtol=0.1)  # 800 draws: known to 2.5 %
 
 
 def test_unknown_noise_gives_no_covariance_instead_of_a_made_up_one():
@@ -165,11 +169,11 @@ def test_exchanged_columns_are_named_and_not_taken_for_reversed_turns():
     )
     with pytest.raises(Implausible, match=r"got \+y, \+x, \+z: columns x and y exchanged, or the axes of the turns"):
         fit_known_rotation(exchanged, gravity=G)
-    told = replace(
+    stated = replace(
         exchanged, angle=exchanged.angle * np.array([-1.0, -1.0, 1.0])
     )  # as the advice on signs was followed
     with pytest.raises(Implausible, match=r"got -y, -x, \+z: columns x and y exchanged, and x and y reversed"):
-        fit_known_rotation(told, gravity=G)
+        fit_known_rotation(stated, gravity=G)
 
 
 def test_a_turn_beyond_the_range_is_named_before_its_scale_is():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from testkit.findings import only
 from undrift.calibration.multi_position import (
     MultiPositionSettings,
     fit_multi_position,
@@ -101,7 +102,9 @@ def test_stills_of_several_recordings_are_pooled() -> None:
     fit = fit_multi_position_session(replace(session, stills=stills))
     np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=1e-9)
     assert fit.gyro is None
-    assert any("wanted 5 moves or more between stills" in reason for reason in fit.verdict.reasons)
+    missing = only(fit.verdict.findings, "session.fit_failed")
+    assert missing.values["triad"] == "gyroscope"
+    assert "wanted 5 moves or more between stills" in missing.detail
     with pytest.raises(
         NotObservable, match=r"scale of x, y and z, cross-axis terms xy, xz, yx.*got 0; turn the device by 90 deg"
     ):
@@ -242,7 +245,7 @@ def test_derivatives_of_the_gravity_directions_agree_with_finite_differences() -
         )
 
 
-def test_jitter_and_walk_of_the_offset_are_told_apart() -> None:
+def test_jitter_and_walk_of_the_offset_are_separated() -> None:
     record, rng = recorded(), np.random.default_rng(1)
     assert record.gyro is not None
     swaying, warming = np.array(record.gyro), np.array(record.gyro)
@@ -254,7 +257,7 @@ def test_jitter_and_walk_of_the_offset_are_told_apart() -> None:
         assert bool(prior.drift.any()) is walks
 
 
-def test_an_offset_that_drifts_is_said_and_widens_its_uncertainty() -> None:
+def test_an_offset_that_drifts_is_a_finding_and_widens_its_uncertainty() -> None:
     record = recorded()
     assert record.gyro is not None
     drift = (
@@ -267,7 +270,10 @@ def test_an_offset_that_drifts_is_said_and_widens_its_uncertainty() -> None:
     assert steady.gyro is not None
     assert steady.verdict.status == "good"
     assert fit.verdict.status == "marginal"
-    assert any("the offset drifted by" in r and "(wanted 0.2)" in r for r in fit.verdict.reasons)
+    drift = only(fit.verdict.findings, "multi_position.gyro_drift")
+    assert drift.level == "warn"
+    assert drift.values["drift_dps"] == pytest.approx(1.0, abs=0.15)  # from one end of the session to the other
+    assert drift.values["wanted"] == 0.2
     sigma = fit.gyro.model.standard_uncertainty[9:]
     # a straight drift of 1 deg/s has a standard deviation of 0.29 deg/s; the stills are not spread evenly
     np.testing.assert_allclose(np.degrees(sigma), 0.29, rtol=0.25)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from testkit.findings import codes, only
 from undrift.calibration.multi_position import fit_norm, fit_poses
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.fit.least_squares import excess_variance
@@ -62,7 +63,7 @@ def test_scale_and_offset_alone_come_back_from_the_faces() -> None:
     raw = G * faces / np.diag(MATRIX) + OFFSET
     fit = fit_poses(raw, gravity=G, standard_errors=np.full((9, 3), 0.1), cross_axis=False)
     np.testing.assert_allclose(np.diag(fit.model.matrix), np.diag(MATRIX), rtol=1e-10)
-    assert any("held at zero" in reason for reason in fit.verdict.reasons)
+    assert codes(fit.verdict.findings) == ["multi_position.cross_axis_fixed"]
 
 
 def test_eight_poses_are_too_few_and_the_message_names_the_parameters() -> None:
@@ -129,7 +130,11 @@ def test_poses_that_moved_get_a_bad_verdict_with_the_figure() -> None:
     shaken = readings(n) + 300.0 * np.random.default_rng(1).normal(size=n.shape)
     fit = fit_poses(shaken, gravity=G, standard_errors=np.full(n.shape, 0.1))
     assert fit.verdict.status == "bad"
-    assert "mg rms (wanted 3)" in fit.verdict.reasons[0]
+    moved = only(fit.verdict.findings, "multi_position.residual")
+    assert moved.level == "fail"
+    assert moved.values["rms_mg"] == pytest.approx(fit.model.rms_residual / 9.80665e-3)
+    assert moved.values["wanted"] == 3.0
+    assert fit.verdict.reasons[0] == moved.text
 
 
 def test_the_kernel_agrees_with_plain_numpy() -> None:

@@ -54,10 +54,14 @@ def test_a_short_record_of_white_noise_says_what_it_does_not_show() -> None:
         assert axis.rate_random_walk.interval[0] == 0.0
         assert axis.rate_random_walk.interval[1] > 0.0
         assert "record longer" in axis.bias_instability.reason
-    assert "gyro x, y, z: rate random walk not observable in 200 s" in " ".join(fit.verdict.reasons)
+    lost = next(f for f in fit.verdict.findings if f.values["term"] == "rate random walk")
+    assert (lost.code, lost.level) == ("noise.not_observable", "info")
+    assert (lost.values["triad"], lost.values["axes"]) == ("gyro", ("x", "y", "z"))
+    assert lost.values["duration_s"] == pytest.approx(200.0, abs=0.1)
+    assert lost.headline == "gyro x, y, z: rate random walk not observable"
 
 
-def test_a_flat_floor_is_told_from_a_slope() -> None:
+def test_a_flat_floor_is_separated_from_a_slope() -> None:
     # Flicker: white noise shaped by the square root of frequency, put on top of white; B from h_-1 = B^2 / pi.
     rng, samples, instability = np.random.default_rng(3), 2**18, 0.01
     frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
@@ -117,7 +121,9 @@ def test_a_filtered_record_is_fitted_with_a_stated_departure() -> None:
     fit = fit_noise(Record(time=record.time, gyro=smooth))
     assert fit.gyro[0].model_error >= 0.1
     assert fit.verdict.status == "marginal"
-    assert "departs from the model" in fit.verdict.reasons[-1]
+    departs = [f for f in fit.verdict.findings if f.code == "noise.model_error"]
+    assert departs
+    assert all(f.level == "warn" and f.values["error_percent"] >= 10.0 for f in departs)
 
 
 def test_a_device_that_is_carried_about_is_not_at_rest() -> None:
@@ -125,6 +131,6 @@ def test_a_device_that_is_carried_about_is_not_at_rest() -> None:
     swing = np.sin(2.0 * np.pi * 0.8 * time)[:, None] * np.array([0.5, 0.2, 0.1])
     record = Record(time=time, gyro=swing + np.random.default_rng(1).normal(0.0, 1e-3, swing.shape))
     with pytest.raises(
-        InputError, match=r"wanted a device at rest, got gyro readings that wander by 0\.\d+ rad/s within 1 s"
+        InputError, match=r"wanted a device at rest, got gyro readings that vary by 0\.\d+ rad/s within 1 s"
     ):
         fit_noise(record)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import at_one_temperature
 from undrift.sim.device.presets import random_device_of
@@ -18,7 +19,9 @@ def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temper
     )
     made = calibrate(session)
     assert abs(made.reference_temp_c - 27.0) < 1.5  # the thermometer's trim and the soak's tolerance
-    assert any("visits 3 temperatures" in reason and "undrift drift" in reason for reason in made.verdict.reasons)
+    visited = only(made.verdict.findings, "session.temperatures")
+    assert (visited.level, visited.values["groups"]) == ("warn", 3)
+    assert "undrift drift" in visited.action
     truth = true_calibration(device, temp_c=27.0)
     assert made.gyro is not None
     assert truth.gyro is not None
@@ -30,6 +33,6 @@ def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temper
 def test_a_session_that_warms_a_little_is_left_as_it_is() -> None:
     rng = np.random.default_rng(4)
     session = simulate_session("bench", random_device_of("bmi270", rng), rng=rng, temp_c=(24.0, 29.0))
-    kept, said = at_one_temperature(session)
+    kept, findings = at_one_temperature(session)
     assert kept is session
-    assert said == ()
+    assert findings == ()

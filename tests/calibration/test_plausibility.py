@@ -137,7 +137,3 @@ def test_readings_stuck_at_the_end_of_the_range_are_found_and_quantised_rest_is_
         check_saturation(clipped, "gyroscope")
     check_saturation(motion, "gyroscope")
     check_saturation(np.round(rng.normal(2.0, 0.6, (5000, 3))), "gyroscope")  # codes 0..5 repeat often and mean nothing
-    with pytest.raises(Implausible, match=r"accelerometer x: .* 1 samples stuck at 16"):
-        check_saturation(
-            np.array([[1.0, 2.0, 3.0], [16.0, 2.1, 3.1], [1.2, 2.2, 3.3]]), "accelerometer", full_scale=16.0
-        )

@@ -1,10 +1,11 @@
-"""Procedure: the fits that a session allows, and plain words for the rest."""
+"""Calibrate: the fits that a session allows, and findings for the rest."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.errors import Implausible, InputError, NotObservable
@@ -38,16 +39,19 @@ def test_a_bench_session_gives_both_triads():
     assert found.provenance.created.endswith("+00:00")
 
 
-def test_mode_paper_takes_the_offset_off_first_and_says_so():
+def test_mode_paper_removes_the_offset_first_and_reports_it():
     found = calibrate(made("bench"), mode="paper")
     assert found.accel.method == "six-face/paper"
     assert found.gyro.method == "rate-table/paper"
     assert relative(found.accel, DEVICE.accel) < 2e-3
     assert relative(found.gyro, DEVICE.gyro) < 2e-3
     assert np.abs(found.accel.offset).max() > 0.0
-    assert any("the offset was taken off the readings first" in r for r in found.verdict.reasons)
+    assert codes(found.verdict.findings).count("paper_mode.offset_removed") == 1  # once for both triads
     raw = calibrate(made("bench"), mode="paper", settings=CalibrateSettings(remove_offset=False))
-    assert any("mode paper has no offset column" in r for r in raw.verdict.reasons)
+    left = [f for f in raw.verdict.findings if f.code == "paper_mode.offset_left"]
+    assert {f.values["unit"] for f in left} <= {"rad/s", "m/s2"}
+    assert left
+    assert all(f.values["loss_percent"] > 0.0 for f in left)
     assert relative(raw.gyro, DEVICE.gyro) > relative(found.gyro, DEVICE.gyro)
 
 
@@ -77,34 +81,40 @@ def test_faces_are_found_in_an_unlabelled_session():
     found = calibrate(made("six_face", labelled=False))
     assert found.accel.method == "six-face/levelled"
     assert relative(found.accel, DEVICE.accel) < 2e-3
-    assert any("gyroscope not observable" in r for r in found.verdict.reasons)
+    assert only(found.verdict.findings, "gyro.not_observable").level == "warn"
     assert found.gyro is None
 
 
 def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     found = calibrate(made("bench", labelled=False))
     assert found.gyro is None
-    assert any(
-        r.startswith("gyroscope: 102 steady turns were found; state the turn_rate_dps") for r in found.verdict.reasons
-    )
+    steady = only(found.verdict.findings, "rate_table.rates_not_stated")
+    assert steady.values["turns"] == 102
+    assert steady.action.startswith("state the turn_rate_dps")
 
 
 def test_turns_about_one_axis_alone_are_named():
     session = made("bench")
-    only = replace(session, turns=tuple(t for t in session.turns if t.axis == "x"))
-    found = calibrate(only)
+    about_x = replace(session, turns=tuple(t for t in session.turns if t.axis == "x"))
+    found = calibrate(about_x)
     assert found.gyro is None
-    assert any("turns at known rates about x alone do not show the other axes" in r for r in found.verdict.reasons)
-    assert any(r.startswith("gyroscope: turns about x: scale factor ") for r in found.verdict.reasons)
+    lacking = only(found.verdict.findings, "rate_table.axes_missing")
+    assert (lacking.values["turned"], lacking.values["missing"]) == (("x",), ("y", "z"))
+    shown = only(found.verdict.findings, "rate_table.axis")
+    assert shown.values["axis"] == "x"
+    own = DEVICE.gyro.forward_matrix[0, 0]
+    assert shown.values["scale"] * 180.0 / np.pi == pytest.approx(own, rel=1e-2)
     assert not any("fit_rate_axis" in r or "=" in r for r in found.verdict.reasons)
-    with pytest.raises(NotObservable, match=r"gyroscope by rate-table: .* about x alone do not show the other axes"):
-        calibrate(only, gyro="rate-table")
+    with pytest.raises(NotObservable, match=r"gyroscope by rate-table: .* about x alone do not show"):
+        calibrate(about_x, gyro="rate-table")
 
 
 def test_turns_by_angles_without_accelerometer_readings_ask_for_those():
     session = made("ferraris")
     numb = replace(session, records=tuple(replace(r, accel=None) for r in session.records))
-    with pytest.raises(NotObservable, match="turns by known angles need accelerometer readings at rest on six faces"):
+    with pytest.raises(
+        NotObservable, match="Turns by known angles need an accelerometer: its readings at rest on six faces"
+    ):
         calibrate(numb)
 
 
@@ -112,13 +122,13 @@ def test_what_was_asked_for_and_is_not_there_is_refused():
     six = made("six_face")
     with pytest.raises(NotObservable, match="got none about x, y, z"):
         calibrate(six, gyro="rate-table")
-    with pytest.raises(NotObservable, match="gyroscope by known-rotation: gyroscope: wanted one turn by a known angle"):
-        calibrate(six, gyro="known-rotation")
-    with pytest.raises(NotObservable, match="gyroscope by rest: gyroscope not observable"):
-        calibrate(six, gyro="rest")  # counts have no scale of their own
     with pytest.raises(
-        NotObservable, match="gyroscope by known-rotation: gyroscope: turns by known angles need rests on all six"
+        NotObservable, match="gyroscope by known-rotation: No turns by known angles: wanted one about each axis"
     ):
+        calibrate(six, gyro="known-rotation")
+    with pytest.raises(NotObservable, match="gyroscope by rest: Gyroscope not observable"):
+        calibrate(six, gyro="rest")  # counts have no scale of their own
+    with pytest.raises(NotObservable, match="gyroscope by known-rotation: Turns by known angles need all six faces"):
         calibrate(made("multi_position"), gyro="known-rotation")
     with pytest.raises(InputError, match="wanted mode one of paper, affine, levelled, got 'best'; name one of them"):
         calibrate(six, mode="best")
@@ -151,16 +161,15 @@ def test_a_single_rest_gives_the_rate_offset_alone():
     np.testing.assert_allclose(found.gyro.offset, [0.3, -0.2, 0.1], atol=0.005)
     np.testing.assert_allclose(found.gyro.matrix, np.eye(3) * np.pi / 180.0)
     assert np.isnan(found.reference_temp_c)
-    assert any(
-        "accelerometer not observable: wanted rests on six faces or 9 free poses, got 1" in r
-        for r in found.verdict.reasons
-    )
+    few = only(found.verdict.findings, "session.too_few_poses")
+    assert (few.values["wanted"], few.values["rests"]) == (9, 1)
+    assert few.text.startswith("Accelerometer not observable: wanted rests on six faces or 9 free poses, got 1;")
 
 
 def test_nothing_to_fit_is_an_error_that_says_what_to_record():
     session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(still_record(unit="count"),))
     with pytest.raises(
-        NotObservable, match="wanted poses or turns to fit, got none that serve: accelerometer not observable"
+        NotObservable, match="wanted poses or turns to fit, got none that can be used: Accelerometer not observable"
     ):
         calibrate(session)
 
@@ -239,7 +248,7 @@ def test_counts_beside_a_physical_unit_are_refused_with_the_recording():
     alike = rests_of(3)
     records = (*alike.records[:2], replace(alike.records[2], gyro_unit="count"))
     with pytest.raises(
-        InputError, match="recording 2: wanted gyro readings in rad/s as in recording 0, got count; nothing"
+        InputError, match="recording 2: wanted gyro readings in rad/s as in recording 0, got count; they cannot"
     ):
         calibrate(replace(alike, records=records))
     records = (replace(alike.records[0], gyro=None), *records[1:])
@@ -263,18 +272,23 @@ def test_a_missing_turn_leaves_the_accelerometer_and_the_offset():
     assert found.accel.method == "six-face/levelled"
     assert found.gyro is None  # counts: no scale
     assert found.verdict.status == "marginal"
-    assert any(r.startswith("gyroscope: known rotation: ") and "got none about y" in r for r in found.verdict.reasons)
-    assert any("at rest it reads (" in r and "cannot be kept in a calibration" in r for r in found.verdict.reasons)
+    failed = only(found.verdict.findings, "session.fit_failed")
+    assert failed.values["triad"] == "gyroscope"
+    assert failed.values["reason"].startswith("known rotation: ")
+    assert "got none about y" in failed.values["reason"]
+    counts = only(found.verdict.findings, "gyro.offset_in_counts")
+    assert counts.values["unit"] == "count"
+    assert "at rest it reads (" in counts.detail
     with pytest.raises(NotObservable, match="got none about y"):
         calibrate(without, gyro="known-rotation")
 
 
-def test_mode_paper_says_where_it_was_not_used():
+def test_mode_paper_is_reported_where_it_was_not_used():
     found = calibrate(made("multi_position"), mode="paper")
     assert found.verdict.status != "good"
-    told = "accelerometer: mode paper is a mode of six faces and was not used by multi-position"
-    assert any(r.startswith(told) for r in found.verdict.reasons)
-    assert any(r.startswith("gyroscope: mode paper was not used by multi-position") for r in found.verdict.reasons)
+    unused = [f for f in found.verdict.findings if f.code == "paper_mode.not_used"]
+    assert [f.values["triad"] for f in unused] == ["accelerometer", "gyroscope"]
+    assert {(f.level, f.values["mode"], f.values["method"]) for f in unused} == {("warn", "paper", "multi-position")}
 
 
 def test_pauses_that_were_too_short_are_counted():
@@ -292,12 +306,13 @@ def test_pauses_that_were_too_short_are_counted():
         accel=accel + 0.01 * rng.standard_normal(accel.shape),
     )
     found = calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,)))
-    told = "recording 0: 11 pauses were shorter than the 2 s that a pose must be held; hold each for 3 s or more"
-    assert told in found.verdict.reasons
-    assert any("got 1 rest; record" in r or "got 1 rest and" in r for r in found.verdict.reasons)
+    short = only(found.verdict.findings, "session.short_pauses")
+    assert short.values == {"recording": 0, "pauses": 11, "least_s": 2.0}
+    assert short.action == "hold each for 3 s or more"
+    assert only(found.verdict.findings, "session.too_few_poses").values["rests"] == 1
 
 
-def test_a_device_that_sways_throughout_is_not_told_of_pauses():
+def test_a_device_that_sways_throughout_has_no_short_pauses():
     rng = np.random.default_rng(27)
     time = np.arange(6000) / 100.0
     sway = np.where(np.sin(2.0 * np.pi * time / 4.0) > 0.0, 1.0, 0.05)[:, None]
@@ -306,9 +321,9 @@ def test_a_device_that_sways_throughout_is_not_told_of_pauses():
         gyro=sway * rng.standard_normal((6000, 3)),
         accel=[0.0, 0.0, 9.81] + sway * rng.standard_normal((6000, 3)),
     )
-    with pytest.raises(NotObservable, match="no still phase") as told:
+    with pytest.raises(NotObservable, match="no still phase") as caught:
         calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,)))
-    assert "pauses" not in str(told.value)
+    assert "pauses" not in str(caught.value)
 
 
 @pytest.mark.parametrize("latitude_deg", [float("nan"), 91.0])

@@ -1,11 +1,12 @@
-"""Turns about one or two axes: what they show is said, and what they contradict is refused."""
+"""Turns about one or two axes: what they show is a finding, and what they contradict is refused."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from undrift.calibration.rate_table import DwellMeans, RateTableSettings, fit_rate_axes, scale_verdict, told_axis
+from testkit.findings import only
+from undrift.calibration.rate_table import DwellMeans, RateTableSettings, axis_finding, fit_rate_axes, scale_verdict
 from undrift.errors import Implausible
 
 DPS = np.pi / 180.0
@@ -21,20 +22,22 @@ def turned(gain=1.0, axis="y", unit="dps", column=None):
     )
 
 
-def test_scale_line_and_asymmetry_are_told():
+def test_scale_line_and_asymmetry_are_a_finding():
     (fit,) = fit_rate_axes(turned(1.02))
-    said = told_axis(fit)
-    assert said.startswith("turns about y: scale factor 1.0200 of the unit's own")
-    assert "departure from a straight line up to" in said
-    assert "asymmetry" in said
+    shown = axis_finding(fit)
+    assert (shown.code, shown.level, shown.values["axis"]) == ("rate_table.axis", "info", "y")
+    assert shown.values["scale"] == pytest.approx(1.02, rel=1e-12)
+    assert shown.headline == "Turns about y: scale factor 1.02 of the nominal scale"
+    assert shown.values["nonlinearity_dps"] == pytest.approx(0.0, abs=1e-9)
     bent = turned()
     bent = replace(bent, reading=np.where(bent.reading > 1.0, 1.1 * bent.reading, bent.reading))
-    assert "asymmetry 9.5 %" in told_axis(fit_rate_axes(bent)[0])  # 2 (1.1 - 1) / (1.1 + 1)
-    counts = told_axis(fit_rate_axes(turned(16.4, unit="count"))[0])
-    assert "scale factor 16.4 count per deg/s" in counts
+    asymmetry = axis_finding(fit_rate_axes(bent)[0]).values["asymmetry_percent"]
+    assert asymmetry == pytest.approx(9.5, abs=0.05)  # 2 (1.1 - 1) / (1.1 + 1), less the offset of 0.3
+    counts = axis_finding(fit_rate_axes(turned(16.4, unit="count"))[0])
+    assert counts.headline == "Turns about y: scale factor 16.4 count per deg/s"
 
 
-def test_two_axes_are_told_each_and_one_rate_is_not():
+def test_two_axes_are_fitted_each_and_one_rate_is_not():
     x, y = turned(axis="x"), turned(axis="y")
     both = replace(
         x,
@@ -59,7 +62,9 @@ def test_a_wrong_conversion_is_called_out_and_refused_where_a_tolerance_is_state
     (fit,) = fit_rate_axes(turned(0.853))
     verdict = scale_verdict(np.array([fit.scale_factor]), "dps", "y")
     assert verdict.status == "marginal"
-    assert "the scale factor of y is -14.7 % off the unit's own scale: implausible for any sensor" in verdict.reasons[0]
+    off = only(verdict.findings, "gyro.scale_factor")
+    assert (off.level, off.values["axis"]) == ("warn", "y")
+    assert off.values["off_percent"] == pytest.approx(-14.7)
     with pytest.raises(Implausible, match=r"within 3 % of the stated sensitivity, got 0\.8530"):
         fit_rate_axes(turned(0.853), RateTableSettings(scale_tolerance=0.03))
     assert scale_verdict(np.array([1.03, 0.97, 1.0]) / DPS, "dps").status == "good"

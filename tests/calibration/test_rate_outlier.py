@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.findings import only
 from undrift.calibration.checks import nearest_signed_permutation
 from undrift.calibration.rate_table import (
     DwellMeans,
@@ -63,7 +64,7 @@ def checked(dwells, rests, **more):
 
 
 @pytest.mark.parametrize(
-    ("rate", "told"),
+    ("rate", "reads"),
     [
         (45.0, r"turn 6, y at \+45 deg/s: reads as -45[.0-9]*; check its sign, value"),
         (-67.5, r"turn 6, y at -67.5 deg/s: reads as -4[45]"),
@@ -71,14 +72,14 @@ def checked(dwells, rests, **more):
         (-45.9, r"turn 6, y at -45.9 deg/s: reads as -4[45]"),
     ],
 )
-def test_a_wrong_sign_or_value_is_named_with_what_it_reads(rate, told):
+def test_a_wrong_sign_or_value_is_named_with_what_it_reads(rate, reads):
     dwells, rests = table()
-    with pytest.raises(Implausible, match=told) as caught:
+    with pytest.raises(Implausible, match=reads) as caught:
         checked(stated(dwells, 5, rate), rests)
     assert caught.value.turns == (6,)
 
 
-def test_a_wrong_axis_and_the_numbers_of_the_session_are_told():
+def test_a_wrong_axis_and_the_numbers_of_the_session_are_named():
     dwells, rests = table()
     wrong = replace(dwells, axis=(*dwells.axis[:5], "z", *dwells.axis[6:]))
     with pytest.raises(Implausible, match=r"turn 26, z at -45 deg/s: reads as -45.* about y; check"):
@@ -120,16 +121,20 @@ def test_too_few_dwells_to_tell_are_left_alone():
     checked(six, None)
 
 
-def test_a_table_that_is_uncertain_wanders_or_misses_is_not_good():
+def test_a_table_that_is_uncertain_drifts_or_scatters_is_not_good():
     dwells, rests = table(noise=0.05)
     assert fit_with_rests(fit_rate_table(dwells), dwells, rests).verdict.status == "good"
     wrong = stated(dwells, 5, 45.0)  # as if nobody had looked for it
     fit = fit_with_rests(fit_rate_table(wrong), wrong, rests)
     assert np.array_equal(nearest_signed_permutation(fit.model.forward_matrix), np.eye(3))
     assert fit.verdict.status == "bad"
-    assert any("miss it by" in r and "(wanted 0.5 %)" in r for r in fit.verdict.reasons)
-    assert any("element of the gyroscope matrix is uncertain by" in r for r in fit.verdict.reasons)
+    scatter = only(fit.verdict.findings, "rate_table.scatter")
+    assert scatter.values["residual_percent"] > scatter.values["wanted"] == 0.5
+    uncertain = only(fit.verdict.findings, "rate_table.uncertainty")
+    assert uncertain.values["uncertainty_percent"] > uncertain.values["wanted"] == 0.5
     drifting = replace(dwells, reading=dwells.reading + 0.4 * (dwells.time - 70.0)[:, None])  # 1.5 deg/s in a minute
     walk = fit_with_rests(fit_rate_table(drifting), drifting, None)
     assert walk.verdict.status == "marginal"
-    assert any("deg/s in a minute (1 sigma; wanted 0.1)" in r for r in walk.verdict.reasons)
+    drift = only(walk.verdict.findings, "rate_table.drift")
+    assert drift.level == "warn"
+    assert drift.values["dps_per_minute"] > drift.values["wanted"] == 0.1

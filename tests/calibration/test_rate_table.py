@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.findings import only
 from undrift.calibration.checks import axis_vectors
 from undrift.calibration.rate_table import (
     DwellMeans,
@@ -75,7 +76,9 @@ def test_an_offset_left_in_mode_paper_costs_the_gain_that_the_law_says(limits, o
     np.testing.assert_allclose(fit.model.matrix @ K, np.linalg.inv(np.eye(3) + k * np.outer(left, left)), atol=1e-10)
     share = k * float(left @ left)
     assert 100.0 * share / (1.0 + share) == pytest.approx(loss_percent, rel=0.04)  # printed to two digits
-    assert f"the gain along it is {100.0 * share / (1.0 + share):.2g} % too small" in fit.verdict.reasons[0]
+    left = only(fit.verdict.findings, "paper_mode.offset_left")
+    assert left.values["loss_percent"] == pytest.approx(100.0 * share / (1.0 + share), rel=1e-9)
+    assert left.values["unit"] == "rad/s"
 
 
 def test_the_shrink_constants_of_the_three_tasks():
@@ -116,7 +119,8 @@ def test_turns_about_one_axis_are_not_a_rate_table_but_show_one_column():
     np.testing.assert_allclose(fit.column, K[:, 1], rtol=1e-12)
     np.testing.assert_allclose(fit.offset, B, rtol=1e-12)
     assert fit.scale_factor == pytest.approx(950.0)
-    assert "turns about y alone do not show the scale factors of x and z" in fit.verdict.reasons[0]
+    lacking = only(fit.verdict.findings, "rate_table.axes_missing")
+    assert (lacking.values["turned"], lacking.values["missing"]) == (("y",), ("x", "z"))
     with pytest.raises(InputError, match="wanted turns about one axis, got x, y, z; use fit_rate_table"):
         fit_rate_axis(made)
     lonely = replace(one, reading=one.reading[:1], turn_rate=one.turn_rate[:1], axis=("y",))

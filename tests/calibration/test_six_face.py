@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.findings import codes, only
 from undrift.calibration.checks import face_vectors
 from undrift.calibration.six_face import (
     FaceMeans,
@@ -52,22 +53,19 @@ def test_mode_paper_is_equation_three_to_the_last_digit():
     assert fit.verdict.reasons == ()
 
 
-def test_mode_paper_says_that_its_uncertainty_leaves_the_tilt_out():
+def test_mode_paper_reports_that_its_uncertainty_excludes_the_tilt():
     rng = np.random.default_rng(51)
     tilt = np.radians(0.5) * rng.standard_normal((6, 3))
     reading = (UP + np.cross(tilt, UP)) @ FORWARD.T
     poses = FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 1e-3))
     fit = fit_six_face(poses, gravity=G, settings=SixFaceSettings(mode="paper"))
-    told = [
-        r
-        for r in fit.verdict.reasons
-        if r.startswith("mode paper takes the faces for level, and they are tilted by 0.")
-    ]
-    assert len(told) == 1
-    assert "which their stated uncertainty leaves out; use mode levelled" in told[0]
+    tilted = only(fit.verdict.findings, "six_face.tilt_left_out")
+    assert tilted.values["tilt_deg"] == pytest.approx(0.5, rel=0.9)  # six spare equations: three times 29 %
+    assert tilted.values["gain_share"] == pytest.approx(np.radians(tilted.values["tilt_deg"]))
+    assert tilted.action == "use mode levelled"
     assert fit.verdict.status != "good"
     unknown = fit_six_face(replace(poses, noise=None), gravity=G, settings=SixFaceSettings(mode="paper"))
-    assert not any("takes the faces for level" in r for r in unknown.verdict.reasons)
+    assert "six_face.tilt_left_out" not in codes(unknown.verdict.findings)
 
 
 @pytest.mark.parametrize(("offset_g", "loss_percent"), [(0.05, 0.74), (0.1, 2.9), (0.5, 43.0)])
@@ -81,9 +79,10 @@ def test_an_offset_left_in_mode_paper_shrinks_the_gain_as_the_law_says(offset_g,
     along = b / np.linalg.norm(b)
     loss = 100.0 * (1.0 - along @ fit.model.matrix @ FORWARD @ along)
     assert loss == pytest.approx(loss_percent, rel=0.02)  # the table is printed to two digits
-    reason = fit.verdict.reasons[0]
-    assert "mode paper has no offset column" in reason
-    assert f"the gain along it is {loss:.2g} % too small" in reason
+    left = only(fit.verdict.findings, "paper_mode.offset_left")
+    assert left.values["loss_percent"] == pytest.approx(loss, rel=1e-6)
+    np.testing.assert_allclose(left.values["offset"], b, rtol=1e-9)
+    assert fit.verdict.reasons[0] == left.text
     assert fit.verdict.status == ("bad" if loss_percent > 1.0 else "marginal")
 
 
@@ -99,13 +98,13 @@ def test_repeated_faces_pull_the_answer_between_them():
     assert 0.0 < fit.model.offset[0] - OFFSET[0] < 0.01
 
 
-def test_one_missing_face_is_allowed_and_said():
+def test_one_missing_face_is_allowed_and_named():
     poses = faces()
     five = FaceMeans(reading=poses.reading[:5], faces=FACES[:5], noise=np.full((5, 3), 0.002))
     fit = fit_six_face(five, gravity=G)
     np.testing.assert_allclose(fit.model.forward_matrix, FORWARD, atol=1e-12)
     assert fit.verdict.status == "marginal"
-    assert fit.verdict.reasons[0].startswith("face -z is missing")
+    assert only(fit.verdict.findings, "six_face.face_missing").values["face"] == "-z"
     with pytest.raises(NotObservable, match="wanted all six, got none for -z; record the missing faces"):
         fit_six_face(five, gravity=G, settings=SixFaceSettings(mode="paper"))
     with pytest.raises(NotObservable, match="wanted 5 labelled faces or more, got 4"):
@@ -136,7 +135,8 @@ def test_affine_says_when_the_faces_were_not_level():
     crooked = FaceMeans(reading=poses.reading + 0.05 * (UP == 0.0), faces=FACES, noise=np.full((6, 3), 0.002))
     fit = fit_six_face(crooked, gravity=G, settings=SixFaceSettings(mode="affine"))
     assert fit.verdict.status == "marginal"
-    assert "times the noise of the means: the faces were not level" in fit.verdict.reasons[0]
+    assert codes(fit.verdict.findings) == ["six_face.scatter"]
+    assert fit.verdict.findings[0].values["ratio"] > 3.0
 
 
 def test_the_polynomial_filter_leaves_the_mean_alone():
@@ -183,7 +183,7 @@ def test_a_face_that_is_all_gap_is_refused():
         face_means([Record(time=record.time, accel=gappy)], stills)
 
 
-def test_faces_too_short_to_tell_their_noise_say_none():
+def test_faces_too_short_to_show_their_noise_give_none():
     record, stills = session(seconds=0.6)
     assert face_means([record], stills).noise is None
 
@@ -232,18 +232,17 @@ def test_levelled_on_level_faces_is_plain_least_squares_to_the_last_digit():
     np.testing.assert_array_equal(levelled.model.covariance, plain.model.covariance)
 
 
-def test_a_large_tilt_is_said_and_makes_the_fit_marginal():
+def test_a_large_tilt_is_a_finding_and_makes_the_fit_marginal():
     rng = np.random.default_rng(7)
     crooked = np.where(UP == 0.0, G * np.radians(1.0) * rng.standard_normal((6, 3)), 0.0)
     poses = FaceMeans(reading=faces().reading + crooked @ FORWARD.T, faces=FACES, noise=np.full((6, 3), 0.002))
     fit = fit_six_face(poses, gravity=G)
     assert fit.tilt == pytest.approx(np.radians(1.0), rel=0.9)  # six spare equations: three times 29 %
     assert fit.verdict.status == "marginal"
-    assert fit.verdict.reasons == (
-        f"the faces are tilted by {np.degrees(fit.tilt):.2f} deg (1 sigma) against the plane or each other; six faces cannot tell "
-        "that from misaligned sensors, and the uncertainty of the cross-axis terms holds it: true the box and its seat, or rest in "
-        "nine or more free poses instead",
-    )
+    (large,) = fit.verdict.findings
+    assert large.code == "six_face.tilt_large"
+    assert large.values["tilt_deg"] == pytest.approx(np.degrees(fit.tilt))
+    assert large.headline == f"Faces tilted by {np.degrees(fit.tilt):.2f} deg (1 sigma)"
 
 
 def test_a_small_tilt_is_a_figure_that_is_not_rounded_to_nothing():
@@ -252,11 +251,10 @@ def test_a_small_tilt_is_a_figure_that_is_not_rounded_to_nothing():
     poses = FaceMeans(reading=faces(noise=0.0).reading + crooked @ FORWARD.T, faces=FACES, noise=np.full((6, 3), 1e-6))
     fit = fit_six_face(poses, gravity=G)
     assert fit.verdict.status == "good"
-    assert fit.verdict.reasons == (
-        f"the faces lie level among themselves within {np.degrees(fit.tilt):.1g} deg (1 sigma), which the cross-axis terms' "
-        "uncertainty holds",
-    )
-    assert "0.00 " not in fit.verdict.reasons[0]
+    (small,) = fit.verdict.findings
+    assert (small.code, small.level) == ("six_face.tilt_small", "info")
+    assert small.headline == f"Faces level within {np.degrees(fit.tilt):.1g} deg (1 sigma)"
+    assert "0.00 " not in small.text
 
 
 @pytest.mark.parametrize("scale", [208.8, 1e-3])

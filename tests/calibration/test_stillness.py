@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path
+from testkit.findings import only
 from testkit.strategies import one_line
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings, check_stills, observe
@@ -46,25 +47,26 @@ def faces(creep_dps=0.0, *, unit="rad/s", accel_unit="m/s2", sway=None):
 
 
 def test_six_faces_at_rest_pass_without_a_word():
-    assert observe(faces(), CalibrateSettings()).reasons == ()
-    assert observe(faces(unit="count", accel_unit="count"), CalibrateSettings()).reasons == ()
+    assert observe(faces(), CalibrateSettings()).findings == ()
+    assert observe(faces(unit="count", accel_unit="count"), CalibrateSettings()).findings == ()
 
 
 @pytest.mark.parametrize("creep_dps", [1.0, 3.0])
 def test_stills_that_creep_are_refused_by_their_tilt(creep_dps):
     with pytest.raises(
         Implausible, match=r"\[\[still\]\] \d \(recording 0, .* s\): wanted a device at rest, got a tilt of"
-    ) as told:
+    ) as caught:
         observe(faces(creep_dps), CalibrateSettings())
-    one_line(told)
+    one_line(caught)
 
 
-def test_stills_that_creep_a_little_are_said_and_make_the_verdict_marginal():
+def test_stills_that_creep_a_little_are_a_finding_and_make_the_verdict_marginal():
     found = calibrate(faces(0.25))  # 1 deg from the first to the last third of 6 s, the limit is 0.5
     assert found.verdict.status == "marginal"
-    told = [r for r in found.verdict.reasons if "is not quite still: a tilt of" in r]
-    assert len(told) == 1
-    assert ", and 5 more likewise; shorten it" in told[0]
+    tilt = only(found.verdict.findings, "still.tilt")
+    assert tilt.values["stills"] == 6
+    assert tilt.values["tilt_deg"] == pytest.approx(1.0, abs=0.05)
+    assert tilt.action.startswith("shorten it")
 
 
 @pytest.mark.parametrize(("unit", "accel_unit"), [("rad/s", "m/s2"), ("dps", "m/s2"), ("count", "count")])
@@ -82,11 +84,12 @@ def test_a_slow_turn_about_the_vertical_shows_in_the_mean_rate_alone():
     gyro[HOLD : 2 * HOLD, 0] += 3.0 * RADIAN_PER_DEGREE
     turning = replace(session, records=(replace(session.records[0], gyro=gyro),))
     with pytest.raises(
-        Implausible, match=r"\[\[still\]\] 2 .*got a mean rate 3 deg/s off that of the other stills; it turns"
+        Implausible,
+        match=r"\[\[still\]\] 2 .*got a mean rate 3 deg/s off that of the other stills; check for a slow turn",
     ):
         observe(turning, CalibrateSettings())
     thermal = replace(turning, kind="thermal")  # offsets differ between temperatures, and that is what it records
-    assert observe(thermal, CalibrateSettings()).reasons == ()
+    assert observe(thermal, CalibrateSettings()).findings == ()
     stills = tuple(replace(s, temp_c=20.0 + 10.0 * k) for k, s in enumerate(session.stills))
     assert check_stills(replace(turning, stills=stills), stills, stated=True) == ()
 
@@ -97,7 +100,9 @@ def test_a_recording_in_the_wrong_unit_is_refused_among_found_stills():
                   for k in range(0, 6 * HOLD, HOLD))  # fmt: skip
     wrong = (replace(rests[0], gyro=rests[0].gyro + np.array([0.12, 0.0, 0.0])), *rests[1:])
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=wrong)
-    with pytest.raises(Implausible, match=r"still found \(recording 0, 0.0-6.0 s\): .*its unit is not theirs"):
+    with pytest.raises(
+        Implausible, match=r"still found \(recording 0, 0.0-6.0 s\): .*check for a slow turn, another unit"
+    ):
         observe(session, CalibrateSettings())
 
 
@@ -106,9 +111,9 @@ def test_the_same_recording_twice_is_refused():
     twice = replace(session, records=session.records * 2)
     with pytest.raises(
         InputError, match="recording 1: wanted new readings, got those of recording 0 again; take one of"
-    ) as told:
+    ) as caught:
         observe(twice, CalibrateSettings())
-    one_line(told)
+    one_line(caught)
     other = replace(session.records[0], gyro=session.records[0].gyro + 1e-4, accel=None)
     assert len(observe(replace(session, records=(session.records[0], other)), CalibrateSettings()).stills) == 6
 
@@ -123,7 +128,7 @@ def test_the_same_still_or_turn_twice_is_refused_and_neighbours_pass():
     turns = tuple(Turn(start=k, stop=k + 50, axis="x", angle=1.0) for k in (0, 100, 101))
     with pytest.raises(InputError, match=r"\[\[turn\]\] 3 .*shares 98 % of its samples with \[\[turn\]\] 2"):
         observe(replace(session, turns=turns), CalibrateSettings())
-    assert observe(replace(session, turns=turns[:2]), CalibrateSettings()).reasons == ()
+    assert observe(replace(session, turns=turns[:2]), CalibrateSettings()).findings == ()
 
 
 def test_the_ferraris_recording_is_refused_where_a_still_begins_too_early():
@@ -138,7 +143,7 @@ def test_the_ferraris_recording_is_refused_where_a_still_begins_too_early():
     )
     good = Still(start=540, stop=1271, face="+x")
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,), stills=(good,))
-    assert observe(session, CalibrateSettings()).reasons == ()
+    assert observe(session, CalibrateSettings()).findings == ()
     early = replace(session, stills=(replace(good, start=102, stop=1434),))
     with pytest.raises(Implausible, match=r"\[\[still\]\] 1 .*got readings that sway by up to 159 deg/s rms"):
         observe(early, CalibrateSettings())

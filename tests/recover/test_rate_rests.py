@@ -1,4 +1,4 @@
-"""Rate table with rests: matrix, g-sensitivity and a wandering offset come back, with the least error that noise and walk allow.
+"""Rate table with rests: matrix, g-sensitivity and a drifting offset come back, with the least error that noise and walk allow.
 
 The Monte Carlo works on the means of dwells and rests of a bench session; a walk that is built step by step outward from the
 middle of the session is added to them. Whole recordings are simulated where few will do.
@@ -22,6 +22,7 @@ from testkit.cramer_rao import (
     white_device,
 )
 from testkit.data import show
+from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.rate_table import (
     DwellMeans,
@@ -223,7 +224,7 @@ def test_a_bench_session_gives_back_matrix_offset_and_g_sensitivity_without_nois
 @pytest.mark.parametrize(
     ("walk", "gravity"), [(0.0, True), (0.0, False), (CONSUMER_WALK, True), (0.3, True), (0.3, False)]
 )
-def test_error_reaches_the_bound_and_the_intervals_hold_whether_the_offset_wanders_or_not(
+def test_error_reaches_the_bound_and_the_intervals_hold_whether_the_offset_drifts_or_not(
     walk: float, gravity: bool, devices: int
 ) -> None:
     found = monte_carlo(walk, gravity, devices)
@@ -247,7 +248,7 @@ def test_error_reaches_the_bound_and_the_intervals_hold_whether_the_offset_wande
             assert found.coverage(GRAVITY) >= COVERAGE_LIMITS[0]
 
 
-def test_gyroscopes_that_feel_no_gravity_are_given_none_however_the_offset_wanders() -> None:
+def test_gyroscopes_without_g_sensitivity_are_given_none_however_the_offset_drifts() -> None:
     for walk in (0.0, CONSUMER_WALK, 0.3):
         felt = sum(fit.model.g_sensitivity is not None for _, fit in cohort(walk, False, 300))
         show(f"walk {walk:g}: devices given a g-sensitivity of 300", felt, 3)
@@ -255,15 +256,15 @@ def test_gyroscopes_that_feel_no_gravity_are_given_none_however_the_offset_wande
 
 
 def test_a_walk_that_is_not_there_is_rarely_reported_and_one_that_is_mostly() -> None:
-    told = [
-        sum(any("wandered" in reason for reason in fit.verdict.reasons) for _, fit in cohort(walk, False, 300))
+    reported = [
+        sum("rate_table.drift" in codes(fit.verdict.findings) for _, fit in cohort(walk, False, 300))
         for walk in (0.0, CONSUMER_WALK, 0.3)
     ]
-    show("walk reported of 300 devices: none, consumer, five times that", told)
+    show("walk reported of 300 devices: none, consumer, five times that", reported)
     # q cannot be less than zero, so that 5 % of each sensor are 2.5 %; three sensors 7.3 %, and 3 standard errors are 4.5 %
-    assert told[0] <= 300 * (0.073 + 0.045)
-    assert told[1] > 150
-    assert told[2] == 300
+    assert reported[0] <= 300 * (0.073 + 0.045)
+    assert reported[1] > 150
+    assert reported[2] == 300
 
 
 def test_the_offset_of_a_simulated_recording_is_that_of_the_middle_of_its_session() -> None:
@@ -310,7 +311,7 @@ def fitted_recording(device: DeviceModel, record, motion: Motion) -> tuple[RateT
     return fit_with_rests(fit_rate_table(dwells), dwells, rests), 0.5 * float(both.min() + both.max())
 
 
-# What is said, and what is left alone.
+# Findings, and sessions without any.
 
 
 def steady(walk: float = 0.0, scatter: float = 1.0) -> tuple[DwellMeans, RestMeans]:
@@ -331,14 +332,14 @@ def steady(walk: float = 0.0, scatter: float = 1.0) -> tuple[DwellMeans, RestMea
 
 
 def felt(dwells: DwellMeans, rests: RestMeans, H: Array) -> tuple[DwellMeans, RestMeans]:
-    """Return the same readings of gyroscopes that feel gravity."""
+    """Return the same readings of gyroscopes with g-sensitivity."""
     return (
         replace(dwells, reading=dwells.reading + rests.dwell_force @ H.T),
         replace(rests, reading=rests.reading + rests.force @ H.T),
     )
 
 
-def test_a_quiet_session_says_nothing() -> None:
+def test_a_quiet_session_has_no_finding() -> None:
     dwells, rests = steady()
     fit = fit_with_rests(fit_rate_table(dwells), dwells, rests)
     assert fit.verdict.reasons == ()
@@ -347,16 +348,14 @@ def test_a_quiet_session_says_nothing() -> None:
     assert fit.model.rank == 12
 
 
-def test_gravity_that_is_felt_is_said_in_degrees_per_second_and_g() -> None:
+def test_g_sensitivity_is_reported_in_degrees_per_second_and_g() -> None:
     dwells, rests = steady()
     H = np.zeros((3, 3))
     H[1, 2] = np.radians(0.25) / STANDARD_GRAVITY
     dwells, rests = felt(dwells, rests, H)
     fit = fit_with_rests(fit_rate_table(dwells), dwells, rests)
-    assert fit.verdict.reasons[0] == (
-        "the gyroscopes feel gravity, by up to 0.25 (deg/s)/g: fitted from dwells and rests, and taken off by the corrected "
-        "specific force"
-    )
+    size = only(fit.verdict.findings, "rate_table.g_sensitivity").values["dps_per_g"]
+    assert f"{size:.2g}" == "0.25"
     assert fit.model.rank == 21
     assert fit.model.parameters[12:] == tuple(f"g_{row}{column}" for row in "xyz" for column in "xyz")
     assert fit.model.covariance.shape == (21, 21)
@@ -381,39 +380,35 @@ def test_rests_on_one_face_alone_leave_gravity_out() -> None:
     assert fit.model.rank == 12
 
 
-def test_a_walk_is_said_with_what_to_do_about_it() -> None:
+def test_a_walk_is_reported_with_what_to_do_about_it() -> None:
     walk = np.radians(0.01)  # deg/s/sqrt(s): 0.077 deg/s in a minute
     fit = fit_with_rests(*_first(steady(walk)))
-    (reason,) = fit.verdict.reasons
-    size = float(reason.removeprefix("the offset wandered during the session, by ").split(" deg/s in a minute")[0])
+    (drift,) = fit.verdict.findings
+    assert (drift.code, drift.level) == ("rate_table.drift", "info")
+    size = drift.values["dps_per_minute"]
     # the largest of three q, each known to 1 / sqrt(2 * 38) = 11 %: up to 3 of them above, and one below
     assert 0.9 * 0.077 <= size <= 1.35 * 0.077
-    assert reason.endswith(
-        "deg/s in a minute (1 sigma): it holds for the middle of the session; warm the device up before, and bracket the dwells "
-        "with rests"
-    )
+    assert drift.action == "warm the device up before, and rest before and after the dwells"
 
 
 def test_without_times_no_walk_is_looked_for() -> None:
     dwells, rests = steady(np.radians(0.01))
     fit = fit_with_rests(fit_rate_table(dwells), replace(dwells, time=None), rests)
-    assert not any("wandered" in reason for reason in fit.verdict.reasons)
-    assert any("times as much about the model as their noise explains" in reason for reason in fit.verdict.reasons)
+    assert "rate_table.drift" not in codes(fit.verdict.findings)
+    assert "rate_table.scatter" in codes(fit.verdict.findings)
 
 
-def test_scatter_beyond_the_noise_is_said_and_widens_the_uncertainty() -> None:
+def test_scatter_beyond_the_noise_is_reported_and_widens_the_uncertainty() -> None:
     dwells, rests = steady()
     quiet = fit_with_rests(fit_rate_table(dwells), replace(dwells, time=None), replace(rests))
     dwells, rests = steady(scatter=4.0)
     fit = fit_with_rests(fit_rate_table(dwells), replace(dwells, time=None), rests)
-    (reason,) = fit.verdict.reasons
-    times = float(reason.split("the readings scatter ")[1].split(" times")[0])
-    assert times == pytest.approx(4.0, rel=0.2)  # 117 spare equations tell it to 6.5 %: three of those
-    assert reason.endswith(
-        "(vibration, non-linearity, or a table that turns unevenly): the uncertainty is widened by that"
-    )
+    (scatter,) = fit.verdict.findings
+    assert (scatter.code, scatter.level) == ("rate_table.scatter", "info")
+    times = scatter.values["ratio"]
+    assert times == pytest.approx(4.0, rel=0.2)  # 117 spare equations: known to 6.5 %, three of those
     ratio = fit.model.standard_uncertainty[0] / quiet.model.standard_uncertainty[0]
-    assert ratio == pytest.approx(times, rel=0.02)  # printed to one decimal place
+    assert ratio == pytest.approx(times, rel=0.02)  # two draws of the walk's weights
     assert fit.model.g_sensitivity is None  # large scatter is no sign of gravity
 
 
@@ -437,27 +432,27 @@ def _first(means: tuple[DwellMeans, RestMeans]) -> tuple[RateTableFit, DwellMean
     return fit_rate_table(means[0]), *means
 
 
-def test_an_offset_that_goes_with_the_axis_is_gravity_and_nobody_is_told_to_warm_up() -> None:
+def test_an_offset_that_goes_with_the_axis_is_gravity_and_asks_for_no_warm_up() -> None:
     # Without accelerometers the dwells alone: each axis of the table turns the device another way up.
     dwells, rests = steady()
     H = np.zeros((3, 3))
     H[1] = np.radians([0.05, -0.05, 0.15]) / STANDARD_GRAVITY
     dwells, _ = felt(dwells, rests, H)
     fit = fit_with_rests(fit_rate_table(dwells), dwells, None)
-    (reason,) = [reason for reason in fit.verdict.reasons if "offset" in reason]
-    show("an offset that goes with the axis", reason)
-    assert reason.startswith("the offset differs between the axes of the table by up to 0.")
-    size = float(reason.split("by up to ")[1].split(" deg/s")[0])
+    differs = only(fit.verdict.findings, "rate_table.axis_offset")
+    show("an offset that goes with the axis", differs.text)
+    size = differs.values["offset_dps"]
     up = np.array(_mean_force(dwells, rests))
     assert size == pytest.approx(np.degrees(np.ptp(up @ H[1])), rel=0.15)
-    assert "warm" not in reason
+    assert "rate_table.drift" not in codes(fit.verdict.findings)
+    assert "warm" not in differs.text
 
 
-def test_an_offset_that_goes_with_time_is_told_to_warm_up_without_accelerometers_too() -> None:
+def test_an_offset_that_goes_with_time_asks_for_a_warm_up_without_accelerometers_too() -> None:
     dwells, _ = steady(np.radians(0.05))
     fit = fit_with_rests(fit_rate_table(dwells), dwells, None)
-    assert any("warm the device up before" in reason for reason in fit.verdict.reasons)
-    assert not any("differs between the axes" in reason for reason in fit.verdict.reasons)
+    assert "warm the device up before" in only(fit.verdict.findings, "rate_table.drift").action
+    assert "rate_table.axis_offset" not in codes(fit.verdict.findings)
 
 
 def _mean_force(dwells: DwellMeans, rests: RestMeans) -> list[Array]:

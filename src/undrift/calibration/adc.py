@@ -6,7 +6,7 @@ wide as its neighbours. So with n(k) samples at code k, expected(0) the mean of 
 
     ratio = n(0) / expected(0)          1 for nearest and floor, 2 for toward zero
 
-Nearest and floor differ by half a step everywhere, which an offset takes up: codes alone cannot tell them apart, and need
+Nearest and floor differ by half a step everywhere, which an offset takes up: codes alone do not show which it is, and need
 not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
 """
 
@@ -21,7 +21,7 @@ from undrift.record import Record
 _MOST_CODES = 200_000  # distinct readings looked at when the step is sought
 _GRID_MISS = 0.15  # of a step: how far readings may be off the grid; files round to a tenth of a step
 _DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: float rounding, not a step
-_SIDE = 8  # codes on either side of zero that tell its expected count
+_SIDE = 8  # codes on either side of zero that give its expected count
 _HALF, _TRAVEL = 5, 20  # a sample is in motion when the readings 5 before and 5 after differ by 20 codes
 _LEAST_COUNT = 100  # samples in motion near code 0
 _SURE = 4.0  # standard deviations by which the other ratio must be excluded
@@ -29,20 +29,17 @@ _SURE = 4.0  # standard deviations by which the other ratio must be excluded
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdcFinding:
-    """What the codes of one triad say."""
+    """Step and rounding of the codes of one triad, and the evidence."""
 
     lsb: FloatArray | None  # (3,), step of each axis, unit of the readings; None where the readings lie on no grid
-    rounding: Rounding | None  # toward_zero; nearest (which stands for floor too); None where it cannot be told
+    rounding: Rounding | None  # toward_zero; nearest (which stands for floor too); None where not identifiable
     ratio: FloatArray  # (3,), count at code 0 over the expected one; NaN where too few samples are near zero
     ratio_uncertainty: FloatArray  # (3,), scatter that ``ratio`` would have if it were 1
-    reason: str  # How it was told, or why not
+    reason: str  # The evidence, or why there is none
 
 
 def identify_adc(values: FloatArray) -> AdcFinding:
-    """Find the step and the rounding of a triad.
-
-    Arrays: values (N, 3).
-    """
+    """Find the step and the rounding of a triad (N, 3)."""
     grids = [code_grid(column) for column in values.T]
     steps, phases = np.array([g[0] for g in grids]), np.array([g[1] for g in grids])
     nothing = np.full(3, np.nan)
@@ -68,24 +65,23 @@ def identify_record_adc(record: Record) -> AdcModel | None:
 
 
 def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | None:
-    """Keep what was told for certain."""
-    known_gyro = gyro if gyro is not None and gyro.rounding is not None else None
-    known_accel = accel if accel is not None and accel.rounding is not None else None
-    if known_gyro is None and known_accel is None:
+    """Return the model of the triads whose rounding is certain; None where none is."""
+    (gyro_lsb, gyro_rounding), (accel_lsb, accel_rounding) = (
+        (None, None) if found is None or found.rounding is None else (found.lsb, found.rounding)
+        for found in (gyro, accel)
+    )
+    if gyro_rounding is None and accel_rounding is None:
         return None
     return AdcModel(
-        gyro_lsb=None if known_gyro is None else known_gyro.lsb,
-        accel_lsb=None if known_accel is None else known_accel.lsb,
-        gyro_rounding=known_gyro.rounding if known_gyro is not None and known_gyro.rounding else "nearest",
-        accel_rounding=known_accel.rounding if known_accel is not None and known_accel.rounding else "nearest",
+        gyro_lsb=gyro_lsb,
+        accel_lsb=accel_lsb,
+        gyro_rounding=gyro_rounding or "nearest",
+        accel_rounding=accel_rounding or "nearest",
     )
 
 
 def code_grid(column: FloatArray) -> tuple[float, float]:
-    """Return the step between neighbouring codes of one axis, and where the grid lies.
-
-    Arrays: column (N,).
-    """
+    """Return the step between neighbouring codes of one axis (N,), and the phase of the grid."""
     distinct = np.unique(column[np.isfinite(column)])
     if not 4 <= len(distinct) <= _MOST_CODES:
         return float("nan"), float("nan")
@@ -96,7 +92,7 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
     gaps = np.diff(nodes)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     origin = float(nodes[np.argmin(np.abs(nodes - np.median(nodes)))])
-    for reach in (8.0, 30.0, 120.0, 500.0, 2000.0, 8000.0, np.inf):  # a wider span tells the step more finely
+    for reach in (8.0, 30.0, 120.0, 500.0, 2000.0, 8000.0, np.inf):  # a wider span gives a finer step
         near = nodes[np.abs(nodes - origin) <= reach * step]
         codes = np.round((near - origin) / step)
         if len(near) > 3 and np.ptp(codes) > 0.0:
@@ -114,7 +110,7 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:
-    # How often each code from -_SIDE to _SIDE occurs while the reading sweeps through.
+    # How often each code from -_SIDE to _SIDE occurs while the reading sweeps through zero.
     codes = np.round(np.nan_to_num(column, nan=1e9) / step).astype(np.int64)
     flag = np.zeros(len(codes), bool)
     flag[_HALF:-_HALF] = np.abs(codes[2 * _HALF :] - codes[: -2 * _HALF]) >= _TRAVEL
@@ -123,8 +119,7 @@ def _sweeping(column: FloatArray, step: float) -> FloatArray:
 
 
 def _zero_ratio(counts: FloatArray) -> tuple[float, float]:
-    beside = float(counts.sum() - counts[_SIDE])
-    if beside < _LEAST_COUNT:
+    if float(counts.sum() - counts[_SIDE]) < _LEAST_COUNT:
         return float("nan"), float("nan")
     others = np.delete(counts, _SIDE)
     expected = float(others.mean())
@@ -134,14 +129,14 @@ def _zero_ratio(counts: FloatArray) -> tuple[float, float]:
 
 def _obstacle(phases: FloatArray, ratio: FloatArray) -> str:
     if (np.abs(phases) >= 0.05).any():
-        return "an offset was taken off the codes"
+        return "an offset was subtracted from the codes"
     return "fewer than two axes sweep through code 0" if np.isfinite(ratio).sum() < 2 else ""
 
 
 def _judge(ratio: float, sigma: float, obstacle: str) -> tuple[Rounding | None, str]:
     if obstacle or np.isnan(ratio):
         why = obstacle or "too few samples sweep through code 0"
-        return None, f"{why}: a raw recording of the device in brisk motion would tell the rounding"
+        return None, f"{why}: record the raw device in brisk motion to identify the rounding"
     figures = f"code 0 occurs {ratio:.2f} +- {sigma:.2f} times as often as its neighbours"
     sure_1 = _SURE * sigma * np.sqrt(1.0 + 1.0 / (2 * _SIDE))  # scatter of the ratio if it were 1, and if it were 2
     sure_2 = _SURE * sigma * np.sqrt(2.0 + 4.0 / (2 * _SIDE))
@@ -153,10 +148,7 @@ def _judge(ratio: float, sigma: float, obstacle: str) -> tuple[Rounding | None, 
 
 
 def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) -> FloatArray:
-    """Return readings with the half step that the rounding took away put back.
-
-    Arrays: values (N, 3), lsb (3,) -> (N, 3).
-    """
+    """Return readings (N, 3) corrected for the half step that the rounding took: lsb (3,)."""
     if rounding == "nearest":
         return values
     direction = np.sign(values) * (np.abs(values) > 0.5 * lsb) if rounding == "toward_zero" else 1.0

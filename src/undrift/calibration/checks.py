@@ -1,16 +1,6 @@
 """Plausibility: answers that cannot be this device, each named with its number and what to do about it.
 
-A fit calls these before it trusts its data and after it has an answer. Every function returns None or raises.
-
-Axis order: whether a gyroscope's columns stand in the order and sense of the axes they are said to have.
-
-Of the 48 matrices with one +1 or -1 in every row and column, the one nearest to a gyroscope's forward matrix K, its rows
-scaled to one, says what each column sees::
-
-    P = argmax sum_ij P_ij K_ij / |K_i|        P_ij = +1: column i reads + for a turn about +j
-
-Any P but the identity is an exchange of columns, a wrong sign, or axis labels that do not belong to the data; it is told
-here, where a left-handed triad is only one half of the cases (an even exchange stays right-handed).
+A fit calls these before it trusts its data and after it has an answer. Every check returns None or raises.
 """
 
 import itertools
@@ -25,16 +15,21 @@ from undrift.errors import Implausible, NotObservable
 from undrift.model import AXES
 from undrift.record import FACES, Axis, Face
 
-# ---- Axis order: whether a gyroscope's columns stand in the order and sense of the axes they are said to have.
+# ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?
+#
+# Of the 48 matrices with one +1 or -1 in every row and column, the one nearest to a gyroscope's forward matrix K, its rows scaled
+# to one, gives what each column senses:
+#
+#     P = argmax sum_ij P_ij K_ij / |K_i|        P_ij = +1: column i reads + for a turn about +j
+#
+# Any P but the identity is an exchange of columns, a wrong sign, or axis labels that do not belong to the data. A left-handed
+# triad is only one half of the cases: an even exchange stays right-handed.
 
 Against = Literal["accelerometer", "turns"]
 
 
 def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
-    """Return the signed permutation nearest to a forward matrix.
-
-    Arrays: forward (3, 3) -> (3, 3).
-    """
+    """Return the signed permutation (3, 3) nearest to a forward matrix (3, 3)."""
     gain = forward / np.linalg.norm(forward, axis=1)[:, None]
     order = max(itertools.permutations(range(3)), key=lambda p: sum(abs(gain[i, p[i]]) for i in range(3)))
     nearest = np.zeros((3, 3))
@@ -44,36 +39,27 @@ def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
 
 
 def check_axis_order(forward: FloatArray, what: str, *, against: Against) -> None:
-    """Raise unless each gyroscope column reads + for a turn about its own axis.
-
-    Arrays: forward (3, 3).
-    """
+    """Raise unless each gyroscope column reads + for a turn about its own axis, by the forward matrix (3, 3)."""
     seen = nearest_signed_permutation(forward)
     if not np.array_equal(seen, np.eye(3)):
         by_turns = against == "turns"
         cause = cause_by_turns(seen) if by_turns else cause_by_gravity(seen)
         raise Implausible(
             f"{what}: wanted gyroscope columns x, y, z that read turns about +x, +y, +z "
-            f"{'as stated' if by_turns else 'of the accelerometer axes'}, got {told_order(seen)}: {cause}; correct the order or "
+            f"{'as stated' if by_turns else 'of the accelerometer axes'}, got {order_text(seen)}: {cause}; correct the order or "
             f"the sign of the columns{' or of the turns' if by_turns else ''}",
-            seen=told_order(seen),
+            seen=order_text(seen),
         )
 
 
-def told_order(seen: FloatArray) -> str:
-    """Return what the columns see, as "+y, +x, +z".
-
-    Arrays: seen (3, 3).
-    """
+def order_text(seen: FloatArray) -> str:
+    """Return a signed permutation as text: "+y, +x, +z"."""
     axis = np.abs(seen).argmax(axis=1)
     return ", ".join(f"{'+' if seen[i, j] > 0.0 else '-'}{AXES[j]}" for i, j in enumerate(axis))
 
 
 def cause_by_turns(seen: FloatArray) -> str:
-    """Return which columns or stated turns would have to be exchanged or reversed to give an order.
-
-    Arrays: seen (3, 3).
-    """
+    """Return which columns or stated turns would have to be exchanged or reversed to give an order."""
     negative, moved = _reversed_and_moved(seen)
     if not moved:
         return f"column {' and '.join(negative)} reversed, or the sign of the turns about {' and '.join(negative)}"
@@ -86,8 +72,6 @@ def cause_by_gravity(seen: FloatArray) -> str:
     """Return which columns, of gyroscope or accelerometer, would have to be exchanged or reversed to give an order.
 
     A turn is a pseudovector: accelerometer columns that are exchanged or reversed, A, show as P = det(A) A^T.
-
-    Arrays: seen (3, 3).
     """
     negative, moved = _reversed_and_moved(seen)
     if not moved:
@@ -117,17 +101,14 @@ def _and_reversed(negative: list[str]) -> str:
     return f", and {' and '.join(negative)} reversed" if negative else ""
 
 
-# ---- Readings that stuck at the end of the range in free poses, moves or turns by hand.
+# ---- readings at the end of the range
 
 _RUN = 5  # equal readings in a row: at an end it is the converter's, unless readings inside repeat as long
 _LEAST_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
 
 
 def check_range(windows: list[FloatArray], what: str) -> None:
-    """Raise when a triad sticks at its largest or smallest reading, over all windows together.
-
-    Arrays: windows (n_i, 3).
-    """
+    """Raise when a triad sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
     if not windows:
         return
     for name, column in zip(AXES, np.concatenate(windows).T, strict=True):
@@ -136,7 +117,7 @@ def check_range(windows: list[FloatArray], what: str) -> None:
             continue
         for end in (finite.max(), finite.min()):
             stuck = finite == end
-            if _longest(stuck) >= _RUN and _piles_up(finite, end):
+            if _longest_run(stuck) >= _RUN and _piles_up(finite, end):
                 raise Implausible(
                     f"{what}: wanted {name} readings inside the range, got {int(stuck.sum())} samples stuck at {end:g}; choose a "
                     "wider range or move more slowly",
@@ -160,12 +141,7 @@ def _longest_inside(finite: FloatArray) -> int:
     return int(length[inside].max()) if inside.any() else 0
 
 
-def _longest(flag: BoolArray) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
-    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
-
-
-# ---- checks
+# ---- labels, gravity, scale
 
 # A gain this close to a whole factor is a unit, a range or a sample rate, not a sensor.
 _FACTORS = (2.0, 4.0, 8.0, 16.0)
@@ -175,10 +151,7 @@ _FAR_FROM_REST = 50.0  # steps between the extreme and the median before a run c
 
 
 def face_vectors(faces: Sequence[Face]) -> FloatArray:
-    """Return the direction of +g in s for each face, one unit vector a row.
-
-    Arrays:  -> (P, 3).
-    """
+    """Return the direction of +g in s for each face, one unit vector a row, (P, 3)."""
     up = np.zeros((len(faces), 3))
     for row, face in enumerate(faces):
         up[row, AXES.index(face[1])] = 1.0 if face[0] == "+" else -1.0
@@ -186,10 +159,7 @@ def face_vectors(faces: Sequence[Face]) -> FloatArray:
 
 
 def axis_vectors(axes: Sequence[Axis]) -> FloatArray:
-    """Return the unit vector of each axis, one a row.
-
-    Arrays:  -> (R, 3).
-    """
+    """Return the unit vector of each axis, one a row, (R, 3)."""
     return np.eye(3)[[AXES.index(axis) for axis in axes]].reshape(-1, 3)
 
 
@@ -202,10 +172,7 @@ def check_pose_count(count: int, needed: int, what: str) -> None:
 
 
 def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:
-    """Raise when the length of the specific force at rest cannot be gravity.
-
-    Arrays: means (P, 3) m/s2.
-    """
+    """Raise when the length of the specific force at rest, means (P, 3) in m/s2, cannot be gravity."""
     ratio = float(np.median(np.linalg.norm(means, axis=1))) / gravity
     if not 1.0 / factor <= ratio <= factor:
         raise Implausible(
@@ -216,10 +183,7 @@ def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> 
 
 
 def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
-    """Raise when the labels of a six-face session contradict its readings.
-
-    Arrays: means (P, 3).
-    """
+    """Raise when the labels of a six-face session contradict its mean readings (P, 3)."""
     up = face_vectors(faces)
     radius = 0.5 * float(np.max(means.max(axis=0) - means.min(axis=0)))
     for a, b in itertools.combinations(range(len(faces)), 2):
@@ -248,10 +212,7 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
 
 
 def check_handedness(forward: FloatArray, what: str) -> None:
-    """Raise when a forward matrix turns a right-handed frame into a left-handed one.
-
-    Arrays: forward (3, 3).
-    """
+    """Raise when a forward matrix (3, 3) turns a right-handed frame into a left-handed one."""
     if np.linalg.det(forward) < 0.0:
         negative = [axis for k, axis in enumerate(AXES) if forward[k, k] < 0.0]
         named = " and ".join(negative) if negative else "two axes exchanged"
@@ -263,10 +224,7 @@ def check_handedness(forward: FloatArray, what: str) -> None:
 
 
 def check_scale_factor(scale_factor: FloatArray, stated: float, tolerance: float, what: str) -> None:
-    """Raise when a fitted scale factor is outside the tolerance of the sensitivity the maker states.
-
-    Arrays: scale_factor (K,).
-    """
+    """Raise when a fitted scale factor, one or (K,), is outside the tolerance of the stated sensitivity."""
     ratio = np.atleast_1d(np.asarray(scale_factor, float)) / stated
     worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
     if abs(worst - 1.0) > tolerance:
@@ -279,11 +237,8 @@ def check_scale_factor(scale_factor: FloatArray, stated: float, tolerance: float
         )
 
 
-def check_saturation(values: FloatArray, what: str, *, full_scale: float | None = None) -> None:
-    """Raise when readings stick at the end of the range.
-
-    Arrays: values (N, 3).
-    """
+def check_saturation(values: FloatArray, what: str) -> None:
+    """Raise when readings (N, 3) stick at the end of the range."""
     for axis, column in zip(AXES, values.T, strict=True):
         finite = column[np.isfinite(column)]
         steps = np.unique(np.abs(np.diff(np.unique(finite))))
@@ -291,12 +246,8 @@ def check_saturation(values: FloatArray, what: str, *, full_scale: float | None 
             continue
         for extreme in (finite.max(), finite.min()):
             stuck = finite == extreme
-            if full_scale is not None:
-                hit = abs(extreme) >= full_scale and bool(stuck.any())
-            else:
-                far = abs(extreme - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(extreme))
-                hit = far and _longest_run(stuck) >= _SATURATED_RUN
-            if hit:
+            far = abs(extreme - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(extreme))
+            if far and _longest_run(stuck) >= _SATURATED_RUN:
                 raise Implausible(
                     f"{what} {axis}: wanted readings inside the range, got {int(stuck.sum())} samples stuck at {extreme:g}; "
                     "choose a wider range or move more slowly",
@@ -343,7 +294,7 @@ def _check_opposites(means: FloatArray, up: FloatArray, faces: Sequence[Face]) -
 def _explaining_swap(
     means: FloatArray, faces: Sequence[Face], present: list[Face], enough: float
 ) -> tuple[Face, Face] | None:
-    # Several swaps may fit alike, all but one of them with axes exchanged: take the one whose sensors see their own axes.
+    # Several swaps may fit alike, all but one of them with axes exchanged: take the one whose sensors read their own axes.
     best: tuple[Face, Face] | None = None
     most = -np.inf
     for one, other in itertools.combinations(present, 2):
@@ -373,6 +324,6 @@ def _likely_factor(ratio: float) -> str:
     return ""
 
 
-def _longest_run(flag: FloatArray) -> int:
+def _longest_run(flag: BoolArray) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
     return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0

@@ -1,4 +1,4 @@
-"""Known rotation: six faces, then one turn by a known angle about each axis (Ferraris 1995). No rate table.
+"""Known rotation: six faces, then one turn by a known angle about each axis. No rate table.
 
 Forward model of the gyroscopes, with a the true specific force::
 
@@ -11,14 +11,8 @@ K e_j t_j + b T + G A_j, T its duration and A_j the integral of the calibrated s
     affine     G and b by least squares over the faces, weighted by their samples: the same for windows of equal length, and
                free of bias for unequal ones
 
-Whether gyroscopes that were fitted to stated turns turn gravity as the accelerometer sees it, from rest to rest.
-
-::
-
-    C(P^T M (u - o)) n_before = n_after        P one of the 48 signed permutations
-
-The fit is right where P = 1 misses the later direction by least. Full turns bring gravity back whatever the axes are, and so do
-the means on the faces: it is the moves between the rests that tell a triad whose axes are not the accelerometer's.
+.. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
+   accelerometers", Sensors and Materials 7(5), 1995.
 """
 
 import itertools
@@ -38,21 +32,26 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
     nearest_signed_permutation,
-    told_order,
+    order_text,
 )
 from undrift.calibration.multi_position_gyro import Moves, cut_moves, gravity_directions
+from undrift.calibration.observe import Observed, Outcome
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, inverse_jacobian, scaled_condition
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-# ---- Whether gyroscopes that were fitted to stated turns turn gravity as the accelerometer sees it, from rest to rest.
+# ---- do the fitted gyroscopes turn gravity as the accelerometer measures it?
+#
+#     C(P^T M (u - o)) n_before = n_after        P one of the 48 signed permutations
+#
+# The fit is right where P = 1 misses the later direction by least. Full turns bring gravity back whatever the axes are, and so do
+# the means on the faces: the moves between the rests show a triad whose axes are not the accelerometer's.
 
-LARGEST_MISS_DEG = (
-    20.0  # rms: hand moves and an offset that drifts miss by a few degrees, an exchanged axis by 60 and more
-)
+LARGEST_MISS_DEG = 20.0  # rms: hand moves and offset drift miss by a few degrees, an exchanged axis by 60 and more
 _CLEARLY = 0.5  # another order must miss by less than this share to be named
 _LEAST_MOVES = 3
 _SIGNS = tuple(itertools.product((1.0, -1.0), repeat=3))
@@ -69,23 +68,21 @@ def check_turns_gravity(
     own = _miss_deg(moves, n, gyro.matrix, gyro.offset)
     if own <= LARGEST_MISS_DEG:
         return
-    orders = [_signed(order, signs) for order in itertools.permutations(range(3)) for signs in _SIGNS]
+    orders = [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order in itertools.permutations(range(3))
+        for signs in _SIGNS
+    ]
     misses = [_miss_deg(moves, n, order.T @ gyro.matrix, gyro.offset) for order in orders]
     best = int(np.argmin(misses))
     if misses[best] < _CLEARLY * own and not np.array_equal(orders[best], np.eye(3)):
         raise Implausible(
             f"gyro against accel: wanted gyroscopes that turn gravity from rest to rest, got moves that miss it by {own:.0f} deg "
-            f"rms, and by {misses[best]:.0f} deg were the axes x, y, z of the gyroscopes {told_order(orders[best])} of the "
+            f"rms, and by {misses[best]:.0f} deg were the axes x, y, z of the gyroscopes {order_text(orders[best])} of the "
             f"accelerometer: {cause_by_gravity(orders[best])}; correct the order or the sign of the columns",
             miss_deg=own,
-            seen=told_order(orders[best]),
+            seen=order_text(orders[best]),
         )
-
-
-def _signed(order: tuple[int, ...], signs: tuple[float, ...]) -> FloatArray:
-    matrix = np.zeros((3, 3))
-    matrix[np.arange(3), order] = signs
-    return matrix
 
 
 def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArray) -> float:
@@ -109,7 +106,7 @@ def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArra
     return float(np.sqrt(np.mean(np.arccos(cosine) ** 2))) / RADIAN_PER_DEGREE
 
 
-# ---- known rotation
+# ---- sums over faces and turns
 
 KnownRotationMode = Literal["paper", "affine"]
 
@@ -142,23 +139,26 @@ class RotationData:
 def fit_known_rotation(
     data: RotationData, *, gravity: float, settings: KnownRotationSettings = KnownRotationSettings()
 ) -> TriadFit:
-    """Fit gyroscopes, with their g-sensitivity, to six faces and turns by known angles.
-
-    References
-    ----------
-    .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
-       accelerometers", Sensors and Materials 7(5), 1995.
-    """
+    """Fit gyroscopes, with their g-sensitivity, to six faces and turns by known angles."""
     _check_complete(data)
-    to_rest = _rest_estimator(data, gravity, settings.mode)  # (4, P): b and the row of G from the means of one sensor
+    up, samples = face_vectors(data.rest.faces), data.rest_samples
+    design = np.column_stack((np.ones(len(up)), gravity * up))
+    # to_rest (4, P): b and the row of G from the means of one sensor
+    if settings.mode == "paper":  # half differences, repeated faces averaged
+        to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
+    else:
+        weighted = design * samples[:, None]
+        to_rest = np.linalg.solve(weighted.T @ design, weighted.T)
     rest = to_rest @ data.rest.reading
     turned = data.reading - data.duration[:, None] * rest[0] - data.force @ rest[1:]
     turns = axis_vectors(data.axis) * data.angle[:, None]
     forward = (np.linalg.pinv(turns) @ turned).T
     _check_turns(forward, data, settings)
     matrix = np.linalg.inv(forward)
-    residuals = np.concatenate((_rest_residuals(data, rest, gravity), turned - turns @ forward.T)) @ matrix.T
-    rank, condition = scaled_condition(np.column_stack((np.ones(len(data.rest.faces)), face_vectors(data.rest.faces))))
+    at_rest = data.rest.reading - (rest[0] + gravity * up @ rest[1:])
+    residuals = np.concatenate((at_rest, turned - turns @ forward.T)) @ matrix.T
+    rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
+    fastest = float(np.abs(data.angle / data.duration).max())
     model = TriadModel(
         method=f"known-rotation/{settings.mode}",
         unit_in=data.rest.unit,
@@ -172,18 +172,18 @@ def fit_known_rotation(
         count=residuals.size,
         rank=3 * rank + 9,
         condition=condition,
-        valid_range=_range(data),
+        valid_range=(-fastest, fastest),
     )
-    return TriadFit(model=model, residuals=residuals, verdict=_verdict(settings))
+    findings = [finding("known_rotation.no_spare_equations", "info")]
+    if settings.angle_uncertainty == 0.0:
+        findings.append(finding("known_rotation.angles_exact", "info"))
+    return TriadFit(model=model, residuals=residuals, verdict=Verdict.of(*findings))
 
 
 def rotation_data(
     records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn], *, matrix: FloatArray, offset: FloatArray
 ) -> RotationData:
-    """Sum the readings of a session over its labelled faces and its turns.
-
-    Arrays: matrix (3, 3), offset (3,).
-    """
+    """Sum the readings of a session over its labelled faces and its turns; matrix and offset are the accelerometer's."""
     means, samples, faces, square, spare = [], [], [], np.zeros(3), 0
     for still in stills:
         gyro, _ = _both(records[still.recording])
@@ -210,7 +210,8 @@ def rotation_data(
                 f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again"
             )
         check_range([gyro[turn.start : turn.stop]], f"gyroscope in the turn about {turn.axis}")
-        step = _steps(record.time)[turn.start : turn.stop]
+        steps = np.diff(record.time)
+        step = np.concatenate((steps[:1], steps))[turn.start : turn.stop]
         reading.append(step @ gyro[turn.start : turn.stop])
         force.append(step @ ((accel[turn.start : turn.stop] - offset) @ matrix.T))
         duration.append(step.sum())
@@ -240,11 +241,6 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
     return record.gyro, record.accel
 
 
-def _steps(time: FloatArray) -> FloatArray:
-    step = np.diff(time)
-    return np.concatenate((step[:1], step))
-
-
 def _check_complete(data: RotationData) -> None:
     missing = missing_faces(data.rest.faces)
     if missing:
@@ -259,21 +255,6 @@ def _check_complete(data: RotationData) -> None:
             f"turn the device about {', '.join(lacking)} by a known angle",
             missing=tuple(lacking),
         )
-
-
-def _rest_estimator(data: RotationData, gravity: float, mode: KnownRotationMode) -> FloatArray:
-    up, samples = face_vectors(data.rest.faces), data.rest_samples
-    if mode == "paper":
-        opposite = up / np.abs(up).sum(axis=0) / gravity  # half differences, repeated faces averaged
-        return np.vstack((samples / samples.sum(), opposite.T))
-    design = np.column_stack((np.ones(len(up)), gravity * up))
-    weighted = design * samples[:, None]
-    return np.asarray(np.linalg.solve(weighted.T @ design, weighted.T))
-
-
-def _rest_residuals(data: RotationData, rest: FloatArray, gravity: float) -> FloatArray:
-    model: FloatArray = rest[0] + gravity * face_vectors(data.rest.faces) @ rest[1:]
-    return data.rest.reading - model
 
 
 def _check_turns(forward: FloatArray, data: RotationData, settings: KnownRotationSettings) -> None:
@@ -337,15 +318,29 @@ def _covariance(
     return covariance
 
 
-def _range(data: RotationData) -> tuple[float, float]:
-    fastest = float(np.abs(data.angle / data.duration).max())
-    return -fastest, fastest
+# ---- from a session
 
 
-def _verdict(settings: KnownRotationSettings) -> Verdict:
-    reason = "each turn is one equation for its column of the matrix: nothing is left over to check the angles against"
-    if settings.angle_uncertainty == 0.0:
-        reason += (
-            "; the uncertainty stated takes them as exact (1 deg of 360 is 0.28 % of scale): give angle_uncertainty"
-        )
-    return Verdict(remarks=(reason,))
+def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+    """Fit the gyroscopes of a session to its turns by known angles; an entry of FITS."""
+    if all(r.accel is None for r in seen.session.records):
+        return Outcome(findings=(finding("known_rotation.needs_accel", "warn"),))
+    if accel is None or len({s.face for s in seen.faced}) < 6:
+        return Outcome(findings=(finding("known_rotation.needs_faces", "warn"),))
+    turns = tuple(t for t in seen.session.turns if t.angle is not None)
+    found: tuple[Finding, ...] = ()
+    if not turns:
+        turns = seen.full_turns()
+        if not turns:
+            return Outcome(findings=(finding("known_rotation.needs_turns", "warn"),))
+        taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
+        found = (finding("known_rotation.turns_found", "warn", turns=taken),)
+    data = rotation_data(seen.session.records, seen.stills, turns, matrix=accel.model.matrix, offset=accel.model.offset)
+    settings = KnownRotationSettings(
+        mode="paper" if mode == "paper" else "affine",
+        angle_uncertainty=seen.settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
+        scale_tolerance=seen.settings.scale_tolerance,
+    )
+    fit = fit_known_rotation(data, gravity=seen.session.gravity_m_s2, settings=settings)
+    check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)
+    return Outcome(fit=fit, method="known-rotation", findings=found)

@@ -2,8 +2,12 @@
 
 ::
 
-    |M_a (u - o_a)| = g                  accelerometer, over the still poses    calibration/multi_position.py
+    |M_a (u_k - o_a)| = g                accelerometer, over k = 1 .. K still poses; u_k mean raw reading, M_a upper triangular
     C(M_g, o_g) n_before = n_after       gyroscopes, over the moves between     calibration/multi_position_gyro.py
+
+A common rotation of all readings does not change their length, so three of the twelve parameters are a choice of axes: M is
+upper triangular, that is, the sensor's z axis is the case's z axis and its y axis lies in the case's y-z plane. Written as
+scale and misalignment, M = T D with T unit upper triangular and D diagonal: D_j = M_jj, T_ij = M_ij / M_jj ([1]_, eqs. 2-4).
 
 Where a still begins and ends is a choice: the variance of the accelerometer over a sliding window, as the length of the
 vector of its three variances, must stay below a multiple of what it is at rest [1]_. Several multiples are tried:
@@ -13,54 +17,12 @@ vector of its three variances, must stay below a multiple of what it is at rest 
 - ``published``: the one with the smallest summed cost over the first second of each still, the opening rest giving the level
   and the gyroscopes' offset [1]_. A summed cost falls with every pose that is lost, so it may keep few poses.
 
-References
-----------
 .. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
    equipments", ICRA 2014, section IV.
-
-Accelerometer from free poses: at rest the reading has the length of gravity, whichever way the device lies.
-
-::
-
-    |M (u_k - o)| = g        k = 1 .. K still poses, u_k mean raw reading, M upper triangular
-
-A common rotation of all readings does not change their length, so three of the twelve parameters are a choice of axes: M is
-upper triangular, that is, the sensor's z axis is the case's z axis and its y axis lies in the case's y-z plane. Written as
-scale and misalignment [1]_, M = T D with T unit upper triangular and D diagonal: D_j = M_jj, T_ij = M_ij / M_jj.
-
-The equations are solved in :mod:`undrift.calibration.fit.norm`; here the answer is judged and put in the sensor's units.
-
-References
-----------
-.. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
-   equipments", ICRA 2014, eqs. 2-4 and 8-10.
-
-Solve |M (u - o)| = g for an upper triangular M: the numbers behind the multi-position fit, without judgement.
-
-Scaled so that every parameter is near one or of the size of g::
-
-    v = k (u - c)          c, k from the sphere through the readings
-    |M' (v - o')| = g      M = k M',  o = c + o' / k
-
-Levenberg-Marquardt on the normal equations with analytic Jacobian: with n the direction of M' (v - o'),
-dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each pose weighs by the variance of its length,
-n^T M S_k M^T n + s2, S_k the variances of the mean and s2 the excess of :mod:`undrift.calibration.fit.excess`: the profile
-likelihood over unknown directions.
-
-Sliding variance of an accelerometer, and the stills below a threshold of it.
-
-::
-
-    s2_k = |(var u_x, var u_y, var u_z)| over the window centred at k        sample variances, raw unit squared
-
-A turn about the vertical does not show in an accelerometer: where there are gyroscopes, a still is cut down to its core, in
-which they are as quiet as they are in most of the stills.
-
-Running sums make window, mean and variance of any stretch cost the same whatever its length.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -69,14 +31,25 @@ from numpy.typing import ArrayLike
 from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
 from undrift.calibration.checks import check_gravity, check_range, check_scale_factor
 from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
+from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
-from undrift.fit.least_squares import TriadFit, excess_variance, in_words, scaled_condition
-from undrift.model import AXES, Status, TriadModel, Verdict
+from undrift.findings import Finding, finding
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition
+from undrift.model import AXES, TriadModel, Verdict, level_of
 from undrift.record import Record, Session, Still
 from undrift.segments import runs
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
-# ---- Solve |M (u - o)| = g for an upper triangular M: the numbers behind the multi-position fit, without judgement.
+# ---- solve |M (u - o)| = g for an upper triangular M
+#
+# Scaled so that every parameter is near one or of the size of g:
+#
+#     v = k (u - c)          c, k from the sphere through the readings
+#     |M' (v - o')| = g      M = k M',  o = c + o' / k
+#
+# Levenberg-Marquardt on the normal equations with analytic Jacobian: with n the direction of M' (v - o'),
+# dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each pose weighs by the variance of its length, n^T M S_k M^T n + s2, S_k the
+# variances of the mean and s2 the excess (fit/least_squares.py): the profile likelihood over unknown directions.
 
 ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
@@ -108,8 +81,7 @@ class NormFit:
     @property
     def offset(self) -> FloatArray:
         """o, raw unit, shape (3,)."""
-        offset: FloatArray = self.center + self.p[6:] / self.scale
-        return offset
+        return np.asarray(self.center + self.p[6:] / self.scale)
 
     @property
     def uncertainty(self) -> float:
@@ -119,21 +91,14 @@ class NormFit:
         return float(np.sqrt(total)) if np.isfinite(total) else np.inf
 
     def corrected(self, reading: FloatArray) -> FloatArray:
-        """Return readings in m/s2.
-
-        Arrays: reading (K, 3) -> (K, 3) m/s2.
-        """
-        a: FloatArray = (reading - self.offset) @ self.matrix.T
-        return a
+        """Return readings (K, 3) in m/s2."""
+        return np.asarray((reading - self.offset) @ self.matrix.T)
 
 
 def fit_norm(
     reading: FloatArray, *, gravity: float, variances: FloatArray | None = None, cross_axis: bool = True
 ) -> NormFit:
-    """Solve the norm equations from the sphere through the readings; weights and excess are renewed until they settle.
-
-    Arrays: reading (K, 3), variances (K, 3).
-    """
+    """Solve the norm equations of readings (K, 3) with variances of the mean (K, 3); weights and excess settle together."""
     center, scale = _sphere(reading, gravity)
     v = np.ascontiguousarray(scale * (reading - center))
     stated_raw = np.zeros_like(v) if variances is None else variances * scale**2
@@ -238,16 +203,16 @@ def _inverse(design: FloatArray) -> FloatArray:
     if len(singular) < design.shape[1] or len(design) < design.shape[1] or singular[-1] < 1e-9 * singular[0]:
         return np.full((design.shape[1], design.shape[1]), np.nan)
     root = right.T / singular / size[:, None]
-    inverse: FloatArray = root @ root.T
-    return inverse
+    return np.asarray(root @ root.T)
 
 
-# ---- Accelerometer from free poses: at rest the reading has the length of gravity, whichever way the device lies.
+# ---- accelerometer from free poses
 
 SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # of m_xx .. m_zz, offset_x ..: those that the length of gravity shows
 TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
 MG = STANDARD_GRAVITY * 1e-3
-HELD_AT_ZERO = "cross-axis terms were held at zero: the poses were not asked to show them"
+RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
+UNCERTAIN_MG = (2.0, 20.0)
 
 
 def fit_poses(
@@ -258,12 +223,7 @@ def fit_poses(
     unit_in: str = "count",
     cross_axis: bool = True,
 ) -> TriadFit:
-    """Fit an accelerometer to its mean readings in still poses of any direction.
-
-    Model |M (u - o)| = g, M upper triangular, weighted by the variance of each pose's length: module docstring.
-
-    Arrays: means (K, 3), standard_errors (K, 3).
-    """
+    """Fit an accelerometer to mean readings (K, 3) in still poses of any direction, with standard errors where known."""
     reading = frozen(means, (None, 3), "means")
     error = None if standard_errors is None else frozen(standard_errors, (len(reading), 3), "standard_errors")
     if np.isnan(reading).any() or (error is not None and (np.isnan(error).any() or (error < 0.0).any())):
@@ -276,12 +236,9 @@ def fit_poses(
 
 
 def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> None:
-    """Raise unless there are poses enough.
-
-    Arrays: reading (K, 3).
-    """
+    """Raise unless there are enough different poses."""
     wanted = parameters + (not known_noise)
-    names = in_words(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
+    names = parameter_names(NAMES if parameters == 9 else [NAMES[i] for i in (0, 3, 5, 6, 7, 8)])
     different = len(np.unique(reading, axis=0))
     if different < wanted:
         raise NotObservable(
@@ -293,10 +250,7 @@ def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> N
 
 
 def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
-    """Return a solution as a fit with verdict, or refuse it where the poses leave a parameter unseen.
-
-    Arrays: reading (K, 3).
-    """
+    """Return a solution as a fit with verdict, or refuse it where the poses leave a parameter unobserved."""
     unit = canonical_unit(unit_in, "accel")
     if is_physical(unit):
         check_gravity(reading * si_factor(unit, "accel"), fit.gravity)
@@ -304,7 +258,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     if fit.weakest < WEAKEST:
         raise NotObservable(
             f"multi-position: wanted poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
-            f"{fit.weakest:.2g} for {in_words(fit.unseen)}; {_advice(corrected, fit.unseen)}",
+            f"{fit.weakest:.2g} for {parameter_names(fit.unseen)}; {_advice(corrected, fit.unseen)}",
             weakest=fit.weakest,
             parameters=fit.unseen,
         )
@@ -325,26 +279,19 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     )
     if is_physical(unit):
         check_scale_factor(model.scale_factor * si_factor(unit, "accel"), 1.0, TOLERANCE, "accel")
-    return TriadFit(model=model, residuals=fit.residuals, verdict=_verdict(fit))
+    return TriadFit(model=model, residuals=fit.residuals, verdict=Verdict.of(*_judged(fit, model.rms_residual / MG)))
 
 
-def _verdict(fit: NormFit) -> Verdict:
-    reasons: list[str] = []
-    status: Status = "good"
-    rms, doubt = float(np.sqrt(np.mean(fit.residuals**2))) / MG, fit.uncertainty / MG
-    if rms > 3.0:
-        status = "bad" if rms > 20.0 else "marginal"
-        reasons.append(
-            f"poses miss gravity by {rms:.2g} mg rms (wanted 3): the device moved in some of them, or the sensor is not linear"
-        )
-    if doubt > 2.0:
-        status = "bad" if doubt > 20.0 else "marginal" if status == "good" else status
-        reasons.append(
-            f"a corrected reading of gravity is uncertain by {doubt:.2g} mg (wanted 2): record more poses, held longer"
-        )
+def _judged(fit: NormFit, rms_mg: float) -> Iterator[Finding]:
+    if rms_mg > RESIDUAL_MG[0]:
+        level = level_of(rms_mg, RESIDUAL_MG)
+        yield finding("multi_position.residual", level, rms_mg=rms_mg, wanted=RESIDUAL_MG[0])
+    uncertain_mg = fit.uncertainty / MG
+    if uncertain_mg > UNCERTAIN_MG[0]:
+        level = level_of(uncertain_mg, UNCERTAIN_MG)
+        yield finding("multi_position.uncertainty", level, uncertainty_mg=uncertain_mg, wanted=UNCERTAIN_MG[0])
     if fit.p[1] == fit.p[2] == fit.p[4] == 0.0:
-        reasons.append(HELD_AT_ZERO)
-    return Verdict(status=status, remarks=tuple(reasons))
+        yield finding("multi_position.cross_axis_fixed", "info")
 
 
 def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
@@ -358,9 +305,14 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
     return "add poses on the sides, edges and corners that are missing"
 
 
-# ---- Sliding variance of an accelerometer, and the stills below a threshold of it.
+# ---- stills: where the sliding variance of the accelerometer is below a threshold
+#
+#     s2_k = |(var u_x, var u_y, var u_z)| over the window centred at k        sample variances, raw unit squared
+#
+# A turn about the vertical does not show in an accelerometer: where there are gyroscopes, a still is reduced to its core, in which
+# their variance is as low as in most of the stills. Running sums make mean and variance of any stretch cost the same.
 
-QUIETEST = 0.05  # share of all windows that tells the level at rest
+QUIETEST = 0.05  # share of all windows that gives the level at rest
 CORE = 4.0  # variance of the gyroscopes in the core of a still, in units of their median variance in all stills
 
 
@@ -369,13 +321,11 @@ class StillVariance:
     """Windowed variance of one record."""
 
     values: FloatArray  # (N, 3), readings, raw unit
-    # (N,), length of the variance vector over the window centred at each sample, raw unit squared; infinite at the
-    # ends and beside gaps
-    level: FloatArray
+    level: FloatArray  # (N,), s2, raw unit squared; infinite at the ends and next to gaps
     gyro_level: FloatArray | None  # (N,), the same of the gyroscopes, their unit squared; None without gyroscopes
     at_rest: float  # Value of ``level`` at rest, raw unit squared
-    sums: FloatArray  # (N + 1, 3), running sums of the readings less ``centre``, and of their squares
-    squares: FloatArray  # (N + 1, 3), running sums of the readings less ``centre``, and of their squares
+    sums: FloatArray  # (N + 1, 3), running sums of the readings less ``centre``
+    squares: FloatArray  # (N + 1, 3), of their squares
     centre: FloatArray  # (3,), raw unit
 
     def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
@@ -384,7 +334,7 @@ class StillVariance:
         return [(int(a), int(b)) for a, b in found[found[:, 1] - found[:, 0] >= least]]
 
     def cores(self, stretches: list[tuple[int, int]], least: int) -> list[tuple[int, int]]:
-        """Return stills cut down to the part in which the gyroscopes are quiet too."""
+        """Return stills reduced to the part in which the gyroscopes are at rest too."""
         if self.gyro_level is None or not stretches:
             return stretches
         limit = CORE * float(np.median(np.concatenate([self.gyro_level[a:b] for a, b in stretches])))
@@ -396,10 +346,7 @@ class StillVariance:
         return kept
 
     def moments(self, stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
-        """Return the mean reading of each still and its variance, the noise pooled over all.
-
-        Arrays:  -> (K, 3), (K, 3).
-        """
+        """Return the mean reading (K, 3) of each still and its variance (K, 3), the noise pooled over all."""
         start, stop = np.array([s.start for s in stills]), np.array([s.stop for s in stills])
         count = (stop - start)[:, None].astype(float)
         sums, squares = self.sums[stop] - self.sums[start], self.squares[stop] - self.squares[start]
@@ -455,7 +402,7 @@ def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, Fl
     return level, sums, squares, centre
 
 
-# ---- multi position
+# ---- the whole method
 
 SAME_POSE_DEG = 10.0  # directions nearer to each other than this count as one pose
 Rule = Literal["coverage", "published"]
@@ -507,7 +454,8 @@ class MultiPositionFit:
     # record
     threshold: float
     trials: tuple[ThresholdTrial, ...]  # All thresholds tried
-    verdict: Verdict  # Of both, and why the gyroscopes are missing
+    verdict: Verdict  # Of both
+    missing: tuple[Finding, ...] = ()  # Why there are no gyroscopes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -546,12 +494,8 @@ def _fit(
         )
     levels = [still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s) for r in records]
     shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
-    if stated is not None:
-        attempts = [_attempt(levels, stated, np.nan, gravity, settings, shortest)]
-    else:
-        attempts = [
-            _attempt(levels, _stills(levels, m, shortest), m, gravity, settings, shortest) for m in settings.multiples
-        ]
+    tried = {np.nan: stated} if stated is not None else {m: _stills(levels, m, shortest) for m in settings.multiples}
+    attempts = [_attempt(levels, stills, m, gravity, settings, shortest) for m, stills in tried.items()]
     chosen = _choose(attempts, settings)
     if chosen.fit is None:
         check_count(chosen.reading, 9 if settings.cross_axis else 6, known_noise=True)
@@ -570,7 +514,8 @@ def _fit(
         stills=chosen.stills,
         threshold=chosen.trial.multiple * levels[0].at_rest,
         trials=tuple(a.trial for a in attempts),
-        verdict=verdict.also(Verdict(status="marginal", remarks=(missing,))) if missing else verdict,
+        verdict=verdict.also(Verdict.of(*missing)),
+        missing=missing,
     )
 
 
@@ -668,9 +613,9 @@ def _gyro(
     accel: TriadFit,
     settings: MultiPositionSettings,
     cores: tuple[Still, ...],
-) -> tuple[TriadFit | None, str]:
+) -> tuple[TriadFit | None, tuple[Finding, ...]]:
     if settings.gyro == "none" or (settings.gyro == "if_observable" and any(r.gyro is None for r in records)):
-        return None, ""
+        return None, ()
     published = settings.rule == "published"
     try:
         fit = fit_gyro_between_stills(
@@ -684,5 +629,43 @@ def _gyro(
     except NotObservable as error:
         if settings.gyro == "required":
             raise
-        return None, str(error)
-    return fit, ""
+        return None, (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
+    return fit, ()
+
+
+# ---- from a session
+
+
+def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
+    """Fit the accelerometer of a session to its free poses; an entry of FITS."""
+    return Outcome(fit=fit_multi_position_session(seen.session).accel, method="multi-position")
+
+
+def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+    """Fit the gyroscopes of a session to the moves between its poses; an entry of FITS."""
+    try:
+        fit = fit_multi_position_session(seen.session)
+    except NotObservable as error:
+        return Outcome(findings=(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),))
+    if fit.gyro is None:
+        return Outcome(findings=fit.missing)
+    return Outcome(fit=fit.gyro, method="multi-position")
+
+
+def calibrate_scale_alone(seen: Observed, reason: str) -> Outcome:
+    """Fit scale and offset of an accelerometer whose poses do not show the cross-axis terms, for a reason."""
+    settings = MultiPositionSettings(cross_axis=False, gyro="none")
+    try:
+        fit = fit_multi_position_session(seen.session, settings=settings).accel
+    except (NotObservable, PoorFit) as error:
+        return Outcome(findings=(finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error)),))
+    # The finding below says the same, and why.
+    others = tuple(item for item in fit.verdict.findings if item.code != "multi_position.cross_axis_fixed")
+    return Outcome(
+        fit=replace(fit, verdict=replace(fit.verdict, findings=others)),
+        method="multi-position",
+        findings=(
+            finding("session.fit_failed", "warn", triad="accelerometer", reason=reason),
+            finding("multi_position.scale_alone", "warn"),
+        ),
+    )

@@ -5,25 +5,17 @@
     C_j(M, o) n_j = n_(j+1)        C_j turns the body frame at the end of still j into that at the start of still j+1,
                                    integrated from w = M (u - o); n_j direction of gravity in still j, from the accelerometer
 
-M is a full 3x3 matrix in the accelerometer's axes [1]_. A turn shows two angles; the one about the vertical stays unseen.
+M is a full 3x3 matrix in the accelerometer's axes [1]_. A turn shows two angles; the one about the vertical is not observable.
 Two ways to weigh them:
 
 - ``noise``: by the covariance of the missed angles, with the noise of both still phases (a still between two turns ties
   them together), the uncertainty of the accelerometer's calibration, the gyroscopes' white noise over the turn, the
-  drift of their offset between stills, and an excess that the residuals tell. The offset is a parameter; the stills' readings are
-  observations of it.
+  drift of their offset between stills, and an excess that the residuals show. The offset is a parameter; the stills' readings
+  are observations of it.
 - ``equal``: every turn alike and the offset fixed at the mean of the opening rest, as published in [1]_.
 
-References
-----------
 .. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
    equipments", ICRA 2014, eqs. 11-15.
-
-What the gyroscope fit of the multi-position method works on: moves between stills, and what the stills say.
-
-The direction of gravity in still k is n = a / |a|, a = M (u - o) of the mean reading, with::
-
-    dn = (1 - n n^T) / |a| da        da = dM (u - o) - M do + M du
 """
 
 from collections.abc import Sequence
@@ -35,12 +27,17 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.checks import check_axis_order, check_range, check_scale_factor
 from undrift.errors import InputError, NotObservable, PoorFit
-from undrift.fit.least_squares import TriadFit, excess_variance, in_words, scaled_condition
-from undrift.model import MATRIX_NAMES, Status, TriadModel, Verdict
+from undrift.findings import finding
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition
+from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-# ---- What the gyroscope fit of the multi-position method works on: moves between stills, and what the stills say.
+# ---- moves between stills; direction of gravity and offset in the stills
+#
+# The direction of gravity in still k is n = a / |a|, a = M (u - o) of the mean reading, with
+#
+#     dn = (1 - n n^T) / |a| da        da = dM (u - o) - M do + M du
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,12 +52,11 @@ class Directions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OffsetPrior:
-    """What the device at rest says of the gyroscopes' offset and noise."""
+    """Offset, drift and noise of the gyroscopes from the stills."""
 
     mean: FloatArray  # (3,), mean offset over the stills, raw unit
     variance: FloatArray  # (3,), of the mean, raw unit squared
-    # (J, 3), offset of each move less the mean, raw unit; zeros where the stills do not show a drift
-    drift: FloatArray
+    drift: FloatArray  # (J, 3), offset of each move less the mean, raw unit; zeros where the stills show no drift
     drift_covariance: FloatArray  # (3, J, J), of the drift, per axis, raw unit squared
     noise: FloatArray  # (3,), variance of one sample at rest, raw unit squared
 
@@ -72,14 +68,14 @@ class Moves:
     gyro: FloatArray  # (N, 3), raw units
     accel: FloatArray  # (N, 3), raw units
     time: FloatArray  # (N,), s, each record on its own clock
-    first: IntArray  # (J,), last sample of the core before, first sample of the core after
-    last: IntArray  # (J,), last sample of the core before, first sample of the core after
-    before: IntArray  # (J,), numbers of those stills
-    after: IntArray  # (J,), numbers of those stills
-    start: IntArray  # (K,), samples [start, stop) of the stills: where the accelerometer is quiet
-    stop: IntArray  # (K,), samples [start, stop) of the stills: where the accelerometer is quiet
-    core_start: IntArray  # (K,), samples of their cores: where the gyroscopes are quiet too
-    core_stop: IntArray  # (K,), samples of their cores: where the gyroscopes are quiet too
+    first: IntArray  # (J,), last sample of the core before the move
+    last: IntArray  # (J,), first sample of the core after it
+    before: IntArray  # (J,), number of the still before
+    after: IntArray  # (J,), number of the still after
+    start: IntArray  # (K,), samples [start, stop) of the stills: the accelerometer is at rest
+    stop: IntArray
+    core_start: IntArray  # (K,), samples of their cores: the gyroscopes are at rest too
+    core_stop: IntArray
 
     @property
     def duration_s(self) -> FloatArray:
@@ -152,15 +148,9 @@ def offset_prior(moves: Moves) -> OffsetPrior:
     """Return offset, drift and noise of the gyroscopes from all stills.
 
     The mean reading of still k is b_k plus jitter plus the noise within; the offset b_(k+1) = b_k + N(0, q) is a random
-    walk. A hand that sways makes jitter, a sensor that warms up walks: the two are told apart by whether neighbours are
-    alike (von Neumann's ratio [1]_); where they are not, q = 0 and the offset is one constant. A move has the mean offset of
-    its two stills, uncertain by q / 12 more. Stills that turn about the vertical, which an accelerometer cannot see, are
-    left out.
-
-    References
-    ----------
-    .. [1] J. von Neumann, "Distribution of the ratio of the mean square successive difference to the variance", Ann. Math.
-       Stat. 12, 1941, 367-395.
+    walk. A hand that sways makes jitter, a sensor that warms up drifts: von Neumann's ratio of the mean square successive
+    difference to the variance (1941) separates the two; where neighbours are not alike, q = 0 and the offset is constant. A move
+    has the mean offset of its two stills, uncertain by q / 12 more. Stills that turn about the vertical are left out.
     """
     reading, noise, count = still_moments(moves.gyro, moves.core_start, moves.core_stop)
     rest = _at_rest(reading)
@@ -218,8 +208,6 @@ def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatAr
 
     dn/dt = n x w with w = M (u - o), over blocks of 0.2 s while the device is moved: linear in M. The hand's own
     accelerations make it rough, some per cent.
-
-    Arrays: offset (3,) -> (3, 3).
     """
     normal, right = np.zeros((9, 9)), np.zeros(9)
     for first, last in zip(moves.first, moves.last, strict=True):
@@ -244,10 +232,7 @@ def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatAr
 
 
 def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return the mean of each still, the variance of one sample pooled over all, and the counts.
-
-    Arrays: values (N, 3), start (K,), stop (K,) -> (K, 3), (3,), (K,).
-    """
+    """Return the mean (K, 3) of each still, the variance (3,) of one sample pooled over all, and the counts (K,)."""
     mean, square, count = np.zeros((len(start), 3)), np.zeros(3), np.zeros(len(start), np.int64)
     for k, (low, high) in enumerate(zip(start, stop, strict=True)):
         piece = values[low:high]
@@ -258,21 +243,21 @@ def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[
 
 
 def cross_matrix(n: FloatArray) -> FloatArray:
-    """Return the matrices of the cross product.
-
-    Arrays: n (K, 3) -> (K, 3, 3).
-    """
+    """Return the matrices (K, 3, 3) of the cross product with vectors (K, 3)."""
     matrix = np.zeros((len(n), 3, 3))
     matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -n[:, 2], n[:, 1], -n[:, 0]
     matrix[:, 1, 0], matrix[:, 2, 0], matrix[:, 2, 1] = n[:, 2], -n[:, 1], n[:, 0]
     return matrix
 
 
-# ---- multi position gyro
+# ---- fit
 
 WEAKEST = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
 TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate shows as a factor
+# Limits of a verdict: marginal above the first, bad above the second.
 DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
+MISS_DEG = (2.0, 8.0)
+UNCERTAIN_PERCENT = (0.5, 5.0)
 Weights = Literal["noise", "equal"]
 
 
@@ -310,7 +295,8 @@ def fit_gyro_between_stills(
     moves = cut_moves(records, stills, stills if cores is None else cores)
     if len(moves.first) < 5:
         raise NotObservable(
-            f"multi-position gyro: wanted 5 moves or more between stills for {in_words(MATRIX_NAMES)}, got {len(moves.first)}; "
+            f"multi-position gyro: wanted 5 moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
+            f"{len(moves.first)}; "
             "turn the device by 90 deg or more about another axis between still poses of one recording",
             moves=len(moves.first),
         )
@@ -426,7 +412,7 @@ def _missed(problem: _Problem, p: FloatArray) -> _Missed:
 
 
 def _weighted(problem: _Problem, missed: _Missed, p: FloatArray, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return whitened residuals and design, the stills' word on the offset below where it is fitted."""
+    """Return whitened residuals and design, with the stills' observations of the offset where it is fitted."""
     residual, design = whitener @ missed.angle, whitener @ missed.jacobian[:, : problem.free]
     if problem.free == 9:
         return residual, design
@@ -482,8 +468,8 @@ def _check_seen(missed: _Missed, p: FloatArray) -> None:
     if singular[-1] < WEAKEST:
         raise NotObservable(
             f"multi-position gyro: wanted moves that turn gravity by {WEAKEST:g} rad or more per unit of every parameter, got "
-            f"{singular[-1]:.2g} for {in_words(names)}; turn the device by 90 deg or more about each axis in turn while that "
-            "axis lies level",
+            f"{singular[-1]:.2g} for {parameter_names(names)}; turn the device by 90 deg or more about each axis in turn while "
+            "that axis lies level",
             weakest=float(singular[-1]),
             parameters=names,
         )
@@ -520,37 +506,18 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     )
     if is_physical(unit_in):
         check_scale_factor(model.scale_factor * si_factor(unit_in, "rate"), 1.0, TOLERANCE, "gyro")
-    return TriadFit(
-        model=model, residuals=residuals, verdict=_verdict(rms_angle, covariance, p).also(_drifted(problem, matrix))
-    )
-
-
-def _verdict(rms_angle: float, covariance: FloatArray, p: FloatArray) -> Verdict:
-    reasons: list[str] = []
-    status: Status = "good"
-    if rms_angle > 2.0:
-        status = "bad" if rms_angle > 8.0 else "marginal"
-        reasons.append(
-            f"moves miss gravity by {rms_angle:.2g} deg rms (wanted 2): turn more slowly, rest longer between turns"
-        )
     size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
-    doubt = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
-    if doubt > 0.5:
-        status = "bad" if doubt > 5.0 else "marginal" if status == "good" else status
-        reasons.append(
-            f"an element of the gyroscope matrix is uncertain by {doubt:.2g} % (wanted 0.5): make more and larger turns"
-        )
-    return Verdict(status=status, remarks=tuple(reasons))
-
-
-def _drifted(problem: _Problem, matrix: FloatArray) -> Verdict:
-    span = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
-    if span <= DRIFT_DPS[0]:
-        return Verdict()
-    return Verdict(
-        status="bad" if span > DRIFT_DPS[1] else "marginal",
-        remarks=(
-            f"the offset drifted by {span:.2g} deg/s during the session (wanted {DRIFT_DPS[0]:g}): it was followed from still to "
-            "still, the one kept is their mean, and its uncertainty holds the drift; warm the device up before",
-        ),
-    )
+    uncertain = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
+    drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
+    findings = []
+    if rms_angle > MISS_DEG[0]:
+        level = level_of(rms_angle, MISS_DEG)
+        findings.append(finding("multi_position.moves_miss", level, rms_deg=rms_angle, wanted=MISS_DEG[0]))
+    if uncertain > UNCERTAIN_PERCENT[0]:
+        level = level_of(uncertain, UNCERTAIN_PERCENT)
+        percent, wanted = uncertain, UNCERTAIN_PERCENT[0]
+        findings.append(finding("multi_position.gyro_uncertainty", level, uncertainty_percent=percent, wanted=wanted))
+    if drift > DRIFT_DPS[0]:
+        level = level_of(drift, DRIFT_DPS)
+        findings.append(finding("multi_position.gyro_drift", level, drift_dps=drift, wanted=DRIFT_DPS[0]))
+    return TriadFit(model=model, residuals=residuals, verdict=Verdict.of(*findings))

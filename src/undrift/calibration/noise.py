@@ -2,39 +2,20 @@
 
 ::
 
-    sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3          [1]_, annex C
+    sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3          IEEE Std 952-1997, annex C
 
 N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. The overlapping
 Allan variances at octaves of tau are fitted by generalised least squares, linear in Q^2, N^2, B^2, K^2 >= 0: their variances
 from the equivalent degrees of freedom, their correlations from the spectrum of the model itself (neighbouring octaves share
 half their samples). A term that is not two standard deviations above zero is dropped and reported as not observable,
-with an upper limit: a short record does not show the rise at long tau, and no number is then better than a number.
+with an upper limit: a short record does not show the rise at long tau.
 
-References
-----------
-.. [1] IEEE Std 952-1997, "Specification format guide and test procedure for single-axis interferometric fiber optic gyros".
-
-Allan deviation and its relatives, with confidence from equivalent degrees of freedom.
-
-With phase x_k = sum of the first k readings times the sample period, tau = m periods, D2 and D3 the second and third
-difference over m samples, and S the running sum of x::
-
-    ADEV^2  = mean D2(x)^2 / (2 tau^2)        every m-th k;  OADEV: every k
-    HDEV^2  = mean D3(x)^2 / (6 tau^2)        every m-th k;  OHDEV: every k
-    MDEV^2  = mean D3(S)^2 / (2 m^2 tau^2)    every k
-    TOTDEV^2 = mean D2(x*)^2 / (2 tau^2)      x* the phase continued by point reflection at both ends
-
-The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom [1]_, which depend on the
-kind of noise; the kind is told at each tau from the lag-1 autocorrelation of the averaged readings [2]_.
-
-References
-----------
 .. [1] C. A. Greenhall and W. J. Riley, "Uncertainty of stability variances based on finite differences", PTTI 2003.
 .. [2] W. J. Riley, "Handbook of frequency stability analysis", NIST SP 1065, 2008, sections 5.2-5.5.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -43,12 +24,24 @@ from numpy.typing import ArrayLike
 
 from undrift.arrays import FloatArray, IntArray, frozen
 from undrift.errors import InputError
-from undrift.model import AXES, NoiseModel, Status, Verdict
+from undrift.findings import Finding, Level, finding
+from undrift.model import AXES, NoiseModel, Verdict
 from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
 from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
 
-# ---- Allan deviation and its relatives, with confidence from equivalent degrees of freedom.
+# ---- Allan deviation and its relatives
+#
+# With phase x_k = sum of the first k readings times the sample period, tau = m periods, D2 and D3 the second and third difference
+# over m samples, and S the running sum of x:
+#
+#     ADEV^2  = mean D2(x)^2 / (2 tau^2)        every m-th k;  OADEV: every k
+#     HDEV^2  = mean D3(x)^2 / (6 tau^2)        every m-th k;  OHDEV: every k
+#     MDEV^2  = mean D3(S)^2 / (2 m^2 tau^2)    every k
+#     TOTDEV^2 = mean D2(x*)^2 / (2 tau^2)      x* the phase continued by point reflection at both ends
+#
+# The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom [1]_, which depend on the kind
+# of noise; the kind is found at each tau from the lag-1 autocorrelation of the averaged readings [2]_.
 
 Estimator = Literal["adev", "oadev", "mdev", "hdev", "ohdev", "totdev"]
 _SPAN = {"adev": 2, "oadev": 2, "mdev": 3, "hdev": 3, "ohdev": 3, "totdev": 1}  # samples needed, in units of m
@@ -67,9 +60,7 @@ class AllanDeviation:
     lower: FloatArray  # (M,), confidence limits, unit of the readings
     upper: FloatArray  # (M,), confidence limits, unit of the readings
     edf: FloatArray  # (M,), equivalent degrees of freedom
-    # (M,), kind of noise as the power of frequency: 2 white phase, 1 flicker phase, 0 white, -1 flicker, -2 random
-    # walk
-    noise: IntArray
+    noise: IntArray  # (M,), power of frequency: 2 white phase, 1 flicker phase, 0 white, -1 flicker, -2 random walk
     confidence: float  # Probability that the limits enclose the truth
 
 
@@ -81,10 +72,7 @@ def allan_deviation(
     estimator: Estimator = "oadev",
     confidence: float = 0.95,
 ) -> AllanDeviation:
-    """Return the Allan deviation of one channel, or a relative of it.
-
-    Arrays: x (N,).
-    """
+    """Return the Allan deviation of one channel (N,), or a relative of it."""
     y = frozen(x, (None,), "x")
     if (
         estimator not in get_args(Estimator)
@@ -102,7 +90,7 @@ def allan_deviation(
     deviation = _deviations(phase, m, estimator)
     noise = _kinds(phase, m, 2 if _ORDER[estimator] == 2 else 3)
     edf = np.array([_edf(int(mk), int(a), len(phase), estimator) for mk, a in zip(m, noise, strict=True)])
-    lower, upper = _limits_allan(deviation, edf, confidence)
+    lower, upper = _limits(deviation, edf, confidence)
     return AllanDeviation(
         estimator=estimator,
         taus_s=m / sample_rate_hz,
@@ -160,9 +148,7 @@ def _deviations(phase: FloatArray, m: IntArray, estimator: Estimator) -> FloatAr
     elif estimator == "totdev":
         inner = len(phase) - 2
         left, right = 2.0 * phase[0] - phase[inner:0:-1], 2.0 * phase[-1] - phase[-2 : -2 - inner : -1]
-        longer = np.concatenate(
-            (left, phase, right)
-        )  # the centres of the differences are the inner points of the phase
+        longer = np.concatenate((left, phase, right))  # differences are centred at the inner points of the phase
         square = [second_difference(longer[inner + 1 - int(k) : 2 * inner + 1 + int(k)], int(k), 1) for k in m]
     else:
         square = [second_difference(phase, int(k), int(k) if estimator == "adev" else 1) for k in m]
@@ -206,15 +192,15 @@ def _edf(m: int, alpha: int, phases: int, estimator: Estimator) -> float:
     length = m / filtered + m * order if estimator != "mdev" else m * (order + 1)
     terms = max(1, 1 + int(strides * (phases - length) / m))
     j = np.arange(1, min(terms, (order + 1) * strides) + 1)
-    zero = float(_covariance_allan(np.zeros(1), filtered, alpha, order)[0])
-    later = _covariance_allan(j / strides, filtered, alpha, order)
+    zero = float(_autocovariance(np.zeros(1), filtered, alpha, order)[0])
+    later = _autocovariance(j / strides, filtered, alpha, order)
     weight = 2.0 * (1.0 - j / terms)
     weight[-1] /= 2.0
     total = zero**2 + float(weight @ later**2)
     return max(terms * zero**2 / total, 1.0)
 
 
-def _covariance_allan(t: FloatArray, filtered: int, alpha: int, order: int) -> FloatArray:
+def _autocovariance(t: FloatArray, filtered: int, alpha: int, order: int) -> FloatArray:
     """Return the generalised autocovariance of the differenced phase at shifts t (in units of m)."""
     rows = {2: (6.0, -4.0, 1.0), 3: (20.0, -15.0, 6.0, -1.0)}[order]
     total = rows[0] * _averaged(t, filtered, alpha)
@@ -241,7 +227,7 @@ def _power_law(t: FloatArray, alpha: int) -> FloatArray:
     return value if alpha in (0, 1, -3, -4) else -value
 
 
-def _limits_allan(deviation: FloatArray, edf: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
+def _limits(deviation: FloatArray, edf: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
     """Return sqrt(edf / chi-square quantile) either way."""
     from scipy.special import gammaincinv
 
@@ -250,10 +236,10 @@ def _limits_allan(deviation: FloatArray, edf: FloatArray, confidence: float) -> 
     return deviation * np.sqrt(edf / high), deviation * np.sqrt(edf / np.maximum(low, 1e-300))
 
 
-# ---- noise
+# ---- coefficients
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
-SPOKEN = {  # what the coefficients are called: an accelerometer has other words for the same slopes
+TERMS = {  # an accelerometer has other terms for the same slopes
     "gyro": {
         "angle_random_walk": "angle random walk",
         "bias_instability": "bias instability",
@@ -392,20 +378,20 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
         )
     gyro, gyro_unit, gyro_curves = _triad(record.gyro, record.gyro_unit, "rate", record, confidence)
     accel, accel_unit, accel_curves = _triad(record.accel, record.accel_unit, "accel", record, confidence)
-    curves = gyro_curves or accel_curves
+    taus = (gyro_curves or accel_curves)[0].taus_s
     return NoiseFit(
         gyro=gyro,
         accel=accel,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
-        taus_s=curves[0].taus_s,
-        gyro_adev=_columns(gyro_curves, curves[0]),
-        accel_adev=_columns(accel_curves, curves[0]),
-        gyro_limits=_limits(gyro_curves, curves[0]),
-        accel_limits=_limits(accel_curves, curves[0]),
+        taus_s=taus,
+        gyro_adev=_columns(gyro_curves, len(taus))[0],
+        accel_adev=_columns(accel_curves, len(taus))[0],
+        gyro_limits=_columns(gyro_curves, len(taus))[1:],
+        accel_limits=_columns(accel_curves, len(taus))[1:],
         duration_s=record.duration_s,
         confidence=confidence,
-        verdict=_verdict(gyro, accel, record.duration_s),
+        verdict=Verdict.of(*_judged(gyro, accel, record.duration_s)),
     )
 
 
@@ -450,17 +436,17 @@ def _check_rest(values: FloatArray, record: Record, what: str) -> None:
     unit = record.gyro_unit if what == "gyro" else record.accel_unit
     if is_physical(unit):
         quantity: Quantity = "rate" if what == "gyro" else "accel"
-        wander, noise = (spread * si_factor(unit, quantity) for spread in _wander(values, width))
+        motion, noise = (spread * si_factor(unit, quantity) for spread in _slow_motion(values, width))
         limit = BENCH_RATE_LIMIT if what == "gyro" else BENCH_ACCEL_LIMIT
-        if wander > max(limit, 3.0 * noise):
+        if motion > max(limit, 3.0 * noise):
             raise InputError(
-                f"noise: wanted a device at rest, got {what} readings that wander by {wander:.3g} {SI_UNIT[quantity]} within "
+                f"noise: wanted a device at rest, got {what} readings that vary by {motion:.3g} {SI_UNIT[quantity]} within "
                 f"{width / record.sample_rate_hz:.2g} s, where a bench allows {limit:.2g}; lay the device down",
-                wander=wander,
+                motion=motion,
             )
 
 
-def _wander(values: FloatArray, width: int) -> tuple[float, float]:
+def _slow_motion(values: FloatArray, width: int) -> tuple[float, float]:
     """Return the typical spread of tenths of windows of ``width`` samples, and what white noise alone would make of it."""
     tenth, count = max(1, width // 10), len(values) // width
     tenths = values[: count * width].reshape(count, width, 3)[:, : width // tenth * tenth]
@@ -469,14 +455,13 @@ def _wander(values: FloatArray, width: int) -> tuple[float, float]:
     return float(np.median(np.sqrt(means.var(axis=1).sum(axis=1)))), white
 
 
-def _limits(curves: list[AllanDeviation], like: AllanDeviation) -> FloatArray:
+def _columns(curves: list[AllanDeviation], count: int) -> FloatArray:
+    """Return deviations, lower and upper limits, (3, M, axes)."""
     if not curves:
-        return np.empty((2, len(like.taus_s), 0))
-    return np.stack((np.column_stack([c.lower for c in curves]), np.column_stack([c.upper for c in curves])))
-
-
-def _columns(curves: list[AllanDeviation], like: AllanDeviation) -> FloatArray:
-    return np.column_stack([c.deviation for c in curves]) if curves else np.empty((len(like.taus_s), 0))
+        return np.empty((3, count, 0))
+    return np.stack(
+        [np.column_stack(part) for part in zip(*((c.deviation, c.lower, c.upper) for c in curves), strict=True)]
+    )
 
 
 def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidence: float) -> AxisNoise:
@@ -619,19 +604,15 @@ def _covariance(
     return covariance
 
 
-def _verdict(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration_s: float) -> Verdict:
-    reasons: list[str] = []
-    status: Status = "good"
-    for what, axes in (("gyro", gyro), ("accel", accel)):
-        for name, spoken in SPOKEN[what].items():
-            lost = [a.axis for a in axes if getattr(a, name).reason]
-            if lost:
-                reasons.append(f"{what} {', '.join(lost)}: {spoken} not observable in {duration_s:.0f} s")
-                status = "marginal" if name == "angle_random_walk" else status
+def _judged(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration_s: float) -> Iterator[Finding]:
+    for triad, axes in (("gyro", gyro), ("accel", accel)):
+        for name, term in TERMS[triad].items():
+            missing = tuple(a.axis for a in axes if getattr(a, name).reason)
+            if missing:
+                level: Level = "warn" if name == "angle_random_walk" else "info"
+                yield finding(
+                    "noise.not_observable", level, triad=triad, axes=missing, term=term, duration_s=duration_s
+                )
         worst = max((a.model_error for a in axes), default=0.0)
         if worst >= 0.1:
-            status = "marginal"
-            reasons.append(
-                f"{what}: the Allan curve departs from the model by {100.0 * worst:.0f} %: filtered or disturbed readings"
-            )
-    return Verdict(status=status, remarks=tuple(reasons))
+            yield finding("noise.model_error", "warn", triad=triad, error_percent=100.0 * worst)

@@ -1,46 +1,23 @@
-"""Observed: what a session shows before anything is fitted: rests, faces, turns, temperature.
+"""What a session shows before anything is fitted: rests, faces, turns, temperature; and what every fit returns.
 
-Stillness: does the device rest where a session says so, and is no stretch counted twice?
-
-Three figures of each still, whatever the offset of its sensors::
-
-    spread    largest standard deviation of the readings, smoothed over 0.1 s, in a window of 1 s; three axes together
-    tilting   angle between the mean specific force of its first and of its last third
-    rate      mean rate reading less its median over all stills: a slow turn that no window sees
-
-Each has a limit that a bench keeps. Over the limit the still is named and makes the verdict marginal; over three times the limit
-the session is refused. Readings in counts have no bench limit: there a still is held against the other stills.
-
-Mean rate at rest over several rests, and what it is worth.
-
-::
-
-    m = sum w_p m_p / sum w_p        w_p = 1 / (v_p + s2)
-    var m = sum share_p^2 (v_p + k s2),   share_p = w_p / sum w_p
-
-v_p is the variance of the mean of rest p, told by block means within the rests; blocks of half a second see what samples one
-by one do not (flicker, a filter), blocks of an eighth of a rest see what wanders over the whole of it. s2 is the scatter
-between rests beyond that (Paule and Mandel, ``fit/least_squares.py``): each switch-on has an offset of its own, and it drifts. Few
-rests know their own scatter badly, so that s2 counts k times, k = (t / z)^2 with t and z the 97.5 % points of Student's
-distribution, for one rest less than there are, and of the normal.
-
-One temperature: of a session that visits several set-points, the pieces at one of them.
-
-A constant matrix and offset hold at one temperature. Where the stated stills and turns fall into groups of temperature more than
-3 K apart, the group nearest to 25 degC serves, of those that hold at least half as many pieces as the largest; the others are for
-the drift tables.
+``observe`` takes the stills of a session as stated, or finds and labels them, checks that the device rests in them and that no
+reading counts twice. ``at_one_temperature`` keeps the pieces of one set-point: a constant matrix holds at one temperature.
+``Outcome`` is what a fit of one triad returns to ``calibrate``.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray
 from undrift.calibration.checks import check_gravity
 from undrift.errors import Implausible, InputError
-from undrift.fit.least_squares import block_size, excess_variance, noise_of_means
+from undrift.findings import Finding, finding
+from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
+from undrift.model import Verdict
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.segments import (
     BENCH_ACCEL_LIMIT,
@@ -55,44 +32,52 @@ from undrift.segments import (
 )
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
 
-# ---- Stillness: does the device rest where a session says so, and is no stretch counted twice?
+# ---- rest: does the device rest where a session states it, and is no stretch counted twice?
+#
+# Three figures of each still, whatever the offset of its sensors:
+#
+#     sway    largest standard deviation of the readings, smoothed over 0.1 s, in a window of 1 s; three axes together
+#     tilt    angle between the mean specific force of its first and of its last third
+#     rate    mean rate reading less its median over all stills: a slow turn that no window shows
+#
+# Each has a limit that a bench keeps. Over the limit the still is a finding and makes the verdict marginal; over three times the
+# limit the session is refused. Readings in counts have no bench limit: there a still is compared with the other stills.
 
-_TILTING_LIMIT = 0.5 * RADIAN_PER_DEGREE  # a device that settles on a bench or a cushion stays below it
+_TILT_LIMIT_DEG = 0.5  # a device that settles on a bench or a cushion stays below it
 _FAR = 3.0  # limits: no rest at all
 _OTHERS = 10.0  # a still in counts may spread this many times the median of all stills
 _SHARED = 0.1  # of the shorter of two stretches: more than this is counting twice
 _WARM = 10.0  # K between stills: offsets may then differ
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Finding:
-    """How far a still is over a limit, as a multiple of it, and what it does."""
+class _Excess(NamedTuple):
+    """How far a still is over a limit: the limit's multiple, and the figure itself."""
 
+    multiple: float
     still: int
-    excess: float
-    does: str
-    remedy: str = "shorten it to the part at rest, or leave it out"
+    value: float
+    unit: str
 
 
-def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[str, ...]:
-    """Hold every still against what a device at rest does."""
-    groups = [_rate_findings(session, stills, stated=stated)]
-    if stated:
-        groups += [_spread_findings(session, stills), _tilting_findings(session, stills)]
-    worst = [max(group, key=lambda finding: finding.excess) for group in groups if group]
-    for finding in sorted(worst, key=lambda finding: -finding.excess):
-        if finding.excess > _FAR:
-            where = piece_name(session, stills[finding.still], finding.still, stated=stated)
-            raise Implausible(
-                f"{where}: wanted a device at rest, got {finding.does}; {finding.remedy}", still=finding.still
-            )
-    said: list[str] = []
-    for group in filter(None, groups):
-        finding = max(group, key=lambda finding: finding.excess)
-        where = piece_name(session, stills[finding.still], finding.still, stated=stated)
-        others = f", and {len(group) - 1} more likewise" if len(group) > 1 else ""
-        said.append(f"{where} is not quite still: {finding.does}{others}; {finding.remedy}")
-    return tuple(said)
+def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[Finding, ...]:
+    """Compare every still with a device at rest; raise where it is far from it."""
+    sways, tilts = (_sways(session, stills), _tilts(session, stills)) if stated else ([], [])
+    groups = {"rate": _rates(session, stills, stated=stated), "sway": sways, "tilt": tilts}
+    worst = {kind: max(group, key=lambda one: one.multiple) for kind, group in groups.items() if group}
+    found: dict[str, Finding] = {}
+    for kind, one in worst.items():
+        still, stills_over = piece_name(session, stills[one.still], one.still, stated=stated), len(groups[kind])
+        if kind == "rate":
+            found[kind] = finding("still.rate", "warn", still=still, rate=one.value, unit=one.unit, stills=stills_over)
+        elif kind == "sway":
+            found[kind] = finding("still.sway", "warn", still=still, sway=one.value, unit=one.unit, stills=stills_over)
+        else:
+            found[kind] = finding("still.tilt", "warn", still=still, tilt_deg=one.value, stills=stills_over)
+    for kind, one in sorted(worst.items(), key=lambda item: -item[1].multiple):
+        if one.multiple > _FAR:
+            at, why = found[kind].values["still"], found[kind]
+            raise Implausible(f"{at}: wanted a device at rest, got {why.detail}; {why.action}", still=one.still)
+    return tuple(found.values())
 
 
 def check_counted_once(session: Session) -> None:
@@ -136,30 +121,31 @@ def _same(one: Record, two: Record) -> bool:
     )
 
 
-def _spread_findings(session: Session, stills: tuple[Still, ...]) -> list[_Finding]:
-    findings: list[_Finding] = []
+def _sways(session: Session, stills: tuple[Still, ...]) -> list[_Excess]:
+    over: list[_Excess] = []
     for rate in (True, False):
         spreads = np.array([_spread(session.records[s.recording], s, rate) for s in stills])
         seen = np.isfinite(spreads)
+        unit = _unit(session, rate)
         if not seen.any():
             continue
-        unit = _unit(session, rate)
         if is_physical(unit):
             limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
         elif seen.sum() > 2:
             limit = _OTHERS * float(np.median(spreads[seen]))
         else:
             continue
-        for number in np.flatnonzero(seen & (spreads > limit)):
-            does = f"readings that sway by up to {_told(spreads[number], unit)} rms"
-            findings.append(_Finding(still=int(number), excess=float(spreads[number]) / max(limit, 1e-300), does=does))
-    return findings
+        over += [
+            _Excess(float(spreads[number]) / max(limit, 1e-300), int(number), *_shown(spreads[number], unit))
+            for number in np.flatnonzero(seen & (spreads > limit))
+        ]
+    return over
 
 
-def _tilting_findings(session: Session, stills: tuple[Still, ...]) -> list[_Finding]:
+def _tilts(session: Session, stills: tuple[Still, ...]) -> list[_Excess]:
     if not is_physical(_unit(session, False)):
         return []
-    findings: list[_Finding] = []
+    over: list[_Excess] = []
     for number, still in enumerate(stills):
         accel = session.records[still.recording].accel
         third = (still.stop - still.start) // 3
@@ -170,14 +156,13 @@ def _tilting_findings(session: Session, stills: tuple[Still, ...]) -> list[_Find
         if not all(len(end) for end in ends):
             continue
         first, last = (end.mean(axis=0) for end in ends)
-        angle = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
-        if angle > _TILTING_LIMIT:
-            does = f"a tilt of {angle / RADIAN_PER_DEGREE:.2f} deg from its first to its last third"
-            findings.append(_Finding(still=number, excess=angle / _TILTING_LIMIT, does=does))
-    return findings
+        tilt_deg = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE
+        if tilt_deg > _TILT_LIMIT_DEG:
+            over.append(_Excess(tilt_deg / _TILT_LIMIT_DEG, number, tilt_deg, "deg"))
+    return over
 
 
-def _rate_findings(session: Session, stills: tuple[Still, ...], *, stated: bool) -> list[_Finding]:
+def _rates(session: Session, stills: tuple[Still, ...], *, stated: bool) -> list[_Excess]:
     unit = _unit(session, True)
     if len(stills) < 3 or not is_physical(unit) or session.kind == "thermal" or _warmed(session, stills):
         return []
@@ -189,25 +174,15 @@ def _rate_findings(session: Session, stills: tuple[Still, ...], *, stated: bool)
     # Stills that were found in one recording may drift with its warming; whole recordings apart have different units.
     most = np.inf if stated or len(session.records) > 1 else _FAR
     return [
-        _Finding(
-            still=int(number),
-            excess=min(float(off[number]) / limit, most),
-            does=f"a mean rate {_told(off[number], unit)} off that of the other stills",
-            remedy="it turns slowly, its unit is not theirs, or the offset drifts: check, and warm the device up before recording",
-        )
+        _Excess(min(float(off[number]) / limit, most), int(number), *_shown(off[number], unit))
         for number in np.flatnonzero(off > limit)
     ]
 
 
 def _warmed(session: Session, stills: tuple[Still, ...]) -> bool:
-    values: list[float] = []
-    for still in stills:
-        temp_c = session.records[still.recording].temp_c
-        if still.temp_c is not None:
-            values.append(still.temp_c)
-        elif temp_c is not None and np.isfinite(temp_c[still.start : still.stop]).any():
-            values.append(float(np.nanmean(temp_c[still.start : still.stop])))
-    return len(values) > 1 and max(values) - min(values) > _WARM
+    temps = np.array([piece_temperature(session, still) for still in stills])
+    known = temps[np.isfinite(temps)]
+    return len(known) > 1 and float(np.ptp(known)) > _WARM
 
 
 def _mean(values: FloatArray | None, still: Still) -> FloatArray:
@@ -234,38 +209,36 @@ def _unit(session: Session, rate: bool) -> str:
     return session.records[0].gyro_unit if rate else session.records[0].accel_unit
 
 
-def _told(value: float, unit: str) -> str:
+def _shown(value: float, unit: str) -> tuple[float, str]:
+    """Return a rate or specific force as a person reads it: rates in deg/s."""
     if unit == "rad/s":
-        return f"{value / RADIAN_PER_DEGREE:.3g} deg/s"
-    return f"{value:.3g} {'deg/s' if unit == 'dps' else unit}"
+        return float(value) / RADIAN_PER_DEGREE, "deg/s"
+    return float(value), "deg/s" if unit == "dps" else unit
 
 
-# ---- Mean rate at rest over several rests, and what it is worth.
+# ---- mean rate over several rests and its variance
+#
+#     m = sum w_p m_p / sum w_p        w_p = 1 / (v_p + s2)
+#     var m = sum share_p^2 (v_p + k s2),   share_p = w_p / sum w_p
+#
+# v_p is the variance of the mean of rest p, from block means within the rests; blocks of half a second show what samples one
+# by one do not (flicker, a filter), blocks of an eighth of a rest show slow drift. s2 is the scatter between rests beyond that
+# (Paule and Mandel): each switch-on has an offset of its own. Few rests know their own scatter badly, so that s2 counts k times,
+# k = (t / z)^2 with t and z the 97.5 % points of Student's distribution, for one rest less than there are, and of the normal.
 
 _LONG_BLOCKS = 8  # of one rest
 _ROUNDS = 50
 
 
 def mean_of_rests(windows: Sequence[FloatArray], sizes: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean reading over rests and its variance.
-
-    Arrays: windows (N, 3) -> (3,), (3,).
-    """
-    return _weighted(np.array([w.mean(axis=0) for w in windows]), _variances(windows, sizes))
-
-
-def _variances(windows: Sequence[FloatArray], sizes: Sequence[int]) -> FloatArray:
-    # Of each rest's mean: by blocks of half a second, or by longer ones where those show more wandering.
+    """Return the mean reading over rests and its variance: windows (N, 3), block sizes -> (3,), (3,)."""
+    means = np.array([w.mean(axis=0) for w in windows])
     variances = np.array([w.var(axis=0) / max(1, len(w) - 1) for w in windows])
     long = [max(size, len(w) // _LONG_BLOCKS) for w, size in zip(windows, sizes, strict=True)]
     for lengths in (sizes, long):
         noise = noise_of_means(windows, lengths)
         if noise is not None:
             variances = np.maximum(variances, noise**2)
-    return variances
-
-
-def _weighted(means: FloatArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
     if len(means) == 1:
         return means[0], variances[0]
     from scipy.stats import norm, t
@@ -287,19 +260,25 @@ def _weighted(means: FloatArray, variances: FloatArray) -> tuple[FloatArray, Flo
     return mean, variance
 
 
-# ---- One temperature: of a session that visits several set-points, the pieces at one of them.
+# ---- one temperature
 
 APART_C = 3.0
 ROOM_C = 25.0
 
 
-def at_one_temperature(session: Session) -> tuple[Session, tuple[str, ...]]:
-    """Return a session with the stated pieces of one temperature."""
+def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
+    """Return a session with the stated pieces of one temperature.
+
+    Where stills and turns fall into groups more than 3 K apart, the group nearest to 25 degC is used, of those that hold at least
+    half as many pieces as the largest.
+    """
     pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
     temps = np.array([piece_temperature(session, piece) for piece in pieces])
     if len(pieces) < 2 or np.isnan(temps).any() or np.ptp(temps) <= APART_C:
         return session, ()
-    group = _groups(temps)
+    order = np.argsort(temps)
+    group = np.empty(len(temps), dtype=np.int64)
+    group[order] = np.concatenate(([0], np.cumsum(np.diff(temps[order]) > APART_C)))  # a new number after each gap
     counts = np.bincount(group)
     if len(counts) == 1:
         return session, ()
@@ -309,11 +288,16 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[str, ...]]:
     kept = group == chosen
     stills = tuple(s for s, keep in zip(session.stills, kept[: len(session.stills)], strict=True) if keep)
     turns = tuple(t for t, keep in zip(session.turns, kept[len(session.stills) :], strict=True) if keep)
-    said = (
-        f"the session visits {len(counts)} temperatures from {means.min():.1f} to {means.max():.1f} degC: its {counts[chosen]} "
-        f"stills and turns at {means[chosen]:.1f} degC were used; undrift drift makes tables of all"
+    used = finding(
+        "session.temperatures",
+        "warn",
+        groups=len(counts),
+        least_temp_c=means.min(),
+        most_temp_c=means.max(),
+        pieces=counts[chosen],
+        temp_c=means[chosen],
     )
-    return replace(session, stills=stills, turns=turns), (said,)
+    return replace(session, stills=stills, turns=turns), (used,)
 
 
 def piece_temperature(session: Session, piece: Still | Turn) -> float:
@@ -326,20 +310,11 @@ def piece_temperature(session: Session, piece: Still | Turn) -> float:
     return float(np.nanmean(column[piece.start : piece.stop]))
 
 
-def _groups(temps: FloatArray) -> IntArray:
-    """Number the temperatures from cold to warm, a new number after each gap."""
-    order = np.argsort(temps)
-    number = np.concatenate(([0], np.cumsum(np.diff(temps[order]) > APART_C)))
-    group = np.empty(len(temps), dtype=np.int64)
-    group[order] = number
-    return group
-
-
-# ---- observe
+# ---- settings, and what a session shows
 
 _FULL_TURN = 2.0 * np.pi  # rad
 _NEAR_FULL = 0.1  # a turn this near a whole number, relative, counts as whole
-_FEW = 9  # stills: with fewer, pauses that were too short are worth a word
+_FEW = 9  # stills: with fewer, pauses that were too short are reported
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -352,8 +327,12 @@ class CalibrateSettings:
         How still phases are found where the session states none.
     window_s : float
         Longest stretch of each face that is averaged, s.
+    polynomial_degree : int
+        Degree of the polynomial in time that filters each face before it is averaged; it sets the noise of the mean.
     settle_s : float
-        Start of each dwell that is thrown away, s.
+        Start of each dwell that is discarded, s.
+    spline_cutoff_hz : float or None
+        Where the note's cubic smoothing spline halves the readings of a dwell, Hz; None takes the plain mean.
     latitude_deg : float or None
         For the Earth's rate on a rate table, deg; None leaves it out.
     angle_uncertainty_deg : float
@@ -368,23 +347,39 @@ class CalibrateSettings:
 
     still: StillSettings = field(default_factory=StillSettings)
     window_s: float = 6.0
+    polynomial_degree: int = 1
     settle_s: float = 0.3
+    spline_cutoff_hz: float | None = None
     latitude_deg: float | None = None
     angle_uncertainty_deg: float = 1.0
     scale_tolerance: float = 0.25
     remove_offset: bool = True
     identify_adc: bool = True
 
+    def __post_init__(self) -> None:
+        latitude, cutoff = self.latitude_deg, self.spline_cutoff_hz
+        if latitude is not None and not -90.0 <= latitude <= 90.0:
+            raise InputError(f"calibrate: wanted latitude_deg from -90 to 90, got {latitude:g}; south is negative")
+        if not self.window_s > 0.0 or self.polynomial_degree < 0 or not self.settle_s >= 0.0:
+            raise InputError(
+                "calibrate: wanted window_s above 0 s, polynomial_degree and settle_s of 0 or more, got "
+                f"{self.window_s:g}, {self.polynomial_degree} and {self.settle_s:g}; correct them"
+            )
+        if cutoff is not None and not cutoff > 0.0:
+            raise InputError(
+                f"calibrate: wanted spline_cutoff_hz above 0 Hz, got {cutoff:g}; None leaves the filter out"
+            )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observed:
     """A session with its stills, stated or found."""
 
-    session: Session  # As read
-    settings: CalibrateSettings  # Choices
+    session: Session
+    settings: CalibrateSettings
     stills: tuple[Still, ...]  # Stated in the session, else found; found ones carry a face where gravity shows one
     found: bool  # True where they were found
-    reasons: tuple[str, ...]  # Why a recording gave none
+    findings: tuple[Finding, ...]
 
     @property
     def faced(self) -> tuple[Still, ...]:
@@ -392,10 +387,7 @@ class Observed:
         return tuple(s for s in self.stills if s.face is not None)
 
     def rest_means(self) -> FloatArray:
-        """Return the mean rate reading of each still, shape (P, 3).
-
-        Arrays:  -> (P, 3).
-        """
+        """Return the mean rate reading of each still, shape (P, 3)."""
         means = [
             still_means(record.gyro, [s for s in self.stills if s.recording == number])
             for number, record in enumerate(self.session.records)
@@ -404,10 +396,7 @@ class Observed:
         return np.concatenate(means)
 
     def rest_rate(self) -> tuple[FloatArray, FloatArray]:
-        """Return the mean rate reading over all rests and its variance.
-
-        Arrays:  -> (3,), (3,).
-        """
+        """Return the mean rate reading over all rests and its variance, (3,) each."""
         windows, sizes = [], []
         for still in self.stills:
             record = self.session.records[still.recording]
@@ -459,19 +448,22 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     session = in_one_unit(session)
     check_counted_once(session)
     stills = session.stills
-    reasons: list[str] = []
+    found: list[Finding] = []
     if not stills:
-        stills, reasons = _found(session, settings.still)
+        for number, record in enumerate(session.records):
+            search = find_still(record, settings.still, recording=number)
+            stills = (*stills, *search.stills)
+            if not search.stills:
+                found.append(finding("session.no_still", "warn", recording=number, reason=search.reason))
         stills = _labelled(session, stills)
         if len(stills) < _FEW and len({s.face for s in stills} - {None}) < len(FACES):
-            short = [_told_short(session, number, stills, settings.still) for number in range(len(session.records))]
-            reasons += filter(None, short)
+            found += _short_pauses(session, stills, settings.still)
     for number, record in enumerate(session.records):
         own = [s for s in stills if s.recording == number]
         if own and record.accel is not None and is_physical(record.accel_unit):
             check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
-    reasons += check_stills(session, stills, stated=bool(session.stills))
-    return Observed(session=session, settings=settings, stills=stills, found=not session.stills, reasons=tuple(reasons))
+    found += check_stills(session, stills, stated=bool(session.stills))
+    return Observed(session=session, settings=settings, stills=stills, found=not session.stills, findings=tuple(found))
 
 
 def in_one_unit(session: Session) -> Session:
@@ -501,40 +493,24 @@ def _common_unit(session: Session, quantity: Quantity) -> str:
         if other != unit and not (is_physical(other) and is_physical(unit)):
             raise InputError(
                 f"recording {number}: wanted {'gyro' if rate else 'accel'} readings in {unit} as in recording {first}, got "
-                f"{other}; nothing tells how they compare: give all recordings one unit, or the scale of the columns"
+                f"{other}; they cannot be compared: give all recordings one unit, or the scale of the columns"
             )
     return unit
 
 
-def _found(session: Session, settings: StillSettings) -> tuple[tuple[Still, ...], list[str]]:
-    stills: tuple[Still, ...] = ()
-    reasons: list[str] = []
-    for number, record in enumerate(session.records):
-        search = find_still(record, settings, recording=number)
-        stills = (*stills, *search.stills)
-        if not search.stills:
-            reasons.append(f"recording {number}: {search.reason}")
-    return stills, reasons
-
-
-def _told_short(session: Session, number: int, stills: tuple[Still, ...], settings: StillSettings) -> str:
-    # Pauses too short for a still, seen through a window of a fifth of its length.
-    record = session.records[number]
+def _short_pauses(session: Session, stills: tuple[Still, ...], settings: StillSettings) -> list[Finding]:
+    """Count pauses too short for a still, seen through a window of a fifth of its length."""
     shorter = replace(settings, window_s=settings.window_s / 5.0, min_duration_s=settings.min_duration_s / 10.0)
-    own = [s for s in stills if s.recording == number]
-    if not own:  # nothing shows what this device's rest looks like; the search has said why
-        return ""
-    short = [
-        s
-        for s in find_still(record, shorter, recording=number).stills
-        if not any(s.start < o.stop and o.start < s.stop for o in own)
-    ]
-    if len(short) < 3:
-        return ""
-    return (
-        f"recording {number}: {len(short)} pauses were shorter than the {settings.window_s + settings.min_duration_s:g} s that a "
-        "pose must be held; hold each for 3 s or more"
-    )
+    least, found = settings.window_s + settings.min_duration_s, []
+    for number, record in enumerate(session.records):
+        own = [s for s in stills if s.recording == number]
+        if not own:  # nothing shows what this device's rest looks like; the search has given the reason
+            continue
+        pauses = find_still(record, shorter, recording=number).stills
+        short = [s for s in pauses if not any(s.start < o.stop and o.start < s.stop for o in own)]
+        if len(short) >= 3:
+            found.append(finding("session.short_pauses", "warn", recording=number, pauses=len(short), least_s=least))
+    return found
 
 
 def _labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
@@ -542,7 +518,7 @@ def _labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
     if any(r.accel is None or r.accel_unit != unit for r in session.records):
         return stills
     if not stills or (not is_physical(unit) and len(stills) < 5):
-        return stills  # counts have no zero to tell a direction from, unless poses share a sphere
+        return stills  # counts have no known zero, unless poses share a sphere
     means = [
         still_means(accel, [still])[0]
         for still in stills
@@ -550,3 +526,30 @@ def _labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
     ]
     faces = faces_of(np.array(means), centred=is_physical(unit))
     return tuple(replace(still, face=face) for still, face in zip(stills, faces, strict=True))
+
+
+# ---- what a fit of one triad returns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outcome:
+    """One triad's fit, the method that gave it, and findings beyond those of the fit; without a fit, why there is none."""
+
+    fit: TriadFit | None = None
+    method: str = "none"
+    findings: tuple[Finding, ...] = ()
+
+    def after(self, *findings: Finding) -> "Outcome":
+        """Return the same outcome with findings put before its own."""
+        return replace(self, findings=(*findings, *self.findings))
+
+
+def with_offset(fit: TriadFit, offset: FloatArray, variance: FloatArray) -> TriadFit:
+    """Return a fit to readings without their offset for the readings themselves: offset and variance (3,), their unit."""
+    covariance = np.array(fit.model.covariance)
+    covariance[9:12, 9:12] = np.diag(variance)
+    return TriadFit(
+        model=replace(fit.model, offset=offset, covariance=covariance),
+        residuals=fit.residuals,
+        verdict=fit.verdict.also(Verdict.of(finding("paper_mode.offset_removed", "info"))),
+    )

@@ -2,55 +2,14 @@
 
     paper      C = L S^T (S S^T)^-1            L (3, N) achieved rates, S (3, N) mean readings; offset already removed
     affine     s = K w + b                     12 parameters by least squares
+    rests      u = K w + H a + b + walk(t)     with g-sensitivity and an offset that drifts; w = 0 at rest, a specific force
 
 L holds the rates that the table achieved, never the nominal ones: at 40,000 counts a turn the note's 0.1 deg/s is 0.099. The
 Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that points up; the horizontal part averages out
 over whole turns. Which rates: rig/programme.py.
-
-Dwells: the steady stretches of a rate table, filtered and averaged.
-
-The note filters each gyroscope signal with a cubic spline and averages it. A cubic smoothing spline f minimises
-sum (y - f)^2 + lambda * integral f''^2: a low-pass of fourth order that halves the signal at the frequency with
-lambda dt w^4 = 1. It leaves straight lines alone, so the mean over its samples is the mean of the readings, to rounding: the plain
-mean is taken unless the filter is asked for.
-
-Rate table with an axis missing: what the turns about the others show, in words for a verdict.
-
-::
-
-    K_jj of each stated axis j, its departure from a straight line, its asymmetry, and K_jj against the scale of the unit
-
-Dwells of a rate table that no straight line through the others explains: a rate stated with a wrong sign, value or axis.
-
-One such dwell moves a least-squares fit, and an offset that is let wander follows it. So before either, each sensor is fitted by
-least absolute deviations, which a few false dwells do not move::
-
-    (K, b) = argmin sum_i |s_i - K w_i - b|        e_i = K^-1 (s_i - b) - w_i, rad/s; with rests, + H a_i beside b
-
-A dwell is refused where |e_i| is beyond both limits::
-
-    8 times the typical |e|           median over the dwells, less one for every parameter that the fit makes exact
-    0.5 % of the largest rate         curvature of a sound sensor stays below
-
-Linearity of one rate axis: how far its dwells are from the best straight line (IEEE Std 1431, clause 12 terms).
-
-reading = o + S w                                   least-squares line over all dwells of the axis
-scale_factor_nonlinearity   largest |reading - line| / S
-scale_factor_asymmetry      2 (S+ - S-) / (S+ + S-), from reading = o + S+ max(w, 0) + S- min(w, 0)
-
-Rate table with rests: offsets that wander during the session, and gyroscopes that feel specific force.
-
-Each axis of the table turns the device another way up, so a gyroscope that feels gravity shows another offset on each, and an
-offset that drifts looks much the same. Dwells and rests together tell them apart::
-
-    u = K w + H a + b + walk(t)  21 parameters and a walk (fit/least_squares.py); w = 0 at rest, a the corrected specific force
-    w = M (u - b) - G a          M = K^-1, G = M H;      dM = -M dK M,   dG = -M dK G + M dH
-
-b is the offset in the middle of the session. The nine parameters of H are kept where they are larger, by their own covariance,
-than chance makes them once in a thousand (h' C^-1 h, chi-square of 9 degrees of freedom); without them it is the affine model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -58,25 +17,27 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_saturation, check_scale_factor
+from undrift.calibration.observe import Observed, Outcome, with_offset
 from undrift.errors import Implausible, InputError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
     TriadFit,
-    Wandering,
+    WalkFit,
     block_size,
     fit_forward,
     fit_paper,
-    fit_wandering,
+    fit_with_walk,
     inverse_jacobian,
     noise_of_means,
-    offset_warning,
+    offset_verdict,
     scaled_condition,
     triad_from_forward,
 )
-from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Status, TriadModel, Verdict
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Axis, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-# ---- Dwells: the steady stretches of a rate table, filtered and averaged.
+# ---- dwells: the steady stretches, filtered and averaged
 
 _LEAST_SAMPLES = 8
 
@@ -85,7 +46,7 @@ _LEAST_SAMPLES = 8
 class DwellSettings:
     """How a dwell is turned into a mean."""
 
-    # Start of each dwell that is thrown away, s; a second-order filter at 11 Hz settles to 0.1 % in 0.15 s
+    # Start of each dwell that is discarded, s; a second-order filter at 11 Hz settles to 0.1 % in 0.15 s
     settle_s: float = 0.3
     # Where the note's smoothing spline halves the signal, Hz; None leaves it out, which changes no mean
     cutoff_hz: float | None = None
@@ -113,10 +74,7 @@ class DwellMeans:
             )
 
     def less(self, offset: FloatArray) -> "DwellMeans":
-        """Return the same dwells with an offset taken off the readings.
-
-        Arrays: offset (3,).
-        """
+        """Return the same dwells with an offset (3,) removed from the readings."""
         return replace(self, reading=self.reading - offset)
 
 
@@ -155,10 +113,7 @@ def dwell_means(
 
 
 def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return the middle of each stretch on one clock on which the recordings follow each other.
-
-    Arrays:  -> (P,) s.
-    """
+    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
     begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
     clocks = [record.time - record.time[0] for record in records]
     return np.array(
@@ -167,9 +122,10 @@ def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatA
 
 
 def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> FloatArray:
-    """Smooth each column with a cubic spline.
+    """Smooth each column of values (N, 3) with the note's cubic smoothing spline.
 
-    Arrays: time (N,) s, values (N, 3) -> (N, 3).
+    It minimises sum (y - f)^2 + lambda integral f''^2: a low-pass of fourth order that halves the signal at the frequency w with
+    lambda dt w^4 = 1. It keeps straight lines, so the mean over its samples is the mean of the readings, to rounding.
     """
     from scipy.interpolate import make_smoothing_spline
 
@@ -204,7 +160,7 @@ def _points_up(part: Record, axis: int) -> float:
     return float(np.sign(share)) if abs(share) > 0.9 else 0.0
 
 
-# ---- Linearity of one rate axis: how far its dwells are from the best straight line (IEEE Std 1431, clause 12 terms).
+# ---- linearity of one axis (IEEE Std 1431, clause 12 terms)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,14 +174,13 @@ class Linearity:
     offset: float  # Reading of the line at zero rate
     scale_factor_nonlinearity: float  # Largest departure from the line, rad/s
     scale_factor_nonlinearity_percent: float  # The same in per cent of the largest imposed rate
-    scale_factor_asymmetry: float  # Dimensionless; NaN where one sign is missing
+    scale_factor_asymmetry: (
+        float  # 2 (S+ - S-) / (S+ + S-) of reading = o + S+ max(w, 0) + S- min(w, 0); NaN for one sign
+    )
 
 
 def linearity(reading: FloatArray, turn_rate: FloatArray, axis: Axis) -> Linearity:
-    """Compare the dwells of one axis with their best straight line.
-
-    Arrays: reading (N,), turn_rate (N,) rad/s.
-    """
+    """Compare readings (N,) of one axis at rates (N,) with their least-squares line, reading = o + S w."""
     if len(np.unique(turn_rate)) < 2:
         raise NotObservable(
             f"rate axis {axis}: wanted dwells at two different rates or more, got {len(np.unique(turn_rate))}; "
@@ -257,9 +212,12 @@ def _asymmetry(reading: FloatArray, rate: FloatArray) -> float:
     return float(2.0 * (plus - minus) / (plus + minus))
 
 
-# ---- rate table
+# ---- fit of the dwells
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
+OWN_SCALE = (
+    0.05  # a part that is trimmed in the factory is within 1 to 3 % of its sensitivity; no datasheet allows more
+)
 
 RateTableMode = Literal["paper", "affine"]
 
@@ -297,7 +255,7 @@ class RateAxisFit:
     residuals: FloatArray  # (N, 3), reading less model
     linearity: Linearity  # Own-axis table
     unit_in: str  # Unit of the readings
-    verdict: Verdict  # Names what was not observable and which recording would show it
+    verdict: Verdict
 
     @property
     def scale_factor(self) -> float:
@@ -316,16 +274,16 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
         )
     rates = imposed_rates(dwells, settings.latitude_deg)
     method = f"rate-table/{settings.mode}"
+    verdict = Verdict()
     if settings.mode == "paper":
         fit = fit_paper(rates, dwells.reading, dwells.noise, method=method, unit_in=dwells.unit, unit_out="rad/s")
-        verdict = offset_warning(fit, rates, dwells.reading, dwells.noise)
+        verdict = offset_verdict(fit, rates, dwells.reading, dwells.noise)
     else:
         forward = fit_forward(rates, dwells.reading, dwells.noise)
         span = (float(rates.min()), float(rates.max()))
         fit = triad_from_forward(
-            forward, method=method, unit_in=dwells.unit, unit_out="rad/s", valid_range=span, verdict=Verdict()
+            forward, method=method, unit_in=dwells.unit, unit_out="rad/s", valid_range=span, verdict=verdict
         )
-        verdict = Verdict()
     check_axis_order(fit.model.forward_matrix, "rate table", against="turns")
     _check_scale(fit.model.scale_factor, dwells.unit, settings, "gyroscope")
     return RateTableFit(
@@ -352,7 +310,7 @@ def fit_rate_axis(dwells: DwellMeans, settings: RateTableSettings = RateTableSet
     spare = len(rate) - 2
     variance = (residuals**2).sum(axis=0) / (spare - 2 if spare > 2 else np.nan)
     _check_scale(np.abs(theta[0, own : own + 1]), dwells.unit, settings, f"gyroscope {axis}")
-    others = " and ".join(a for a in AXES if a != axis)
+    others = tuple(a for a in AXES if a != axis)
     return RateAxisFit(
         axis=axis,
         column=theta[0],
@@ -361,21 +319,62 @@ def fit_rate_axis(dwells: DwellMeans, settings: RateTableSettings = RateTableSet
         residuals=residuals,
         linearity=table,
         unit_in=dwells.unit,
-        verdict=Verdict(
-            status="marginal",
-            remarks=(
-                f"turns about {axis} alone do not show the scale factors of {others}, nor how they see each other's axis: "
-                f"mount the device with {others} along the table's axis and turn again",
-            ),
-        ),
+        verdict=Verdict.of(finding("rate_table.axes_missing", "warn", turned=(axis,), missing=others)),
     )
 
 
-def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
-    """Return the true rate of each dwell in b: L of eq. 4, transposed.
+def fit_rate_axes(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> tuple[RateAxisFit, ...]:
+    """Fit each axis that was turned, alone."""
+    fits = []
+    for axis in AXES:
+        rows = [k for k, name in enumerate(dwells.axis) if name == axis]
+        if len(np.unique(dwells.turn_rate[rows])) > 1:
+            own = _only(dwells, rows)
+            loose = fit_rate_axis(own, replace(settings, scale_tolerance=float("inf")))
+            most = int(np.abs(loose.column).argmax())
+            if most != AXES.index(axis) or loose.scale_factor < 0.0:
+                reads = f"{'-' if loose.column[most] < 0.0 else '+'}{AXES[most]}"
+                raise Implausible(
+                    f"turns about {axis}: wanted the {axis} gyroscope to read + for turns about +{axis}, got column {AXES[most]} "
+                    f"that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
+                    reads=reads,
+                )
+            fits.append(fit_rate_axis(own, settings))
+    return tuple(fits)
 
-    Arrays:  -> (N, 3) rad/s.
-    """
+
+def axis_finding(fit: RateAxisFit) -> Finding:
+    """Return what the turns about one axis show: scale, its uncertainty, linearity."""
+    line, own = fit.linearity, AXES.index(fit.axis)
+    sigma = float(np.sqrt(fit.covariance[own, own])) / abs(fit.scale_factor)
+    unit = si_factor(fit.unit_in, "rate") if is_physical(fit.unit_in) else RADIAN_PER_DEGREE
+    return finding(
+        "rate_table.axis",
+        "info",
+        axis=fit.axis,
+        scale=fit.scale_factor * unit,
+        unit="of the nominal scale" if is_physical(fit.unit_in) else f"{fit.unit_in} per deg/s",
+        uncertainty_percent=100.0 * sigma,
+        nonlinearity_dps=line.scale_factor_nonlinearity / RADIAN_PER_DEGREE,
+        nonlinearity_percent=line.scale_factor_nonlinearity_percent,
+        asymmetry_percent=100.0 * line.scale_factor_asymmetry,
+    )
+
+
+def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Verdict:
+    """Return marginal where a scale factor (K,) is further from the unit's own than any datasheet allows, else good."""
+    if not is_physical(unit):
+        return Verdict()
+    ratio = np.asarray(scale_factor) * si_factor(unit, "rate")
+    worst = int(np.abs(ratio - 1.0).argmax())
+    off = float(ratio[worst] - 1.0)
+    if abs(off) <= OWN_SCALE:
+        return Verdict()
+    return Verdict.of(finding("gyro.scale_factor", "warn", axis=axes[worst], off_percent=100.0 * off))
+
+
+def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
+    """Return the true rate of each dwell in b (N, 3), rad/s: L of eq. 4, transposed."""
     earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
     rates: FloatArray = axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None]
     return rates
@@ -394,60 +393,6 @@ def _check_scale(scale: FloatArray, unit: str, settings: RateTableSettings, what
         check_scale_factor(scale, stated, settings.scale_tolerance, what)
 
 
-# ---- Rate table with an axis missing: what the turns about the others show, in words for a verdict.
-
-OWN_SCALE = 0.05  # a part that is trimmed in the factory is within 1 to 3 % of its sensitivity; no word of its maker allows more
-
-
-def fit_rate_axes(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> tuple[RateAxisFit, ...]:
-    """Fit each axis that was turned, alone."""
-    fits = []
-    for axis in AXES:
-        rows = [k for k, name in enumerate(dwells.axis) if name == axis]
-        if len(np.unique(dwells.turn_rate[rows])) > 1:
-            fit = fit_rate_axis(_only(dwells, rows), replace(settings, scale_tolerance=float("inf")))
-            _check_sees(fit)
-            fits.append(fit_rate_axis(_only(dwells, rows), settings))
-    return tuple(fits)
-
-
-def told_axis(fit: RateAxisFit) -> str:
-    """Return what the turns about one axis show, as one sentence."""
-    line, own = fit.linearity, AXES.index(fit.axis)
-    sigma = float(np.sqrt(fit.covariance[own, own])) / abs(fit.scale_factor)
-    bent = "" if np.isnan(line.scale_factor_asymmetry) else f", asymmetry {100.0 * line.scale_factor_asymmetry:.2g} %"
-    doubt = "" if np.isnan(sigma) else f" to within {100.0 * sigma:.2g} %"
-    if is_physical(fit.unit_in):
-        scale = f"{fit.scale_factor * si_factor(fit.unit_in, 'rate'):.4f} of the unit's own"
-    else:
-        scale = f"{fit.scale_factor * RADIAN_PER_DEGREE:.5g} {fit.unit_in} per deg/s"
-    return (
-        f"turns about {fit.axis}: scale factor {scale}{doubt}, departure from a straight line up to "
-        f"{line.scale_factor_nonlinearity / RADIAN_PER_DEGREE:.2g} deg/s ({line.scale_factor_nonlinearity_percent:.2g} %){bent}"
-    )
-
-
-def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Verdict:
-    """Return marginal where a scale factor is further from the unit's own than makers allow, good elsewhere.
-
-    Arrays: scale_factor (K,).
-    """
-    if not is_physical(unit):
-        return Verdict()
-    ratio = np.asarray(scale_factor) * si_factor(unit, "rate")
-    worst = int(np.abs(ratio - 1.0).argmax())
-    off = float(ratio[worst] - 1.0)
-    if abs(off) <= OWN_SCALE:
-        return Verdict()
-    return Verdict(
-        status="marginal",
-        remarks=(
-            f"the scale factor of {axes[worst]} is {100.0 * off:+.1f} % off the unit's own scale: implausible for any sensor of a "
-            "few per cent; check the conversion from counts, the range setting, the stated rates or angles and the sample rate",
-        ),
-    )
-
-
 def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
     up = np.broadcast_to(dwells.up, len(dwells.axis))
     return replace(
@@ -461,24 +406,25 @@ def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
     )
 
 
-def _check_sees(fit: RateAxisFit) -> None:
-    own, most = AXES.index(fit.axis), int(np.abs(fit.column).argmax())
-    if most != own or fit.scale_factor < 0.0:
-        reads = f"{'-' if fit.column[most] < 0.0 else '+'}{AXES[most]}"
-        raise Implausible(
-            f"turns about {fit.axis}: wanted the {fit.axis} gyroscope to read + for turns about +{fit.axis}, got column "
-            f"{AXES[most]} that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
-            reads=reads,
-        )
-
-
-# ---- Rate table with rests: offsets that wander during the session, and gyroscopes that feel specific force.
+# ---- dwells and rests together: offsets that drift during the session, and g-sensitivity
+#
+# Each axis of the table turns the device another way up, so a gyroscope with g-sensitivity shows another offset on each, and an
+# offset that drifts looks much the same. Dwells and rests together separate them:
+#
+#     u = K w + H a + b + walk(t)  21 parameters and a walk (fit/least_squares.py); w = 0 at rest, a the corrected specific force
+#     w = M (u - b) - G a          M = K^-1, G = M H;      dM = -M dK M,   dG = -M dK G + M dH
+#
+# b is the offset in the middle of the session. The nine parameters of H are kept where they are larger, by their own covariance,
+# than chance makes them once in a thousand (h' C^-1 h, chi-square of 9 degrees of freedom); without them it is the affine model.
 
 CHANCE = 1e-3
 # Limits of a verdict: above the first it is marginal, above the second bad.
-DOUBT_PERCENT = (0.5, 5.0)  # of scale, 1 sigma: 0.5 % is 2 deg in a full turn; 5 % is no better than most makers' word
-WANDER_DPS = (0.1, 2.0)  # in a minute: 0.1 deg/s ends 3 deg off after that minute; no warm-up reaches 2 deg/s
-MISS_PERCENT = (
+UNCERTAIN_PERCENT = (
+    0.5,
+    5.0,
+)  # of scale, 1 sigma: 0.5 % is 2 deg in a full turn; 5 % is no better than most datasheets
+DRIFT_DPS = (0.1, 2.0)  # in a minute: 0.1 deg/s ends 3 deg off after that minute; no warm-up reaches 2 deg/s
+RESIDUAL_PERCENT = (
     0.5,
     3.0,
 )  # rms, of the largest rate: parts are linear within 0.2 %; 3 % is a false rate or a stuck table
@@ -501,7 +447,7 @@ class RestMeans:
 def fit_with_rests(
     fit: RateTableFit, dwells: DwellMeans, rests: RestMeans | None, *, latitude_deg: float | None = None
 ) -> RateTableFit:
-    """Refine an affine fit: let its offset wander, and add a g-sensitivity where dwells and rests show one."""
+    """Refine an affine fit: let its offset drift, and add a g-sensitivity where dwells and rests show one."""
     if dwells.noise is None:
         return fit
     rates = imposed_rates(dwells, latitude_deg)
@@ -516,17 +462,18 @@ def fit_with_rests(
     if forces is not None:
         full = np.column_stack((rates, forces, np.ones(len(rates))))
         if scaled_condition(full)[0] == 7:
-            felt = [fit_wandering(full, readings[:, k], sigma[:, k], time) for k in range(3)]
-            if _feels_force(felt, readings.size - 21):
-                return _refined(fit, full, readings, felt)
+            found = [fit_with_walk(full, readings[:, k], sigma[:, k], time) for k in range(3)]
+            size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
+            if size > _chance(9) * _excess(found, readings.size - 21):
+                return _refined(fit, full, readings, found)
     plain = np.column_stack((rates, np.ones(len(rates))))
-    found = [fit_wandering(plain, readings[:, k], sigma[:, k], time) for k in range(3)]
+    found = [fit_with_walk(plain, readings[:, k], sigma[:, k], time) for k in range(3)]
     by_axis = _by_axis(dwells, rates, sigma) if forces is None and any(one.walk > 0.0 for one in found) else None
     return _refined(fit, plain, readings, found, by_axis)
 
 
-def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[Wandering] | None:
-    """Solve with an offset of its own for each axis of the table, parameters 4 to 6, and a trend."""
+def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[WalkFit] | None:
+    """Fit an offset for each axis of the table, parameters 4 to 6, and a trend; None where time explains the offsets."""
     if dwells.time is None:
         return None
     own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
@@ -534,18 +481,13 @@ def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[W
     design = np.column_stack((rates, own, away))
     if scaled_condition(design)[0] < 7:
         return None
-    solved = [fit_wandering(design, dwells.reading[:, k], sigma[:, k], dwells.time) for k in range(3)]
+    solved = [fit_with_walk(design, dwells.reading[:, k], sigma[:, k], dwells.time) for k in range(3)]
     trend = np.array([one.theta[6] for one in solved]) * float(np.ptp(away @ own / own.sum(axis=0)))
     apart = np.array([np.ptp(one.theta[3:6]) for one in solved])
     return None if (np.abs(trend) > _STAYS * apart)[np.argmax(apart)] else solved
 
 
-def _feels_force(felt: list[Wandering], spare: int) -> bool:
-    size = sum(float(one.theta[3:6] @ np.linalg.solve(one.covariance[3:6, 3:6], one.theta[3:6])) for one in felt)
-    return size > _chance(9) * _excess(felt, spare)
-
-
-def _excess(found: list[Wandering], spare: int) -> float:
+def _excess(found: list[WalkFit], spare: int) -> float:
     # Variance of the residuals over that of the noise; 1 where chance explains it.
     square = sum(one.square for one in found)
     return square / spare if spare > 0 and square > _chance(spare) else 1.0
@@ -555,8 +497,8 @@ def _refined(
     fit: RateTableFit,
     design: FloatArray,
     readings: FloatArray,
-    found: list[Wandering],
-    by_axis: list[Wandering] | None = None,
+    found: list[WalkFit],
+    by_axis: list[WalkFit] | None = None,
 ) -> RateTableFit:
     theta = np.array([one.theta for one in found])
     residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
@@ -570,72 +512,35 @@ def _refined(
         rank=3 * rank,
         condition=condition,
     )
-    verdict = fit.verdict.also(_judged(model, (found, by_axis), widen, float(np.abs(fit.turn_rate).max())))
+    largest = float(np.abs(fit.turn_rate).max())
+    verdict = fit.verdict.also(Verdict.of(*_judged(model, (found, by_axis), widen, largest)))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
 
 
 def _judged(
-    model: TriadModel, solved: tuple[list[Wandering], list[Wandering] | None], widen: float, largest: float
-) -> Verdict:
-    said, marks = [], []
-    found, by_axis = solved
+    model: TriadModel, solved: tuple[list[WalkFit], list[WalkFit] | None], widen: float, largest: float
+) -> Iterator[Finding]:
     if model.g_sensitivity is not None:
-        felt = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
-        said.append(
-            f"the gyroscopes feel gravity, by up to {felt:.2g} (deg/s)/g: fitted from dwells and rests, and taken off by the "
-            "corrected specific force"
-        )
-    moved, why = _moved(model, found, by_axis)
-    if why:
-        marks.append(_mark(moved, WANDER_DPS))
-        said.append(why)
-    misses = 100.0 * model.rms_residual / largest
-    marks.append(_mark(misses, MISS_PERCENT))
-    if widen > 1.0 or misses > MISS_PERCENT[0]:
-        said.append(
-            f"the readings scatter {widen**0.5:.1f} times as much about the model as their noise explains, and miss it by "
-            f"{misses:.2g} % of the largest rate{_wanted(misses, MISS_PERCENT, ' %', ' (', ')')} (vibration, non-linearity, or a "
-            "table that turns unevenly): the uncertainty is widened by that"
-        )
-    sigma = model.standard_uncertainty[:9].reshape(3, 3)
-    doubt = 100.0 * float((sigma @ np.abs(model.forward_matrix)).max())
-    marks.append(_mark(doubt, DOUBT_PERCENT))
-    if doubt > DOUBT_PERCENT[0]:
-        said.append(
-            f"an element of the gyroscope matrix is uncertain by {doubt:.2g} % (wanted {DOUBT_PERCENT[0]:g}): turn at more rates, "
-            "dwell longer, and look at the residual of each dwell"
-        )
-    return Verdict(status=max(marks, key=("good", "marginal", "bad").index, default="good"), remarks=tuple(said))
-
-
-def _moved(model: TriadModel, found: list[Wandering], by_axis: list[Wandering] | None) -> tuple[float, str]:
-    """Return how far the offset moved, deg/s, and whether with time or with the axis of the table; nothing where it stayed."""
+        size = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
+        yield finding("rate_table.g_sensitivity", "info", dps_per_g=size)
+    found, by_axis = solved
     gain = float(np.linalg.norm(model.matrix, 2)) / RADIAN_PER_DEGREE
     walk, within = (gain * max(one.walk for one in part) for part in (found, by_axis or found))
-    wander = walk * _MINUTE_S**0.5
-    if walk == 0.0:
-        return 0.0, ""
-    if by_axis is None or within > _STAYS * walk:
-        return wander, (
-            f"the offset wandered during the session, by {wander:.2g} deg/s in a minute "
-            f"(1 sigma{_wanted(wander, WANDER_DPS, '')}): "
-            "it holds for the middle of the session; warm the device up before, and bracket the dwells with rests"
-        )
-    offsets = np.array([one.theta[3:6] for one in by_axis])  # sensor, axis of the table
-    apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
-    return apart, (
-        f"the offset differs between the axes of the table by up to {apart:.2g} deg/s"
-        f"{_wanted(apart, WANDER_DPS, '', ' (', ')')} and hardly moves while one of them turns, as it does where gyroscopes feel "
-        "gravity: it is a mean over these poses; rest on six faces in the same session, which tells the g-sensitivity apart"
-    )
-
-
-def _mark(value: float, limits: tuple[float, float]) -> Status:
-    return "bad" if value > limits[1] else "marginal" if value > limits[0] else "good"
-
-
-def _wanted(value: float, limits: tuple[float, float], unit: str, before: str = "; ", after: str = "") -> str:
-    return f"{before}wanted {limits[0]:g}{unit}{after}" if value > limits[0] else ""
+    if walk > 0.0 and (by_axis is None or within > _STAYS * walk):
+        dps = walk * _MINUTE_S**0.5
+        yield finding("rate_table.drift", level_of(dps, DRIFT_DPS), dps_per_minute=dps, wanted=DRIFT_DPS[0])
+    elif walk > 0.0 and by_axis is not None:
+        offsets = np.array([one.theta[3:6] for one in by_axis])  # sensor, axis of the table
+        apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
+        yield finding("rate_table.axis_offset", level_of(apart, DRIFT_DPS), offset_dps=apart, wanted=DRIFT_DPS[0])
+    residual, limits = 100.0 * model.rms_residual / largest, RESIDUAL_PERCENT
+    if widen > 1.0 or residual > limits[0]:
+        level = level_of(residual, limits)
+        yield finding("rate_table.scatter", level, ratio=widen**0.5, residual_percent=residual, wanted=limits[0])
+    uncertain = 100.0 * model.relative_uncertainty
+    if uncertain > UNCERTAIN_PERCENT[0]:
+        level = level_of(uncertain, UNCERTAIN_PERCENT)
+        yield finding("rate_table.uncertainty", level, uncertainty_percent=uncertain, wanted=UNCERTAIN_PERCENT[0])
 
 
 def _chance(degrees_of_freedom: int) -> float:
@@ -651,8 +556,8 @@ def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> Triad
     size = 21 if gravity else 12
     covariance = np.zeros((size, size))  # of K row by row, b, H row by row
     for k in range(3):
-        felt = [12 + 3 * k, 13 + 3 * k, 14 + 3 * k] if gravity else []
-        places = np.array([3 * k, 3 * k + 1, 3 * k + 2, *felt, 9 + k])
+        of_h = [12 + 3 * k, 13 + 3 * k, 14 + 3 * k] if gravity else []
+        places = np.array([3 * k, 3 * k + 1, 3 * k + 2, *of_h, 9 + k])
         covariance[np.ix_(places, places)] = own[k]
     jacobian = np.eye(size)
     jacobian[:9, :9] = inverse_jacobian(matrix)
@@ -672,11 +577,19 @@ def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> Triad
     )
 
 
-# ---- Dwells of a rate table that no straight line through the others explains: a rate stated with a wrong sign, value or axis.
+# ---- false dwells: a rate stated with a wrong sign, value or axis
+#
+# One such dwell moves a least-squares fit, and an offset that may drift follows it. So before either, each sensor is fitted by
+# least absolute deviations, which a few false dwells do not move:
+#
+#     (K, b) = argmin sum_i |s_i - K w_i - b|        e_i = K^-1 (s_i - b) - w_i, rad/s; with rests, + H a_i beside b
+#
+# A dwell is refused where |e_i| is beyond both limits: 8 times the typical |e|, the median over the dwells less one for every
+# parameter that the fit makes exact; and 0.5 % of the largest rate, which the curvature of a sound sensor stays below.
 
 SCATTERS = 8.0  # times the typical error: beyond any tail that noise, wobble or drift makes of a few tens of dwells
 SHARE = 0.005  # of the largest rate
-_LEAST_SPARE = 4  # equations beyond the four parameters of a sensor; with fewer, no dwell can be told from the others
+_LEAST_SPARE = 4  # equations beyond the four parameters of a sensor; with fewer, a false dwell does not stand out
 _ROUNDS = 60
 
 
@@ -687,17 +600,14 @@ def check_dwells(
     rests: RestMeans | None = None,
     numbers: tuple[int, ...] | None = None,
 ) -> None:
-    """Raise when the reading of a dwell contradicts all the others.
-
-    Arrays: rates (N, 3) rad/s.
-    """
+    """Raise when the reading of a dwell contradicts all the others; rates (N, 3), rad/s."""
     design, reading = _equations(dwells, rates, rests)
     spare = len(design) - design.shape[1]
     if spare < _LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
     theta = np.array([_least_deviations(design, column) for column in reading.T])
     if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
-        return  # two columns that read the same; the fit itself says so
+        return  # two columns that read the same; the fit itself reports it
     away = (reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error = np.linalg.norm(away, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
@@ -726,21 +636,83 @@ def _equations(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None) -
 
 
 def _named(dwells: DwellMeans, read: FloatArray, k: int, number: int) -> str:
-    said = dwells.turn_rate[k] / RADIAN_PER_DEGREE
+    stated = dwells.turn_rate[k] / RADIAN_PER_DEGREE
     own = AXES.index(dwells.axis[k])
     most = int(np.abs(read).argmax())
     about = "" if most == own or abs(read[most]) < 2.0 * abs(read[own]) else f" about {AXES[most]}"
     value = read[most if about else own] / RADIAN_PER_DEGREE
-    return f"turn {number}, {dwells.axis[k]} at {said:+.4g} deg/s: reads as {value:+.4g}{about}"
+    return f"turn {number}, {dwells.axis[k]} at {stated:+.4g} deg/s: reads as {value:+.4g}{about}"
 
 
 def _least_deviations(design: FloatArray, reading: FloatArray) -> FloatArray:
-    # Iteratively reweighted least squares; the floor shrinks until the deviations that stay are the false ones.
-    theta = np.linalg.lstsq(design, reading, rcond=None)[0]
+    # Iteratively reweighted least squares; the floor shrinks until the deviations that remain are the false ones.
+    theta: FloatArray = np.linalg.lstsq(design, reading, rcond=None)[0]
     for step in range(_ROUNDS):
         away = np.abs(reading - design @ theta)
         floor = max(float(np.median(away)) * 0.9**step, 1e-12 * float(np.abs(reading).max()), 1e-300)
         root = 1.0 / np.sqrt(np.maximum(away, floor))
         theta = np.linalg.lstsq(design * root[:, None], reading * root, rcond=None)[0]
-    solution: FloatArray = theta
-    return solution
+    return theta
+
+
+# ---- from a session
+
+
+def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+    """Fit the gyroscopes of a session to its turns at known rates; an entry of FITS."""
+    settings = RateTableSettings(
+        mode="paper" if mode == "paper" else "affine",
+        latitude_deg=seen.settings.latitude_deg,
+        scale_tolerance=seen.settings.scale_tolerance,
+    )
+    session, own = seen.session, seen.settings
+    dwells = dwell_means(
+        session.records, session.turns, DwellSettings(settle_s=own.settle_s, cutoff_hz=own.spline_cutoff_hz)
+    )
+    turned = tuple(sorted(set(dwells.axis)))
+    if 0 < len(turned) < 3:
+        shown = fit_rate_axes(dwells, settings)
+        off = (scale_verdict(np.array([fit.scale_factor]), dwells.unit, fit.axis) for fit in shown)
+        missing = tuple(axis for axis in AXES if axis not in turned)
+        found = finding("rate_table.axes_missing", "warn", turned=turned, missing=missing)
+        return Outcome(findings=(found, *map(axis_finding, shown), *(f for verdict in off for f in verdict.findings)))
+    rests = None if accel is None else _rest_means(seen, accel.model)
+    numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
+    check_dwells(dwells, imposed_rates(dwells, settings.latitude_deg), rests=rests, numbers=numbers)
+    if settings.mode == "affine" or not own.remove_offset:
+        fit = fit_rate_table(dwells, settings)
+        if settings.mode == "affine":
+            fit = fit_with_rests(fit, dwells, rests, latitude_deg=settings.latitude_deg)
+        return Outcome(fit=fit, method="rate-table")
+    offset, variance = seen.rest_rate()
+    if np.isnan(offset).any():
+        offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
+        variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
+    return Outcome(
+        fit=with_offset(fit_rate_table(dwells.less(offset), settings), offset, variance), method="rate-table"
+    )
+
+
+def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
+    """Return readings at rest and specific forces, None where a recording lacks a triad or there is no rest."""
+    records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
+    parts = [records[s.recording].part(s.start, s.stop) for s in rests]
+    if not rests or any(r.accel is None or r.gyro is None or np.isnan(r.gyro).any() for r in parts):
+        return None
+    windows = [part.gyro for part in parts if part.gyro is not None]
+    noise = noise_of_means(windows, [block_size(part.sample_rate_hz) for part in parts])
+    turning = [t for t in seen.session.turns if t.axis is not None and t.turn_rate is not None]
+    turns = [records[t.recording].part(t.start, t.stop) for t in turning]
+    if noise is None or not turns or any(turn.accel is None for turn in turns):
+        return None
+    dwell_force, force = (
+        (np.array([np.nanmean(part.accel, axis=0) for part in group]) - accel.offset) @ accel.matrix.T  # type: ignore[arg-type]
+        for group in (turns, parts)
+    )
+    return RestMeans(
+        dwell_force=dwell_force,
+        reading=np.array([window.mean(axis=0) for window in windows]),
+        force=force,
+        noise=noise,
+        time=middles(records, rests),
+    )

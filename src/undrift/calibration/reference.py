@@ -1,60 +1,18 @@
 """Gyroscope against an orientation reference: mocap, a robot arm, anything that gives poses of the same body.
 
-For readings u, the model is w = M (u - o) - G a with w the body rate that the reference saw. Rates are never
-differentiated from poses: the readings are integrated over windows and compared with how far the reference turned
-(``reference_windows``), so pose noise enters twice a window whatever the rate. Windows grow from 2 s, where the
-linearisation is safe for a raw device, by doubling to 16 s: pose errors of 0.1 deg at both ends do not grow with the window,
-the rotation that an error of M or o causes does. Recordings of one device are pooled. Long windows suit real optics, whose
-errors wander with the pose; where pose and reading noise are white, ``weights="noise"`` reaches the least error that the
-poses allow (``reference_chain``), a quarter less than long windows.
+For readings u, the model is w = M (u - o) - G a with w the body rate of the reference. Rates are never differentiated from
+poses: the readings are integrated over windows and compared with how far the reference turned, so pose noise enters twice a
+window whatever the rate. Windows grow from 2 s, where the linearisation is safe for a raw device, by doubling to 16 s: pose
+errors of 0.1 deg at both ends do not grow with the window, the rotation that an error of M or o causes does. Recordings of one
+device are pooled. Long windows suit real optics, whose errors drift with the pose; where pose and reading noise are white,
+``weights="noise"`` reaches the least error that the poses allow, a quarter less than long windows.
 
-The offset at rest and the offset in motion are not the same number on real devices (rounding, vibration, g-sensitivity: 0.01
-to 0.05 deg/s). So the offset of a recording is its own mean at rest plus a change from rest to motion that all recordings of
-the device share, fitted jointly with M. A new recording needs only its own rest for the fit to apply.
-
-Window equations of the reference fit: what the gyroscope turned by against what the reference turned by.
-
-Over a window from pose i to pose j, with M, offset and d at their present values::
-
-    w  = M (u - offset) - d - G a                         readings u, specific force a
-    R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
-    y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
-    y  = J (dM, dd, dG) + pose noise                      J from one running sum of R regressor dt along the recording
-
-Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
-
-Robust linear least squares of overlapping windows, with a covariance that knows that they overlap.
-
-Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. Neighbouring
-windows share readings and pose errors, so the covariance is the sandwich N^-1 S N^-1 with S the long-run covariance of the
-scores g = J^T w r, lags up to the window length and beyond under Bartlett's triangle [1]_. The triangle is what the squares
-of all sliding sums of B neighbours give, which is how it is computed here.
-
-References
-----------
-.. [1] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
-   covariance matrix", 1987.
-.. [2] J. G. MacKinnon, H. White, "Some heteroskedasticity-consistent covariance matrix estimators with improved finite
-   sample properties", 1985.
-
-The reference fit as efficient as white noise allows: all poses in one chain, weighed by where the noise sits.
-
-From pose i to the next pose j the reference turns by what the gyroscope integrated, but for the noise of both poses and that
-of the readings in between. Seen in n, with e the noise of a pose and h that of one step::
-
-    y_j = A_j x + e_j - e_i + h_j        var e = s^2 (1 - kappa),  var h = s^2 kappa,  per axis
-
-Neighbouring equations share a pose, so their covariance is tridiagonal. kappa maximises the restricted likelihood: near 0
-the poses are the worse witness and the chain acts like one long window, near 1 the readings are and it acts like many short
-ones. Each equation is whitened by the Cholesky factor; a whitened residual beyond k standard deviations counts k / |r|
-(Huber [1]_).
-
-References
-----------
-.. [1] P. J. Huber, "Robust estimation of a location parameter", 1964.
+The offset at rest and the offset in motion differ on real devices (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s). So
+the offset of a recording is its own mean at rest plus a change from rest to motion that all recordings of the device share,
+fitted jointly with M. A new recording needs only its own rest for the fit to apply.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -63,13 +21,14 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.adc import without_truncation
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, scaled_condition
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Record, Reference
 from undrift.sync import LONGEST_STEP, Lag, LagSettings, Motion, box_sums, find_lag, find_motion, native_poses
 
-# ---- Values of the reference fit: how it is asked, what it returns, and how it does on a recording that it has not seen.
+# ---- settings and results
 
 Offset = Literal["motion", "rest", "common"]
 Weights = Literal["windows", "noise"]
@@ -110,18 +69,15 @@ class ReferenceFit:
     # (3,), reading in motion less reading at rest, at zero rate, raw unit; zero unless ``offset`` is "motion"
     motion_offset: FloatArray
     rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit
-    lags_s: FloatArray  # (R,), lag of each recording and its standard uncertainty, s
-    lag_uncertainties_s: FloatArray  # (R,), lag of each recording and its standard uncertainty, s
+    lags_s: FloatArray  # (R,), lag of each recording, s
+    lag_uncertainties_s: FloatArray  # (R,), its standard uncertainty, s
     turn_rates_rms: FloatArray  # (R,), root-mean-square body rate of each recording in motion, rad/s
     window_s: float  # Length of the longest windows that the recordings were long enough for, s
     window_rms: float  # Robust standard deviation of the residual rotation of the longest windows, rad
     offset_mode: Offset  # As in the settings
 
     def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
-        """Return the model for a recording that reads ``rest_offset`` at rest.
-
-        Arrays: rest_offset (3,).
-        """
+        """Return the model for a recording that reads ``rest_offset`` (3,) at rest."""
         if self.offset_mode == "common":
             return self.triad.model
         return replace(self.triad.model, offset=rest_offset + self.motion_offset)
@@ -129,29 +85,35 @@ class ReferenceFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldOut:
-    """A recording judged by a fit to the others."""
+    """A recording evaluated by a fit to the others."""
 
     recording: int  # Its number
     fit: ReferenceFit  # Fit to all others
     # That fit with the held-out recording's own rest offset: nothing in it knows the held-out reference
     model: TriadModel
-    # Root-mean-square rotation that is left over windows of ``window_s`` in the held-out recording, with the rest
-    # offset alone and with the model, rad
-    before: float
-    # Root-mean-square rotation that is left over windows of ``window_s`` in the held-out recording, with the rest
-    # offset alone and with the model, rad
-    after: float
+    # Root-mean-square rotation that remains over windows of ``window_s`` in the held-out recording, rad
+    before: float  # with the rest offset alone
+    after: float  # with the model
     extrapolation: str  # Where the held-out rates exceed what the others saw; "" where they do not
 
 
-# ---- Window equations of the reference fit: what the gyroscope turned by against what the reference turned by.
+# ---- window equations: rotation of the gyroscope against rotation of the reference
+#
+# Over a window from pose i to pose j, with M, offset and d at their present values:
+#
+#     w  = M (u - offset) - d - G a                         readings u, specific force a
+#     R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
+#     y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
+#     y  = J (dM, dd, dG) + pose noise                      J from one running sum of R regressor dt along the recording
+#
+# Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
 
 _MARGIN_S = 0.5  # of rest that belongs to the motion on either side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """One recording made ready for the fit."""
+    """One recording prepared for the fit."""
 
     time: FloatArray  # (N,), s, record clock
     gyro: FloatArray  # (N, 3), readings, raw unit, after ADC correction; gaps are zero
@@ -161,8 +123,7 @@ class Recording:
     motion: Motion  # On the record's clock
     rest_offset: FloatArray  # (3,), mean reading at rest before the motion, raw unit
     rest_uncertainty: FloatArray  # (3,), standard uncertainty of that mean, raw unit, from blocks of one second
-    # (L,), times of the poses at which windows start and end, s, record clock as the integration needs it
-    at: FloatArray
+    at: FloatArray  # (L,), times of the poses at which windows start and end, s, record clock
     q_nb: FloatArray  # (L, 4), those poses; NaN rows are gaps
 
 
@@ -222,20 +183,14 @@ def prepare(
 
 
 def restored(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
-    """Return readings with the mean loss of the ADC's rounding given back.
-
-    Arrays: gyro (N, 3) -> (N, 3).
-    """
+    """Return readings (N, 3) corrected for the mean loss of the ADC's rounding."""
     if adc is None or adc.gyro_lsb is None:
         return gyro
     return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
 
 
 def window_equations(recording: Recording, guess: GyroGuess, offset: FloatArray, reach: int) -> Windows:
-    """Return the equations of all windows that span ``reach`` strides.
-
-    Arrays: offset (3,).
-    """
+    """Return the equations of all windows that span ``reach`` strides."""
     from undrift.kernels.rotation import accumulate
 
     u = recording.gyro - offset
@@ -303,7 +258,12 @@ def _window_poses(
     return np.ascontiguousarray(at[chosen]), np.ascontiguousarray(poses.q_nb[chosen])
 
 
-# ---- Robust linear least squares of overlapping windows, with a covariance that knows that they overlap.
+# ---- robust least squares of overlapping windows
+#
+# Huber's estimate by reweighting: an equation whose residual r exceeds k s counts k s / |r|, s from the median. Neighbouring
+# windows share readings and pose errors, so the covariance is the sandwich N^-1 S N^-1 with S the long-run covariance of the
+# scores g = J^T w r, lags up to the window length and beyond under Bartlett's triangle (Newey and West 1987). The triangle is what
+# the squares of all sliding sums of B neighbours give, which is how it is computed here.
 
 _REWEIGHTINGS = 15
 
@@ -317,7 +277,7 @@ class Solution:
     residuals: FloatArray  # (n, 3), rad, all windows
     scale: float  # Robust standard deviation of the residuals, rad
     rank: int  # Of the design with columns scaled to one
-    condition: float  # Of the design with columns scaled to one
+    condition: float
 
 
 def independent_windows(windows: Sequence[Windows], reach: int) -> int:
@@ -326,10 +286,7 @@ def independent_windows(windows: Sequence[Windows], reach: int) -> int:
 
 
 def solve(windows: Sequence[Windows], *, keep: FloatArray, huber: float, reach: int) -> Solution:
-    """Solve the equations of several recordings.
-
-    Arrays: keep (P,).
-    """
+    """Solve the window equations of several recordings for the parameters that ``keep`` (P,) marks."""
     kept = np.flatnonzero(keep)
     a = np.concatenate([w.design for w in windows])[:, :, kept]
     y = np.concatenate([w.turn for w in windows])
@@ -340,31 +297,41 @@ def solve(windows: Sequence[Windows], *, keep: FloatArray, huber: float, reach: 
             "record longer motion, or ask for shorter windows",
             windows=independent,
         )
-    rank, condition = scaled_condition(a.reshape(-1, len(kept)))
-    if rank < len(kept):
+    rows = a.reshape(-1, len(kept))
+    rank, condition = _full_rank(rows)
+    x, weight, scale = _huber(rows, y.reshape(-1), huber)
+    residual = y - a @ x
+    bread = np.linalg.inv((rows.T * weight) @ rows)
+    scores = np.einsum("nap,na->np", a, weight.reshape(-1, 3) * residual)
+    meat = _long_run(scores, windows, 2 * reach)
+    # Residuals are short of errors by their leverage, P / n on average; HC3's square of it, not HC1's first power
+    # (MacKinnon and White 1985).
+    covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept))) ** 2
+    return _solution(x, covariance, keep, residual, (scale, rank, condition))
+
+
+def _solution(
+    x: FloatArray, covariance: FloatArray, keep: FloatArray, residuals: FloatArray, figures: tuple[float, int, float]
+) -> Solution:
+    kept, (scale, rank, condition) = np.flatnonzero(keep), figures
+    step, full = np.zeros(len(keep)), np.zeros((len(keep), len(keep)))
+    step[kept], full[np.ix_(kept, kept)] = x, covariance
+    return Solution(step=step, covariance=full, residuals=residuals, scale=scale, rank=rank, condition=condition)
+
+
+def _full_rank(design: FloatArray) -> tuple[int, float]:
+    rank, condition = scaled_condition(design)
+    if rank < design.shape[1]:
         raise NotObservable(
-            f"reference: wanted motion about all three axes, got a design of rank {rank} for {len(kept)} parameters; "
+            f"reference: wanted motion about all three axes, got a design of rank {rank} for {design.shape[1]} parameters; "
             "turn the device about every axis",
             rank=rank,
         )
-    x, weight, scale = _huber(a.reshape(-1, len(kept)), y.reshape(-1), huber)
-    residual = y - a @ x
-    bread = np.linalg.inv((a.reshape(-1, len(kept)).T * weight) @ a.reshape(-1, len(kept)))
-    scores = np.einsum("nap,na->np", a, weight.reshape(-1, 3) * residual)
-    meat = _long_run(scores, windows, 2 * reach)
-    # Residuals are short of errors by their leverage, P / n on average; HC3's square of it, not HC1's first power [2]_.
-    covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept))) ** 2
-    return Solution(
-        step=_spread(x, kept, len(keep)),
-        covariance=_spread(_spread(covariance, kept, len(keep)).T, kept, len(keep)),
-        residuals=residual,
-        scale=scale,
-        rank=rank,
-        condition=condition,
-    )
+    return rank, condition
 
 
 def _huber(a: FloatArray, y: FloatArray, k: float) -> tuple[FloatArray, FloatArray, float]:
+    """Return parameters, weights and robust scale (Huber, "Robust estimation of a location parameter", 1964)."""
     length = np.linalg.norm(a, axis=0)
     scaled = a / length
     weight = np.ones(len(y))
@@ -395,13 +362,16 @@ def _long_run(scores: FloatArray, windows: Sequence[Windows], width: int) -> Flo
     return meat
 
 
-def _spread(values: FloatArray, kept: np.ndarray, size: int) -> FloatArray:
-    full = np.zeros((size, *values.shape[1:]))
-    full[kept] = values
-    return full
-
-
-# ---- The reference fit as efficient as white noise allows: all poses in one chain, weighed by where the noise sits.
+# ---- all poses in one chain: as efficient as white noise allows
+#
+# From pose i to the next pose j the reference turns by what the gyroscope integrated, but for the noise of both poses and that of
+# the readings in between. In n, with e the noise of a pose and h that of one step:
+#
+#     y_j = A_j x + e_j - e_i + h_j        var e = s^2 (1 - kappa),  var h = s^2 kappa,  per axis
+#
+# Neighbouring equations share a pose, so their covariance is tridiagonal. kappa maximises the restricted likelihood: near 0 the
+# poses are noisier and the chain acts like one long window, near 1 the readings are and it acts like many short ones. Each
+# equation is whitened by the Cholesky factor; a whitened residual beyond k standard deviations counts k / |r|.
 
 _SEARCH = 24  # steps of golden section: kappa's logit to 1e-3
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
@@ -410,10 +380,7 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 def solve_chain(
     recordings: Sequence[Recording], steps: Sequence[Windows], *, keep: FloatArray, huber: float
 ) -> Solution:
-    """Solve the chains of several recordings.
-
-    Arrays: keep (P,).
-    """
+    """Solve the chains of several recordings for the parameters that ``keep`` (P,) marks."""
     kept = np.flatnonzero(keep)
     tables = [_in_level(r, w, kept) for r, w in zip(recordings, steps, strict=True)]
     links = [np.diff(w.first) == 1 for w in steps]
@@ -423,22 +390,18 @@ def solve_chain(
             f"reference: wanted more than {2 * len(kept) // 3} steps between poses, got {rows // 3}; record longer motion",
             steps=rows // 3,
         )
-    plain = np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables])
-    rank, condition = scaled_condition(plain)
-    if rank < len(kept):
-        raise NotObservable(
-            f"reference: wanted motion about all three axes, got a design of rank {rank} for {len(kept)} parameters; "
-            "turn the device about every axis",
-            rank=rank,
-        )
-    kappa = _most_likely(tables, links)
-    x, covariance, residual, scale = _huber_reference_chain(_whitened(tables, links, kappa), huber)
-    step, full = np.zeros(len(keep)), np.zeros((len(keep), len(keep)))
-    step[kept] = x
-    full[np.ix_(kept, kept)] = covariance
-    return Solution(
-        step=step, covariance=full, residuals=residual.reshape(-1, 3), scale=scale, rank=rank, condition=condition
-    )
+    rank, condition = _full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
+    white = _whitened(tables, links, _most_likely(tables, links))
+    y, a = white[:, 0], white[:, 1:]
+    x, weight, scale = _huber(a, y, huber)
+    length = np.linalg.norm(a, axis=0)
+    scaled = a / length
+    residual = y - scaled @ (x * length)
+    # Covariance of Huber's estimate for normal noise.
+    fully = float(np.mean(weight == 1.0))
+    variance = float(((weight * residual) ** 2).sum()) / (len(y) - len(x)) / max(fully, 0.1) ** 2
+    covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
+    return _solution(x, covariance, keep, residual.reshape(-1, 3), (scale, rank, condition))
 
 
 def _in_level(recording: Recording, steps: Windows, kept: IntArray) -> FloatArray:
@@ -505,31 +468,7 @@ def _whitened(tables: Sequence[FloatArray], links: Sequence[BoolArray], kappa: f
     return np.concatenate(blocks)
 
 
-def _huber_reference_chain(white: FloatArray, k: float) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return parameters, covariance, residuals and scale; the covariance is that of Huber's estimate at the normal."""
-    y, a = white[:, 0], white[:, 1:]
-    length = np.linalg.norm(a, axis=0)
-    scaled, weight = a / length, np.ones(len(y))
-    x, scale = np.zeros(a.shape[1]), 0.0
-    for _ in range(_REWEIGHTINGS):
-        previous = x
-        x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * y))
-        size = np.abs(y - scaled @ x)
-        scale = 1.4826 * float(np.median(size))
-        if scale == 0.0:
-            break
-        weight = np.minimum(1.0, k * scale / np.maximum(size, 1e-300))
-        if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
-            break
-    residual = y - scaled @ x
-    spare = len(y) - len(x)
-    fully = float(np.mean(weight == 1.0))
-    variance = float(((weight * residual) ** 2).sum()) / spare / max(fully, 0.1) ** 2
-    covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
-    return x / length, covariance, residual, scale
-
-
-# ---- reference
+# ---- fit
 
 LAG_SETTINGS = LagSettings()
 REFERENCE_SETTINGS = ReferenceSettings()
@@ -558,7 +497,7 @@ def leave_one_out(
     adc: AdcModel | None = None,
     lag_settings: LagSettings = LAG_SETTINGS,
 ) -> tuple[HeldOut, ...]:
-    """Fit every recording's model to all others of the device, and judge it there."""
+    """Fit each recording's model to all others of the device, and evaluate it there."""
     if len(records) < 2:
         raise InputError(
             f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
@@ -566,7 +505,7 @@ def leave_one_out(
     prepared = prepare_all(records, references, settings=settings, adc=adc, lag_settings=lag_settings)
     unit = records[0].gyro_unit
     return tuple(
-        _judge(i, prepared[i], _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit), settings)
+        _held_out(i, prepared[i], _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit), settings)
         for i in range(len(prepared))
     )
 
@@ -579,7 +518,7 @@ def prepare_all(
     adc: AdcModel | None,
     lag_settings: LagSettings,
 ) -> list[Recording]:
-    """Make the recordings of one device ready for the fit."""
+    """Prepare the recordings of one device for the fit."""
     if not records or len(records) != len(references):
         raise InputError(
             f"reference: wanted one reference for each record, got {len(records)} records and {len(references)} references"
@@ -701,7 +640,7 @@ def _result(
         valid_range=(min(float(w.min()) for w in seen), max(float(w.max()) for w in seen)),
     )
     return ReferenceFit(
-        triad=TriadFit(model=model, residuals=solution.residuals, verdict=_verdict(model, solution, rest, settings)),
+        triad=TriadFit(model=model, residuals=solution.residuals, verdict=Verdict.of(*_judged(model, rest, settings))),
         motion_offset=np.zeros(3) if settings.offset == "common" else motion_offset,
         rest_offsets=rest,
         lags_s=np.array([p.lag.seconds for p in prepared]),
@@ -718,35 +657,27 @@ def _carried(guess: GyroGuess, inverse: FloatArray, covariance: FloatArray) -> F
     jacobian = np.eye(len(covariance))
     jacobian[9:12, 9:12] = inverse
     jacobian[9:12, :9] = -np.kron(inverse, inverse @ guess.constant)
-    carried: FloatArray = jacobian @ covariance @ jacobian.T
-    return carried
+    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _moving(recording: Recording) -> BoolArray:
-    inside: BoolArray = (recording.time >= recording.motion.start_s) & (recording.time < recording.motion.stop_s)
-    return inside
+    return np.asarray((recording.time >= recording.motion.start_s) & (recording.time < recording.motion.stop_s))
 
 
-def _verdict(model: TriadModel, solution: Solution, rest: FloatArray, settings: ReferenceSettings) -> Verdict:
-    reasons = []
-    sigma = model.standard_uncertainty
-    scale = float(np.linalg.norm(model.matrix, 2))
-    if sigma[:9].max() > 2e-3 * scale:
-        reasons.append(
-            f"the matrix is known to {sigma[:9].max() / scale:.2%} only; record longer, with more turning about every axis"
-        )
+def _judged(model: TriadModel, rest: FloatArray, settings: ReferenceSettings) -> Iterator[Finding]:
+    sigma, scale = model.standard_uncertainty, float(np.linalg.norm(model.matrix, 2))
+    uncertain = float(sigma[:9].max()) / scale
+    if uncertain > 2e-3:
+        yield finding("reference.uncertainty", "warn", uncertainty_percent=100.0 * uncertain)
     if settings.offset == "motion" and len(rest) > 1:
         spread = rest.std(axis=0, ddof=1).max() * scale
         if spread > 5e-4:  # rad/s: 0.03 deg/s
-            reasons.append(
-                f"the offset at rest differs by {np.degrees(spread):.3f} deg/s between recordings; warm the device up before each"
-            )
+            yield finding("reference.rest_offset", "warn", spread_dps=np.degrees(spread))
     if model.g_sensitivity is not None and (np.abs(model.g_sensitivity).reshape(-1) < 3.0 * sigma[12:]).all():
-        reasons.append("no g-sensitivity could be told from zero; leave it out")
-    return Verdict(status="marginal" if reasons else "good", remarks=tuple(reasons))
+        yield finding("reference.g_sensitivity", "warn")
 
 
-def _judge(number: int, recording: Recording, fit: ReferenceFit, settings: ReferenceSettings) -> HeldOut:
+def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: ReferenceSettings) -> HeldOut:
     model = fit.model_at_rest_offset(recording.rest_offset)
     reach = max(1, round(settings.window_s / settings.stride_s))
     g = np.zeros((3, 3)) if model.g_sensitivity is None else model.g_sensitivity
@@ -769,12 +700,11 @@ def _judge(number: int, recording: Recording, fit: ReferenceFit, settings: Refer
 
 
 def _rigid(matrix: FloatArray) -> FloatArray:
-    # The nearest rotation times the nominal scale: what a raw device in that mounting would have been taken for.
+    # The nearest rotation times the nominal scale: a raw device in that mounting before any calibration.
     left, singular, right = np.linalg.svd(matrix)
     scale = float(np.exp(np.log(singular).mean()))
     nominal = 1.0 if 0.5 < scale < 2.0 else scale
-    rigid: FloatArray = nominal * left @ right
-    return rigid
+    return np.asarray(nominal * left @ right)
 
 
 def _rms(windows: Windows) -> float:

@@ -51,7 +51,7 @@ def noise(
     int
         Exit code.
     """
-    from undrift.calibration.noise import SPOKEN, fit_noise
+    from undrift.calibration.noise import TERMS, fit_noise
     from undrift.cli.common import checked_output, console, show_verdict, waiting, write_json
     from undrift.report.figures import PICTURES
 
@@ -79,8 +79,8 @@ def noise(
         write_json(noise_json(found) | {"notes": notes})
         return 0
     brackets = f"in brackets the {100.0 * found.confidence:g} % intervals"
-    _show(f"gyroscopes, {brackets}", found.gyro, tuple(SPOKEN["gyro"].values()))
-    _show(f"accelerometers, {brackets}", found.accel, tuple(SPOKEN["accel"].values()))
+    _show(f"gyroscopes, {brackets}", found.gyro, tuple(TERMS["gyro"].values()))
+    _show(f"accelerometers, {brackets}", found.accel, tuple(TERMS["accel"].values()))
     show_verdict(found.verdict)
     for note in notes:
         console().print(f"  note: {note}", markup=False)

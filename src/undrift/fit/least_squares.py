@@ -1,60 +1,12 @@
-"""Weighted least squares of the forward model s = K a + b, shared by the fits whose inputs are known.
+"""What the fits share: weighted least squares of s = K a + b, its covariance, excess variance, and drifting offsets.
 
-Each sensor is a row of its own, with the standard deviation of every equation given::
+Each sensor is a row of its own, with the standard deviation of every equation given; i = x, y, z::
 
-    minimise  sum_p ((s_pi - K_i . a_p - b_i) / sigma_pi)^2          i = x, y, z
+    minimise  sum_p ((s_pi - K_i . a_p - b_i) / sigma_pi)^2
+    a = M (s - o)        M = K^-1, o = b;   dM = -M dK M,   do = db
 
-Where sigma is not known beforehand it is estimated from the residuals, and the covariance is widened by v / (v - 2), v the
-spare equations: the variance of Student's t, so that 95 % intervals of 1.96 standard uncertainties still hold (JCGM 101,
-6.4.9).
-
-TriadFit: what every fit returns, and the linear algebra that the fits share.
-
-Forward model of a triad: s = K a + b. Least squares gives (K, b) with their covariance; the correction needs the inverse,
-a = M (s - o) with M = K^-1 and o = b. The covariance is carried over to first order::
-
-    dM = -M dK M        do = db
-
-Excess variance: what the residuals show beyond the noise that was put in.
-
-::
-
-    sum r_k^2 / (v_k + s2) = degrees of freedom,   s2 >= 0
-
-The stated variances v_k know the noise within a still. Hands that sway, a table that is not quite still, a nonlinearity:
-these move whole poses and show only in the residuals. s2 is what makes the weighted sum of squares equal its expectation [1]_.
-
-References
-----------
-.. [1] R. C. Paule and J. Mandel, "Consensus values and weighting factors", J. Res. NBS 87, 1982, 377-385.
-
-Least squares of readings whose offset wanders while they are taken.
-
-Readings u of times t follow X theta + b(t) + n: n is white with known standard deviations, b a random walk that is zero in
-the middle t_m of the session and spreads by q sqrt(|t - t_m|) either way::
-
-    V(q) = diag(sigma^2) + q^2 min(|t_i - t_m|, |t_j - t_m|)     for t_i, t_j on one side of t_m, else diagonal
-
-For each q, generalised least squares gives theta(q) with covariance C(q), and the restricted likelihood says how well that q
-explains what is left (REML [1]_)::
-
-    -2 log L(q) = log|V| + log|X' V^-1 X| + r' V^-1 r
-
-One session knows its q to a factor of two or so, and its offset and g-sensitivity hang on it. So no single q is taken: the
-parameters are averaged over all of them, each weighted by L(q), and the covariance is that of the error over every q that L(q)
-allows [2]_::
-
-    theta = E1 theta(q)        covariance = E0 C(q) + E0 (theta(q) - theta)(theta(q) - theta)'
-
-E0 takes every q from zero up for equally likely beforehand: nothing milder gives intervals that hold where the walk is too
-small to show. E1 takes 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: where nothing wanders the
-error of the offset is then 1.1 times what it would be if that were known, where E0 makes it 1.3 times. There the intervals
-of the offset are too wide, since no session can rule a small walk out: drift costs uncertainty instead of hiding in it.
-
-References
-----------
-.. [1] D. A. Harville, "Maximum likelihood approaches to variance component estimation and to related problems", 1977.
-.. [2] A. Gelman, "Prior distributions for variance parameters in hierarchical models", 2006.
+Where sigma is not known it is estimated from the residuals, and the covariance is widened by v / (v - 2), v the spare
+equations: the variance of Student's t, so that 95 % intervals of 1.96 standard uncertainties still hold (JCGM 101, 6.4.9).
 """
 
 from collections.abc import Sequence
@@ -64,9 +16,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
-
-# ---- TriadFit: what every fit returns, and the linear algebra that the fits share.
+from undrift.findings import Level, finding
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Status, TriadModel, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,22 +26,16 @@ class TriadFit:
 
     model: TriadModel  # The inverse model, with covariance, count, rank, condition and range
     residuals: FloatArray  # (E,), residual of each equation, unit_out
-    verdict: Verdict  # In words
+    verdict: Verdict
 
 
 def inverse_jacobian(matrix: FloatArray) -> FloatArray:
-    """Return d vec(M) / d vec(K) for M = K^-1, both stacked row by row.
-
-    Arrays: matrix (3, 3) -> (9, 9).
-    """
+    """Return d vec(M) / d vec(K) (9, 9) for M = K^-1, both stacked row by row."""
     return -np.kron(matrix, matrix.T)
 
 
 def scaled_condition(design: FloatArray) -> tuple[int, float]:
-    """Return rank and condition number of a design after scaling its columns to one.
-
-    Arrays: design (E, P).
-    """
+    """Return rank and condition number of a design (E, P) whose columns were scaled to one."""
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
     singular = np.linalg.svd(design / length, compute_uv=False)
@@ -98,13 +43,14 @@ def scaled_condition(design: FloatArray) -> tuple[int, float]:
     return rank, float(singular[0] / singular[-1]) if rank == design.shape[1] else float("inf")
 
 
-# ---- Excess variance: what the residuals show beyond the noise that was put in.
+# ---- excess variance: what the residuals show beyond the stated noise
 
 
 def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: int) -> float:
-    """Return the common variance to add so that residuals and variances agree.
+    """Return s2 >= 0 such that sum r_k^2 / (v_k + s2) = degrees of freedom, for residuals r and variances v (E,).
 
-    Arrays: residuals (E,), variances (E,).
+    The stated variances know the noise within a rest. A hand that sways, a table that is not quite still or a nonlinearity
+    moves whole poses and shows in the residuals alone (Paule and Mandel, "Consensus values and weighting factors", 1982).
     """
     square = residuals**2
     if freedom <= 0 or not square.any():
@@ -123,17 +69,14 @@ def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: int) 
     return excess
 
 
-# ---- Noise of a mean reading, told by the scatter of short block means within the windows.
+# ---- noise of a mean reading, from the scatter of short block means within the windows
 
 BLOCK_S = 0.5  # means of this length count as independent of each other
-_LEAST_SPARE = 6  # fewer spare blocks than this say nothing
+_LEAST_SPARE_BLOCKS = 6  # with fewer, the estimate is too uncertain to use
 
 
 def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int], removed: int = 1) -> FloatArray | None:
-    """Return the standard deviation of the mean of each window.
-
-    Arrays: windows (N, 3) -> (P, 3).
-    """
+    """Return the standard deviation (P, 3) of the mean of each window (N, 3); None where there are too few blocks."""
     square, spare = np.zeros(3), 0
     for values, size in zip(windows, sizes, strict=True):
         count = len(values) // size
@@ -141,7 +84,7 @@ def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int], removed:
             means = values[: count * size].reshape(count, size, 3).mean(axis=1)
             square += ((means - means.mean(axis=0)) ** 2).sum(axis=0)
             spare += count - removed
-    if spare < _LEAST_SPARE:
+    if spare < _LEAST_SPARE_BLOCKS:
         return None
     share = np.array([size / max(1, len(values)) for values, size in zip(windows, sizes, strict=True)])
     return np.asarray(np.sqrt(square / spare * share[:, None]))
@@ -152,126 +95,114 @@ def block_size(sample_rate_hz: float) -> int:
     return max(1, round(BLOCK_S * sample_rate_hz))
 
 
-# ---- Least squares of readings whose offset wanders while they are taken.
+# ---- offsets that drift: least squares with a random walk of unknown size
+#
+# Readings at times t follow X theta + b(t) + n: n white with known standard deviations, b a random walk that is zero in the
+# middle t_m of the session and spreads by q sqrt(|t - t_m|) either way:
+#
+#     V(q) = diag(sigma^2) + q^2 min(|t_i - t_m|, |t_j - t_m|)     t_i, t_j on one side of t_m, else diagonal
+#     -2 log L(q) = log|V| + log|X' V^-1 X| + r' V^-1 r            restricted likelihood (Harville 1977)
+#
+# One session knows its q to a factor of two or so, and its offset and g-sensitivity depend on it. So no single q is taken: the
+# parameters are averaged over all, weighted by L(q), and the covariance is that of the error over every q (Gelman 2006):
+#
+#     theta = E1 theta(q)        covariance = E0 C(q) + E0 (theta(q) - theta)(theta(q) - theta)'
+#
+# E0 takes every q >= 0 as equally likely beforehand: nothing milder gives intervals that hold where the walk is too small to
+# show. E1 takes 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: without drift the error of the
+# offset is then 1.1 times the least possible, where E0 makes it 1.3 times.
 
-_LEAST_SPARE_WANDERING = 4  # with fewer, the average over q has no finite variance
+_LEAST_SPARE_EQUATIONS = 4  # with fewer, the average over q has no finite variance
 _SPREADS = (0.02, 1e6, 180)  # q sqrt(half the session) in units of the median sigma: steps of a tenth
-_QUIET = 0.1  # q0, in the same unit
+_SMALL_WALK = 0.1  # q0, in the same unit
 _EVIDENCE = 3.84  # 95 %: chi-square of one degree of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Wandering:
-    """One sensor's solution."""
+class WalkFit:
+    """One sensor's parameters and the random walk of its offset."""
 
-    theta: FloatArray  # (P,), parameters
-    covariance: FloatArray  # (P, P), of them
-    walk: float  # Most likely q, reading per square root of a second; 0 where it is not told from none
+    theta: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    walk: float  # most likely q, reading per root second; 0 where it is not significant
     square: float  # r' V^-1 r at the most likely q; E - P is expected
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Solutions:
-    """Solutions for T values of q: theta (T, P), covariance (T, P, P), square (T,), and log L (T,)."""
-
-    theta: FloatArray
-    covariance: FloatArray
-    square: FloatArray
-    likelihood: FloatArray
-
-
-def fit_wandering(design: FloatArray, reading: FloatArray, sigma: FloatArray, time: FloatArray | None) -> Wandering:
-    """Solve for the parameters of one sensor and how its offset wandered.
-
-    Arrays: design (E, P), reading (E,), sigma (E,), time (E,) s.
-    """
+def fit_with_walk(design: FloatArray, reading: FloatArray, sigma: FloatArray, time: FloatArray | None) -> WalkFit:
+    """Fit one sensor whose offset may drift: design (E, P), reading, sigma and time (E,); no walk without times."""
     x, y = design / sigma[:, None], reading / sigma
-    if time is None or len(reading) < design.shape[1] + _LEAST_SPARE_WANDERING:
-        only = _solved(x, y, np.zeros(len(y)), np.zeros(1))
-        return Wandering(theta=only.theta[0], covariance=only.covariance[0], walk=0.0, square=float(only.square[0]))
+    if time is None or len(reading) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
+        theta, covariance, square, _ = _solved(x, y, np.zeros(len(y)), np.zeros(1))
+        return WalkFit(theta=theta[0], covariance=covariance[0], walk=0.0, square=float(square[0]))
     away = time - 0.5 * (time.min() + time.max())
     half = max(float(np.abs(away).max()), 1e-9)
     unit = float(np.median(sigma)) / half**0.5
     same = np.sign(away)[:, None] == np.sign(away)[None, :]
     shape = np.where(same, np.minimum(np.abs(away)[:, None], np.abs(away)[None, :]), 0.0)
-    gain, basis = np.linalg.eigh(
-        shape * unit**2 / np.outer(sigma, sigma)
-    )  # V(q) is diagonal in this basis, for every q
+    gain, basis = np.linalg.eigh(shape * unit**2 / np.outer(sigma, sigma))  # V(q) is diagonal in this basis for every q
     spread = np.concatenate(([0.0], np.geomspace(*_SPREADS)))
-    solutions = _solved(basis.T @ x, basis.T @ y, gain.clip(0.0), spread)
-    return _averaged(solutions, spread, unit)
+    thetas, covariances, squares, likelihood = _solved(basis.T @ x, basis.T @ y, gain.clip(0.0), spread)
+    best = int(np.argmax(likelihood))
+    shows = 2.0 * (likelihood[best] - likelihood[0]) > _EVIDENCE
+    step = np.gradient(spread)
+    step[[0, -1]] *= 0.5  # trapezoids
+    share = np.exp(likelihood - likelihood[best]) * step
+    likely = share / (spread + _SMALL_WALK)
+    share, likely = share / share.sum(), likely / likely.sum()
+    theta = likely @ thetas
+    apart = thetas - theta
+    peak = float(spread[best]) if best < 2 else geometric_peak(spread, likelihood, best)
+    return WalkFit(
+        theta=theta,
+        covariance=np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart,
+        walk=unit * peak if shows else 0.0,
+        square=float(squares[best]),
+    )
 
 
-def _solved(x: FloatArray, y: FloatArray, gain: FloatArray, spread: FloatArray) -> _Solutions:
-    # Uncorrelated readings of variance 1 + gain spread^2, solved for every spread at once.
+def _solved(
+    x: FloatArray, y: FloatArray, gain: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return theta (T, P), covariance, r' V^-1 r and log L for T spreads: uncorrelated, variance 1 + gain spread^2."""
     length = np.linalg.norm(x, axis=0)
     x = x / length
     weight = 1.0 / (1.0 + spread[:, None] ** 2 * gain)
     normal = (weight[:, None, :] * x.T) @ x
     inverse = np.linalg.inv(normal)
-    start = np.linalg.lstsq(x, y, rcond=None)[
-        0
-    ]  # what is left of y is small, so that rounding in the normal equations is too
+    start = np.linalg.lstsq(x, y, rcond=None)[0]  # the rest of y is small, and so is rounding in the normal equations
     left = y - x @ start
     step = (inverse @ ((weight * left) @ x)[:, :, None])[:, :, 0]
     square = (weight * (left - step @ x.T) ** 2).sum(axis=1)
-    return _Solutions(
-        theta=(start + step) / length,
-        covariance=inverse / np.outer(length, length),
-        square=square,
-        likelihood=0.5 * (np.log(weight).sum(axis=1) - np.linalg.slogdet(normal)[1] - square),
-    )
+    likelihood = 0.5 * (np.log(weight).sum(axis=1) - np.linalg.slogdet(normal)[1] - square)
+    return (start + step) / length, inverse / np.outer(length, length), square, likelihood
 
 
-def _averaged(solutions: _Solutions, spread: FloatArray, unit: float) -> Wandering:
-    best = int(np.argmax(solutions.likelihood))
-    shows = 2.0 * (solutions.likelihood[best] - solutions.likelihood[0]) > _EVIDENCE
-    step = np.gradient(spread)
-    step[[0, -1]] *= 0.5  # trapezoids
-    share = np.exp(solutions.likelihood - solutions.likelihood[best]) * step
-    likely = share / (spread + _QUIET)
-    share, likely = share / share.sum(), likely / likely.sum()
-    theta = likely @ solutions.theta
-    apart = solutions.theta - theta
-    return Wandering(
-        theta=theta,
-        covariance=np.einsum("t,tij->ij", share, solutions.covariance) + (share[:, None] * apart).T @ apart,
-        walk=unit * _peak(spread, solutions.likelihood, best) if shows else 0.0,
-        square=float(solutions.square[best]),
-    )
-
-
-def _peak(spread: FloatArray, likelihood: FloatArray, best: int) -> float:
-    if best < 2 or best == len(spread) - 1:
-        return float(spread[best])
+def geometric_peak(grid: FloatArray, likelihood: FloatArray, best: int) -> float:
+    """Return where a parabola through the best point of a geometric grid and its neighbours is highest."""
+    if best == len(grid) - 1:
+        return float(grid[best])
     left, middle, right = likelihood[best - 1 : best + 2]
-    bend = left - 2.0 * middle + right  # parabola through three points of a geometric grid
+    bend = left - 2.0 * middle + right
     shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    return float(spread[best] * (spread[best + 1] / spread[best]) ** np.clip(shift, -1.0, 1.0))
+    return float(grid[best] * (grid[best + 1] / grid[best]) ** np.clip(shift, -1.0, 1.0))
 
 
-# ---- Parameters in the words of a laboratory: m_xx is the scale of x, m_xy a cross-axis term, offset_y the offset of y.
+# ---- names of parameters: m_xx is the scale of x, m_xy a cross-axis term, offset_y the offset of y
 
 
-def in_words(names: Sequence[str]) -> str:
-    """Return names of parameters in words, those of one kind together."""
+def parameter_names(names: Sequence[str]) -> str:
+    """Return names of parameters as a laboratory says them, those of one kind together."""
     ends = [(name.partition("_")[0], name.rpartition("_")[2]) for name in names]
     scales = [end[0] for head, end in ends if head == "m" and end[0] == end[-1]]
     crossed = [end for head, end in ends if head == "m" and end[0] != end[-1]]
     offsets = [end for head, end in ends if head == "offset"]
-    parts = (
-        f"scale of {_listed(scales)}" if scales else "",
-        f"cross-axis term{'s' * (len(crossed) > 1)} {_listed(crossed)}" if crossed else "",
-        f"offset of {_listed(offsets)}" if offsets else "",
+    kinds = (("scale of", scales), (f"cross-axis term{'s' * (len(crossed) > 1)}", crossed), ("offset of", offsets))
+    return ", ".join(
+        f"{kind} {' and '.join((', '.join(of[:-1]), of[-1])).removeprefix(' and ')}" for kind, of in kinds if of
     )
-    return ", ".join(part for part in parts if part)
 
 
-def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-# ---- least squares
+# ---- forward model s = K a + b
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -287,10 +218,7 @@ class ForwardFit:
 
 
 def fit_forward(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> ForwardFit:
-    """Fit K and b to readings of known inputs.
-
-    Arrays: inputs (E, 3), readings (E, 3), sigma (E, 3).
-    """
+    """Fit K and b to readings (E, 3) of known inputs (E, 3) with standard deviations sigma (E, 3), where known."""
     if inputs.shape != readings.shape or inputs.ndim != 2 or inputs.shape[1] != 3:
         raise InputError(f"fit: wanted inputs and readings (E, 3), got {inputs.shape} and {readings.shape}")
     design = np.column_stack((inputs, np.ones(len(inputs))))
@@ -325,7 +253,7 @@ def fit_forward(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | No
 
 
 def student_variance(residuals: FloatArray, spare: int) -> float:
-    """Return the residual variance widened for its own uncertainty."""
+    """Return the residual variance, widened for its own uncertainty; NaN below three spare equations."""
     return float((residuals**2).sum() / (spare - 2)) if spare > 2 else float("nan")
 
 
@@ -357,17 +285,10 @@ def triad_from_forward(
 def fit_paper(
     inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, *, method: str, unit_in: str, unit_out: str
 ) -> TriadFit:
-    """Fit the note's calibration matrix, which has no offset column.
+    """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
 
-    C = L S^T (S S^T)^-1 with L (3, N) the imposed and S (3, N) the measured quantities [1]_, eqs. 3 and 6. To first order in
+    C = L S^T (S S^T)^-1 with L (3, N) the imposed and S (3, N) the measured quantities (note, eqs. 3 and 6). To first order in
     the noise of S its covariance is (C V C^T) (x) (S S^T)^-1, V the variance of one reading.
-
-    References
-    ----------
-    .. [1] D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with rate-gyroscopes
-       and accelerometers", 2007.
-
-    Arrays: inputs (N, 3), readings (N, 3), sigma (N, 3).
     """
     rank, condition = scaled_condition(readings)
     if rank < 3:
@@ -400,31 +321,24 @@ def fit_paper(
     return TriadFit(model=model, residuals=residuals, verdict=Verdict())
 
 
-def offset_warning(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> Verdict:
-    """Say what an offset that was left in the readings costs a matrix fitted without offset column.
+def offset_verdict(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> Verdict:
+    """Return what an offset left in the readings costs a matrix that was fitted without an offset column.
 
     With an offset b' in units of the measurand, C = (I + k b' b'^T)^-1 K^-1, k = N / sigma and sigma the sum of squared inputs on
     one axis: the gain along b' shrinks by k b'^2 / (1 + k b'^2).
-
-    Arrays: inputs (N, 3), readings (N, 3), sigma (N, 3).
     """
     forward = fit_forward(inputs, readings, sigma)
-    left = np.linalg.solve(forward.matrix, forward.offset)
     uncertain = np.sqrt(np.diag(forward.covariance)[9:])
     if not (np.abs(forward.offset) > 4.0 * np.nan_to_num(uncertain)).any():
         return Verdict()
-    k = len(inputs) / float((inputs**2).sum(axis=0).mean())
-    share = k * float(left @ left)
+    left = np.linalg.solve(forward.matrix, forward.offset)
+    share = len(inputs) / float((inputs**2).sum(axis=0).mean()) * float(left @ left)
     loss = share / (1.0 + share)
     unit = fit.model.unit_out
-    values = ", ".join(f"{v:.4g}" for v in left)
-    return Verdict(
-        status="bad" if loss > 0.01 else "marginal" if loss > 1e-4 else "good",
-        remarks=(
-            f"mode paper has no offset column and an offset of ({values}) {unit} is left in the readings: the gain along it is "
-            f"{100 * loss:.2g} % too small; remove the offset first, or use mode affine",
-        ),
-    )
+    status: Status = "bad" if loss > 0.01 else "marginal" if loss > 1e-4 else "good"
+    level: Level = "fail" if status == "bad" else "warn" if status == "marginal" else "info"
+    found = finding("paper_mode.offset_left", level, offset=left, unit=unit, loss_percent=100.0 * loss)
+    return Verdict(status=status, findings=(found,))
 
 
 def _places(row: int) -> IntArray:

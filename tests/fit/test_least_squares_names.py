@@ -2,12 +2,12 @@
 
 import pytest
 
-from undrift.fit.least_squares import in_words
+from undrift.fit.least_squares import parameter_names
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES
 
 
 @pytest.mark.parametrize(
-    ("names", "told"),
+    ("names", "shown"),
     [
         (("m_xy", "m_xz"), "cross-axis terms xy and xz"),
         (("m_yz",), "cross-axis term yz"),
@@ -19,5 +19,5 @@ from undrift.model import MATRIX_NAMES, OFFSET_NAMES
         ),
     ],
 )
-def test_names_of_one_kind_are_told_together(names, told):
-    assert in_words(names) == told
+def test_names_of_one_kind_are_listed_together(names, shown):
+    assert parameter_names(names) == shown

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad_vec
 
 from testkit.data import show
-from undrift.fit.least_squares import fit_wandering
+from undrift.fit.least_squares import fit_with_walk
 
 TIME = np.arange(40.0) * 5.0
 DESIGN = np.column_stack((np.tile([1.0, -1.0, 0.5, -0.5], 10), np.repeat([1.0, -1.0, 0.0, 1.0], 10), np.ones(40)))
@@ -47,7 +47,7 @@ def at(q, reading):
 
 
 def test_without_noise_the_parameters_come_back():
-    fit = fit_wandering(DESIGN, DESIGN @ THETA, np.full(40, 1e-9), TIME)
+    fit = fit_with_walk(DESIGN, DESIGN @ THETA, np.full(40, 1e-9), TIME)
     np.testing.assert_allclose(fit.theta, THETA, atol=1e-14)
     assert fit.walk == 0.0
     assert fit.square < 1e-6
@@ -55,7 +55,7 @@ def test_without_noise_the_parameters_come_back():
 
 def test_without_times_it_is_weighted_least_squares():
     reading = drawn(np.random.default_rng(1), 0.05)
-    fit = fit_wandering(DESIGN, reading, SIGMA, None)
+    fit = fit_with_walk(DESIGN, reading, SIGMA, None)
     theta, covariance, square, _ = at(0.0, reading)
     np.testing.assert_allclose(fit.theta, theta, rtol=1e-11)
     np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-10, atol=1e-16)
@@ -81,7 +81,7 @@ def test_parameters_and_covariance_are_averages_over_every_walk(walk):
     theta = average(0.1)[0]
     mean, square, covariance = average(0.0)
     expected = covariance + square - np.outer(mean, theta) - np.outer(theta, mean) + np.outer(theta, theta)
-    fit = fit_wandering(DESIGN, reading, SIGMA, TIME)
+    fit = fit_with_walk(DESIGN, reading, SIGMA, TIME)
     uncertain = np.sqrt(np.diag(expected))
     # Trapezoids in steps of a tenth: good to a per cent of the uncertainty.
     np.testing.assert_allclose(fit.theta / uncertain, theta / uncertain, atol=0.01)
@@ -94,7 +94,7 @@ def test_the_walk_is_the_most_likely_one():
     reading = drawn(np.random.default_rng(3), 0.05)
     grid = np.geomspace(0.01, 0.3, 4000)
     best = max(grid, key=lambda q: at(q, reading)[3])
-    fit = fit_wandering(DESIGN, reading, SIGMA, TIME)
+    fit = fit_with_walk(DESIGN, reading, SIGMA, TIME)
     assert fit.walk == pytest.approx(best, rel=0.005)  # a parabola over a fifth of an e-fold
     assert fit.square == pytest.approx(
         at(best, reading)[2], rel=0.2
@@ -106,7 +106,7 @@ def test_the_offset_is_that_of_the_middle_between_its_neighbours():
     # have variances 1 : 5, so that the offset is (5 u(4) + u(10)) / 6, and what lies beyond adds nothing.
     time = np.array([0.0, 1.0, 2.0, 4.0, 10.0])
     reading = np.array([0.3, -0.2, 0.6, 1.0, 4.0])
-    fit = fit_wandering(np.ones((5, 1)), reading, np.full(5, 1e-6), time)
+    fit = fit_with_walk(np.ones((5, 1)), reading, np.full(5, 1e-6), time)
     assert fit.theta[0] == pytest.approx((5.0 * 1.0 + 4.0) / 6.0, abs=1e-4)
     assert fit.walk > 0.0
 
@@ -114,22 +114,22 @@ def test_the_offset_is_that_of_the_middle_between_its_neighbours():
 def test_fewer_than_four_equations_to_spare_leave_the_walk_out():
     reading = np.array([0.0, 5.0, -5.0, 5.0, -5.0])
     sigma, time = np.full(5, 1e-3), np.arange(5.0)
-    assert fit_wandering(np.ones((5, 1)), reading, sigma, time).walk > 0.0
-    short = fit_wandering(np.ones((4, 1)), reading[:4], sigma[:4], time[:4])
+    assert fit_with_walk(np.ones((5, 1)), reading, sigma, time).walk > 0.0
+    short = fit_with_walk(np.ones((4, 1)), reading[:4], sigma[:4], time[:4])
     assert short.walk == 0.0
     np.testing.assert_allclose(short.covariance, [[1e-6 / 4.0]], rtol=1e-12)
 
 
 def test_times_that_are_all_the_same_leave_nothing_to_walk():
     reading = drawn(np.random.default_rng(4), 0.0)
-    fit = fit_wandering(DESIGN, reading, SIGMA, np.full(40, 3.0))
+    fit = fit_with_walk(DESIGN, reading, SIGMA, np.full(40, 3.0))
     assert fit.walk == 0.0
     np.testing.assert_allclose(fit.theta, at(0.0, reading)[0], rtol=1e-10)
 
 
 def test_a_walk_that_is_not_there_is_told_once_in_forty():
     rng = np.random.default_rng(5)
-    told = np.mean([fit_wandering(DESIGN, drawn(rng, 0.0), SIGMA, TIME).walk > 0.0 for _ in range(600)])
+    told = np.mean([fit_with_walk(DESIGN, drawn(rng, 0.0), SIGMA, TIME).walk > 0.0 for _ in range(600)])
     show("walks told where there is none", told, 0.05)
     assert told <= 0.05  # chi-square at 95 %, one side: 2.5 %, standard error 0.6 %
 
@@ -137,7 +137,7 @@ def test_a_walk_that_is_not_there_is_told_once_in_forty():
 @pytest.mark.parametrize("walk", [0.03, 0.3])
 def test_a_walk_that_is_there_is_found_within_its_scatter(walk):
     rng = np.random.default_rng(6)
-    found = np.array([fit_wandering(DESIGN, drawn(rng, walk), SIGMA, TIME).walk for _ in range(400)])
+    found = np.array([fit_with_walk(DESIGN, drawn(rng, walk), SIGMA, TIME).walk for _ in range(400)])
     spread = np.sqrt(2.0 / 37.0)  # of q^2, with 37 equations to spare and a walk far above the noise
     if walk == 0.03:
         spread = float(np.std(found**2)) / walk**2  # where noise is beside it, by its own scatter
@@ -151,7 +151,7 @@ def test_intervals_hold_whether_the_walk_shows_or_not(walk):
     rng = np.random.default_rng(7)
     inside = []
     for _ in range(400):
-        fit = fit_wandering(DESIGN, drawn(rng, walk), SIGMA, TIME)
+        fit = fit_with_walk(DESIGN, drawn(rng, walk), SIGMA, TIME)
         inside.append(np.abs(fit.theta - THETA) <= 1.959964 * np.sqrt(np.diag(fit.covariance)))
     share = np.mean(inside, axis=0)
     show(f"coverage of 95 % intervals, walk {walk}: scale, slow parameter, offset", share)

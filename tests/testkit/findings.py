@@ -1,0 +1,16 @@
+"""Findings of a verdict, by code."""
+
+from collections.abc import Iterable
+
+from undrift.findings import Finding
+
+
+def only(findings: Iterable[Finding], code: str) -> Finding:
+    """Return the one finding of a code; fail where there is none or more than one."""
+    (item,) = (item for item in findings if item.code == code)
+    return item
+
+
+def codes(findings: Iterable[Finding]) -> list[str]:
+    """Return the codes in order."""
+    return [item.code for item in findings]
