@@ -260,7 +260,7 @@ def test_a_worn_sensor_has_no_still_phase_and_none_is_invented(change):
     found = find_still(worn(**change))
     show("worn", found.reason)
     assert found.stills == ()
-    assert found.reason.startswith("no still phase: the quietest 1 s windows wander by")
+    assert found.reason.startswith("no still phase: the quietest 1 s windows vary by")
 
 
 def test_counts_of_a_body_that_never_rests_are_not_taken_for_one_long_rest() -> None:

@@ -2,24 +2,17 @@
 
 ``find_still`` -> Still, ``find_turns`` -> Turn, ``label_faces`` names the axis that points up. Ranges are [start, stop).
 
-Still phases: when did the device not move?
-
 Stillness of a triad at sample k is the sliding standard deviation of its smoothed reading y, three axes together::
 
     y_k = mean of u over smooth_s            d_k^2 = sum over axes of var(y over the window centred at k)
 
-The smoothing lets white noise average out and leaves what a hand or a body does. The threshold comes from the data: at rest
-log d piles up in one narrow heap at the noise floor, motion lies decades above, and the threshold is the emptiest place
-between the two. Where there is no such gap there is no still phase, and none is invented. Sums run along the record once:
-O(N), whatever the window.
+The smoothing averages white noise out and keeps what a hand or a body does. The threshold comes from the data: at rest log d
+has one narrow peak at the noise floor, motion lies decades above, and the threshold is the emptiest place between the two.
+Without such a gap there is no still phase.
 
-Turns: plateaus of constant rate, and the rotations between one still phase and the next.
+A steady turn is a stretch where the smoothed rate r, less the offset at rest, is far from zero and steady::
 
-A plateau is a stretch where the smoothed rate r, less the offset at rest, is far from zero and steady::
-
-    |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)        d as in ``segments.py``
-
-where no window is four times as unsteady as the quiet quarter of the stretch: a ramp is trimmed off, a step cuts it in two.
+    |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)
 """
 
 import itertools
@@ -34,33 +27,33 @@ from undrift.errors import InputError
 from undrift.record import FACES, Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-# ---- Still phases: when did the device not move?
+# ---- still phases
 
-# A device at rest wanders less than this within a window, in physical units: rms of three axes after smoothing. Benches
-# and hands that rest on something give 0.02-0.6 deg/s and 0.01-0.06 m/s2; a person who stands or sits gives more.
+# A device at rest varies less than this within a window, in physical units: rms of three axes after smoothing. Benches and
+# hands that rest on something give 0.02-0.6 deg/s and 0.01-0.06 m/s2; a person who stands or sits gives more.
 BENCH_RATE_LIMIT = 0.7 * RADIAN_PER_DEGREE  # rad/s
 BENCH_ACCEL_LIMIT = 0.1  # m/s2
 LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s; no gyroscope of this class is off by more at rest
 
 FLOOR_QUANTILE = 0.005  # of d: the level of the quietest windows
-_HEAP = 4.0  # a noise heap spans at most this factor above its floor
+_PEAK = 4.0  # a noise peak spans at most this factor above its floor
 _DECADES = (0.4, 2.2)  # where to look for the gap, decades above the floor
 _BIN = 0.05  # decades
-_GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of the heaps beside it
-_WHITE = 8.0  # in counts no limit is known: one heap this far above what white noise makes of it is motion, not rest
+_GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of its neighbouring peaks
+_WHITE = 8.0  # in counts no limit is known: one peak this far above its white noise is motion, not rest
 _TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillSettings:
-    """How still phases are looked for.
+    """How still phases are found.
 
     Parameters
     ----------
     window_s : float
         Length of the sliding window, s. Longer is more certain and loses short pauses.
     smooth_s : float
-        Averaging before the spread is taken, s. Longer forgives noise and vibration.
+        Averaging before the spread is taken, s. Longer tolerates noise and vibration.
     min_duration_s : float
         Shortest still phase kept, s; the stretch around it is one window longer.
     gyro_threshold, accel_threshold : float or None
@@ -82,13 +75,13 @@ class StillThreshold:
     value: float  # Largest spread d of a still window, in ``unit``; NaN where none could be found
     unit: str  # Unit of the record's channel
     noise_floor: float  # Spread of the quietest windows, in ``unit``
-    # gap (between two heaps), all still, given, limit (what a bench allows), or none
+    # gap (between two peaks), all still, given, limit (what a bench allows), or none
     basis: Literal["gap", "all still", "given", "limit", "none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillSearch:
-    """Still phases and how they were told from motion."""
+    """Still phases and how they were separated from motion."""
 
     stills: tuple[Still, ...]  # In order of time, without faces
     thresholds: tuple[StillThreshold, ...]  # One for each triad of the record
@@ -137,12 +130,11 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
         mean, spread = sliding_moments(values, window, smooth)
         unit = record.gyro_unit if channel == "gyro" else record.accel_unit
         found = _threshold(spread, channel == "gyro", unit, given)
-        if (
-            found.basis == "all still"
-            and not is_physical(unit)
-            and float(np.median(spread)) > _WHITE * _white(values, smooth)
-        ):
-            found = replace(found, value=np.nan, basis="none")
+        if found.basis == "all still" and not is_physical(unit):
+            # The spread of white noise alone after smoothing, from the steps between neighbouring samples.
+            white = float(np.sqrt(np.nanvar(np.diff(values, axis=0), axis=0).sum() / 2.0 / smooth))
+            if float(np.median(spread)) > _WHITE * white:
+                found = replace(found, value=np.nan, basis="none")
         thresholds.append(found)
         if found.basis == "none":
             continue
@@ -161,13 +153,8 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
     )
 
 
-def _white(values: FloatArray, smooth: int) -> float:
-    """Return the spread that white noise alone would have after smoothing, judged by the steps from sample to sample."""
-    return float(np.sqrt(np.nanvar(np.diff(values, axis=0), axis=0).sum() / 2.0 / smooth))
-
-
 def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[FloatArray, FloatArray]:
-    """Return the mean and the spread of every window of a smoothed triad: values (N, 3) -> (M, 3), (M,)."""
+    """Return the mean (M, 3) and the spread (M,) of every window of a smoothed triad (N, 3)."""
     gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
     centre = values[~gap].mean(axis=0) if (~gap).any() else np.zeros(3)
     smoothed = _running_mean(np.where(gap[:, None], 0.0, values - centre), smooth)
@@ -185,11 +172,9 @@ def sample_count(seconds: float, sample_rate_hz: float) -> int:
 
 
 def _running_mean(values: FloatArray, width: int) -> FloatArray:
-    total = np.empty((len(values) + 1, values.shape[1]))
-    total[0] = 0.0
+    total = np.zeros((len(values) + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=total[1:])
-    mean: FloatArray = (total[width:] - total[:-width]) / width
-    return mean
+    return np.asarray((total[width:] - total[:-width]) / width)
 
 
 def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None) -> StillThreshold:
@@ -204,8 +189,8 @@ def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None
     value = _gap_above(finite, floor)
     if value is not None:
         found = replace(found, value=value, basis="gap")
-    elif np.quantile(finite, 0.99) <= _HEAP * max(floor, np.finfo(float).tiny):
-        found = replace(found, value=max(float(finite.max()), _HEAP * floor), basis="all still")
+    elif np.quantile(finite, 0.99) <= _PEAK * max(floor, np.finfo(float).tiny):
+        found = replace(found, value=max(float(finite.max()), _PEAK * floor), basis="all still")
     limit = _bench_limit(is_gyro, unit)
     if limit is not None and found.value > limit:
         found = replace(found, value=limit, basis="limit")
@@ -213,7 +198,7 @@ def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None
 
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
-    # Density of log10(d / floor), smoothed; the threshold is its emptiest place with a heap on either side.
+    # Density of log10(d / floor), smoothed; the threshold is its emptiest place with a peak on either side.
     positive = spread[spread > 0.0]
     if floor <= 0.0 or not len(positive):
         return None
@@ -270,29 +255,29 @@ def _phases(quiet: BoolArray, count: int, edge: int, shortest: int, recording: i
 
 
 def runs(flag: BoolArray) -> IntArray:
-    """Return the stretches where a flag is up: flag (N,) -> (R, 2)."""
+    """Return the stretches [start, stop), (R, 2), where a flag (N,) is set."""
     change = np.flatnonzero(np.diff(np.concatenate(([False], flag, [False])).astype(np.int8)))
     return change.reshape(-1, 2)
 
 
 def _why_none(thresholds: list[StillThreshold], settings: StillSettings) -> str:
-    told = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
+    floors = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
     if any(t.basis == "limit" and t.value < t.noise_floor for t in thresholds):
-        why = "a device at rest wanders less than " + " and ".join(
+        why = "a device at rest varies less than " + " and ".join(
             f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor
         )
     elif all(t.basis == "none" for t in thresholds):
-        why = "no gap sets quiet windows apart from motion"
+        why = "no gap separates rest from motion"
     else:
         why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s"
-    return f"no still phase: the quietest {settings.window_s:g} s windows wander by {told} rms, and {why}"
+    return f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
 
 
-# ---- Faces: which sensor axis points up in a still phase, told by gravity.
+# ---- faces: the sensor axis that points up, by gravity
 
 
 def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
-    """Return the mean reading of each still phase, gaps left out: values (N, 3) -> (P, 3)."""
+    """Return the mean reading (P, 3) of each still phase, gaps left out."""
     for still in stills:
         if np.isnan(values[still.start : still.stop]).all(axis=0).any():
             raise InputError(
@@ -312,7 +297,7 @@ def label_faces(record: Record, stills: Sequence[Still], *, margin_deg: float = 
 
 
 def faces_of(means: FloatArray, *, centred: bool, margin_deg: float = 15.0) -> tuple[Face | None, ...]:
-    """Name the axis that points up for each mean reading: means (P, 3)."""
+    """Name the axis that points up for each mean reading (P, 3); None where none is near the vertical."""
     up = means if centred else means - _sphere_centre(means)
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     faces: list[Face | None] = []
@@ -334,16 +319,15 @@ def _sphere_centre(points: FloatArray) -> FloatArray:
     p = points - shift
     design = np.column_stack((2.0 * p, np.ones(len(p))))
     solution = np.linalg.lstsq(design, (p * p).sum(axis=1), rcond=None)[0]
-    centre: FloatArray = solution[:3] + shift
-    return centre
+    return np.asarray(solution[:3] + shift)
 
 
-# ---- Turns: plateaus of constant rate, and the rotations between one still phase and the next.
+# ---- turns: plateaus of constant rate, and rotations from one still phase to the next
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurnSettings:
-    """How steady turns and rotations are looked for."""
+    """How steady turns and rotations are found."""
 
     window_s: float = 1.0  # Length over which a rate must be steady, s
     smooth_s: float = 0.1  # Averaging before the spread is taken, s
@@ -354,7 +338,7 @@ class TurnSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnSearch:
-    """Steady turns and rotations found in a record; what they truly were, only the rig or the protocol knows."""
+    """Steady turns and rotations found in a record, as the gyroscope read them; their true rates only the rig knows."""
 
     # Stretches of constant rate; ``axis`` is the sensor axis that reads most, ``turn_rate`` is left open
     plateaus: tuple[Turn, ...]
@@ -422,7 +406,7 @@ def _plateaus(
     turns: list[Turn] = []
     rates: list[FloatArray] = []
     for first, last in runs(steady):
-        # A ramp at an end, or a step between two rates, stands out from the run's own quiet windows.
+        # A ramp at an end is trimmed off and a step between two rates cuts the run: both exceed the run's quietest quarter.
         own = spread[first:last]
         for start, stop in runs(own <= max(4.0 * float(np.quantile(own, 0.25)), 4.0 * floor)):
             begin = int(first + start) + edge if first + start else 0

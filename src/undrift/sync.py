@@ -1,9 +1,7 @@
 """Sync: bring a record and a reference onto one clock, before any fit or comparison.
 
-``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag``
-and ``find_axis_lag`` find how late the record's samples are, ``find_motion`` says where rest ends and begins again.
-
-Lag: how late the record's samples are, against the poses of a reference, to a fraction of a sample.
+``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag`` and
+``find_axis_lag`` find how late the record's samples are, ``find_motion`` finds where rest ends and begins again.
 
 With w the body rate of the reference and u the readings, the model over all neighbouring poses, both sides averaged over
 the same stretches, is::
@@ -11,39 +9,8 @@ the same stretches, is::
     w(t) = A u(t + lag) + c                    A (3 x 3) and c free: scale, mounting and offset do not disturb the lag
 
 First the length of u is correlated with the length of w at every lag of a wide search: no mounting is needed for that. Then
-Gauss-Newton on A, c and lag together: the change of u with time is one more column of the design.
-
-A reading is the rate at its time stamp. Where each sample instead holds over the interval before it, as in strapdown, the
-lag that is left is half a sample shorter.
-
-Coarse lag: where does the length of the rate correlate best, over a wide search and with gaps masked?
-
-Both lengths are averaged into cells of one width on a common clock. The correlation at every shift counts only cells that
-both sides have seen: with masks m, n (0 or 1) and values x, y already multiplied by them, all sums over cells are
-correlations of x, y, x^2, y^2, m and n, and a Fourier transform gives them for all shifts at once.
-
-Motion: when does the body leave its first rest, and when has it come back to its last?
-
-The author's mark of the reference says so where there is one; else the still phases of the record itself.
-
-Poses as the instrument took them: undo a linear up-sampling of the reference.
-
-Many files hold optics at the sensor's sample rate, drawn on straight lines (great arcs) between the frames that the cameras
-took. Between frames such a pose cuts the corner: by a h^2 / 8 at an angular acceleration a and a frame interval h, always
-towards less motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which a fit would book as scale factor.
-
-Straight lines betray themselves: the rate between neighbours repeats to the last digit within a frame interval and jumps
-at the frames. The middles of the repeats lie on a comb of the frame rate; its frequency and phase come from the largest
-Fourier sum, and each frame is the end of the straight line before it and the start of the line after it.
-
-Mean rates between neighbouring poses, and the readings of a gyroscope averaged over the same stretches.
-
-Between two poses the mean body rate is the rotation vector of their quotient over the time between them::
-
-    w_k = log(q_k^-1 q_(k+1)) / (t_(k+1) - t_k)
-
-Averages of readings come from the running integral of the straight lines between samples: a reading is taken as the
-instantaneous rate at its time stamp.
+Gauss-Newton on A, c and lag together: the change of u with time is one more column of the design. A reading is the rate at
+its time stamp. Where each sample instead holds over the interval before it, as in strapdown, the lag is half a sample shorter.
 """
 
 from dataclasses import dataclass
@@ -56,7 +23,11 @@ from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_produ
 from undrift.record import Record, Reference
 from undrift.segments import find_still
 
-# ---- Mean rates between neighbouring poses, and the readings of a gyroscope averaged over the same stretches.
+# ---- mean rates between neighbouring poses, and readings averaged over the same stretches
+#
+#     w_k = log(q_k^-1 q_(k+1)) / (t_(k+1) - t_k)          the rotation vector of their quotient over the time between them
+#
+# Averages of readings come from the running integral of the straight lines between samples.
 
 LONGEST_STEP = 1.5  # medians of the pose interval; a longer step is a gap
 
@@ -65,8 +36,8 @@ LONGEST_STEP = 1.5  # medians of the pose interval; a longer step is a gap
 class PoseRates:
     """Mean body rates between neighbouring poses."""
 
-    start: FloatArray  # (K,), times of the two poses, s
-    stop: FloatArray  # (K,), times of the two poses, s
+    start: FloatArray  # (K,), time of the first pose, s
+    stop: FloatArray  # (K,), of the second, s
     rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body; zero where not valid
     valid: BoolArray  # (K,), false where a pose is missing or the step is a gap
 
@@ -94,7 +65,7 @@ class RunningIntegral:
         self._sum = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(area, axis=0)))
 
     def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the mean reading of each stretch: start (K,) s, stop (K,) s -> (K, C), (K,)."""
+        """Return the mean reading (K, C) of each stretch and whether it has no gap (K,)."""
         first, at_first = self._at(start)
         last, at_last = self._at(stop)
         valid = (start >= self.time[0]) & (stop <= self.time[-1])
@@ -110,20 +81,23 @@ class RunningIntegral:
 
 
 def box_sums(values: FloatArray, width: int) -> FloatArray:
-    """Return sums over every run of ``width`` rows: values (K, C) -> (K - width + 1, C)."""
+    """Return sums over every run of ``width`` rows of values (K, C)."""
     total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
-    sums: FloatArray = total[width:] - total[:-width]
-    return sums
+    return np.asarray(total[width:] - total[:-width])
 
 
-# ---- Coarse lag: where does the length of the rate correlate best, over a wide search and with gaps masked?
+# ---- coarse lag: where the lengths of the two rates correlate best, over a wide search and with gaps masked
+#
+# Both lengths are averaged into cells of one width on a common clock. The correlation at every shift counts only cells that both
+# sides have: with masks m, n (0 or 1) and values x, y already multiplied by them, all sums over cells are correlations of x, y,
+# x^2, y^2, m and n, and a Fourier transform gives them for all shifts at once.
 
 CELL_S = 0.02  # s
 LEAST_OVERLAP = 0.3  # of the shorter side
 
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
-    """Return the lag at which the lengths of the two rates correlate best: time (N,) s, gyro (N, 3)."""
+    """Return the lag, s, at which the lengths of the two rates correlate best."""
     centred = gyro - _offset(gyro)
     u, w = np.linalg.norm(centred, axis=1), np.linalg.norm(rates.rate, axis=1)
     middle = 0.5 * (rates.start + rates.stop)
@@ -191,7 +165,15 @@ def _masked_correlation(
     return np.where(good, covariance / product, np.nan), count
 
 
-# ---- Poses as the instrument took them: undo a linear up-sampling of the reference.
+# ---- poses as the instrument took them: undo a linear up-sampling of the reference
+#
+# Many files hold optics at the sensor's sample rate, drawn on straight lines (great arcs) between the frames that the cameras took.
+# Between frames such a pose cuts the corner: by a h^2 / 8 at an angular acceleration a and a frame interval h, always towards less
+# motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which a fit would take as scale factor.
+#
+# On a straight line the rate between neighbours repeats to the last digit; it jumps at the frames. The middles of the repeats lie
+# on a comb of the frame rate; its frequency and phase come from the largest Fourier sum, and each frame is the end of the straight
+# line before it and the start of the line after it.
 
 LEAST_REPEATS = 0.02  # share of neighbouring rates that repeat before up-sampling is suspected
 COMB_SHARPNESS = 0.95  # of what a perfect comb gives
@@ -277,7 +259,7 @@ def _drawn_to(
     return q, np.where(inside[:, None], reference.position[k] + velocity * ahead, np.nan)
 
 
-# ---- Lag: how late the record's samples are, against the poses of a reference, to a fraction of a sample.
+# ---- lag to a fraction of a sample
 
 _STEPS = 12  # Gauss-Newton steps at most; the last ones move the lag by less than a microsecond
 _BLOCK_S = 0.5  # residuals this far apart count as independent
@@ -285,7 +267,7 @@ _BLOCK_S = 0.5  # residuals this far apart count as independent
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LagSettings:
-    """How the lag is looked for."""
+    """How the lag is found."""
 
     longest_lag_s: float = 5.0  # Half-width of the search, s
     # Both sides are averaged over this long, s. Longer takes more pose noise away and blurs fast motion
@@ -294,7 +276,7 @@ class LagSettings:
     least_correlation: float = 0.7
 
 
-# Steps of a stepper or a servo ring; one axis tells one direction of the readings, the others are noise.
+# Steps of a stepper or a servo ring; one axis shows one direction of the readings, the others are noise.
 AXIS_SETTINGS = LagSettings(average_s=0.1)
 _ONE_AXIS, _THREE_AXES = 0.05, 1e-6  # least singular value kept, of the largest
 
@@ -306,14 +288,9 @@ class Lag:
     seconds: float  # A reading stamped t was true at t - seconds on the reference's clock, s
     standard_uncertainty: float  # Of ``seconds``, s, from half-second blocks of residuals
     method: str  # "vector rate" or "axis rate"
-    # Multiple correlation between reference rate and readings without a shift and with it; 0 where a shift of 0
-    # leaves no overlap
-    correlation_before: float
-    # Multiple correlation between reference rate and readings without a shift and with it; 0 where a shift of 0
-    # leaves no overlap
-    correlation_after: float
-    # (A, 3), reference rate per reading: scale and mounting as seen on the way, rad/s per unit of the readings
-    matrix: FloatArray
+    correlation_before: float  # multiple correlation of reference rate and readings without a shift; 0 without overlap
+    correlation_after: float  # the same with the shift
+    matrix: FloatArray  # (A, 3), reference rate per reading: scale and mounting, rad/s per unit of the readings
     constant: FloatArray  # (A,), reference rate at zero reading, rad/s
     residual_rms: float  # Between the averaged rates after alignment, rad/s
 
@@ -327,10 +304,7 @@ def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSe
 
 
 def find_axis_lag(record: Record, time: FloatArray, angle: FloatArray, settings: LagSettings = AXIS_SETTINGS) -> Lag:
-    """Find how late the readings of a gyroscope are against the angle of a table with one axis.
-
-    Arrays: time (M,) s, angle (M,) rad.
-    """
+    """Find how late the readings of a gyroscope are against the angle (M,), rad, of a table with one axis."""
     if record.gyro is None:
         raise InputError("lag: wanted a record with a gyroscope, got none; map its columns")
     step = np.diff(time)
@@ -448,7 +422,7 @@ def _lag_step(slope: FloatArray, u: FloatArray, residual: FloatArray, t: FloatAr
     return step, float(np.sqrt((sums**2).sum()) / square)
 
 
-# ---- Motion: when does the body leave its first rest, and when has it come back to its last?
+# ---- motion between the first and the last rest: the author's mark of the reference, else the record's still phases
 
 LEAST_REST_S = 3.0
 
@@ -457,8 +431,8 @@ LEAST_REST_S = 3.0
 class Motion:
     """The stretch between the first and the last rest of a recording."""
 
-    start_s: float  # On the record's clock, s: the first moment of motion, and the first moment after it
-    stop_s: float  # On the record's clock, s: the first moment of motion, and the first moment after it
+    start_s: float  # On the record's clock, s: the first moment of motion
+    stop_s: float  # The first moment after it
     basis: str  # "mark of the reference" or "still phases of the record"
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from testkit.data import data_path, show
+from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.record import Record, Session
@@ -42,3 +43,11 @@ def test_eleven_recordings_of_one_pose_each_are_one_session():
     assert 21.5 < found.reference_temp_c < 24.0
     assert found.verdict.status == "marginal"
     assert "multi_position.scale_alone" in [item.code for item in found.verdict.findings]
+
+
+def test_the_reason_that_stops_both_triads_is_given_once():
+    verdict = calibrate(session()).verdict
+    failed = only(verdict.findings, "session.fit_failed")
+    assert failed.values["triad"] == "accelerometer and gyroscope"
+    assert "cross-axis terms xy and xz" in failed.detail
+    assert sum(str(failed.values["reason"]) in reason for reason in verdict.reasons) == 1
