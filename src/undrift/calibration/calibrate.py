@@ -23,14 +23,7 @@ from undrift.calibration.adc import adc_model, identify_adc, identify_record_adc
 from undrift.calibration.checks import missing_faces
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import calibrate_moves, calibrate_poses, calibrate_scale_alone
-from undrift.calibration.observe import (
-    CalibrateSettings,
-    Observed,
-    Outcome,
-    at_one_temperature,
-    in_one_unit,
-    observe,
-)
+from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.six_face import calibrate_faces

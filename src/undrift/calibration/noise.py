@@ -579,12 +579,7 @@ def _spectra(tau: FloatArray, record: Record) -> tuple[FloatArray, FloatArray]:
     edges = np.geomspace(0.2 / record.duration_s, top, 3001)
     f = np.sqrt(edges[1:] * edges[:-1])
     spectra = np.column_stack(
-        (
-            8.0 * np.pi**2 * f**2 / (2.0 * top),
-            np.full(len(f), 2.0),
-            1.0 / (np.pi * f),
-            1.0 / (2.0 * np.pi**2 * f**2),
-        )
+        (8.0 * np.pi**2 * f**2 / (2.0 * top), np.full(len(f), 2.0), 1.0 / (np.pi * f), 1.0 / (2.0 * np.pi**2 * f**2))
     )
     x = np.pi * np.outer(tau, f)
     gain = 2.0 * np.sin(x) ** 4 / x**2

@@ -594,11 +594,7 @@ _ROUNDS = 60
 
 
 def check_dwells(
-    dwells: DwellMeans,
-    rates: FloatArray,
-    *,
-    rests: RestMeans | None = None,
-    numbers: tuple[int, ...] | None = None,
+    dwells: DwellMeans, rates: FloatArray, *, rests: RestMeans | None = None, numbers: tuple[int, ...] | None = None
 ) -> None:
     """Raise when the reading of a dwell contradicts all the others; rates (N, 3), rad/s."""
     design, reading = _equations(dwells, rates, rests)
