@@ -15,7 +15,8 @@ import numpy as np
 
 from benchmarks.bench_correct import _calibration, _drift
 from benchmarks.figure import Figure
-from undrift.io.store import CHUNK_ROWS, ParquetWriter, write_calibration
+from undrift.io.parquet import CHUNK_ROWS, ParquetWriter
+from undrift.io.store import write_calibration
 from undrift.record import Record
 
 ROWS = 33_500_000  # of eight float64 columns: 2.0 GB

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figure import Figure, stopwatch
-from undrift.io.record import read_csv, write_csv
+from undrift.io.text import read_csv, write_csv
 from undrift.record import Record
 
 N = 1_000_000

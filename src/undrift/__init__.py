@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from undrift.export.programs import export_ros as export_ros
     from undrift.findings import Finding as Finding
     from undrift.io.formats import read_record as read_record
+    from undrift.io.formats import read_reference as read_reference
     from undrift.io.formats import write_record as write_record
-    from undrift.io.reference import read_reference as read_reference
     from undrift.io.session import read_session as read_session
     from undrift.io.session import write_session as write_session
     from undrift.io.store import read_calibration as read_calibration
@@ -91,7 +91,7 @@ _HOME = {
     "Turn": "record",
     "read_record": "io.formats",
     "write_record": "io.formats",
-    "read_reference": "io.reference",
+    "read_reference": "io.formats",
     "read_session": "io.session",
     "write_session": "io.session",
     "find_still": "segments",

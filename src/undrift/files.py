@@ -63,6 +63,11 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
     return content
 
 
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text, or its name where it has none."""
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
 def sha256_of(path: str | Path) -> str:
     """Return the SHA-256 of a file as stored (packed files are not unpacked)."""
     digest = hashlib.sha256()

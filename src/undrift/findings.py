@@ -449,6 +449,49 @@ CATALOGUE: dict[str, Entry] = {
     # ---- validation
     # ---- twin
     # ---- recordings (undrift info)
+    "recording.not_read": Entry(1, "{what}"),
+    "recording.gravity": Entry(
+        1,
+        "Accelerometer: wrong unit or scale",
+        "median |accel| is {median_g:.3g} g where a body at rest reads 1 g ({factor:.3g} times too {direction})",
+        "correct units.accel or scale.accel in the map",
+    ),
+    "recording.rest_rate": Entry(
+        1,
+        "Gyroscope: steady turn, or wrong unit or scale",
+        "{turn_rate_dps:.3g} deg/s in its quietest two seconds (at {at_s:.6g} s)",
+        "check units.gyro and scale.gyro in the map",
+    ),
+    "recording.temperature_range": Entry(
+        1,
+        "Temperature is not room temperature",
+        "{low_c:.1f} to {high_c:.1f} degC: processor, chamber, or wrong scale",
+    ),
+    "recording.temperature_jumps": Entry(
+        1,
+        "Temperature jumps",
+        "by over {limit_k:g} K between samples, {count} times, first after sample {first_sample}",
+    ),
+    "recording.no_temperature": Entry(3, "The temperature column is empty"),
+    "recording.dead_axis": Entry(1, "{channel} {axis} never changes", "a dead or unmapped axis"),
+    "recording.saturated": Entry(
+        1, "{channel} {axis} saturated", "it stays at {reading:.6g} for {count} samples in a row"
+    ),
+    "recording.dropouts": Entry(
+        2,
+        "Drop-outs",
+        "{count}, the longest {longest_s:.4g} s at {at_s:.6g} s (median step {step_ms:.4g} ms, mean rate {mean_rate_hz:.4g} Hz)",
+    ),
+    "recording.uneven_sampling": Entry(
+        2, "Uneven sampling", "half of the steps lie outside {low_ms:.4g} to {high_ms:.4g} ms"
+    ),
+    "recording.rows_dropped": Entry(2, "Rows left out", "{count} did not parse"),
+    "recording.rows_repaired": Entry(2, "Rows left out", "in {count}, time did not go forward"),
+    "recording.other_columns": Entry(4, "Columns not read", "not undrift's own names: {names}", "map them with --map"),
+    "recording.up_axis": Entry(
+        3, "The file does not state which axis points up", action='state up = "y" or "z" to read it'
+    ),
+    "recording.markers_never_seen": Entry(3, "Markers never seen", "{labels}"),
     # ---- study
     "study.subjects_left_out": Entry(
         2, "Subjects left out", "no protocol calibrated the device of subject {subjects} of surface.parquet"

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.io.formats import read_record
-from undrift.io.reference import read_reference
+from undrift.io.formats import read_record, read_reference
 from undrift.report.validation import trial_figure
 from undrift.validation.trial import TrialSettings, validate_trial
 

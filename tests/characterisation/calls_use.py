@@ -28,9 +28,9 @@ from testkit.data import DATA, data_path
 from testkit.full_calibration import WILD, device, record, tables
 from undrift.correction.correct import correct_checked
 from undrift.correction.stream import Corrector
-from undrift.io.formats import read_record, write_record
+from undrift.io.formats import read_record, read_reference, write_record
 from undrift.io.mocap import read_trc
-from undrift.io.reference import device_on, find_body, read_reference, write_reference
+from undrift.io.reference import device_on, find_body, write_reference
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import AdcModel
 from undrift.orientation import orient

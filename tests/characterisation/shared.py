@@ -15,7 +15,8 @@ from typing import Any
 
 from characterisation.compare import flatten
 from undrift.cli.app import run
-from undrift.io.formats import ReadSettings, read_record
+from undrift.io.columns import ReadSettings
+from undrift.io.formats import read_record
 from undrift.record import Record
 
 Result = dict[str, Any]

@@ -206,7 +206,7 @@ def test_a_wrong_unit_is_refused_where_it_shows(undrift, bench, sound, tmp_path,
     assert "unit" in line or "still" in line or "20000 m/s2" in line
     assert contents(tmp_path) == before
     if channel == "accel":
-        assert any("wrong unit or scale" in p for p in undrift.good("info", path, "--json").json()["problems"])
+        assert any(f["code"] == "recording.gravity" for f in undrift.good("info", path, "--json").json()["findings"])
 
 
 @pytest.mark.parametrize(("channel", "unit"), [("gyro", "dps"), ("accel", "g")])

@@ -5,8 +5,8 @@ import pytest
 
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
-from undrift.io.reference import read_reference
-from undrift.io.store import COLUMNS
+from undrift.io.formats import read_reference
+from undrift.io.parquet import COLUMNS
 
 
 def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tmp_path):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from undrift.cli.app import run
-from undrift.io.formats import read_record
-from undrift.io.reference import read_reference, write_reference
+from undrift.io.formats import read_record, read_reference
+from undrift.io.reference import write_reference
 from undrift.io.session import read_session
 from undrift.sim.device.model import read_device, write_device
 from undrift.sim.device.presets import preset

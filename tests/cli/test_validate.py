@@ -10,8 +10,8 @@ from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
 from testkit.trc_text import trc
 from undrift.correction.correct import correct
-from undrift.io.formats import write_record
-from undrift.io.reference import read_reference, write_reference
+from undrift.io.formats import read_reference, write_record
+from undrift.io.reference import write_reference
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration

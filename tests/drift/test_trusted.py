@@ -9,7 +9,7 @@ from testkit.data import data_path, show
 from undrift.drift.temperature import TemperatureSettings, check_span, step_of, trusted_temperature
 from undrift.errors import InputError, NotObservable
 from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.record import read_csv
+from undrift.io.text import read_csv
 from undrift.io.wearables import read_actigraph
 from undrift.record import Record, Session, Still
 
@@ -205,7 +205,7 @@ def test_a_recording_that_is_not_there_is_refused():
 def warm_up(column, scale=None):
     columns = ColumnMap(time="Time", gyro=("Gx", "Gy", "Gz"), temp=column, time_unit="ms", gyro_unit="count",
                         temp_unit="degC", temp_scale=scale)  # fmt: skip
-    return read_csv(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns)
+    return read_csv(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
 
 
 @pytest.mark.parametrize(("column", "scale"), [("dTemp", Scale(1.0 / 340.0, 36.53)), ("Temp", None)])
@@ -243,7 +243,8 @@ def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
     columns = ColumnMap(temp=0, accel=(1, 2, 3), gyro=(4, 5, 6), temp_unit="degC", accel_unit="g", gyro_unit="dps",
                         sample_rate_hz=50.0, layout=TextLayout(header=False, skip_rows=1, drop_bad_rows=True))  # fmt: skip
     hot, cold = (
-        read_csv(data_path("thermal_bmi270_two_point", f"BMI_270_{k}_test.csv.gz"), columns) for k in ("hot", "cold")
+        read_csv(data_path("thermal_bmi270_two_point", f"BMI_270_{k}_test.csv.gz"), columns).record
+        for k in ("hot", "cold")
     )
     found = [trusted_temperature(of(record), 0, settings=ANY_SPAN) for record in (hot, cold)]
     wanted = float(np.quantile(hot.temp_c, 0.99) - np.quantile(cold.temp_c, 0.01))
@@ -274,6 +275,6 @@ def test_eleven_recordings_on_a_bicycle_span_two_degrees_together():
 def test_a_worn_sensor_without_a_thermometer_says_so():
     columns = ColumnMap(accel=("acc_x", "acc_y", "acc_z"), gyro=("gyr_x", "gyr_y", "gyr_z"), accel_unit="g", gyro_unit="dps",
                         sample_rate_hz=100.0)  # fmt: skip
-    record = read_csv(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns)
+    record = read_csv(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record
     with pytest.raises(InputError, match="got neither; map the thermometer's column or state temp_c"):
         trusted_temperature(of(record), 0)

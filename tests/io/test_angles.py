@@ -7,8 +7,8 @@ import pytest
 
 from testkit.strategies import one_line
 from undrift.errors import InputError
-from undrift.io.reference import read_reference
-from undrift.io.store import COLUMNS, write_orientation
+from undrift.io.formats import read_reference
+from undrift.io.parquet import COLUMNS, write_orientation
 
 
 def orientation(n=50, seed=0):

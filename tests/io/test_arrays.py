@@ -9,8 +9,7 @@ from hypothesis import given
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.io.arrays import mat_arrays, npz_arrays, read_mat, read_npz
-from undrift.io.columns import ColumnMap
-from undrift.io.record import native_columns
+from undrift.io.columns import ColumnMap, ReadSettings, native_columns
 
 MAP = ColumnMap(time="t", time_unit="s", gyro=("w",), gyro_unit="rad/s", accel=("a",), accel_unit="m/s2")
 
@@ -25,7 +24,7 @@ def arrays(n=12):
 def test_native_names_come_back_to_the_last_bit_from_npz(tmp_path_factory, record):
     path = tmp_path_factory.mktemp("npz") / "r.npz"
     np.savez(path, **dict(zip(*native_columns(record), strict=True)))
-    assert_same(read_npz(path, gaps="keep"), record)
+    assert_same(read_npz(path, settings=ReadSettings(gaps="keep")).record, record)
 
 
 @few
@@ -33,22 +32,24 @@ def test_native_names_come_back_to_the_last_bit_from_npz(tmp_path_factory, recor
 def test_native_names_come_back_to_the_last_bit_from_mat(tmp_path_factory, record):
     path = tmp_path_factory.mktemp("mat") / "r.mat"
     scipy.io.savemat(path, dict(zip(*native_columns(record), strict=True)))
-    assert_same(read_mat(path, gaps="keep"), record)
+    assert_same(read_mat(path, settings=ReadSettings(gaps="keep")).record, record)
 
 
 def test_an_array_of_three_columns_is_one_name(tmp_path):
     held = arrays()
     np.savez(tmp_path / "r.npz", **held)
-    record = read_npz(tmp_path / "r.npz", MAP)
+    record = read_npz(tmp_path / "r.npz", MAP).record
     np.testing.assert_array_equal(record.gyro, held["w"])
     swapped = ColumnMap(time="t", time_unit="s", gyro=("w[2]", "w[0]", "w[1]"), gyro_unit="rad/s")
-    np.testing.assert_array_equal(read_npz(tmp_path / "r.npz", swapped).gyro, held["w"][:, [2, 0, 1]])
+    np.testing.assert_array_equal(read_npz(tmp_path / "r.npz", swapped).record.gyro, held["w"][:, [2, 0, 1]])
 
 
 def test_a_struct_of_mat_5_is_laid_flat(tmp_path):
     held = arrays()
     scipy.io.savemat(tmp_path / "r.mat", {"imu": {"t": held["t"], "w": held["w"]}, "note": "text"})
-    record = read_mat(tmp_path / "r.mat", ColumnMap(time="imu.t", time_unit="s", gyro=("imu.w",), gyro_unit="rad/s"))
+    record = read_mat(
+        tmp_path / "r.mat", ColumnMap(time="imu.t", time_unit="s", gyro=("imu.w",), gyro_unit="rad/s")
+    ).record
     np.testing.assert_array_equal(record.gyro, held["w"])
     np.testing.assert_array_equal(record.time, held["t"])
 
@@ -63,7 +64,7 @@ def test_mat_7_3_reads_as_mat_5(tmp_path):
             handle[name].attrs["MATLAB_class"] = np.bytes_("double")
     with path.open("r+b") as raw:
         raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
-    record = read_mat(path, MAP)
+    record = read_mat(path, MAP).record
     np.testing.assert_array_equal(record.gyro, held["w"])
     np.testing.assert_array_equal(record.accel, held["a"])
 

@@ -1,4 +1,4 @@
-"""C3D: points and analog channels come back, gaps as NaN; cut files never reach the parser."""
+"""C3D: points come back, gaps as NaN; cut files never reach the parser."""
 
 import gzip
 
@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
-from undrift.io.mocap import is_c3d, read_c3d, read_c3d_analog
+from undrift.io.mocap import is_c3d, read_c3d
 
 
-def write(path, points, labels, *, rate=100.0, unit="mm", screen="+Z", analog=None):
+def write(path, points, labels, *, rate=100.0, unit="mm", screen="+Z"):
     """Points (N, M, 3) as C3D; NaN rows become points that were not seen."""
     made = ezc3d.c3d()
     made["parameters"]["POINT"]["RATE"]["value"] = [rate]
@@ -25,11 +25,6 @@ def write(path, points, labels, *, rate=100.0, unit="mm", screen="+Z", analog=No
     xyz1 = np.ones((4, m, n))
     xyz1[:3] = np.moveaxis(points, 2, 0).transpose(0, 2, 1)
     made["data"]["points"] = xyz1
-    if analog is not None:
-        made["parameters"]["ANALOG"]["RATE"]["value"] = [rate * analog.shape[0] / n]
-        made["parameters"]["ANALOG"]["LABELS"]["value"] = [f"ch{k}" for k in range(analog.shape[1])]
-        made["parameters"]["ANALOG"]["UNITS"]["value"] = ["V"] * analog.shape[1]
-        made["data"]["analogs"] = analog.T[None]
     made.write(str(path))
 
 
@@ -61,19 +56,6 @@ def test_the_axis_that_points_up_comes_from_the_file_or_from_the_caller(tmp_path
     write(tmp_path / "m.c3d", points, ("A",), screen="")
     with pytest.raises(InputError, match="wanted the axis that points up, got no POINT:Y_SCREEN"):
         read_c3d(tmp_path / "m.c3d")
-
-
-def test_analog_channels_come_back_on_the_clock_of_the_points(tmp_path):
-    points, analog = np.ones((5, 1, 3)), np.arange(40.0).reshape(20, 2)
-    write(tmp_path / "m.c3d", points, ("A",), analog=analog)
-    found = read_c3d_analog(tmp_path / "m.c3d")
-    np.testing.assert_allclose(found.values, analog)
-    assert found.labels == ("ch0", "ch1")
-    assert found.units == ("V", "V")
-    np.testing.assert_allclose(found.time, np.arange(20) / 400)
-    write(tmp_path / "p.c3d", points, ("A",))
-    with pytest.raises(FileFormatError, match="wanted analog channels, got none"):
-        read_c3d_analog(tmp_path / "p.c3d")
 
 
 def test_a_packed_file_reads_as_its_plain_one(tmp_path):

@@ -11,11 +11,11 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.io import mocap as c3d_module
 from undrift.io.arrays import read_mat
-from undrift.io.columns import ColumnMap
-from undrift.io.formats import ReadSettings, detect, read_record
+from undrift.io.columns import ColumnMap, ReadSettings, two_rates
+from undrift.io.formats import detect, read_record
 from undrift.io.inspect import describe
 from undrift.io.mocap import read_broad, read_c3d
-from undrift.io.record import read_csv, two_rates, write_csv
+from undrift.io.text import read_csv, write_csv
 from undrift.record import Record
 
 XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
@@ -48,7 +48,7 @@ def test_a_row_as_long_as_a_file_is_refused_in_one_line(tmp_path):
 
 def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
     (tmp_path / "r.csv").write_text("t,w,x,y,z\n0,,1,2,3\n1,,1,2,3\n")
-    assert read_csv(tmp_path / "r.csv", XYZ).accel.tolist() == [[1, 2, 3], [1, 2, 3]]
+    assert read_csv(tmp_path / "r.csv", XYZ).record.accel.tolist() == [[1, 2, 3], [1, 2, 3]]
     unmapped = ColumnMap(
         time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gyro=("w", "x", "y"), gyro_unit="dps"
     )

@@ -8,8 +8,8 @@ from hypothesis import given
 
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, Scale, TextLayout
-from undrift.io.record import build_csv, read_csv, write_csv
+from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
+from undrift.io.text import read_csv, write_csv
 from undrift.record import Record
 
 XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
@@ -34,13 +34,13 @@ def table(lines, header="t,x,y,z"):
 def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
     path = tmp_path_factory.mktemp("csv") / "r.csv"
     write_csv(record, path)
-    assert_same(read_csv(path, gaps="keep"), record)
+    assert_same(read_csv(path, settings=ReadSettings(gaps="keep")).record, record)
 
 
 def test_a_packed_file_reads_as_its_plain_one(tmp_path):
     record = Record(time=np.arange(50) / 100, gyro=np.random.default_rng(1).normal(size=(50, 3)), gyro_unit="dps")
     write_csv(record, tmp_path / "r.csv.gz")
-    assert_same(read_csv(tmp_path / "r.csv.gz"), record)
+    assert_same(read_csv(tmp_path / "r.csv.gz").record, record)
     assert gzip.decompress((tmp_path / "r.csv.gz").read_bytes()).startswith(
         b"time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n"
     )
@@ -50,7 +50,7 @@ def test_a_corrected_file_says_so_in_its_first_line(tmp_path):
     record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)), state="corrected", frame="b", device="A;\n1")
     write_csv(record, tmp_path / "r.csv")
     assert (tmp_path / "r.csv").read_text().splitlines()[0] == "# undrift record; frame=b; state=corrected; device=A, 1"
-    back = read_csv(tmp_path / "r.csv")
+    back = read_csv(tmp_path / "r.csv").record
     assert (back.state, back.frame, back.device) == ("corrected", "b", "A, 1")
 
 
@@ -72,7 +72,7 @@ def test_units_and_scales_are_applied_as_the_map_says(tmp_path):
         temp_unit="degC",
         temp_scale=Scale(1 / 340, 36.53),
     )
-    record = read_csv(path, columns)
+    record = read_csv(path, columns).record
     np.testing.assert_allclose(record.time, [1.0, 1.01])
     np.testing.assert_allclose(record.accel, [[1.0, 0.5, 1.0], [0.0, 0.5, 0.0]])
     np.testing.assert_allclose(record.temp_c, [10.40058824, 28.84176471])
@@ -85,23 +85,25 @@ def test_positions_blanks_tabs_and_decimal_commas_are_read(tmp_path):
         ColumnMap(
             time=0, time_unit="s", gyro=(1, 2, 3), gyro_unit="dps", layout=TextLayout(delimiter=" ", header=False)
         ),
-    )
+    ).record
     np.testing.assert_array_equal(record.gyro, [[1, 2, 3], [4, 5, 6]])
     commas = put(tmp_path, "t;x;y;z\n0,0;1,5;2,5;3,5\n0,1;1;2;3\n", "c.csv")
     layout = TextLayout(delimiter=";", decimal=",")
-    record = read_csv(commas, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", layout=layout))
+    record = read_csv(
+        commas, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", layout=layout)
+    ).record
     np.testing.assert_array_equal(record.accel, [[1.5, 2.5, 3.5], [1, 2, 3]])
 
 
 def test_without_a_time_column_the_stated_rate_makes_the_time(tmp_path):
     path = put(tmp_path, "x,y,z\n1,2,3\n4,5,6\n7,8,9\n")
-    record = read_csv(path, ColumnMap(gyro=("x", "y", "z"), gyro_unit="count", sample_rate_hz=102.4))
+    record = read_csv(path, ColumnMap(gyro=("x", "y", "z"), gyro_unit="count", sample_rate_hz=102.4)).record
     np.testing.assert_allclose(record.time, np.arange(3) / 102.4)
 
 
 def test_blanks_around_a_name_do_not_count_and_a_byte_order_mark_is_skipped(tmp_path):
     path = put(tmp_path, b"\xef\xbb\xbft, x ,y,z\n0,1,2,3\n1,4,5,6\n")
-    np.testing.assert_array_equal(read_csv(path, XYZ).accel[:, 0], [1, 4])
+    np.testing.assert_array_equal(read_csv(path, XYZ).record.accel[:, 0], [1, 4])
 
 
 def test_broken_rows_are_dropped_on_request_and_counted_and_their_time_is_kept(tmp_path):
@@ -109,7 +111,7 @@ def test_broken_rows_are_dropped_on_request_and_counted_and_their_time_is_kept(t
     path = put(tmp_path, text)
     layout = TextLayout(header=False, drop_bad_rows=True)
     columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", temp=3, temp_unit="degC", sample_rate_hz=10.0, layout=layout)
-    built = build_csv(put(tmp_path, text + "0,0,1,5\n" * 9), columns)
+    built = read_csv(put(tmp_path, text + "0,0,1,5\n" * 9), columns)
     assert built.dropped_rows == 4
     assert len(built.record) == 11
     # rows 3 and 5 of the file are good, row 4 is not: their distance is two samples
@@ -129,7 +131,7 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
         read_csv(path, XYZ)
     one_line(caught)
     repaired = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", repair_time=True)
-    built = build_csv(path, repaired)
+    built = read_csv(path, repaired)
     assert built.repaired_rows == 2
     assert len(built.record) == 38
     assert (np.diff(built.record.time) > 0).all()
@@ -138,10 +140,10 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
 def test_gaps_are_kept_only_on_request(tmp_path):
     path = put(tmp_path, table(["0,1,2,3", "1,,2,3", "2,1,nan,3"]))
     with pytest.raises(
-        InputError, match=r"column 'x': .* got 1 empty or NaN cells, first in data row 2; say --gaps keep"
+        InputError, match=r"column 'x': .* got 1 empty or NaN cells, first in data row 2; use --gaps keep"
     ):
         read_csv(path, XYZ)
-    kept = read_csv(path, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gaps="keep"))
+    kept = read_csv(path, ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gaps="keep")).record
     assert np.isnan(kept.accel).sum() == 2
 
 
@@ -224,7 +226,7 @@ def test_two_rates_in_one_file_are_refused_however_they_show(tmp_path):
 def test_jitter_and_drop_outs_are_not_two_rates(tmp_path):
     rng = np.random.default_rng(3)
     time = np.cumsum(0.017 + 0.001 * rng.integers(-1, 2, 600) + 2.8 * (np.arange(600) % 170 == 169))
-    record = read_csv(put(tmp_path, table([f"{t:.4f},0,0,1" for t in time])), XYZ)
+    record = read_csv(put(tmp_path, table([f"{t:.4f},0,0,1" for t in time])), XYZ).record
     assert len(record) == 600
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from testkit.trc_text import trc
 from undrift.errors import InputError
-from undrift.io.columns import ColumnMap, TextLayout
+from undrift.io.columns import ColumnMap, ReadResult, TextLayout
 from undrift.io.inspect import describe, describe_record
+from undrift.io.parquet import write_parquet
 from undrift.io.reference import write_reference
 from undrift.io.session import write_session
-from undrift.io.store import write_parquet
 from undrift.record import Record, Reference, Session, Still
 
 CALIBRATION = json.dumps({"kind": "undrift.calibration", "format": 1, "device": "A1"})
@@ -44,7 +44,7 @@ def test_a_recording_is_described_by_its_figures(tmp_path):
     assert found.units == (("time", "s"), ("gyro", "rad/s"), ("accel", "m/s2"), ("temp", "degC"))
     assert found.columns[:2] == ("time_s", "gyro_x_rad_s")
     assert found.summary == "300 samples at 100 Hz, 2.99 s, A1"
-    assert describe_record(still()).problems == ()
+    assert describe_record(ReadResult(record=still())).problems == ()
 
 
 def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
@@ -65,8 +65,13 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
     points[:, 1] = np.nan
     found = describe(put(tmp_path, "m.trc", trc(points, ("A", "B"))))
     assert (found.kind, found.columns, found.gaps) == ("markers", ("A", "B"), 5)
-    assert found.problems[1] == "never seen: B"
-    assert describe(tmp_path / "m.trc", up="y").problems == ("never seen: B",)
+    assert [item.code for item in found.findings] == ["recording.up_axis", "recording.markers_never_seen"]
+    (lost,) = describe(tmp_path / "m.trc", up="y").findings
+    assert (lost.code, lost.values, lost.text) == (
+        "recording.markers_never_seen",
+        {"labels": ("B",)},
+        "Markers never seen: B",
+    )
 
 
 @pytest.mark.parametrize(
@@ -119,8 +124,10 @@ def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
     columns = ColumnMap(accel=("ax", "ay", "az"), accel_unit="g", sample_rate_hz=50.0, layout=layout)
     found = describe(path, columns)
     assert (found.kind, found.rows) == ("recording", 100)
-    assert found.problems[0] == "1 rows did not parse and were left out"
-    assert "median |accel| is 0.25 g" in found.problems[1]
+    left_out, gravity = found.findings[:2]
+    assert (left_out.code, left_out.values) == ("recording.rows_dropped", {"count": 1})
+    assert (gravity.code, gravity.values["direction"]) == ("recording.gravity", "small")
+    assert gravity.values["median_g"] == pytest.approx(0.25, rel=0.01)
 
 
 def test_damaged_json_and_missing_files_are_errors(tmp_path):

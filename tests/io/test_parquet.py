@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from testkit.strategies import assert_same, few, records
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap
-from undrift.io.store import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet
+from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet
 from undrift.record import Record
 
 
@@ -29,7 +29,7 @@ def joined(chunks):
 def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
     path = tmp_path_factory.mktemp("parquet") / "r.parquet"
     write_parquet(record, path)
-    assert_same(read_parquet(path), record)
+    assert_same(read_parquet(path).record, record)
     assert parquet_rows(path) == len(record)
     assert parquet_names(path)[0] == "time_s"
 
@@ -75,7 +75,7 @@ def test_a_writer_takes_chunks_and_the_file_appears_only_at_the_end(tmp_path):
         for start in range(0, 100, 30):
             writer.write(record.part(start, min(start + 30, 100)))
         assert not path.exists()
-    assert_same(read_parquet(path), record)
+    assert_same(read_parquet(path).record, record)
     assert [p.name for p in tmp_path.iterdir()] == ["r.parquet"]
 
 
@@ -109,7 +109,7 @@ def test_foreign_parquet_reads_through_a_map(tmp_path):
         pa.table({"t": [0, 10, 20], "a": [1, 2, 3], "b": [4, 5, 6], "c": [7.0, None, 9.0]}), tmp_path / "f.parquet"
     )
     keys = {"time": "t", "time_unit": "ms", "gyro": ("a", "b", "c"), "gyro_unit": "count"}
-    record = read_parquet(tmp_path / "f.parquet", ColumnMap(**keys, gaps="keep"))
+    record = read_parquet(tmp_path / "f.parquet", ColumnMap(**keys, gaps="keep")).record
     np.testing.assert_allclose(record.time, [0.0, 0.01, 0.02])
     assert np.isnan(record.gyro[1, 2])
     with pytest.raises(InputError, match=r"column 'c': .* got 1 empty or NaN cells"):
@@ -123,7 +123,7 @@ def test_gaps_are_refused_in_files_of_others_and_on_request(tmp_path):
     pq.write_table(pa.table(columns), tmp_path / "f.parquet")
     with pytest.raises(InputError, match="got 1 empty or NaN cells"):
         read_parquet(tmp_path / "f.parquet")
-    assert np.isnan(read_parquet(tmp_path / "f.parquet", gaps="keep").gyro[1, 0])
+    assert np.isnan(read_parquet(tmp_path / "f.parquet", settings=ReadSettings(gaps="keep")).record.gyro[1, 0])
 
 
 def test_time_that_goes_back_between_chunks_is_refused(tmp_path):
@@ -138,7 +138,7 @@ def test_time_that_goes_back_between_chunks_is_refused(tmp_path):
 def test_chunks_need_a_time_column(tmp_path):
     pq.write_table(pa.table({k: [0.0, 1.0] for k in "abc"}), tmp_path / "f.parquet")
     columns = ColumnMap(gyro=("a", "b", "c"), gyro_unit="dps", sample_rate_hz=10.0)
-    assert len(read_parquet(tmp_path / "f.parquet", columns)) == 2
+    assert len(read_parquet(tmp_path / "f.parquet", columns).record) == 2
     with pytest.raises(InputError, match="wanted a time column to read in chunks"):
         list(iter_parquet(tmp_path / "f.parquet", columns))
 

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from testkit.strategies import assert_same, few, one_line, records
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, TextLayout
-from undrift.io.formats import ReadSettings, detect, iter_record, read_built, read_record, write_record
-from undrift.io.record import native_columns
+from undrift.io.columns import ColumnMap, ReadSettings, TextLayout, native_columns
+from undrift.io.formats import detect, iter_record, read_counted, read_record, write_record
 from undrift.record import Record
 
 
@@ -54,7 +53,7 @@ def test_a_map_overrides_what_the_file_looks_like(tmp_path):
     (tmp_path / "log.txt").write_text("hello\n1 2 3\n4 5 6\n7 8\n")
     layout = TextLayout(delimiter=" ", header=False, drop_bad_rows=True, skip_rows=1)
     columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, layout=layout)
-    built = read_built(tmp_path / "log.txt", columns)
+    built = read_counted(tmp_path / "log.txt", columns)
     assert (len(built.record), built.dropped_rows) == (2, 1)
 
 

@@ -11,8 +11,9 @@ from testkit.strategies import few, references
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import quaternion_conjugate
+from undrift.io.formats import read_markers, read_reference
 from undrift.io.mocap import read_broad
-from undrift.io.reference import ReferenceMap, read_markers, read_reference, write_reference
+from undrift.io.reference import ReferenceMap, write_reference
 
 
 @few

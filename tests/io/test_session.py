@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
 from undrift.files import sha256_of
-from undrift.io.record import write_csv
 from undrift.io.session import read_session, write_session
+from undrift.io.text import write_csv
 from undrift.record import Record, Session, Still, Turn
 from undrift.units import gravity_at
 

@@ -1,9 +1,10 @@
-"""Each thing that is wrong in a recording is said in one sentence; a sound one has no symptoms."""
+"""Each thing that is wrong in a recording is one finding with its numbers; a sound one has none."""
 
 import numpy as np
 import pytest
 
-from undrift.io.inspect import find_symptoms, gaps_of
+from undrift.io.columns import ReadResult
+from undrift.io.inspect import describe_record, find_symptoms, gaps_of
 from undrift.record import Record
 
 
@@ -36,44 +37,94 @@ CASES = [
     (
         "quarter g",
         {"accel": sound().accel / 4},
-        "median |accel| is 0.25 g where a body at rest reads 1 g: wrong unit or scale (4 times",
+        "recording.gravity",
+        {"median_g": 0.25, "factor": 4.0, "direction": "small"},
+        "median |accel| is 0.25 g where a body at rest reads 1 g (4 times too small)",
     ),
-    ("m/s2 as g", {"accel": sound().accel * 9.81}, "9.81 times too large"),
-    ("rad/s for dps", {"gyro": sound().gyro + np.array([0, 40, 0])}, "gyro reads 40 deg/s in its quietest two seconds"),
-    ("processor", {"temp_c": sound().temp_c + 28}, "is not room temperature: processor, chamber, or wrong scale"),
+    (
+        "m/s2 as g",
+        {"accel": sound().accel * 9.81},
+        "recording.gravity",
+        {"median_g": 9.81, "factor": 9.81, "direction": "large"},
+        "9.81 times too large",
+    ),
+    (
+        "rad/s for dps",
+        {"gyro": sound().gyro + np.array([0, 40, 0])},
+        "recording.rest_rate",
+        {"turn_rate_dps": 40.0},
+        "40 deg/s in its quietest two seconds",
+    ),
+    (
+        "processor",
+        {"temp_c": sound().temp_c + 28},
+        "recording.temperature_range",
+        {"low_c": 52.65, "high_c": 53.35},
+        "is not room temperature",
+    ),
     (
         "jump",
         {"temp_c": spiked(sound().temp_c, 100, 147.7)},
-        "temperature jumps by over 5 K between samples 2 times, first after sample 99",
+        "recording.temperature_jumps",
+        {"limit_k": 5.0, "count": 2, "first_sample": 99},
+        "by over 5 K between samples, 2 times, first after sample 99",
     ),
-    ("no temperature", {"temp_c": np.full(2000, np.nan)}, "the temperature column is empty"),
-    ("uneven", {"time": np.cumsum(np.random.default_rng(1).uniform(0.008, 0.012, 2000))}, "sampling is uneven"),
+    (
+        "no temperature",
+        {"temp_c": np.full(2000, np.nan)},
+        "recording.no_temperature",
+        {},
+        "the temperature column is empty",
+    ),
+    (
+        "uneven",
+        {"time": np.cumsum(np.random.default_rng(1).uniform(0.008, 0.012, 2000))},
+        "recording.uneven_sampling",
+        {"low_ms": 9.0, "high_ms": 11.0},
+        "uneven sampling",
+    ),
     (
         "drop-out",
         {"time": np.arange(2000) / 100 + 3.0 * (np.arange(2000) > 700)},
-        "1 drop-outs, the longest 3.01 s at 7 s",
+        "recording.dropouts",
+        {"count": 1, "longest_s": 3.01, "at_s": 7.0, "step_ms": 10.0, "mean_rate_hz": 1999 / 22.99},
+        "Drop-outs: 1, the longest 3.01 s at 7 s",
     ),
-    ("dead axis", {"gyro": sound().gyro * [1, 0, 1]}, "gyro y never changes"),
+    (
+        "dead axis",
+        {"gyro": sound().gyro * [1, 0, 1]},
+        "recording.dead_axis",
+        {"channel": "gyro", "axis": "y"},
+        "gyro y never changes",
+    ),
     (
         "saturated",
         {"gyro": spiked(sound().gyro, slice(50, 62), [0, 0, 250.0])},
-        "gyro z stays at 250 for 12 samples in a row: saturated",
+        "recording.saturated",
+        {"channel": "gyro", "axis": "z", "reading": 250.0, "count": 12},
+        "gyro z saturated: it stays at 250 for 12 samples in a row",
     ),
 ]
 
 
-@pytest.mark.parametrize(("change", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES])
-def test_each_symptom_is_one_sentence(change, words):
-    found = find_symptoms(sound(**change))
-    assert len(found) == 1
-    assert words in found[0]
+@pytest.mark.parametrize(
+    ("change", "code", "values", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
+)
+def test_each_symptom_is_one_finding(change, code, values, words):
+    (found,) = find_symptoms(sound(**change))
+    assert found.code == code
+    for name, value in values.items():
+        assert found.values[name] == (value if isinstance(value, str) else pytest.approx(value, rel=0.02))
+    assert words.lower() in found.text.lower()
 
 
 def test_rows_left_out_are_counted():
-    assert find_symptoms(sound(), dropped_rows=4, repaired_rows=2) == (
-        "4 rows did not parse and were left out",
-        "2 rows whose time did not go forward were left out",
-    )
+    found = describe_record(ReadResult(record=sound(), dropped_rows=4, repaired_rows=2))
+    assert [(item.code, item.values["count"]) for item in found.findings] == [
+        ("recording.rows_dropped", 4),
+        ("recording.rows_repaired", 2),
+    ]
+    assert found.problems == ("Rows left out: 4 did not parse", "Rows left out: in 2, time did not go forward")
 
 
 def test_gaps_are_counted_by_sample():

@@ -11,7 +11,7 @@ import pytest
 from testkit.byte_sender import Sender
 from testkit.waiting import eventually
 from undrift.errors import InputError, LinkError, RigTimeout
-from undrift.io.store import read_parquet
+from undrift.io.parquet import read_parquet
 from undrift.live import recorder as pieces_module
 from undrift.live import recorder as writer_module
 from undrift.live.clock import Block
@@ -306,7 +306,7 @@ def test_half_written_pieces_are_left_aside(tmp_path):
     write_synced(record, piece_path(tmp_path, 1, 1))
     (tmp_path / "live-01-00002.parquet.new.part").write_bytes(b"PAR1half")
     assert [len(piece) for piece in iter_pieces(tmp_path)] == [3]
-    assert read_parquet(piece_path(tmp_path, 1, 1)).state == "raw"
+    assert read_parquet(piece_path(tmp_path, 1, 1)).record.state == "raw"
     with pytest.raises(InputError, match=r"wanted pieces of connection 2, got none; check folder and number"):
         read_pieces(tmp_path, 2)
     assert next_connection(tmp_path / "none") == 1

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
-    from undrift.io.columns import ColumnMap
-    from undrift.io.formats import ReadSettings
+    from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.model import Calibration, Verdict
     from undrift.record import Record, Reference
 
@@ -76,7 +75,7 @@ class Opening:
         """
         from dataclasses import replace
 
-        from undrift.io.formats import ReadSettings
+        from undrift.io.columns import ReadSettings
         from undrift.io.session import read_map_settings
 
         held = (None if self.column_map is None else read_map_settings(self.column_map)) or ReadSettings()
@@ -358,16 +357,15 @@ def read_pairs(
 
 def _poses(path: Path, labels: tuple[str, ...] | None, up: Literal["y", "z"] | None) -> "Reference":
     """Read a reference; what a file of markers needs is asked for in the words of the command line."""
-    from undrift.io.formats import detect
+    from undrift.io.formats import detect, read_markers, read_reference
     from undrift.io.mocap import pose_from_cluster
-    from undrift.io.reference import read_markers, read_reference
 
     if detect(path) not in ("trc", "c3d"):
         return read_reference(path)
     try:
         markers = read_markers(path, up=up)
     except InputError as error:
-        if up is not None or "points up" not in str(error):
+        if up is not None or error.numbers.get("missing") != "up":
             raise
         raise InputError(
             f"{path}: wanted the axis that points up, got none; say --reference-up y or --reference-up z"

@@ -236,7 +236,7 @@ def _correct_one(
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
     from undrift.io.formats import iter_record, write_record
-    from undrift.io.store import ParquetWriter
+    from undrift.io.parquet import ParquetWriter
 
     stream, doubts, notes = corrector(), list[str](), dict[str, None]()
     if not part.name.endswith(".parquet"):
@@ -302,6 +302,6 @@ def _doubts(done: "Record", model: "Calibration") -> list[str]:
 
 def _rows(record: Path) -> int | None:
     from undrift.io.formats import detect
-    from undrift.io.store import parquet_rows
+    from undrift.io.parquet import parquet_rows
 
     return parquet_rows(record) if detect(record) == "parquet" else None

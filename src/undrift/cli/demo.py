@@ -119,8 +119,8 @@ def _fitted(out: Path) -> "BenchFit":
 
 def _worn(device: "DeviceModel", out: Path) -> "WornTrial":
     """Simulate the trial; what is judged is read from the disk."""
-    from undrift.io.formats import read_record, write_record
-    from undrift.io.reference import read_reference, write_reference
+    from undrift.io.formats import read_record, read_reference, write_record
+    from undrift.io.reference import write_reference
     from undrift.study.virtual_bench import WornTrial, worn_trial
 
     made = worn_trial(device, seed=SEED)

@@ -179,7 +179,7 @@ def show_folder(path: Path, *, json: bool) -> None:
         rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": []}
         problems = [text for _, kind, text in found if kind == "damaged"]
         files = [{"name": name, "kind": kind, "summary": text} for name, kind, text in found]
-        write_json(head | rest | {"problems": problems, "summary": summary, "files": files})
+        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files})
         return
     out = console()
     out.print(f"{path}: folder, {summary}", markup=False)
@@ -214,6 +214,7 @@ def info(
     """
     from undrift.cli.common import write_json
     from undrift.io.inspect import describe
+    from undrift.io.store import findings_json
 
     if is_plain_folder(file):
         show_folder(file, json=json)
@@ -238,6 +239,7 @@ def info(
                 "temp_c": found.temp_c,
                 "stills": stills,
                 "problems": found.problems,
+                "findings": findings_json(found.findings),
                 "summary": found.summary,
                 "map": found.example,
                 "no_still_because": reason,
@@ -349,7 +351,7 @@ def _hints(found: "Description") -> list[str]:
         return [f"say: undrift info FILE --sensor {found.columns[0]}"]
     if found.kind == "table" and found.format == "ximu":
         return ["say: undrift info FILE --sample-rate-hz 256"]
-    if found.kind == "markers" and any("points up" in problem for problem in found.problems):
+    if found.kind == "markers" and any(item.code == "recording.up_axis" for item in found.findings):
         return [
             "say: undrift info FILE --reference-up y, and undrift validate RECORD --reference FILE --reference-up y"
         ]

@@ -71,7 +71,7 @@ def orient(
         Exit code.
     """
     from undrift.cli.common import checked_output, console, write_json
-    from undrift.io.store import write_orientation
+    from undrift.io.parquet import write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
 

@@ -226,7 +226,7 @@ def _motion(
     """Return the motion, the positions of the device in m (None of poses without), and the cut-offs that were chosen."""
     import numpy as np
 
-    from undrift.io.reference import read_reference
+    from undrift.io.formats import read_reference
     from undrift.sim.motion.poses import fit_pose_spline
     from undrift.sim.motion.tasks import TaskName, draw_task
 

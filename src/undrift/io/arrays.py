@@ -1,4 +1,4 @@
-"""Files of named arrays, npz and mat, as tables.
+"""Files of named arrays: npz and mat as tables, and HDF5.
 
 An array of shape (N,) is one column under its name; one of shape (N, K) is K columns ``name[0]`` ... . Fields of a MATLAB
 struct are ``struct.field``. Arrays of other lengths (a second clock, settings) are left out of the table.
@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file
-from undrift.io.columns import Column, ColumnMap, Gaps, native_map
-from undrift.io.record import build_record
-from undrift.io.table import Table
-from undrift.record import Record
-
-# ---- HDF5 files, opened with one clear line when they cannot be.
+from undrift.files import checked_file, first_line
+from undrift.io.columns import (
+    READ_SETTINGS,
+    Column,
+    ColumnMap,
+    ReadResult,
+    ReadSettings,
+    Table,
+    build_record,
+    native_map,
+)
 
 
 @contextmanager
@@ -37,7 +41,7 @@ def open_hdf5(path: str | Path) -> Iterator[Any]:
         handle = h5py.File(path, "r")
     except OSError as error:
         raise FileFormatError(
-            f"{path}: wanted an HDF5 file, got something else or a cut one; {_first(error)}"
+            f"{path}: wanted an HDF5 file, got something else or a cut one; {first_line(error)}"
         ) from error
     with handle:
         yield handle
@@ -51,30 +55,27 @@ def read_array(handle: Any, name: str, path: Path) -> FloatArray:
     try:
         return np.asarray(handle[name][()], dtype=np.float64)
     except (OSError, TypeError, ValueError, AttributeError) as error:
-        raise FileFormatError(f"{path}: {name}: wanted readable numbers, got an error: {_first(error)}") from error
+        raise FileFormatError(f"{path}: {name}: wanted readable numbers, got an error: {first_line(error)}") from error
 
 
-def _first(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
-
-
-# ---- arrays
+# ---- npz and mat
 
 Arrays = tuple[tuple[str, NDArray[Any]], ...]
 
 
-def read_npz(
-    path: str | Path, columns: ColumnMap | None = None, *, sample_rate_hz: float | None = None, gaps: Gaps = "raise"
-) -> Record:
+def read_npz(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
     """Read a record from a numpy .npz file."""
-    return record_of_arrays(npz_arrays(path), Path(path), columns, sample_rate_hz=sample_rate_hz, gaps=gaps)
+    return _record(npz_arrays(path), path, columns, settings)
 
 
-def read_mat(
-    path: str | Path, columns: ColumnMap | None = None, *, sample_rate_hz: float | None = None, gaps: Gaps = "raise"
-) -> Record:
+def read_mat(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
     """Read a record from a MATLAB .mat file, version 5 to 7.3."""
-    return record_of_arrays(mat_arrays(path), Path(path), columns, sample_rate_hz=sample_rate_hz, gaps=gaps)
+    return _record(mat_arrays(path), path, columns, settings)
+
+
+def _record(arrays: Arrays, path: str | Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    columns = columns or native_map(tuple(name for name, _ in arrays), settings, source=str(path))
+    return build_record(table_of_arrays(arrays, path, columns.wanted()), columns)
 
 
 def npz_arrays(path: str | Path) -> Arrays:
@@ -86,7 +87,7 @@ def npz_arrays(path: str | Path) -> Arrays:
             if isinstance(held, np.lib.npyio.NpzFile):
                 return tuple((name, held[name]) for name in held.files)
     except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
-        raise FileFormatError(f"{path}: wanted a sound npz file of plain arrays, got {_first(error)}") from error
+        raise FileFormatError(f"{path}: wanted a sound npz file of plain arrays, got {first_line(error)}") from error
     raise FileFormatError(f"{path}: wanted an npz file of named arrays, got a single array; save with np.savez")
 
 
@@ -101,27 +102,12 @@ def mat_arrays(path: str | Path) -> Arrays:
         held = load(str(path))
     except Exception as error:
         raise FileFormatError(
-            f"{path}: wanted a MAT file, got something else or a damaged one; {_first(error)}"
+            f"{path}: wanted a MAT file, got something else or a damaged one; {first_line(error)}"
         ) from error
     return tuple(_flat("", held))
 
 
-def record_of_arrays(
-    arrays: Arrays, path: Path, columns: ColumnMap | None, *, sample_rate_hz: float | None = None, gaps: Gaps = "raise"
-) -> Record:
-    """Return the record that named arrays hold."""
-    from dataclasses import replace
-
-    if columns is None:
-        try:
-            columns = replace(native_map(_columns_of(arrays), sample_rate_hz=sample_rate_hz), gaps=gaps)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-    wanted = tuple(column for channel in columns.mapped() for column in columns.columns_of(channel))
-    return build_record(table_of_arrays(arrays, path, wanted), columns)
-
-
-def table_of_arrays(arrays: Arrays, path: Path, wanted: tuple[Column, ...]) -> Table:
+def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> Table:
     """Return the arrays that are as long as the first wanted one, as a table."""
     lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
     lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
@@ -134,20 +120,11 @@ def table_of_arrays(arrays: Arrays, path: Path, wanted: tuple[Column, ...]) -> T
         shown = ", ".join(f"{name} {count}" for name, count in rows.items())
         raise InputError(f"{path}: wanted arrays of one length, got {shown} rows; two clocks need two records")
     length = next(iter(rows.values()))
-    names: list[str] = []
-    columns: list[NDArray[Any]] = []
+    found: dict[str, NDArray[Any]] = {}
     for name, array in arrays:
-        if array.ndim == 1 and len(array) == length:
-            names.append(name)
-            columns.append(array)
-        elif array.ndim == 2 and len(array) == length:
-            names += [f"{name}[{k}]" for k in range(array.shape[1])]
-            columns += [array[:, k] for k in range(array.shape[1])]
-    return Table(source=str(path), names=tuple(names), columns=tuple(columns))
-
-
-def _columns_of(arrays: Arrays) -> tuple[str, ...]:
-    return tuple(name for name, _ in arrays)
+        if array.ndim in (1, 2) and len(array) == length:
+            found |= {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
+    return Table(source=str(path), names=tuple(found), columns=tuple(found.values()))
 
 
 def _flat(prefix: str, value: Any) -> list[tuple[str, NDArray[Any]]]:

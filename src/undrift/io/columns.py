@@ -1,22 +1,26 @@
-"""ColumnMap: which column of a foreign file is which channel, in which unit. Nothing is guessed.
+"""From the named columns of a file to a Record: which column is which channel, its unit, and every check that a reader owes.
 
     value = gain * cell + offset          then the unit is applied; gain 1 and offset 0 unless a Scale is given
 
-A file with undrift's own column names (``time_s``, ``gyro_x_dps``, ``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs no map:
-:func:`native_map` recognises exactly those names.
+Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own column names (``time_s``, ``gyro_x_dps``,
+``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs none: :func:`native_map` recognises exactly those.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-from undrift.errors import InputError
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.errors import FileFormatError, InputError
 from undrift.frames import Frame
-from undrift.record import State
-from undrift.units import DEVICE_UNITS, ZERO_CELSIUS_K, Quantity, canonical_unit
+from undrift.record import Record, State, sample_rate_of
+from undrift.units import DEVICE_UNITS, LM335_K_PER_V, ZERO_CELSIUS_K, Quantity, canonical_unit, si_factor, temp_offset
 
 Column: TypeAlias = str | int
 Channel = Literal["time", "gyro", "accel", "temp", "mag"]
 Gaps = Literal["raise", "keep"]
+Names: TypeAlias = tuple[str, ...] | list[str]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
@@ -24,7 +28,7 @@ LM335_RANGE_C = (-40.0, 125.0)  # where the part works
 MOST_TRIM_C = 20.0  # an untrimmed part is within 9 K by its data sheet
 EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
 
-# Ending of a native column name for each unit a channel may have.
+# Ending of a native column name for each unit that a channel may have.
 GYRO_SUFFIX = {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"}
 ACCEL_SUFFIX = {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"}
 TEMP_SUFFIX = {"degc": "c", "lm335_v": "lm335_v", "count": "count", "v": "v"}
@@ -38,25 +42,29 @@ class Scale:
     gain: float | tuple[float, float, float] = 1.0
     offset: float | tuple[float, float, float] = 0.0  # Added afterwards, in the unit of the channel
 
+    def applied(self, cells: FloatArray, axis: int) -> FloatArray:
+        """Return the values of one axis."""
+        gain, offset = (x[axis] if isinstance(x, tuple) else x for x in (self.gain, self.offset))
+        return cells if (gain, offset) == (1.0, 0.0) else gain * cells + offset
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trim:
-    """One-point trim of an LM335: what it said at a temperature known from elsewhere.
+    """One-point trim of an LM335 at a known temperature, as its third pin does: its output is a line through 0 K.
 
-    The part's output is a line through 0 K, so that one point sets its slope: T = T_said (true + 273.15) / (reads + 273.15),
-    all in K. The potentiometer at the part's third pin does the same.
+    T = T_read (true + 273.15) / (reads + 273.15), all in K.
     """
 
-    reads_c: float  # Temperature that its voltage says, degC
+    reads_c: float  # Temperature by its voltage, degC
     true_c: float  # Temperature that it had, degC
 
     def __post_init__(self) -> None:
         for name in ("reads_c", "true_c"):
-            value = getattr(self, name)
-            if not LM335_RANGE_C[0] <= value <= LM335_RANGE_C[1]:
+            value, (low, high) = getattr(self, name), LM335_RANGE_C
+            if not low <= value <= high:
                 raise InputError(
-                    f"temp_trim.{name}: wanted {LM335_RANGE_C[0]:g} to {LM335_RANGE_C[1]:g} degC, got {value:g}; state what the "
-                    "LM335 said and what was true, both in degC"
+                    f"temp_trim.{name}: wanted {low:g} to {high:g} degC, got {value:g}; state the LM335's reading and the "
+                    "true temperature, both in degC"
                 )
         if abs(self.true_c - self.reads_c) > MOST_TRIM_C:
             raise InputError(
@@ -66,7 +74,7 @@ class Trim:
 
     @property
     def factor(self) -> float:
-        """True over said absolute temperature, 1."""
+        """True over read absolute temperature, 1."""
         return (self.true_c + ZERO_CELSIUS_K) / (self.reads_c + ZERO_CELSIUS_K)
 
 
@@ -101,15 +109,15 @@ class ColumnMap:
     accel: tuple[Column, ...] | None = None  # Three columns x, y, z
     temp: Column | None = None  # Temperature column
     mag: tuple[Column, ...] | None = None  # Three columns x, y, z
-    time_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
-    gyro_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
-    accel_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
-    temp_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
-    mag_unit: str = ""  # Unit after the scale is applied; any spelling of :mod:`undrift.units`
-    gyro_scale: Scale | None = None  # Conversion from the file's numbers to that unit
-    accel_scale: Scale | None = None  # Conversion from the file's numbers to that unit
-    temp_scale: Scale | None = None  # Conversion from the file's numbers to that unit
-    mag_scale: Scale | None = None  # Conversion from the file's numbers to that unit
+    time_unit: str = ""  # Units after the scale is applied; any spelling of :mod:`undrift.units`
+    gyro_unit: str = ""
+    accel_unit: str = ""
+    temp_unit: str = ""
+    mag_unit: str = ""
+    gyro_scale: Scale | None = None  # Conversions from the file's numbers to those units
+    accel_scale: Scale | None = None
+    temp_scale: Scale | None = None
+    mag_scale: Scale | None = None
     temp_trim: Trim | None = None  # Of an LM335, where ``temp_unit`` is "lm335_v"
     sample_rate_hz: float | None = None  # Hz. Never defaulted; beside a time column it is checked against it
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
@@ -154,6 +162,10 @@ class ColumnMap:
         """Return the channels that have columns."""
         return tuple(channel for channel in CHANNELS if self.columns_of(channel))
 
+    def wanted(self) -> tuple[Column, ...]:
+        """Return the columns of all channels."""
+        return tuple(column for channel in CHANNELS for column in self.columns_of(channel))
+
     def _check_channel(self, channel: Channel) -> None:
         columns, unit = self.columns_of(channel), getattr(self, f"{channel}_unit")
         if channel in ("gyro", "accel", "mag") and len(columns) not in (0, 1, 3):
@@ -173,38 +185,61 @@ class ColumnMap:
             )
 
 
-def native_map(
-    names: tuple[str, ...] | list[str], *, sample_rate_hz: float | None = None, layout: TextLayout | None = None
-) -> ColumnMap:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadSettings:
+    """What a file may leave unstated."""
+
+    sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
+    sensor: str | None = None  # Which sensor, in a file of several (APDM)
+    # "raise" or "keep", overruling a map; None: as the map states, and without one gaps are refused except in
+    # Parquet that undrift wrote
+    gaps: Gaps | None = None
+    # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
+    repair_time: bool = False
+    drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
+
+
+READ_SETTINGS = ReadSettings()
+
+
+def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: str = "") -> ColumnMap:
     """Return the map of a file that uses undrift's own column names."""
-    gyro, gyro_unit = _native_triple(names, "gyro", GYRO_SUFFIX)
-    accel, accel_unit = _native_triple(names, "accel", ACCEL_SUFFIX)
-    mag, mag_unit = _native_triple(names, "mag", {"ut": "ut"})
-    if gyro is None and accel is None:
-        raise InputError(
-            f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {_listed(names)}; undrift info FILE "
-            "proposes a map of them, to be given with --map"
+    try:
+        gyro, gyro_unit = _native_triple(names, "gyro", GYRO_SUFFIX)
+        accel, accel_unit = _native_triple(names, "accel", ACCEL_SUFFIX)
+        mag, mag_unit = _native_triple(names, "mag", {"ut": "ut"})
+        if gyro is None and accel is None:
+            shown = ", ".join(repr(name) for name in names[:12]) or "no columns"
+            more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
+            raise InputError(
+                f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}; undrift info FILE "
+                "proposes a map of them, to be given with --map"
+            )
+        temps = [(f"temp_{suffix}", unit) for unit, suffix in TEMP_SUFFIX.items() if f"temp_{suffix}" in names]
+        if len(temps) > 1:
+            raise InputError(
+                f"columns: wanted one temperature, got {temps[0][0]} and {temps[1][0]}; map the one to use"
+            )
+        return ColumnMap(
+            time="time_s" if "time_s" in names else None,
+            gyro=gyro,
+            accel=accel,
+            mag=mag,
+            temp=temps[0][0] if temps else None,
+            time_unit="s",
+            gyro_unit=gyro_unit,
+            accel_unit=accel_unit,
+            mag_unit=mag_unit,
+            temp_unit=temps[0][1] if temps else "",
+            sample_rate_hz=settings.sample_rate_hz,
+            gaps=settings.gaps or "raise",
+            repair_time=settings.repair_time,
         )
-    temps = [(f"temp_{suffix}", unit) for unit, suffix in TEMP_SUFFIX.items() if f"temp_{suffix}" in names]
-    if len(temps) > 1:
-        raise InputError(f"columns: wanted one temperature, got {temps[0][0]} and {temps[1][0]}; map the one to use")
-    return ColumnMap(
-        time="time_s" if "time_s" in names else None,
-        gyro=gyro,
-        accel=accel,
-        mag=mag,
-        temp=temps[0][0] if temps else None,
-        time_unit="s",
-        gyro_unit=gyro_unit,
-        accel_unit=accel_unit,
-        mag_unit=mag_unit,
-        temp_unit=temps[0][1] if temps else "",
-        sample_rate_hz=sample_rate_hz,
-        layout=layout or TextLayout(),
-    )
+    except InputError as error:
+        raise InputError(f"{source}: {error}" if source else str(error)) from error
 
 
-def is_native(names: tuple[str, ...] | list[str]) -> bool:
+def is_native(names: Names) -> bool:
     """Tell whether a file uses undrift's own names for a gyroscope or an accelerometer."""
     return any(
         f"{channel}_{axis}_{suffix}" in names
@@ -214,9 +249,7 @@ def is_native(names: tuple[str, ...] | list[str]) -> bool:
     )
 
 
-def _native_triple(
-    names: tuple[str, ...] | list[str], channel: str, suffixes: dict[str, str]
-) -> tuple[tuple[Column, ...] | None, str]:
+def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tuple[tuple[Column, ...] | None, str]:
     found: list[tuple[tuple[Column, ...], str]] = []
     for unit, suffix in suffixes.items():
         triple = tuple(f"{channel}_{axis}_{suffix}" for axis in AXES)
@@ -234,6 +267,291 @@ def _native_triple(
     return found[0] if found else (None, "")
 
 
-def _listed(names: tuple[str, ...] | list[str]) -> str:
-    shown = ", ".join(repr(name) for name in names[:12])
-    return f"{shown}, ... ({len(names)} columns)" if len(names) > 12 else shown or "no columns"
+# ---- a table of named columns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """Columns of one file."""
+
+    source: str  # File, for the errors
+    names: tuple[str, ...]  # Column names as in the file; positions as text where there is no header
+    # One numpy array or Arrow column for each name, all of the same length; text where the cells are no numbers
+    columns: tuple[Any, ...]
+    # (N,), number of each row in the file, from 0, where rows were left out; None where none was
+    rows: IntArray | None = None
+    dropped: int = 0  # Rows left out
+
+    def __len__(self) -> int:
+        return len(self.columns[0]) if self.columns else 0
+
+    def position(self, column: Column) -> int:
+        """Return the position of a column."""
+        return find_column(self.names, column, self.source)
+
+    def numbers(self, column: Column) -> FloatArray:
+        """Return a column as float64."""
+        position, numeric = self.position(column), "fiub"
+        values = self.columns[position]
+        if not isinstance(values, np.ndarray):  # of Arrow; one of empty cells only is all NaN
+            values, numeric = np.full(len(values), np.nan) if str(values.type) == "null" else values.to_numpy(), "fiu"
+        if values.dtype.kind in numeric:
+            return np.asarray(values, dtype=np.float64)
+        row = next((k for k, cell in enumerate(values) if not _is_number(cell)), 0)
+        cell = str(values[row])[:40] if len(values) else ""
+        raise FileFormatError(
+            f"{self.source}: column {self.names[position]!r}: wanted numbers, got {cell!r} in data row {self.row(row)}; "
+            "repair the file, or set drop_bad_rows"
+        )
+
+    def row(self, index: int) -> int:
+        """Return the number of a row in the file, from 1, the header not counted."""
+        return int(index if self.rows is None else self.rows[index]) + 1
+
+
+def _is_number(cell: Any) -> bool:
+    try:
+        float(cell)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
+    """Return the position of a column in a header."""
+    if isinstance(column, int):
+        if 0 <= column < len(names):
+            return column
+        raise InputError(f"{source}: wanted column {column} (from 0), got {len(names)} columns; check the positions")
+    hits = [i for i, name in enumerate(names) if name == column]
+    hits = hits or [i for i, name in enumerate(names) if name.strip() == column.strip()]
+    if len(hits) == 1:
+        return hits[0]
+    held = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
+    if hits:
+        raise InputError(f"{source}: wanted one column {column!r}, got {len(hits)}; map by position from 0")
+    raise InputError(f"{source}: wanted column {column!r}, got {held or 'no columns'}; check the mapping")
+
+
+# ---- from a table and a map to a Record
+
+# Largest believable size of a reading, in its own unit: it finds a broken cell, not a wrong scale (io/inspect.py does).
+_LARGEST: dict[tuple[Quantity, str], float] = {
+    ("rate", "rad/s"): 500.0,
+    ("rate", "dps"): 30_000.0,
+    ("accel", "m/s2"): 20_000.0,
+    ("accel", "g"): 2_000.0,
+    ("accel", "mg"): 2_000_000.0,
+    ("temp", "degc"): 300.0,
+    ("mag", "ut"): 100_000.0,
+}
+_DEVICE_LARGEST = {"count": 2.0**24, "v": 1000.0}
+_RATE_AGREES = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReadResult:
+    """A record and the count of rows left out to make it."""
+
+    record: Record
+    dropped_rows: int = 0  # Rows that did not parse
+    repaired_rows: int = 0  # Rows whose time did not go forward
+
+
+def build_record(table: Table, columns: ColumnMap) -> ReadResult:
+    """Return the record that a table holds, every value checked."""
+    if len(table) < 2:
+        raise FileFormatError(f"{table.source}: wanted two rows or more, got {len(table)}; the file holds no recording")
+    time = _time(table, columns)
+    keep = _forward(table, time, columns)
+    values = {channel: _channel(table, columns, channel) for channel in columns.mapped() if channel != "time"}
+    if keep is not None:
+        time, values = time[keep], {channel: value[keep] for channel, value in values.items()}
+    _check_rate(table, time, columns)
+    temp = values.get("temp")
+    record = Record(
+        time=time,
+        gyro=values.get("gyro"),
+        accel=values.get("accel"),
+        temp_c=None if temp is None else temp[:, 0],
+        mag_ut=values.get("mag"),
+        gyro_unit=columns.unit_of("gyro") if columns.gyro else "rad/s",
+        accel_unit=columns.unit_of("accel") if columns.accel else "m/s2",
+        frame=columns.frame,
+        state=columns.state,
+        device=columns.device,
+    )
+    return ReadResult(
+        record=record, dropped_rows=table.dropped, repaired_rows=0 if keep is None else int((~keep).sum())
+    )
+
+
+def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
+    """Return the scaled values of one channel, shape (N, 1 or 3), in the unit that Record wants."""
+    wanted, unit, scale = columns.columns_of(channel), columns.unit_of(channel), columns.scale_of(channel) or Scale()
+    if len(wanted) == 1 and channel != "temp":  # a two-dimensional array of an npz or mat file
+        wanted = tuple(f"{wanted[0]}[{k}]" for k in range(3))
+        if wanted[2] not in table.names or f"{columns.columns_of(channel)[0]}[3]" in table.names:
+            raise InputError(
+                f"{table.source}: wanted an array {columns.columns_of(channel)[0]!r} of shape (N, 3), got none; it holds "
+                f"{', '.join(table.names[:16])}"
+            )
+    if unit == "lm335_v":
+        return _lm335(table, columns, wanted[0], scale)
+    factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
+    limit = _DEVICE_LARGEST.get(unit) or _LARGEST[QUANTITY[channel], "ut" if channel == "mag" else unit]
+    out = np.empty((len(table), len(wanted)))
+    for k, column in enumerate(wanted):
+        values = scale.applied(table.numbers(column), k)
+        values = values if factor == 1.0 else values * factor
+        _check_values(table, table.names[table.position(column)], values, limit, unit, columns)
+        out[:, k] = values
+    return out
+
+
+def _lm335(table: Table, columns: ColumnMap, column: Column, scale: Scale) -> FloatArray:
+    """Return the temperature by an LM335's voltage, trimmed, shape (N, 1), degC."""
+    volts, name = scale.applied(table.numbers(column), 0), table.names[table.position(column)]
+    _check_gaps(table, name, volts, columns)
+    low, high = ((limit + ZERO_CELSIUS_K) / LM335_K_PER_V for limit in LM335_RANGE_C)
+    bad = np.flatnonzero((volts < low) | (volts > high))
+    if len(bad):
+        row = table.row(int(bad[0]))
+        raise FileFormatError(
+            f"{table.source}: column {name!r}: wanted {low:.2f} to {high:.2f} V of an LM335 (10 mV/K, {LM335_RANGE_C[0]:g} to "
+            f"{LM335_RANGE_C[1]:g} degC), got {volts[bad[0]]:g} V in data row {row} ({len(bad)} such); check its wiring, or "
+            "give scale.temp from the file's numbers to V at the part",
+            row=row,
+        )
+    kelvin = volts * si_factor("lm335_v", "temp") * (columns.temp_trim.factor if columns.temp_trim else 1.0)
+    return (kelvin + temp_offset("lm335_v"))[:, None]
+
+
+def _check_values(table: Table, name: str, values: FloatArray, limit: float, unit: str, columns: ColumnMap) -> None:
+    low, high = float(values.min()), float(values.max())  # NaN passes through both
+    if low >= -limit and high <= limit:
+        return
+    gap = _check_gaps(table, name, values, columns)
+    wild = np.flatnonzero(np.abs(np.where(gap, 0.0, values)) > limit)
+    if len(wild):
+        row = table.row(int(wild[0]))
+        raise FileFormatError(
+            f"{table.source}: column {name!r}: wanted readings up to {limit:g} {unit}, got {values[wild[0]]:g} in data row {row} "
+            f"({len(wild)} such); repair the row or check unit and scale",
+            row=row,
+        )
+
+
+def _check_gaps(table: Table, name: str, values: FloatArray, columns: ColumnMap) -> BoolArray:
+    """Return where a column has gaps; raise where there are any and the map refuses them."""
+    gap = np.isnan(values)
+    if gap.any() and columns.gaps == "raise":
+        row, steps = table.row(int(np.flatnonzero(gap)[0])), np.unique(np.diff(np.flatnonzero(~gap)))
+        regular = "" if len(steps) != 1 or steps[0] == 1 or len(gap) - gap.sum() < 3 else (
+            f" (filled in every {steps[0]}th row only: two rates in one file; export each rate to its own file)"
+        )  # fmt: skip
+        raise InputError(
+            f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
+            f'data row {row}{regular}; use --gaps keep, or gaps = "keep" in a map '
+            "or [[recording]], to keep them as gaps",
+            row=row,
+        )
+    return gap
+
+
+def _time(table: Table, columns: ColumnMap) -> FloatArray:
+    if columns.time is None:
+        rows = np.arange(len(table)) if table.rows is None else table.rows - table.rows[0]
+        return rows / (columns.sample_rate_hz or np.nan)  # ColumnMap has seen to it that the rate is there
+    time = table.numbers(columns.time)
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        row = table.row(int(bad[0]))
+        raise InputError(
+            f"{table.source}: time column {columns.time!r}: wanted a number in every row, got {len(bad)} empty or NaN cells, "
+            f"first in data row {row}; repair the file",
+            row=row,
+        )
+    factor = si_factor(columns.unit_of("time"), "time")
+    return time if factor == 1.0 else time * factor
+
+
+def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | None:
+    """Return the rows whose time goes forward, None when all do."""
+    steps = np.diff(time)
+    if (steps > 0.0).all():
+        return None
+    row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
+    if columns.repair_time:
+        latest = np.maximum.accumulate(time)
+        keep = np.concatenate(([True], time[1:] > latest[:-1]))
+        if keep.sum() >= 0.5 * len(time):
+            return keep
+        raise InputError(
+            f"{table.source}: time column {columns.time!r}: wanted time that mostly goes forward, got {int((~keep).sum())} of "
+            f"{len(time)} rows to drop; check that this is the time column"
+        )
+    kind = "doubled" if steps[row - 1] == 0.0 else "backward"
+    raise InputError(
+        f"{table.source}: time column {columns.time!r}: wanted strictly increasing time, got {int((steps <= 0).sum())} steps back "
+        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); set repair_time = "
+        "true in a map (--map FILE) or its [[recording]] to drop such rows",
+        row=table.row(row),
+    )
+
+
+def _check_rate(table: Table, time: FloatArray, columns: ColumnMap) -> None:
+    if columns.time is None or len(time) < 2:
+        return
+    stated = columns.sample_rate_hz
+    if stated is not None:
+        held, mean = sample_rate_of(time), (len(time) - 1) / float(time[-1] - time[0])
+        if min(abs(held / stated - 1.0), abs(mean / stated - 1.0)) > _RATE_AGREES:
+            raise InputError(
+                f"{table.source}: wanted {stated:g} Hz as stated, got {held:.4g} Hz from time column {columns.time!r}; correct "
+                "sample_rate_hz or units.time"
+            )
+    rates = two_rates(time)
+    if rates is not None:
+        raise InputError(
+            f"{table.source}: wanted one sample rate, got {rates[0]:.4g} Hz and then {rates[1]:.4g} Hz from {rates[2]:.6g} s on; "
+            "cut the file there and read each part by itself"
+        )
+
+
+def two_rates(time: FloatArray) -> tuple[float, float, float] | None:
+    """Find a lasting change of the sample rate."""
+    size = max(16, (len(time) - 1) // 64)
+    count = (len(time) - 1) // size
+    every = np.diff(time)
+    if count < 4 or every.max() < 1.1 * every.min():
+        return None
+    steps = every[: count * size].reshape(count, size)
+    low, middle, high = np.quantile(steps, (0.25, 0.5, 0.75), axis=1)
+    steady = np.flatnonzero((high - low) < 0.1 * middle)
+    if len(steady) < 4:
+        return None
+    medians = middle[steady]
+    other = np.abs(medians / medians[0] - 1.0) > 0.1
+    if other.sum() < 2 or (~other).sum() < 2:
+        return None
+    first = steady[int(np.flatnonzero(other)[0])]
+    return 1.0 / float(medians[0]), 1.0 / float(middle[first]), float(time[first * size])
+
+
+def native_columns(record: Record) -> tuple[tuple[str, ...], tuple[FloatArray, ...]]:
+    """Return a record as named columns, undrift's own names."""
+    names, columns = ["time_s"], [record.time]
+    triples: list[tuple[str, str, Any]] = [
+        ("gyro", GYRO_SUFFIX[record.gyro_unit], record.gyro),
+        ("accel", ACCEL_SUFFIX[record.accel_unit], record.accel),
+        ("mag", "ut", record.mag_ut),
+    ]
+    for channel, suffix, values in triples:
+        if values is not None:
+            names += [f"{channel}_{axis}_{suffix}" for axis in AXES]
+            columns += [np.ascontiguousarray(values[:, k]) for k in range(3)]
+    if record.temp_c is not None:
+        names.append("temp_c")
+        columns.append(record.temp_c)
+    return tuple(names), tuple(columns)

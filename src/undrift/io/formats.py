@@ -1,114 +1,106 @@
-"""One door to every recording: the content of the file says which reader it takes."""
+"""One entry to every recording: the content of a file decides which reader it takes.
+
+A format is a line of FORMATS: how its files are recognised, who makes a Record, Markers or a Reference of them, and which
+settings the reader honours. Another package adds one through the entry-point group ``undrift.formats``::
+
+    [project.entry-points."undrift.formats"]
+    logger = "their_package.logger:FORMAT"         # FORMAT = Format(recognise, record=read_logger)
+
+Its module is imported when a file is met that no built-in format recognises by its content.
+"""
 
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Literal
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes
-from undrift.io.arrays import mat_arrays, npz_arrays, record_of_arrays
-from undrift.io.columns import ColumnMap, Gaps
-from undrift.io.mocap import is_c3d, read_broad
-from undrift.io.record import Built, build_csv, write_csv
-from undrift.io.store import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
+from undrift.io.arrays import mat_arrays, npz_arrays, open_hdf5, read_mat, read_npz
+from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings
+from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
+from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
+from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
+from undrift.io.text import read_csv, write_csv
 from undrift.io.wearables import read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
-from undrift.record import Record
+from undrift.plugins import load_named, names_in
+from undrift.record import Record, Reference
 
-# ---- What a file is, by its content first and its name only where the content does not say.
-
-Format = Literal[
-    "csv", "parquet", "npz", "mat", "broad", "hdf5", "trc", "c3d", "apdm", "actigraph", "ngimu", "ximu", "ximu3", "session",
-    "json", "toml", "text", "cwa", "nilspod", "binary",
-]  # fmt: skip
+GROUP = "undrift.formats"
 _HEAD = 8192
-_XIO: tuple[tuple[str, Format], ...] = (("Time (s)", "ngimu"), ("Timestamp (us)", "ximu3"), ("Packet number", "ximu"))
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 _PROSE = {".md", ".rst", ".pdf", ".html"}
 
-
-def detect(path: str | Path) -> Format:
-    """Return the format of a file or folder."""
-    path = Path(path)
-    if path.is_dir():
-        return _folder(path)
-    head = read_bytes(checked_file(path), _HEAD)
-    return _binary(path, head) or _text(path, head)
+RecordReader = Callable[[Path, ColumnMap | None, ReadSettings], Record | ReadResult]
 
 
-def _folder(path: Path) -> Format:
-    if (path / "session.toml").is_file():
-        return "session"
-    if (path / "sensors.csv").is_file():
-        return "ngimu"
-    if (path / "Inertial.csv").is_file():
-        return "ximu3"
-    if any(path.glob("*_CalInertialAndMag.csv")):
-        return "ximu"
-    raise InputError(
-        f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3) or "
-        "*_CalInertialAndMag.csv (x-IMU), got another directory; name a file in it"
-    )
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One kind of file or folder."""
+
+    recognise: Callable[[Path, bytes], bool]  # By path and first 8 KiB, unpacked; b"" for a folder
+    record: RecordReader | None = None
+    chunks: Callable[[Path, ColumnMap | None, ReadSettings, int], Iterator[Record]] | None = None  # In constant memory
+    markers: Callable[[Path, Up | None], Markers] | None = None
+    reference: Callable[[Path, ReferenceMap | None], Reference] | None = None
+    # "columns" and fields of ReadSettings that the record reader makes use of
+    honours: frozenset[str] = frozenset()
+    instead: str = ""  # What a file without a record reader is, and what to do with it
+    generic: bool = False  # Asked after all others
 
 
-def _binary(path: Path, head: bytes) -> Format | None:
-    if head.startswith(b"PAR1"):
-        return "parquet"
-    if head.startswith(b"PK\x03\x04"):
-        return _zip(path)
-    if head.startswith(b"MATLAB"):
-        return "mat"
-    if head.startswith(b"\x89HDF\r\n\x1a\n"):
-        return _hdf5(path)
-    if head.startswith(b"MD") and path.suffix.lower() == ".cwa":
-        return "cwa"
-    if is_c3d(head) and b"POINT" in head:
-        return "c3d"
-    if b"\0" in head:
-        return "nilspod" if path.suffix.lower() == ".bin" and head[0] >= 0x30 else "binary"
-    return None
+def _line(head: bytes, number: int) -> str:
+    """Return a line of text; none of binary data."""
+    lines = [] if b"\0" in head else head.splitlines()[: number + 1]
+    return lines[number].decode("utf-8", "replace") if number < len(lines) else ""
 
 
-def _zip(path: Path) -> Format:
+def _suffix(path: Path) -> str:
+    name = path.name.lower()
+    return Path(name.removesuffix(".gz")).suffix
+
+
+def _is_npz(path: Path, head: bytes) -> bool:
+    if not head.startswith(b"PK\x03\x04"):
+        return False
     try:
         with zipfile.ZipFile(path) as held:
-            return "npz" if held.namelist() and all(name.endswith(".npy") for name in held.namelist()) else "binary"
+            return bool(held.namelist()) and all(name.endswith(".npy") for name in held.namelist())
     except zipfile.BadZipFile as error:
         raise FileFormatError(f"{path}: wanted a sound zip or npz file, got a damaged one; copy it again") from error
 
 
-def _hdf5(path: Path) -> Format:
-    from undrift.io.arrays import open_hdf5
-
+def _is_broad(path: Path, head: bytes) -> bool:
+    if not head.startswith(_HDF5):
+        return False
     with open_hdf5(path) as held:
-        if "imu_gyr" in held and "opt_quat" in held:
-            return "broad"
-        return "mat" if any("MATLAB_class" in held[name].attrs for name in held) else "hdf5"
+        return "imu_gyr" in held and "opt_quat" in held
 
 
-def _text(path: Path, head: bytes) -> Format:
-    text = head.decode("utf-8", "replace")
-    lines = text.splitlines()
-    suffix = Path(path.stem).suffix.lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
-    if text.startswith("PathFileType"):
-        return "trc"
-    if "ActiGraph" in lines[0]:
-        return "actigraph"
-    if len(lines) > 2 and lines[2].startswith("Time,") and "/Acceleration/X" in lines[2]:
-        return "apdm"
-    if "Gyroscope X (deg/s)" in lines[0]:
-        return next((kind for first, kind in _XIO if lines[0].startswith(first)), "csv")
-    if suffix == ".json" or (lines[0].lstrip()[:1] in ("{", "[") and _is_json(path)):
-        return "json"
-    if suffix == ".toml":
-        return "toml"
-    if suffix in _PROSE:
-        return "text"
-    return "csv" if _is_table(lines) else "text"
+def _is_mat(path: Path, head: bytes) -> bool:
+    if not head.startswith(_HDF5):
+        return head.startswith(b"MATLAB")
+    with open_hdf5(path) as held:
+        return any("MATLAB_class" in held[name].attrs for name in held)
 
 
-def _is_json(path: Path) -> bool:
+def _is_xio(folder: str, first: str) -> Callable[[Path, bytes], bool]:
+    """Recognise a folder by a file in it, and that file by the first word of its header."""
+
+    def recognise(path: Path, head: bytes) -> bool:
+        if not head:
+            return any(path.glob(folder))
+        header = _line(head, 0)
+        return header.startswith(first) and "Gyroscope X (deg/s)" in header
+
+    return recognise
+
+
+def _is_json(path: Path, head: bytes) -> bool:
+    if _suffix(path) == ".json" or _line(head, 0).lstrip()[:1] not in ("{", "["):
+        return _suffix(path) == ".json"
     try:
         json.loads(read_bytes(path))
     except (UnicodeDecodeError, json.JSONDecodeError):
@@ -116,52 +108,133 @@ def _is_json(path: Path) -> bool:
     return True
 
 
-def _is_table(lines: list[str]) -> bool:
-    """Tell a table from prose: most of its lines have as many separators as each other, or it is a column of numbers."""
+def _is_prose(path: Path, head: bytes) -> bool:
+    """Tell prose from a table: most lines of a table have as many separators as each other, or are numbers."""
+    if _suffix(path) in _PROSE:
+        return True
+    lines = head.decode("utf-8", "replace").splitlines()
     body = [line for line in lines[1:64] if line.strip()][:-1] or lines
     for delimiter in (",", "\t", ";"):
         counts = [line.count(delimiter) for line in body]
-        if max(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts) and min(counts) > 0:
-            return True
-    return all(_numbers(line) for line in body)
-
-
-def _numbers(line: str) -> bool:
+        if min(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts):
+            return False
     try:
-        [float(cell) for cell in line.split()]
+        return not all([float(cell) for cell in line.split()] for line in body)
     except ValueError:
-        return False
-    return bool(line.strip())
+        return True
 
 
-# ---- formats
+_TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"})
+_ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps"})
 
-NOT_RECORDS: dict[Format, str] = {
-    "trc": "marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)",
-    "c3d": "marker trajectories; read them as a reference (labels of one rigid cluster)",
-    "cwa": "the binary of an Axivity logger; export it with OMGUI or open-movement to CSV (time, gyro dps, accel g, temperature)",
-    "nilspod": "the binary of a NilsPod; export it with NilsPodLib to CSV",
-    "binary": "binary data of an unknown kind; export it to CSV, MAT or npz",
-    "hdf5": "HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read",
-    "text": "prose, not a table",
-    "json": "JSON, not a recording",
-    "toml": "settings, not a recording",
-    "session": "a session of recordings; read it as a session",
+FORMATS: dict[str, Format] = {
+    "parquet": Format(
+        lambda _, head: head.startswith(b"PAR1"),
+        record=read_parquet,
+        chunks=lambda path, columns, settings, rows: iter_parquet(path, columns, settings, rows=rows),
+        reference=read_parquet_poses,
+        honours=_TABLE,
+    ),
+    "npz": Format(
+        _is_npz, record=read_npz, reference=lambda p, c: read_array_poses(npz_arrays(p), p, c), honours=_ARRAYS
+    ),
+    "broad": Format(_is_broad, record=lambda p, *_: read_broad(p)[0], reference=lambda p, _: read_broad(p)[1]),
+    "mat": Format(
+        _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
+    ),
+    "hdf5": Format(
+        lambda _, head: head.startswith(_HDF5),
+        instead="HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read",
+    ),
+    "cwa": Format(
+        lambda path, head: head.startswith(b"MD") and path.suffix.lower() == ".cwa",
+        instead="the binary of an Axivity logger; export it with OMGUI or open-movement to CSV (time, gyro dps, accel g, "
+        "temperature)",
+    ),
+    "c3d": Format(
+        lambda _, head: b"POINT" in head and is_c3d(head),
+        markers=read_c3d,
+        instead="marker trajectories; read them as a reference (labels of one rigid cluster)",
+    ),
+    "trc": Format(
+        lambda _, head: head.startswith(b"PathFileType"),
+        markers=read_trc,
+        instead="marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)",
+    ),
+    "session": Format(
+        lambda path, head: not head and (path / "session.toml").is_file(),
+        instead="a session of recordings; read it as a session",
+    ),
+    "actigraph": Format(lambda _, head: "ActiGraph" in _line(head, 0), record=lambda p, *_: read_actigraph(p)),
+    "apdm": Format(
+        lambda _, head: _line(head, 2).startswith("Time,") and "/Acceleration/X" in _line(head, 2),
+        record=lambda path, _, settings: read_apdm(path, settings.sensor),
+        honours=frozenset({"sensor"}),
+    ),
+    "ngimu": Format(_is_xio("sensors.csv", "Time (s)"), record=lambda p, *_: read_ngimu(p), reference=read_text_poses),
+    "ximu3": Format(
+        _is_xio("Inertial.csv", "Timestamp (us)"), record=lambda p, *_: read_ximu3(p), reference=read_text_poses
+    ),
+    "ximu": Format(
+        _is_xio("*_CalInertialAndMag.csv", "Packet number"),
+        record=lambda path, _, settings: read_ximu(path, settings.sample_rate_hz),
+        honours=frozenset({"sample_rate_hz"}),
+    ),
+    # What other packages add is asked here.
+    "nilspod": Format(
+        lambda path, head: b"\0" in head and path.suffix.lower() == ".bin" and head[0] >= 0x30,
+        instead="the binary of a NilsPod; export it with NilsPodLib to CSV",
+        generic=True,
+    ),
+    "binary": Format(
+        lambda _, head: b"\0" in head,
+        instead="binary data of an unknown kind; export it to CSV, MAT or npz",
+        generic=True,
+    ),
+    "json": Format(_is_json, instead="JSON, not a recording", generic=True),
+    "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
+    "text": Format(_is_prose, instead="prose, not a table", generic=True),
+    "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, honours=_TABLE, generic=True),
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReadSettings:
-    """What a file may leave unsaid."""
+@cache
+def outside_formats() -> Mapping[str, Format]:
+    """Return the formats that other packages add."""
+    found: dict[str, Format] = {}
+    for name in names_in({}, GROUP):
+        held = load_named(name, {}, GROUP)
+        if not isinstance(held, Format):
+            raise InputError(
+                f"{name}: wanted an undrift.io.formats.Format, got {type(held).__name__}; correct the package that adds it"
+            )
+        found[name] = held
+    return found
 
-    sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
-    sensor: str | None = None  # Which sensor, in a file of several (APDM)
-    # "raise" or "keep", whatever a map says; None: as the map says, and without one gaps are refused except in
-    # Parquet that undrift wrote
-    gaps: Gaps | None = None
-    # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
-    repair_time: bool = False
-    drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
+
+def format_of(path: str | Path) -> tuple[str, Format]:
+    """Return the format of a file or folder, and its name."""
+    path = Path(path)
+    head = b"" if path.is_dir() else read_bytes(checked_file(path), _HEAD)
+    for generic in (False, True):
+        for name, entry in FORMATS.items():
+            if entry.generic is generic and entry.recognise(path, head):
+                return name, entry
+        if not generic:
+            for name, entry in outside_formats().items():
+                if name not in FORMATS and entry.recognise(path, head):
+                    return name, entry
+        if not head:
+            break
+    raise InputError(
+        f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3) or "
+        "*_CalInertialAndMag.csv (x-IMU), got another directory; name a file in it"
+    )
+
+
+def detect(path: str | Path) -> str:
+    """Return the name of the format of a file or folder."""
+    return format_of(path)[0]
 
 
 def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None) -> Record:
@@ -174,7 +247,7 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     columns : ColumnMap or None
         Which column is what; None where the format or undrift's own names say so.
     settings : ReadSettings or None
-        Sample rate, sensor and gaps where the file leaves them unsaid.
+        Sample rate, sensor and gaps where the file leaves them unstated.
 
     Returns
     -------
@@ -187,49 +260,50 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
         No such file; a file that needs a map, a rate or the name of a sensor; bad data.
     FileFormatError
         Not a recording, or a damaged one.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, undrift
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "turn.csv")
+    >>> rows = ("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps", "0.00,0,0,90", "0.01,0,0,90", "0.02,0,0,90")
+    >>> _ = path.write_text(chr(10).join(rows))
+    >>> record = undrift.read_record(path)
+    >>> len(record), record.gyro_unit, record.sample_rate_hz
+    (3, 'dps', 100.0)
     """
-    return read_built(path, columns, settings=settings).record
+    return read_counted(path, columns, settings=settings).record
 
 
-def read_built(path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None) -> Built:
+def read_counted(
+    path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None
+) -> ReadResult:
     """Read a recording and the count of rows left out."""
-    settings, path = settings or ReadSettings(), Path(path)
-    columns = _overruled(columns, settings)
-    kind = detect(path)
-    if kind in NOT_RECORDS and not (kind == "text" and columns is not None):
-        raise FileFormatError(f"{path}: wanted a recording, got {NOT_RECORDS[kind]}")
-    if columns is None and kind not in ("csv", "parquet") and (settings.repair_time or settings.drop_bad_rows):
+    path, settings = Path(path), settings or READ_SETTINGS
+    name, entry = format_of(path)
+    if columns is not None:
+        columns = columns if settings.gaps is None else replace(columns, gaps=settings.gaps)
+        if "columns" not in entry.honours and (entry.record or name == "text"):  # a map makes a table of any text
+            entry = FORMATS["csv"]
+    if entry.record is None:
+        raise FileFormatError(f"{path}: wanted a recording, got {entry.instead or name}")
+    if columns is None and (settings.repair_time or settings.drop_bad_rows) and "repair_time" not in entry.honours:
         raise InputError(
-            f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {kind}; name the "
+            f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {name}; name the "
             "columns in the map, or leave these keys out"
         )
-    if kind in ("npz", "mat"):
-        arrays = npz_arrays(path) if kind == "npz" else mat_arrays(path)
-        gaps = settings.gaps or "raise"
-        return Built(record=record_of_arrays(arrays, path, columns, sample_rate_hz=settings.sample_rate_hz, gaps=gaps))
-    if kind == "parquet":
-        rate, repair = settings.sample_rate_hz, settings.repair_time
-        return Built(record=read_parquet(path, columns, sample_rate_hz=rate, gaps=settings.gaps, repair_time=repair))
-    if columns is not None or kind == "csv":
-        return build_csv(
-            path,
-            columns,
-            sample_rate_hz=settings.sample_rate_hz,
-            gaps=settings.gaps or "raise",
-            repair_time=settings.repair_time,
-            drop_bad_rows=settings.drop_bad_rows,
-        )
-    return Built(record=_read_wearable(path, kind, settings))
+    found = entry.record(path, columns, settings)
+    return found if isinstance(found, ReadResult) else ReadResult(record=found)
 
 
 def iter_record(
     path: str | Path, columns: ColumnMap | None = None, *, rows: int = CHUNK_ROWS, settings: ReadSettings | None = None
 ) -> Iterator[Record]:
-    """Read a recording in chunks. Parquet streams in constant memory; other formats are read whole and handed out in parts."""
-    settings = settings or ReadSettings()
-    columns = _overruled(columns, settings)
-    if detect(path) == "parquet":
-        yield from iter_parquet(path, columns, rows=rows, gaps=settings.gaps, repair_time=settings.repair_time)
+    """Read a recording in chunks. Parquet streams in constant memory; other formats are read whole and cut."""
+    settings = settings or READ_SETTINGS
+    chunks = format_of(path)[1].chunks
+    if chunks is not None:
+        columns = columns if columns is None or settings.gaps is None else replace(columns, gaps=settings.gaps)
+        yield from chunks(Path(path), columns, settings, rows)
         return
     if rows < 2:
         raise InputError(f"rows: wanted two samples or more in a chunk, got {rows}")
@@ -265,24 +339,55 @@ def write_record(record: Record, path: str | Path) -> None:
         raise InputError(f"{path}: wanted a name ending in .parquet, .csv or .csv.gz, got another; name the format so")
 
 
-def _overruled(columns: ColumnMap | None, settings: ReadSettings) -> ColumnMap | None:
-    """The map with the gaps that were asked for beside it."""
-    return columns if columns is None or settings.gaps is None else replace(columns, gaps=settings.gaps)
+def read_reference(
+    path: str | Path,
+    columns: ReferenceMap | None = None,
+    *,
+    labels: tuple[str, ...] | list[str] | None = None,
+    up: Up | None = None,
+) -> Reference:
+    """Read poses of a body.
+
+    Parameters
+    ----------
+    path : str or Path
+        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; C3D or TRC markers.
+    columns : ReferenceMap or None
+        For foreign names; None for undrift's own.
+    labels : tuple of str or None
+        Markers of one rigid cluster, for C3D and TRC.
+    up : str or None
+        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not say.
+
+    Returns
+    -------
+    Reference
+        q_nb, position m where there is one, gaps NaN.
+
+    Raises
+    ------
+    InputError
+        No such file; marker files without labels or axis; columns that are not there; quaternions that are none.
+    FileFormatError
+        A damaged file, or one of another kind.
+    """
+    path = Path(path)
+    name, entry = format_of(path)
+    if entry.markers is not None:
+        markers = entry.markers(path, up)
+        if not labels:
+            raise InputError(
+                f"{path}: wanted the labels of one rigid cluster, got none; choose from {', '.join(markers.labels)}"
+            )
+        return pose_from_cluster(markers, labels)
+    if entry.reference is None:
+        raise FileFormatError(f"{path}: wanted poses (BROAD, C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
+    return entry.reference(path, columns)
 
 
-def _read_wearable(path: Path, kind: Format, settings: ReadSettings) -> Record:
-    if kind == "broad":
-        return read_broad(path)[0]
-    if kind == "apdm":
-        return read_apdm(path, settings.sensor)
-    if kind == "actigraph":
-        return read_actigraph(path)
-    if kind == "ngimu":
-        return read_ngimu(path)
-    if kind == "ximu3":
-        return read_ximu3(path)
-    if settings.sample_rate_hz is None:
-        raise InputError(
-            f"{path}: wanted the sample rate of this x-IMU recording, got none; give sample_rate_hz (--sample-rate-hz)"
-        )
-    return read_ximu(path, sample_rate_hz=settings.sample_rate_hz)
+def read_markers(path: str | Path, *, up: Up | None = None) -> Markers:
+    """Read marker trajectories from C3D or TRC."""
+    name, entry = format_of(path)
+    if entry.markers is None:
+        raise FileFormatError(f"{path}: wanted markers (C3D or TRC), got {name}; check the path")
+    return entry.markers(Path(path), up)

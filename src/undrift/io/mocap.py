@@ -1,4 +1,4 @@
-"""Markers: what the optics measured point by point, and the pose of a rigid cluster of them.
+"""Optical motion capture: marker trajectories (C3D, TRC), the pose of a rigid cluster of markers, and BROAD trials.
 
 Points are in n, the level frame with z up, in m; NaN is a gap. A cluster of three or more markers that do not lie on one line
 is a body with frame m: origin at the centroid of the cluster, axes parallel to n in the first frame in which all of its
@@ -7,23 +7,6 @@ markers are seen. Its pose in each frame solves
     minimise over R, p    sum_k | R c_k + p - x_k |^2        c_k marker k in m, x_k as seen
 
 by the singular value decomposition of sum_k x_k c_k^T (Kabsch); frames with fewer than three markers are gaps.
-
-C3D files, plain or gzip: marker points, and analog channels at their own rate.
-
-Integer and real storage, Intel, DEC and MIPS byte orders. A point with a negative residual, or at exactly 0, 0, 0, was not
-seen: NaN. Labels that repeat get #2, #3, ...; points without a label are called ``unlabelled``.
-
-TRC marker files, plain or gzip: four or five header lines, then frame, time and x, y, z of every marker.
-
-Header tabs differ between programs (labels every three columns, or every two), so a label belongs to the next
-triple in order. Rows are tab separated; an empty cell, a row that ends early, and the point 0, 0, 0 that some programs write
-for a marker they lost, are gaps.
-
-BROAD trials: one HDF5 file holds the sensor and the optics on one clock.
-
-Datasets imu_gyr (rad/s), imu_acc (m/s2, specific force), imu_mag (uT), opt_quat (w-x-y-z, body to east-north-up), opt_pos
-(m), movement (0 or 1), all of the same length; the attribute sampling_rate gives the clock. Where the optics lost the body
-its pose is NaN.
 """
 
 import tempfile
@@ -51,8 +34,8 @@ class Markers:
 
     labels: tuple[str, ...]  # One for each marker, all different
     time: FloatArray  # (N,), s, strictly increasing
-    points: FloatArray  # (N, M, 3), positions in n (z up), m; NaN is a gap
-    name: str = ""  # Where they came from
+    points: FloatArray  # (N, M, 3), m, frame n; NaN is a gap
+    name: str = ""  # File
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -72,14 +55,11 @@ class Markers:
         return sample_rate_of(self.time)
 
     def pick(self, labels: tuple[str, ...] | list[str]) -> FloatArray:
-        """Return the trajectories of some markers.
-
-        Arrays:  -> (N, K, 3) m.
-        """
+        """Return the trajectories of some markers, (N, K, 3) m."""
         for label in labels:
             if label not in self.labels:
                 near = [other for other in self.labels if label.lower() in other.lower()]
-                hint = f"say {' or '.join(near[:3])}" if near else "check the label"
+                hint = f"name {' or '.join(near[:3])}" if near else "check the label"
                 raise InputError(
                     f"{self.name or 'markers'}: wanted marker {label!r}, got {', '.join(self.labels)}; {hint}"
                 )
@@ -102,17 +82,12 @@ class ClusterPose:
 
 
 def pose_from_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Reference:
-    """Return the pose of a rigid cluster of markers; :func:`fit_cluster` also tells how rigid it was."""
+    """Return the pose of a rigid cluster of markers; :func:`fit_cluster` also returns how rigid it was."""
     return fit_cluster(markers, labels).reference
 
 
 def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> ClusterPose:
-    """Fit a rigid body to a cluster of markers, frame by frame [1]_.
-
-    References
-    ----------
-    .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32, 1976.
-    """
+    """Fit a rigid body to a cluster of markers, frame by frame (W. Kabsch, Acta Cryst. A32, 1976)."""
     if len(labels) < 3 or len(set(labels)) != len(labels):
         raise InputError(
             f"cluster: wanted three different markers or more, got {', '.join(labels) or 'none'}; name them"
@@ -134,9 +109,11 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
     square = np.where(seen, (left**2).sum(axis=2), 0.0).sum(axis=1)
     residual = np.where(good, np.sqrt(square / np.maximum(seen.sum(axis=1), 1)), np.nan)
     rms_mm = 1e3 * float(np.sqrt(np.nanmean(residual**2)))
+    q_nb = np.full((len(points), 4), np.nan)
+    q_nb[good] = _continuous_quaternions(turn[good])
     reference = Reference(
         time=markers.time,
-        q_nb=_quaternions(turn, good),
+        q_nb=q_nb,
         position=np.where(good[:, None], shift, np.nan),
         name=f"{markers.name} cluster {' '.join(labels)} (rigid within {rms_mm:.2f} mm rms)".strip(),
     )
@@ -146,10 +123,7 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
 
 
 def level_from(points: FloatArray, up: Up) -> FloatArray:
-    """Return points in n from a laboratory frame whose y or z axis points up.
-
-    Arrays: points (..., 3) -> (..., 3).
-    """
+    """Return points (..., 3) in n from a laboratory frame whose y or z axis points up."""
     if up == "z":
         return points
     if up == "y":
@@ -204,39 +178,21 @@ def _fit(points: FloatArray, seen: BoolArray, template: FloatArray) -> tuple[Flo
     return turn, centre_x - np.einsum("nij,nj->ni", turn, centre_c), good
 
 
-def _quaternions(turn: FloatArray, good: BoolArray) -> FloatArray:
-    """Return w-x-y-z of the rotations, NaN in gaps, without jumps of sign."""
+def _continuous_quaternions(turn: FloatArray) -> FloatArray:
+    """Return w-x-y-z of rotation matrices (N, 3, 3), each with the sign nearest to the one before."""
     from scipy.spatial.transform import Rotation
 
-    q = np.full((len(turn), 4), np.nan)
-    some = Rotation.from_matrix(turn[good]).as_quat(scalar_first=True)
-    flips = np.where((some[1:] * some[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    some[1:] *= np.cumprod(flips)[:, None]
-    q[good] = some
+    q: FloatArray = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+    q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
 
 
-# ---- C3D files, plain or gzip: marker points, and analog channels at their own rate.
+# ---- C3D, plain or gzip: integer and real storage; Intel, DEC and MIPS byte orders
 
 _MAGIC = 0x50
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Analog:
-    """Analog channels of a C3D file, in the unit the file states."""
-
-    labels: tuple[str, ...]  # One for each channel, all different
-    units: tuple[str, ...]  # As the file spells them
-    time: FloatArray  # (N,), s, on the clock of the points
-    values: FloatArray  # (N, K), readings, scaled as the file says
-
-    def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "time", frozen(self.time, (None,), "time"))
-        set_(self, "values", frozen(self.values, (len(self.time), len(self.labels)), "values"))
-
-
-def read_c3d(path: str | Path, *, up: Up | None = None) -> Markers:
+def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
     """Read marker trajectories from a C3D file."""
     path = Path(path)
     held = _load(path)
@@ -247,37 +203,32 @@ def read_c3d(path: str | Path, *, up: Up | None = None) -> Markers:
         raise FileFormatError(
             f"{path}: wanted marker points over two frames or more, got {count} markers, {frames} frames"
         )
+    # A point with a negative residual, or at exactly 0, 0, 0, was not seen.
     lost = np.asarray(held["data"]["meta_points"]["residuals"])[0] < 0.0
     xyz[lost | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
     rate, first = float(held["header"]["points"]["frame_rate"]), int(held["header"]["points"]["first_frame"])
     if not rate > 0.0:
         raise FileFormatError(f"{path}: wanted a frame rate above 0, got {rate:g} Hz; the header is damaged")
-    unit = next(iter(point["UNITS"]["value"]), "") if "UNITS" in point else ""
-    points = np.moveaxis(xyz, 0, 1) * _length_factor(unit, path)
+    unit, screen = (next(iter(point[key]["value"]), "") if key in point else "" for key in ("UNITS", "Y_SCREEN"))
+    if not unit.strip():
+        raise FileFormatError(f"{path}: wanted the unit of length in POINT:UNITS, got none; the parameters are damaged")
+    up = up or {"+Z": "z", "+Y": "y"}.get(str(screen))  # type: ignore[assignment]
+    if up is None:
+        raise InputError(
+            f'{path}: wanted the axis that points up, got no POINT:Y_SCREEN of +Y or +Z; state up = "y" or "z"',
+            missing="up",
+        )
+    labels: list[str] = []
+    for k in range(1, 100):  # LABELS2, LABELS3, ... continue LABELS
+        key = "LABELS" if k == 1 else f"LABELS{k}"
+        if key not in point or len(labels) >= count:
+            break
+        labels += [str(label).strip() for label in point[key]["value"]]
     return Markers(
-        labels=_labels(point, count),
+        labels=unique_labels([label or "unlabelled" for label in (labels + [""] * count)[:count]]),
         time=(first + np.arange(frames)) / rate,
-        points=level_from(points, up or _stated_up(point, path)),
+        points=level_from(np.moveaxis(xyz, 0, 1) * si_factor(unit, "length"), up),
         name=path.name,
-    )
-
-
-def read_c3d_analog(path: str | Path) -> Analog:
-    """Read the analog channels of a C3D file."""
-    path = Path(path)
-    held = _load(path)
-    values = np.asarray(held["data"]["analogs"], dtype=np.float64)[0].T
-    if values.shape[1] == 0:
-        raise FileFormatError(f"{path}: wanted analog channels, got none; the file holds points only")
-    analog, header = held["parameters"]["ANALOG"], held["header"]
-    rate = float(header["analogs"]["frame_rate"])
-    start = int(header["points"]["first_frame"]) / float(header["points"]["frame_rate"])
-    units = [str(unit).strip() for unit in analog["UNITS"]["value"]] if "UNITS" in analog else []
-    return Analog(
-        labels=_labels(analog, values.shape[1]),
-        units=tuple((units + [""] * values.shape[1])[: values.shape[1]]),
-        time=start + np.arange(len(values)) / rate,
-        values=values,
     )
 
 
@@ -325,43 +276,31 @@ def _check_size(content: bytes, path: Path) -> None:
         )
 
 
-def _stated_up(point: Any, path: Path) -> Up:
-    stated = str(next(iter(point["Y_SCREEN"]["value"]), "")) if "Y_SCREEN" in point else ""
-    if stated == "+Z":
-        return "z"
-    if stated == "+Y":
-        return "y"
-    raise InputError(
-        f'{path}: wanted the axis that points up, got no POINT:Y_SCREEN of +Y or +Z; state up = "y" or "z"'
-    )
-
-
-def _length_factor(unit: str, path: Path) -> float:
-    if not unit.strip():
-        raise FileFormatError(f"{path}: wanted the unit of length in POINT:UNITS, got none; the parameters are damaged")
-    return si_factor(unit, "length")
-
-
-def _labels(group: Any, count: int) -> tuple[str, ...]:
-    """Return ``count`` different labels; LABELS2, LABELS3, ... go on where LABELS ends."""
-    held: list[str] = []
-    for k in range(1, 100):
-        name = "LABELS" if k == 1 else f"LABELS{k}"
-        if name not in group or len(held) >= count:
-            break
-        held += [str(label).strip() for label in group[name]["value"]]
-    return unique_labels([label or "unlabelled" for label in (held + [""] * count)[:count]])
-
-
-# ---- TRC marker files, plain or gzip: four or five header lines, then frame, time and x, y, z of every marker.
+# ---- TRC, plain or gzip: four or five header lines, then frame, time and x, y, z of every marker
+#
+# Header tabs differ between programs (labels every three columns, or every two), so a label belongs to the next triple in
+# order. An empty cell, a row that ends early, and the point 0, 0, 0 that some programs write for a lost marker, are gaps.
 
 _HEAD = ("DataRate", "NumMarkers", "Units")
 
 
-def read_trc(path: str | Path, *, up: Up) -> Markers:
+def read_trc(path: str | Path, up: Up | None = None) -> Markers:
     """Read marker trajectories from a TRC file."""
     path = Path(path)
-    lines = _lines(path)
+    if up is None:
+        raise InputError(
+            f'{path}: wanted the axis that points up, got none; TRC does not say: state up = "y" or "z"', missing="up"
+        )
+    try:
+        lines = read_bytes(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise FileFormatError(
+            f"{path}: wanted a TRC file in UTF-8, got other bytes at {error.start}; save it again"
+        ) from error
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise FileFormatError(
+            f"{path}: wanted a TRC file (first word PathFileType), got {lines[0][:40] if lines else ''!r}"
+        )
     keys, values = lines[1].split("\t"), lines[2].split("\t")
     head = dict(zip((key.strip() for key in keys), (value.strip() for value in values), strict=False))
     if not all(head.get(key) for key in _HEAD):
@@ -369,7 +308,9 @@ def read_trc(path: str | Path, *, up: Up) -> Markers:
             f"{path}: wanted {', '.join(_HEAD)} in lines 2 and 3, got {', '.join(filter(None, head))}"
         )
     labels = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
-    wanted = _whole(head["NumMarkers"], path)
+    if not head["NumMarkers"].isdigit() or int(head["NumMarkers"]) < 1:
+        raise FileFormatError(f"{path}: wanted NumMarkers of 1 or more in line 3, got {head['NumMarkers']!r}")
+    wanted = int(head["NumMarkers"])
     if len(labels) != wanted:
         raise FileFormatError(f"{path}: wanted {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
     time, cells = _rows(lines, 2 + 3 * wanted, path)
@@ -381,21 +322,6 @@ def read_trc(path: str | Path, *, up: Up) -> Markers:
         return Markers(labels=unique_labels(labels), time=time, points=level_from(points, up), name=path.name)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        text = read_bytes(path).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(
-            f"{path}: wanted a TRC file in UTF-8, got other bytes at {error.start}; save it again"
-        ) from error
-    lines = text.splitlines()
-    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
-        raise FileFormatError(
-            f"{path}: wanted a TRC file (first word PathFileType), got {lines[0][:40] if lines else ''!r}"
-        )
-    return lines
 
 
 def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatArray]:
@@ -417,52 +343,31 @@ def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatAr
     return out[:, 1], out[:, 2:]
 
 
-def _whole(text: str, path: Path) -> int:
-    if not text.isdigit() or int(text) < 1:
-        raise FileFormatError(f"{path}: wanted NumMarkers of 1 or more in line 3, got {text!r}")
-    return int(text)
+# ---- BROAD trials: one HDF5 file holds the sensor and the optics on one clock
 
-
-# ---- BROAD trials: one HDF5 file holds the sensor and the optics on one clock.
-
+# rad/s; m/s2, specific force; uT; w-x-y-z, body to east-north-up; m. Where the optics lost the body its pose is NaN.
 WIDTHS = (("imu_gyr", 3), ("imu_acc", 3), ("imu_mag", 3), ("opt_quat", 4), ("opt_pos", 3))
 
 
 def read_broad(path: str | Path) -> tuple[Record, Reference]:
-    """Read one trial of the BROAD data set [1]_.
-
-    References
-    ----------
-    .. [1] D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation",
-       Data 6(7), 72, 2021.
-    """
+    """Read one trial of the BROAD data set (D. Laidig et al., Data 6(7), 72, 2021)."""
     path = Path(path)
+    held: dict[str, FloatArray] = {}
     with open_hdf5(path) as handle:
         if "sampling_rate" not in handle.attrs:
             raise FileFormatError(f"{path}: wanted the attribute sampling_rate, got none; this is not a BROAD trial")
         sample_rate_hz = float(handle.attrs["sampling_rate"])
-        gyro, accel, mag, quat, position = (
-            _columns(read_array(handle, name, path), name, n, path) for name, n in WIDTHS
-        )
+        for name, width in WIDTHS:
+            held[name] = values = read_array(handle, name, path)
+            if values.ndim != 2 or values.shape[1] != width:
+                raise FileFormatError(f"{path}: {name}: wanted shape (N, {width}), got {values.shape}; time is axis 0")
         moving = read_array(handle, "movement", path)
     if not sample_rate_hz > 0.0:
         raise FileFormatError(f"{path}: wanted sampling_rate in Hz above 0, got {sample_rate_hz:g}")
-    time = np.arange(len(gyro)) / sample_rate_hz
-    record = Record(time=time, gyro=gyro, accel=accel, mag_ut=mag)
+    time, quat = np.arange(len(held["imu_gyr"])) / sample_rate_hz, held["opt_quat"]
+    quat[np.isnan(quat).any(axis=1)] = np.nan
+    record = Record(time=time, gyro=held["imu_gyr"], accel=held["imu_acc"], mag_ut=held["imu_mag"])
     reference = Reference(
-        time=time, q_nb=_seen(quat), position=position, moving=(moving > 0.0).astype(float), name=path.name
+        time=time, q_nb=quat, position=held["opt_pos"], moving=(moving > 0.0).astype(float), name=path.name
     )
     return record, reference
-
-
-def _columns(values: FloatArray, name: str, width: int, path: Path) -> FloatArray:
-    if values.ndim != 2 or values.shape[1] != width:
-        raise FileFormatError(f"{path}: {name}: wanted shape (N, {width}), got {values.shape}; time is axis 0")
-    return values
-
-
-def _seen(quat: FloatArray) -> FloatArray:
-    """Return the quaternions with whole NaN rows where any element is missing."""
-    seen = np.array(quat)
-    seen[np.isnan(quat).any(axis=1)] = np.nan
-    return seen

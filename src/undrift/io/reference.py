@@ -1,11 +1,6 @@
-"""References: poses from BROAD, marker files, and tables of quaternions.
+"""References: poses from tables of quaternions, and anatomical bodies from skin markers.
 
-undrift's own names in CSV, Parquet, npz and mat: time_s, q_w, q_x, q_y, q_z, and optionally pos_x_m, pos_y_m, pos_z_m, moving.
-Empty cells are gaps. q maps the body to a level frame with z up, scalar first.
-
-Bodies: anatomical segments from skin markers, and a device fixed on one of them.
-
-All axes are x forward, y left, z up, as a device worn at the back would be mounted. With mid(.) the mean of markers::
+All axes of a body are x forward, y left, z up, as a device worn at the back would be mounted. With mid(.) the mean of markers::
 
     pelvis   rigid cluster of the four spines (ASIS, PSIS), or of the belt markers at the sides and the back (MWT, BWT);
              origin: middle of the rear pair, y from right to left, x from the rear pair to the front pair
@@ -13,11 +8,8 @@ All axes are x forward, y left, z up, as a device worn at the back would be moun
     trunk    the line from mid(PSIS), SACR or the rear belt markers (origin) to C7 is z, x to the front of the pelvis: the
              trunk's lean is the tilt of its z. Not rigid: it bends with the spine
 
-A cluster is fitted to all of its markers (io/mocap.py) and the anatomical axes are those of its mean shape. A frame that
+A cluster is fitted to all of its markers (io/mocap.py); the anatomical axes are those of its mean shape. A frame that
 lacks a marker of the body is a gap: a fit to fewer would jump by what the skin has moved.
-
-Labels are compared without a prefix up to ":", case, dots, blanks and underscores: ``r.PSIS``, ``RPSI`` and
-``Subject:RPSI`` are one marker.
 """
 
 from collections.abc import Callable
@@ -28,22 +20,22 @@ from typing import Literal, get_args
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.io.arrays import mat_arrays, npz_arrays, table_of_arrays
-from undrift.io.columns import Column, TextLayout
-from undrift.io.formats import detect
-from undrift.io.mocap import Markers, Up, fit_cluster, pose_from_cluster, read_broad, read_c3d, read_trc
-from undrift.io.store import read_parquet_table
-from undrift.io.table import Table, open_text, parse_text
+from undrift.io.arrays import Arrays, table_of_arrays
+from undrift.io.columns import Column, Table, TextLayout
+from undrift.io.mocap import Markers, fit_cluster
+from undrift.io.parquet import read_parquet_table
+from undrift.io.text import open_text, parse_text
 from undrift.record import Reference
 from undrift.units import si_factor
 
-# ---- Bodies: anatomical segments from skin markers, and a device fixed on one of them.
+# ---- bodies
 
 BodyName = Literal["pelvis", "thorax", "trunk"]
 AxesOf = Callable[[FloatArray], tuple[FloatArray, FloatArray]]  # markers (..., K, 3) to origin and R_nb
 
+# Compared without a prefix up to ":", case, dots, blanks and underscores: r.PSIS, RPSI and Subject:RPSI are one marker.
 ALIASES = {
     "LASI": ("LASI", "LASIS"),
     "RASI": ("RASI", "RASIS"),
@@ -81,10 +73,9 @@ class Body:
 def find_body(markers: Markers, name: BodyName) -> Body:
     """Return an anatomical segment from marker trajectories."""
     if name == "pelvis":
-        return _pelvis(markers)
+        return _rigid(markers, _pelvis_labels(markers), _pelvis_axes, "pelvis")
     if name == "thorax":
-        used = _needed(markers, _THORAX, "thorax")
-        return _rigid(markers, used, _thorax_axes, "thorax")
+        return _rigid(markers, _needed(markers, _THORAX, "thorax"), _thorax_axes, "thorax")
     if name == "trunk":
         return _trunk(markers)
     raise InputError(f"body: wanted {', '.join(get_args(BodyName))}, got {name!r}; choose one")
@@ -118,13 +109,13 @@ def device_on(
 
 
 def find_label(markers: Markers, name: str) -> str | None:
-    """Return how a recording calls a marker."""
-    plain = {_plain(label): label for label in reversed(markers.labels)}
-    return next((plain[alias] for alias in ALIASES[name] if alias in plain), None)
+    """Return the label of a marker in a recording."""
 
+    def plain(label: str) -> str:
+        return "".join(c for c in label.rsplit(":", 1)[-1].upper() if c not in "._- ")
 
-def _plain(label: str) -> str:
-    return "".join(c for c in label.rsplit(":", 1)[-1].upper() if c not in "._- ")
+    known = {plain(label): label for label in reversed(markers.labels)}
+    return next((known[alias] for alias in ALIASES[name] if alias in known), None)
 
 
 def _needed(markers: Markers, names: tuple[str, ...], body: str) -> list[str]:
@@ -139,14 +130,8 @@ def _needed(markers: Markers, names: tuple[str, ...], body: str) -> list[str]:
 
 
 def _pelvis_labels(markers: Markers) -> list[str]:
-    for names in _PELVES:
-        if all(find_label(markers, name) for name in names):
-            return _needed(markers, names, "pelvis")
-    return _needed(markers, _PELVES[0], "pelvis")
-
-
-def _pelvis(markers: Markers) -> Body:
-    return _rigid(markers, _pelvis_labels(markers), _pelvis_axes, "pelvis")
+    held = (names for names in _PELVES if all(find_label(markers, name) for name in names))
+    return _needed(markers, next(held, _PELVES[0]), "pelvis")
 
 
 def _pelvis_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -194,9 +179,8 @@ def _rigid(markers: Markers, labels: list[str], axes: AxesOf, name: str) -> Body
 def _trunk(markers: Markers) -> Body:
     from scipy.spatial.transform import Rotation
 
-    pelvis = _pelvis(markers)
-    (c7,) = _needed(markers, ("C7",), "trunk")
-    x = markers.pick([*pelvis.labels, c7])
+    labels = [*_pelvis_labels(markers), *_needed(markers, ("C7",), "trunk")]
+    x = markers.pick(labels)
     low, frame = _pelvis_axes(x[:, :4])
     turn = _axes(up=x[:, 4] - low, forward=frame[:, :, 0])
     seen: BoolArray = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
@@ -207,14 +191,15 @@ def _trunk(markers: Markers) -> Body:
     poses = Reference(
         time=markers.time, q_nb=q, position=np.where(seen[:, None], low, np.nan), name=f"{markers.name} trunk".strip()
     )
-    return Body(reference=poses, labels=(*pelvis.labels, c7), residual=0.0)
+    return Body(reference=poses, labels=tuple(labels), residual=0.0)
 
 
-# ---- reference
+# ---- tables of quaternions
 
+# undrift's own names, in CSV, Parquet, npz and mat: time_s, these, and optionally the position and moving.
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-_NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
+_NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,64 +236,23 @@ class ReferenceMap:
         return (*(() if self.time is None else (self.time,)), *self.quaternion, *more)
 
 
-def read_reference(
-    path: str | Path,
-    columns: ReferenceMap | None = None,
-    *,
-    labels: tuple[str, ...] | list[str] | None = None,
-    up: Up | None = None,
-) -> Reference:
-    """Read poses of a body.
-
-    Parameters
-    ----------
-    path : str or Path
-        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; C3D or TRC markers.
-    columns : ReferenceMap or None
-        For foreign names; None for undrift's own.
-    labels : tuple of str or None
-        Markers of one rigid cluster, for C3D and TRC.
-    up : str or None
-        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not say.
-
-    Returns
-    -------
-    Reference
-        q_nb, position m where there is one, gaps NaN.
-
-    Raises
-    ------
-    InputError
-        No such file; marker files without labels or axis; columns that are not there; quaternions that are none.
-    FileFormatError
-        A damaged file, or one of another kind.
-    """
-    path = Path(path)
-    kind = detect(path)
-    if kind == "broad":
-        return read_broad(path)[1]
-    if kind in ("trc", "c3d"):
-        markers = read_markers(path, up=up)
-        if not labels:
-            raise InputError(
-                f"{path}: wanted the labels of one rigid cluster, got none; choose from {', '.join(markers.labels)}"
-            )
-        return pose_from_cluster(markers, labels)
-    if kind in ("csv", "parquet", "npz", "mat", "ngimu", "ximu3"):
-        return _from_table(path, kind, columns)
-    raise FileFormatError(f"{path}: wanted poses (BROAD, C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {kind}")
+def read_text_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
+    """Read poses from a text table."""
+    text = open_text(path, None if columns is None else columns.layout)
+    columns = columns or _native_map(path, text.names)
+    return _poses(parse_text(text, columns.wanted()), columns, path)
 
 
-def read_markers(path: str | Path, *, up: Up | None = None) -> Markers:
-    """Read marker trajectories from C3D or TRC."""
-    kind = detect(path)
-    if kind == "c3d":
-        return read_c3d(path, up=up)
-    if kind != "trc":
-        raise FileFormatError(f"{path}: wanted markers (C3D or TRC), got {kind}; check the path")
-    if up is None:
-        raise InputError(f'{path}: wanted the axis that points up, got none; TRC does not say: state up = "y" or "z"')
-    return read_trc(path, up=up)
+def read_parquet_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
+    """Read poses from Parquet."""
+    table = read_parquet_table(path)
+    return _poses(table, columns or _native_map(path, table.names), path)
+
+
+def read_array_poses(arrays: Arrays, path: Path, columns: ReferenceMap | None = None) -> Reference:
+    """Return the poses that named arrays hold (npz, mat)."""
+    columns = columns or _native_map(path, tuple(name for name, _ in arrays))
+    return _poses(table_of_arrays(arrays, path, columns.wanted()), columns, path)
 
 
 def write_reference(reference: Reference, path: str | Path) -> None:
@@ -353,20 +297,7 @@ def native_reference(names: tuple[str, ...]) -> ReferenceMap | None:
     )
 
 
-def _from_table(path: Path, kind: str, columns: ReferenceMap | None) -> Reference:
-    if kind in ("npz", "mat"):
-        arrays = npz_arrays(path) if kind == "npz" else mat_arrays(path)
-        columns = columns or _own(path, tuple(name for name, _ in arrays))
-        return _poses(table_of_arrays(arrays, path, columns.wanted()), columns, path)
-    if kind == "parquet":
-        table = read_parquet_table(path)
-        return _poses(table, columns or _own(path, table.names), path)
-    text = open_text(path, None if columns is None else columns.layout)
-    columns = columns or _own(path, text.names)
-    return _poses(parse_text(text, columns.wanted()), columns, path)
-
-
-def _own(path: Path, names: tuple[str, ...]) -> ReferenceMap:
+def _native_map(path: Path, names: tuple[str, ...]) -> ReferenceMap:
     found = native_reference(names)
     if found is None:
         raise InputError(
@@ -387,7 +318,7 @@ def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
         position = stacked * si_factor(columns.position_unit, "length")
         position[np.isnan(position).any(axis=1)] = np.nan
     if columns.time is None:
-        # the map has seen to it that the rate is there
+        # ReferenceMap has checked that the rate is there
         time: FloatArray = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)
     else:
         time = table.numbers(columns.time) * si_factor(columns.time_unit, "time")

@@ -1,11 +1,11 @@
-"""session.toml: the recordings of one calibration and what was done in them.
+"""session.toml: the recordings of one calibration and what was done in them; and column maps in TOML, alone or in a session.
 
 [session]
 kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
 gravity_m_s2 = 9.81                 # or latitude_deg and height_m
 [[recording]]
-file = "session.csv"                # keys of a map as in undrift.io.mapping; none for undrift's own names and known formats
+file = "session.csv"                # and the keys of a map; none for undrift's own names and known formats
 [[recording]]                       # files side by side, one time base: as many tables of columns as files
 file = ["acc.txt", "gyro.txt"]
 columns = [{ time = 0, accel = [1, 2, 3] }, { time = 0, gyro = [1, 2, 3] }]
@@ -13,7 +13,7 @@ units = { time = "s", accel = "count", gyro = "count" }
 [[still]]                           # start_s, stop_s on the recording's own clock; optional face, temp_c
 [[turn]]                            # likewise; optional axis, turn_rate_dps or angle_deg, temp_c
 
-Column maps as TOML: the keys of a ``[[recording]]`` without its file, and the same in a file of their own.
+A map: the keys of a [[recording]] without its file.
 
 sample_rate_hz = 102.4
 columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }     # names, or positions from 0
@@ -24,9 +24,10 @@ delimiter = ","      # " " for any number of blanks          header = true     s
 gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
 """
 
+import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -34,16 +35,15 @@ from pydantic import Field
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, sha256_of
-from undrift.io.columns import Column, ColumnMap, Gaps, Scale, TextLayout, Trim
-from undrift.io.formats import ReadSettings, read_record
-from undrift.io.record import join_records
-from undrift.io.store import write_parquet
+from undrift.io.columns import Column, ColumnMap, Gaps, ReadSettings, Scale, TextLayout, Trim
+from undrift.io.formats import read_record
+from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, Kind, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, gravity_at
 
-# ---- Column maps as TOML: the keys of a ``[[recording]]`` without its file, and the same in a file of their own.
+# ---- column maps
 
-BESIDE_OWN_NAMES = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"}
+NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"}  # what undrift's own names may need
 
 
 class ColumnsEntry(Entry):
@@ -60,10 +60,10 @@ class UnitsEntry(Entry):
     """The unit of each mapped channel; needed for each that is mapped."""
 
     time: str = ""  # Any spelling of :mod:`undrift.units`
-    gyro: str = ""  # Any spelling of :mod:`undrift.units`
-    accel: str = ""  # Any spelling of :mod:`undrift.units`
-    temp: str = ""  # Any spelling of :mod:`undrift.units`
-    mag: str = ""  # Any spelling of :mod:`undrift.units`
+    gyro: str = ""
+    accel: str = ""
+    temp: str = ""
+    mag: str = ""
 
 
 class LinearEntry(Entry):
@@ -77,9 +77,9 @@ class ScaleEntry(Entry):
     """Conversions by channel."""
 
     gyro: LinearEntry | None = None  # From the file's numbers to the unit stated
-    accel: LinearEntry | None = None  # From the file's numbers to the unit stated
-    temp: LinearEntry | None = None  # From the file's numbers to the unit stated
-    mag: LinearEntry | None = None  # From the file's numbers to the unit stated
+    accel: LinearEntry | None = None
+    temp: LinearEntry | None = None
+    mag: LinearEntry | None = None
 
 
 class TrimEntry(Entry):
@@ -109,42 +109,39 @@ class MapEntry(Entry):
 
     def maps(self) -> tuple[ColumnMap, ...]:
         """Return one column map for each table of columns."""
-        if self.columns is None:
-            return ()
-        entries = self.columns if isinstance(self.columns, list) else [self.columns]
-        return tuple(self._map(entry) for entry in entries)
-
-    def _map(self, columns: ColumnsEntry) -> ColumnMap:
-        return ColumnMap(
-            time=columns.time,
-            gyro=_columns(columns.gyro),
-            accel=_columns(columns.accel),
-            temp=columns.temp,
-            mag=_columns(columns.mag),
-            time_unit=self.units.time,
-            gyro_unit=self.units.gyro,
-            accel_unit=self.units.accel,
-            temp_unit=self.units.temp,
-            mag_unit=self.units.mag,
-            gyro_scale=_scale(self.scale.gyro, "gyro"),
-            accel_scale=_scale(self.scale.accel, "accel"),
-            temp_scale=_scale(self.scale.temp, "temp"),
-            mag_scale=_scale(self.scale.mag, "mag"),
-            temp_trim=None
-            if self.temp_trim is None
-            else Trim(reads_c=self.temp_trim.reads_c, true_c=self.temp_trim.true_c),
-            sample_rate_hz=self.sample_rate_hz,
-            layout=TextLayout(
-                delimiter=self.delimiter,
-                header=self.header,
-                skip_rows=self.skip_rows,
-                decimal=self.decimal,
-                drop_bad_rows=self.drop_bad_rows,
-            ),
-            gaps=self.gaps,
-            repair_time=self.repair_time,
-            frame=self.frame,
-            device=self.device,
+        tables = self.columns if isinstance(self.columns, list) else [] if self.columns is None else [self.columns]
+        trim, units, scale = self.temp_trim, self.units, self.scale
+        return tuple(
+            ColumnMap(
+                time=columns.time,
+                gyro=_columns(columns.gyro),
+                accel=_columns(columns.accel),
+                temp=columns.temp,
+                mag=_columns(columns.mag),
+                time_unit=units.time,
+                gyro_unit=units.gyro,
+                accel_unit=units.accel,
+                temp_unit=units.temp,
+                mag_unit=units.mag,
+                gyro_scale=_scale(scale.gyro, "gyro"),
+                accel_scale=_scale(scale.accel, "accel"),
+                temp_scale=_scale(scale.temp, "temp"),
+                mag_scale=_scale(scale.mag, "mag"),
+                temp_trim=None if trim is None else Trim(reads_c=trim.reads_c, true_c=trim.true_c),
+                sample_rate_hz=self.sample_rate_hz,
+                layout=TextLayout(
+                    delimiter=self.delimiter,
+                    header=self.header,
+                    skip_rows=self.skip_rows,
+                    decimal=self.decimal,
+                    drop_bad_rows=self.drop_bad_rows,
+                ),
+                gaps=self.gaps,
+                repair_time=self.repair_time,
+                frame=self.frame,
+                device=self.device,
+            )
+            for columns in tables
         )
 
 
@@ -157,16 +154,16 @@ def read_column_map(path: str | Path) -> ColumnMap:
 
 
 def read_map_settings(path: str | Path) -> ReadSettings | None:
-    """Read a map without columns: what a file with undrift's own names may need beside them."""
+    """Read a map without columns: settings for a file with undrift's own names; None where the map has columns."""
     entry = read_toml(path, MapEntry)
     if entry.columns is not None:
         return None
     given = entry.model_fields_set
-    if not given or given - BESIDE_OWN_NAMES:
-        got = ", ".join(sorted(given - BESIDE_OWN_NAMES)) or "no key"
+    if not given or given - NATIVE_KEYS:
+        got = ", ".join(sorted(given - NATIVE_KEYS)) or "no key"
         raise InputError(
             f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
-            f"names only {', '.join(sorted(BESIDE_OWN_NAMES))}"
+            f"names only {', '.join(sorted(NATIVE_KEYS))}"
         )
     return ReadSettings(
         sample_rate_hz=entry.sample_rate_hz,
@@ -177,23 +174,21 @@ def read_map_settings(path: str | Path) -> ReadSettings | None:
 
 
 def _columns(entry: list[str | int] | str | None) -> tuple[Column, ...] | None:
-    if entry is None:
-        return None
-    return (entry,) if isinstance(entry, str) else tuple(entry)
+    return None if entry is None else (entry,) if isinstance(entry, str) else tuple(entry)
 
 
 def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
     if entry is None:
         return None
-    return Scale(gain=_one_or_three(entry.gain, channel), offset=_one_or_three(entry.offset, channel))
-
-
-def _one_or_three(value: float | list[float], channel: str) -> float | tuple[float, float, float]:
-    if not isinstance(value, list):
-        return float(value)
-    if len(value) != 3 or channel == "temp":
-        raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
-    return (float(value[0]), float(value[1]), float(value[2]))
+    values: list[float | tuple[float, float, float]] = []
+    for value in (entry.gain, entry.offset):
+        if not isinstance(value, list):
+            values.append(float(value))
+        elif len(value) == 3 and channel != "temp":
+            values.append((float(value[0]), float(value[1]), float(value[2])))
+        else:
+            raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
+    return Scale(gain=values[0], offset=values[1])
 
 
 # ---- session
@@ -212,8 +207,8 @@ class HeadEntry(Entry):
     kind: Kind  # calibration, thermal or static
     serial: str  # Device serial number
     gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two
-    latitude_deg: Finite | None = None  # Where it was recorded, deg and m
-    height_m: Finite | None = None  # Where it was recorded, deg and m
+    latitude_deg: Finite | None = None  # Where it was recorded
+    height_m: Finite | None = None
 
 
 class RecordingEntry(MapEntry):
@@ -226,8 +221,8 @@ class RecordingEntry(MapEntry):
 class PieceEntry(Entry):
     """What [[still]] and [[turn]] share."""
 
-    start_s: Finite  # s, on the recording's own clock; the stop is left out
-    stop_s: Finite  # s, on the recording's own clock; the stop is left out
+    start_s: Finite  # On the recording's own clock
+    stop_s: Finite  # Likewise, left out itself
     recording: int = 0  # Which [[recording]], from 0
     temp_c: Celsius | None = None  # Chamber set-point, degC
 
@@ -330,8 +325,9 @@ def write_session(session: Session, folder: str | Path) -> None:
         The folder cannot be written.
     """
     folder = Path(folder)
-    lines = ["[session]", f'kind = "{session.kind}"', f"serial = {_quoted(session.serial)}"]
-    lines += [f"gravity_m_s2 = {_number(session.gravity_m_s2)}"]
+    quoted = json.dumps(session.serial, ensure_ascii=False).replace("\x7f", "\\u007f")
+    lines = ["[session]", f'kind = "{session.kind}"', f"serial = {quoted}"]
+    lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for number, record in enumerate(session.records):
@@ -345,9 +341,9 @@ def write_session(session: Session, folder: str | Path) -> None:
             lines += ["", "[[turn]]", *_span(turn, session)]
             lines += [] if turn.axis is None else [f'axis = "{turn.axis}"']
             lines += (
-                [] if turn.turn_rate is None else [f"turn_rate_dps = {_number(turn.turn_rate / RADIAN_PER_DEGREE)}"]
+                [] if turn.turn_rate is None else [f"turn_rate_dps = {float(turn.turn_rate / RADIAN_PER_DEGREE)!r}"]
             )
-            lines += [] if turn.angle is None else [f"angle_deg = {_number(turn.angle / RADIAN_PER_DEGREE)}"]
+            lines += [] if turn.angle is None else [f"angle_deg = {float(turn.angle / RADIAN_PER_DEGREE)!r}"]
         (folder / NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(
@@ -362,7 +358,7 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Re
             f"wanted one table of columns for each file, got {len(maps)} for {len(names)} files; "
             "columns = [{ ... }, { ... }] in the order of the files"
         )
-    unused = entry.model_fields_set - {"file", "columns", "sensor"} - BESIDE_OWN_NAMES
+    unused = entry.model_fields_set - {"file", "columns", "sensor"} - NATIVE_KEYS
     if not maps and unused:
         raise InputError(
             f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
@@ -377,7 +373,24 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Re
     )
     if not records:
         raise InputError("file: wanted one file or more, got an empty list")
-    return join_records(records, tuple(names))
+    first = joined = records[0]
+    for record, name in zip(records[1:], names[1:], strict=True):
+        if len(record) != len(first) or np.abs(record.time - first.time).max() > 0.1 / first.sample_rate_hz:
+            raise InputError(
+                f"{name}: wanted the {len(first)} samples and times of {names[0]}, got {len(record)} samples or other times; "
+                "files side by side need one time base"
+            )
+        added: dict[str, Any] = {}
+        for channel in ("gyro", "accel", "temp_c", "mag_ut"):
+            values = getattr(record, channel)
+            if values is not None and getattr(joined, channel) is not None:
+                raise InputError(f"{name}: wanted channels that {names[0]} lacks, got {channel} again; map it once")
+            if values is not None:
+                added[channel] = values
+                if channel in ("gyro", "accel"):
+                    added[f"{channel}_unit"] = getattr(record, f"{channel}_unit")
+        joined = replace(joined, **added)
+    return joined
 
 
 def _gravity(head: HeadEntry) -> float:
@@ -433,19 +446,9 @@ def _samples(entry: PieceEntry, clocks: list[Clock]) -> tuple[int, int]:
 def _span(piece: Still | Turn, session: Session) -> list[str]:
     time = session.records[piece.recording].time
     stop = time[piece.stop] if piece.stop < len(time) else time[-1] + np.median(np.diff(time))
-    lines = [f"recording = {piece.recording}", f"start_s = {_number(time[piece.start])}", f"stop_s = {_number(stop)}"]
-    return lines if piece.temp_c is None else [*lines, f"temp_c = {_number(piece.temp_c)}"]
+    lines = [f"recording = {piece.recording}", f"start_s = {float(time[piece.start])!r}", f"stop_s = {float(stop)!r}"]
+    return lines if piece.temp_c is None else [*lines, f"temp_c = {float(piece.temp_c)!r}"]
 
 
 def _where(path: Path, text: str, place: Place) -> str:
     return f"{checked_file(path)}: line {line_of(text, place)}: {entry_name(place) or place[0]}"
-
-
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
-def _quoted(text: str) -> str:
-    import json
-
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,38 +1,24 @@
-"""Parquet, undrift's own format: names carry the unit, the schema carries frame, state and device.
+"""calibration.json: one object, kind "undrift.calibration", format 1. The models that read it also make its JSON Schema.
 
-The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": "g",
-"frame": "s", "state": "raw", "device": "MTi-1"}``. Files of any size are read and written in chunks of constant memory.
-
-Calibration files: calibration.json, one object, kind "undrift.calibration", format 1.
-
-Numbers are written so that they read back to the last bit. NaN is null; infinity, which JSON does not know, is "inf" or "-inf".
-A file is written whole or not at all: into a temporary neighbour first, which then takes its name.
-
-The calibration file in pydantic models: every key, its type and its shape. The JSON Schema is made from them.
-
-null stands for NaN; infinity, which JSON does not know, is "inf" or "-inf" where it can occur. A key with a default is written
-only where it says something, so that a file without it reads everywhere.
+Numbers read back to the last bit. null stands for NaN; infinity, which JSON does not know, is "inf" or "-inf" where it can
+occur. A key with a default is written only where it states something, so that a file without it reads everywhere. A file is
+written whole or not at all: into a temporary neighbour first, which then takes its name.
 """
 
 import json
 import math
 import re
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, write_whole
-from undrift.findings import CATALOGUE, Level, finding
-from undrift.io.columns import ColumnMap, Gaps, native_map
-from undrift.io.record import build_record, native_columns
-from undrift.io.table import Table
+from undrift.files import write_whole
+from undrift.findings import CATALOGUE, Finding, Level, finding
 from undrift.model import (
     AdcModel,
     Calibration,
@@ -48,49 +34,8 @@ from undrift.model import (
     Verdict,
     WarmUp,
 )
-from undrift.record import Record
-from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Orientation over time as a table: Parquet or CSV, columns that carry their units.
-
-COLUMNS = ("time_s", "q_w", "q_x", "q_y", "q_z", "inclination_deg", "heading_deg", "pitch_deg")
-
-
-def write_orientation(
-    time: FloatArray, q_nb: FloatArray, angles: tuple[FloatArray, FloatArray, FloatArray], path: str | Path
-) -> None:
-    """Write orientation over time; undrift reads the quaternions back as a reference.
-
-    Arrays: time (N,) s, q_nb (N, 4), angles (N,) rad.
-    """
-    import pyarrow as pa
-    from pyarrow import csv, parquet
-
-    path = Path(path)
-    values = np.column_stack((time, q_nb, *(angle / RADIAN_PER_DEGREE for angle in angles)))
-    table = pa.table(dict(zip(COLUMNS, values.T, strict=True)))
-    part = path.with_name(path.name + ".part")
-    try:
-        if path.name.lower().endswith(".parquet"):
-            parquet.write_table(table, part)
-        elif path.name.lower().endswith(".csv"):
-            csv.write_csv(table, part)
-        elif path.name.lower().endswith(".csv.gz"):
-            with pa.CompressedOutputStream(str(part), "gzip") as stream:
-                csv.write_csv(table, stream)
-        else:
-            raise InputError(
-                f"{path}: wanted a name ending in .parquet, .csv or .csv.gz, got another; name the format so"
-            )
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error
-
-
-# ---- The calibration file in pydantic models: every key, its type and its shape. The JSON Schema is made from them.
-
-KIND_FILE_MODEL = "undrift.calibration"
+KIND = "undrift.calibration"
 FORMAT = 1
 
 
@@ -199,7 +144,7 @@ class NoiseFile(BaseModel, strict=True, extra="forbid", frozen=True):
 
 
 class FindingFile(BaseModel, strict=True, extra="forbid", frozen=True):
-    """What a fit noticed: a code with its numbers, and the sentences of the version that wrote them."""
+    """What a fit noticed: a code with its numbers, and the text of the version that wrote it."""
 
     code: str
     level: Level
@@ -249,7 +194,7 @@ class CalibrationFile(BaseModel, strict=True, extra="forbid", frozen=True):
     provenance: ProvenanceFile
 
 
-# ---- Calibration files: calibration.json, one object, kind "undrift.calibration", format 1.
+# ---- reading and writing
 
 LATER_KEYS = (
     "gyro_uncertainty", "accel_uncertainty", "gyro_extrapolated", "accel_extrapolated", "gyro_hysteresis", "warm_up",
@@ -278,7 +223,7 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
         CalibrationFile.model_validate(content)
     except ValidationError as error:
         raise InputError(
-            f"{path}: wanted a calibration that reads back, got {_first_store(error)}; mend the value"
+            f"{path}: wanted a calibration that reads back, got {_first_problem(error)}; mend the value"
         ) from error
     text = _compact(json.dumps(content, indent=2, allow_nan=False)) + "\n"
     write_whole(path, text)
@@ -310,10 +255,8 @@ def read_calibration(path: Path | str) -> Calibration:
     except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
         raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
     kind, version = (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
-    if kind != KIND_FILE_MODEL:
-        raise FileFormatError(
-            f"{path}: wanted kind {KIND_FILE_MODEL!r}, got {kind!r}; give a file that `undrift calibrate` wrote"
-        )
+    if kind != KIND:
+        raise FileFormatError(f"{path}: wanted kind {KIND!r}, got {kind!r}; give a file that `undrift calibrate` wrote")
     if version != FORMAT or isinstance(version, bool):
         raise FileFormatError(
             f"{path}: wanted format {FORMAT}, got {version!r}; read it with the undrift that wrote it"
@@ -322,7 +265,7 @@ def read_calibration(path: Path | str) -> Calibration:
         return _value(CalibrationFile.model_validate(content))
     except ValidationError as error:
         raise FileFormatError(
-            f"{path}: wanted a calibration of format {FORMAT}, got {_first_store(error)}; repair the file"
+            f"{path}: wanted a calibration of format {FORMAT}, got {_first_problem(error)}; repair the file"
         ) from error
     except (InputError, ValueError, OverflowError) as error:
         raise FileFormatError(f"{path}: {error}") from error
@@ -333,7 +276,7 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
     drift, adc, noise = calibration.drift, calibration.adc, calibration.noise
     p = calibration.provenance
     return {
-        "kind": KIND_FILE_MODEL,
+        "kind": KIND,
         "format": FORMAT,
         "device": calibration.device,
         "reference_temp_c": _number(calibration.reference_temp_c),
@@ -365,17 +308,22 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
     return {
         "status": verdict.status,
         "reasons": list(verdict.reasons),
-        "findings": [
-            {
-                "code": item.code,
-                "level": item.level,
-                "values": {name: _plain(value) for name, value in item.values.items()},
-                "text": item.text,
-                "action": item.action,
-            }
-            for item in verdict.findings
-        ],
+        "findings": findings_json(verdict.findings),
     }
+
+
+def findings_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Return findings as files and ``--json`` hold them."""
+    return [
+        {
+            "code": item.code,
+            "level": item.level,
+            "values": {name: _plain(value) for name, value in item.values.items()},
+            "text": item.text,
+            "action": item.action,
+        }
+        for item in findings
+    ]
 
 
 def calibration_schema() -> dict[str, Any]:
@@ -386,7 +334,7 @@ def calibration_schema() -> dict[str, Any]:
     }
 
 
-def _first_store(error: ValidationError) -> str:
+def _first_problem(error: ValidationError) -> str:
     """The first thing that pydantic found wrong, on one line."""
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in first["loc"])
@@ -535,219 +483,3 @@ def _value(file: CalibrationFile) -> Calibration:
             created=p.time,
         ),
     )
-
-
-# ---- store
-
-KIND = "undrift.record"
-CHUNK_ROWS = 65_536  # 4 MB of seven channels: stays in the cache
-_KEY = b"undrift"
-_BUFFER = 1 << 20
-
-
-def read_parquet(
-    path: str | Path,
-    columns: ColumnMap | None = None,
-    *,
-    sample_rate_hz: float | None = None,
-    gaps: Gaps | None = None,
-    repair_time: bool = False,
-) -> Record:
-    """Read a record."""
-    handle = _open(path)
-    names = tuple(handle.schema_arrow.names)
-    columns = columns or replace(
-        _native(Path(path), names, handle.schema_arrow.metadata, sample_rate_hz, gaps), repair_time=repair_time
-    )
-    with handle:
-        return _record(Path(path), _whole(handle, path), columns)
-
-
-def iter_parquet(
-    path: str | Path,
-    columns: ColumnMap | None = None,
-    *,
-    rows: int = CHUNK_ROWS,
-    gaps: Gaps | None = None,
-    repair_time: bool = False,
-) -> Iterator[Record]:
-    """Read a record in chunks: constant memory, whatever the size of the file."""
-    if rows < 2:
-        raise InputError(f"rows: wanted two samples or more in a chunk, got {rows}")
-    path, handle = Path(path), _open(path, stream=True)
-    names = tuple(handle.schema_arrow.names)
-    columns = columns or replace(
-        _native(path, names, handle.schema_arrow.metadata, None, gaps), repair_time=repair_time
-    )
-    if columns.time is None:
-        raise InputError(f"{path}: wanted a time column to read in chunks, got none; add time_s or read it whole")
-    last: float | None = None
-    with handle:
-        for table in _batches(handle, rows, path):
-            record = _record(path, table, columns)
-            if last is not None and record.time[0] <= last:
-                raise InputError(
-                    f"{path}: wanted strictly increasing time, got {last:.9g} s then {record.time[0]:.9g} s; repair the file"
-                )
-            last = float(record.time[-1])
-            yield record
-
-
-def write_parquet(record: Record, path: str | Path) -> None:
-    """Write a record; every bit reads back."""
-    with ParquetWriter(path) as writer:
-        writer.write(record)
-
-
-class ParquetWriter:
-    """Write a record chunk by chunk. The file appears under its name only when the with block ends well."""
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._part = self.path.with_name(self.path.name + ".part")
-        self._writer: Any = None
-        self._schema: Any = None
-        self._last = float("-inf")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._writer is not None:
-            self._writer.close()
-        if kind is None and self._writer is not None:
-            self._part.replace(self.path)
-        else:
-            self._part.unlink(missing_ok=True)
-
-    def write(self, record: Record) -> None:
-        """Append a chunk."""
-        import pyarrow as pa
-        from pyarrow import parquet as pq
-
-        names, columns = native_columns(record)
-        schema = pa.schema([(name, pa.float64()) for name in names], metadata=_metadata(record))
-        if self._writer is None:
-            try:
-                self._writer = pq.ParquetWriter(self._part, schema, use_dictionary=False)
-            except OSError as error:
-                raise InputError(f"{self.path}: cannot be written: {error}; check the folder and its rights") from error
-            self._schema = schema
-        if not schema.equals(self._schema, check_metadata=True):
-            raise InputError(
-                f"{self.path}: wanted chunks of one record, got {schema.names} after {self._schema.names} or another "
-                "frame, state or device"
-            )
-        if record.time[0] <= self._last:
-            raise InputError(
-                f"{self.path}: wanted chunks in order of time, got {record.time[0]:.9g} s after {self._last:.9g} s"
-            )
-        self._last = float(record.time[-1])
-        self._writer.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema))
-
-
-def parquet_rows(path: str | Path) -> int:
-    """Return the number of rows without reading them."""
-    with _open(path) as handle:
-        return int(handle.metadata.num_rows)
-
-
-def parquet_names(path: str | Path) -> tuple[str, ...]:
-    """Return the column names."""
-    with _open(path) as handle:
-        return tuple(handle.schema_arrow.names)
-
-
-def read_parquet_table(path: str | Path) -> Table:
-    """Return the columns of a Parquet file as they are."""
-    with _open(path) as handle:
-        return _table(Path(path), _whole(handle, path))
-
-
-def _open(path: str | Path, *, stream: bool = False) -> Any:
-    import pyarrow as pa
-    from pyarrow import parquet as pq
-
-    path = checked_file(path)
-    try:
-        # Read ahead, Arrow keeps every row group it has read: as much memory as the file is long.
-        return pq.ParquetFile(path, pre_buffer=not stream, buffer_size=_BUFFER if stream else 0)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise FileFormatError(
-            f"{path}: wanted a Parquet file, got something else or a cut one; {_first(error)}"
-        ) from error
-
-
-def _whole(handle: Any, path: str | Path) -> Any:
-    try:
-        return handle.read()
-    except OSError as error:
-        raise FileFormatError(f"{path}: wanted a sound Parquet file, got a damaged one; {_first(error)}") from error
-
-
-def _batches(handle: Any, rows: int, path: Path) -> Iterator[Any]:
-    """Yield Arrow tables of ``rows`` rows; a last single row goes with the chunk before it."""
-    import pyarrow as pa
-
-    held: list[Any] = []
-    count = 0
-    try:
-        for batch in handle.iter_batches(batch_size=rows):
-            held.append(batch)
-            count += batch.num_rows
-            while count >= rows + 2:  # what is left over is a chunk of its own
-                table = pa.Table.from_batches(held)
-                yield table.slice(0, rows)
-                held, count = table.slice(rows).to_batches(), count - rows
-    except OSError as error:
-        raise FileFormatError(f"{path}: wanted a sound Parquet file, got a damaged one; {_first(error)}") from error
-    yield pa.Table.from_batches(held, schema=handle.schema_arrow)
-
-
-def _record(path: Path, table: Any, columns: ColumnMap) -> Record:
-    return build_record(_table(path, table), columns)
-
-
-def _table(path: Path, table: Any) -> Table:
-    return Table(source=str(path), names=tuple(table.column_names), columns=tuple(table.columns))
-
-
-def _native(
-    path: Path,
-    names: tuple[str, ...],
-    metadata: dict[bytes, bytes] | None,
-    sample_rate_hz: float | None,
-    gaps: Gaps | None,
-) -> ColumnMap:
-    try:
-        columns = native_map(names, sample_rate_hz=sample_rate_hz)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    if not metadata or _KEY not in metadata:
-        return replace(columns, gaps=gaps or "raise")
-    held = json.loads(metadata[_KEY])
-    if held.get("kind") != KIND or held.get("format") != FORMAT:
-        raise FileFormatError(
-            f"{path}: wanted {KIND} format {FORMAT}, got {held.get('kind')} format {held.get('format')}; read it with the "
-            "undrift that wrote it"
-        )
-    return replace(columns, gaps=gaps or "keep", frame=held["frame"], state=held["state"], device=held["device"])
-
-
-def _metadata(record: Record) -> dict[bytes, bytes]:
-    held = {
-        "kind": KIND,
-        "format": FORMAT,
-        "gyro_unit": record.gyro_unit if record.gyro is not None else None,
-        "accel_unit": record.accel_unit if record.accel is not None else None,
-        "frame": record.frame,
-        "state": record.state,
-        "device": record.device,
-    }
-    return {_KEY: json.dumps(held, sort_keys=True).encode()}
-
-
-def _first(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,19 +1,6 @@
-"""ActiGraph GT9X Link IMU files: ten lines about the recording, then Timestamp and g, deg/s, uT, degC.
+"""Readers of wearables' own files: APDM Opal, x-io (NGIMU, x-IMU, x-IMU3), ActiGraph GT9X Link.
 
-The temperature column is of the chip: it reads 20 to 30 degC above the room.
-
-APDM Opal: several sensors in one CSV.
-
-Test Name:, ...
-Sample Rate:,128,Hz
-Time,Static/Acceleration/X, ... ,Static/Temperature/Scalar, ...        one group for each sensor
-s,m/s^2, ... ,deg C, ...                                               the units
-
-x-io sensors as their software writes them: NGIMU and x-IMU3 folders, x-IMU files.
-
-Temperature comes in a file of its own at its own rate; it is interpolated onto the samples and held at the ends. The x-IMU
-has no time column: packets are numbered and its sample rate must be stated. The x-IMU3's magnetometer is in arbitrary units
-and is left unread.
+Temperature that comes in a file of its own, at its own rate, is interpolated onto the samples and held at the ends.
 """
 
 import re
@@ -25,29 +12,43 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import AXES, Column, ColumnMap, TextLayout
-from undrift.io.record import build_record, with_temperature
-from undrift.io.table import Table, Text, open_text, parse_text
+from undrift.io.columns import AXES, Column, ColumnMap, Table, TextLayout, build_record
+from undrift.io.text import Text, open_text, parse_text
 from undrift.record import Record
 from undrift.units import si_factor
 
-# ---- APDM Opal: several sensors in one CSV.
-
-_GYRO, _ACCEL, _MAG, _TEMP = "Angular Velocity", "Acceleration", "Magnetic Field", "Temperature/Scalar"
+# ---- APDM Opal: several sensors in one CSV
+#
+#     Test Name:, ...
+#     Sample Rate:,128,Hz
+#     Time,Static/Acceleration/X, ... ,Static/Temperature/Scalar, ...        one group for each sensor
+#     s,m/s^2, ... ,deg C, ...                                               the units
 
 
 def read_apdm(path: str | Path, sensor: str | None = None) -> Record:
     """Read one sensor of an APDM Opal file."""
     text = open_text(path, TextLayout(skip_rows=2))
-    chosen = _choose(text, sensor)
-    units = dict(zip(text.names, text.head.splitlines()[text.skip].decode("utf-8", "replace").split(","), strict=False))
-    text = replace(text, skip=text.skip + 1)
+    sensors = _sensors(text)
+    if sensor is None and len(sensors) == 1:
+        (sensor,) = sensors
+    if sensor not in sensors:
+        wanted = "the name of one sensor" if sensor is None else f"sensor {sensor!r}"
+        raise InputError(f"{text.path}: wanted {wanted}, got a file with {', '.join(sensors)}; name one of them")
+    lines = [line.decode("utf-8", "replace").split(",") for line in text.head.splitlines()[: text.skip + 1]]
+    try:
+        rate = float(lines[1][1])
+    except (IndexError, ValueError) as error:
+        raise FileFormatError(
+            f"{text.path}: wanted 'Sample Rate:,128,Hz' in line 2, got {','.join(lines[1][:3])!r}"
+        ) from error
+    units = dict(zip(text.names, lines[text.skip], strict=False))
 
     def triple(quantity: str) -> tuple[Column, ...] | None:
-        names = tuple(f"{chosen}/{quantity}/{axis.upper()}" for axis in AXES)
+        names = tuple(f"{sensor}/{quantity}/{axis.upper()}" for axis in AXES)
         return names if all(name in text.names for name in names) else None
 
-    gyro, accel, mag, temp = triple(_GYRO), triple(_ACCEL), triple(_MAG), f"{chosen}/{_TEMP}"
+    gyro, accel, mag = triple("Angular Velocity"), triple("Acceleration"), triple("Magnetic Field")
+    temp = f"{sensor}/Temperature/Scalar"
     columns = ColumnMap(
         time="Time",
         gyro=gyro,
@@ -59,11 +60,10 @@ def read_apdm(path: str | Path, sensor: str | None = None) -> Record:
         accel_unit=units[str(accel[0])] if accel else "",
         mag_unit=units[str(mag[0])] if mag else "",
         temp_unit=units.get(temp, ""),
-        device=chosen,
-        sample_rate_hz=_stated_rate(text),
+        device=sensor,
+        sample_rate_hz=rate,
     )
-    wanted = tuple(column for channel in columns.mapped() for column in columns.columns_of(channel))
-    return build_record(parse_text(text, wanted), columns)
+    return build_record(parse_text(replace(text, skip=text.skip + 1), columns.wanted()), columns).record
 
 
 def apdm_sensors(path: str | Path) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ def apdm_sensors(path: str | Path) -> tuple[str, ...]:
 
 
 def _sensors(text: Text) -> tuple[str, ...]:
-    names = [name.split("/")[0] for name in text.names if name.count("/") == 2 and f"/{_ACCEL}/" in name]
+    names = [name.split("/")[0] for name in text.names if name.count("/") == 2 and "/Acceleration/" in name]
     if "Time" not in text.names or not names:
         raise FileFormatError(
             f"{text.path}: wanted an APDM header in line 3 (Time, Name/Acceleration/X, ...), got another file"
@@ -80,92 +80,53 @@ def _sensors(text: Text) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _choose(text: Text, sensor: str | None) -> str:
-    held = _sensors(text)
-    if sensor is None and len(held) == 1:
-        return held[0]
-    if sensor not in held:
-        wanted = "the name of one sensor" if sensor is None else f"sensor {sensor!r}"
-        raise InputError(f"{text.path}: wanted {wanted}, got a file with {', '.join(held)}; name one of them")
-    return sensor
+# ---- x-io sensors as their software writes them
 
-
-def _stated_rate(text: Text) -> float | None:
-    cells = text.head.splitlines()[1].decode("utf-8", "replace").split(",")
-    try:
-        return float(cells[1])
-    except (IndexError, ValueError) as error:
-        raise FileFormatError(
-            f"{text.path}: wanted 'Sample Rate:,128,Hz' in line 2, got {','.join(cells[:3])!r}"
-        ) from error
-
-
-# ---- x-io sensors as their software writes them: NGIMU and x-IMU3 folders, x-IMU files.
-
-_GYRO_XIO: tuple[Column, ...] = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")
-_ACCEL_XIO: tuple[Column, ...] = tuple(f"Accelerometer {axis} (g)" for axis in "XYZ")
+_GYRO: tuple[Column, ...] = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")
+_ACCEL: tuple[Column, ...] = tuple(f"Accelerometer {axis} (g)" for axis in "XYZ")
+_XIO = ColumnMap(time="", time_unit="s", gyro=_GYRO, gyro_unit="dps", accel=_ACCEL, accel_unit="g")
 _PACKET = "Packet number"
 
 
 def read_ngimu(path: str | Path) -> Record:
     """Read an NGIMU folder: sensors.csv, and temperature.csv where there is one."""
-    path = _main_file(path, "sensors.csv")
-    columns = ColumnMap(
-        time="Time (s)",
-        time_unit="s",
-        gyro=_GYRO_XIO,
-        gyro_unit="dps",
-        accel=_ACCEL_XIO,
-        accel_unit="g",
-        mag=tuple(f"Magnetometer {axis} (uT)" for axis in "XYZ"),
-        mag_unit="uT",
-    )
-    record = _read(path, columns)
-    beside = path.parent / "temperature.csv"
-    if not beside.is_file():
-        return record
-    time, temp_c = _two(beside, "Time (s)", "Gyroscope And Accelerometer (degC)")
-    return with_temperature(record, time, temp_c)
+    path, clock = _main_file(path, "sensors.csv"), "Time (s)"
+    record = _read(path, replace(_XIO, time=clock, mag=_magnetometer("uT"), mag_unit="uT"))
+    return _with_temperature(record, path.parent / "temperature.csv", clock, "Gyroscope And Accelerometer (degC)", "s")
 
 
 def read_ximu3(path: str | Path) -> Record:
-    """Read an x-IMU3 folder: Inertial.csv, and Temperature.csv where there is one."""
-    path = _main_file(path, "Inertial.csv")
-    clock = "Timestamp (us)"
-    columns = ColumnMap(time=clock, time_unit="us", gyro=_GYRO_XIO, gyro_unit="dps", accel=_ACCEL_XIO, accel_unit="g")
-    record = _read(path, columns)
-    beside = path.parent / "Temperature.csv"
-    if not beside.is_file():
-        return record
-    time, temp_c = _two(beside, clock, "Temperature (degC)")
-    return with_temperature(record, time * si_factor("us", "time"), temp_c)
+    """Read an x-IMU3 folder: Inertial.csv, and Temperature.csv where there is one; its magnetometer has no unit."""
+    path, clock = _main_file(path, "Inertial.csv"), "Timestamp (us)"
+    record = _read(path, replace(_XIO, time=clock, time_unit="us"))
+    return _with_temperature(record, path.parent / "Temperature.csv", clock, "Temperature (degC)", "us")
 
 
-def read_ximu(path: str | Path, *, sample_rate_hz: float) -> Record:
-    """Read x-IMU files: NAME_CalInertialAndMag.csv, and NAME_CalBattAndTherm.csv where there is one."""
+def read_ximu(path: str | Path, sample_rate_hz: float | None = None) -> Record:
+    """Read x-IMU files, which number packets: NAME_CalInertialAndMag.csv, and NAME_CalBattAndTherm.csv where there is one."""
     path = Path(path)
+    if sample_rate_hz is None:
+        raise InputError(
+            f"{path}: wanted the sample rate of this x-IMU recording, got none; give sample_rate_hz (--sample-rate-hz)"
+        )
     if path.is_dir():
         held = sorted(path.glob("*_CalInertialAndMag.csv"))
         if len(held) != 1:
             names = ", ".join(file.name for file in held) or "none"
             raise InputError(f"{path}: wanted one *_CalInertialAndMag.csv, got {names}; name the file")
         path = held[0]
-    columns = ColumnMap(
-        sample_rate_hz=sample_rate_hz,
-        gyro=_GYRO_XIO,
-        gyro_unit="dps",
-        accel=_ACCEL_XIO,
-        accel_unit="g",
-        mag=tuple(f"Magnetometer {axis} (G)" for axis in "XYZ"),
-        mag_unit="gauss",
-    )
-    record = _read(path, columns)
-    beside = path.with_name(path.name.replace("CalInertialAndMag", "CalBattAndTherm"))
-    if beside == path or not beside.is_file():
+    columns = replace(_XIO, time=None, sample_rate_hz=sample_rate_hz, mag=_magnetometer("G"), mag_unit="gauss")
+    record, slow = _read(path, columns), path.with_name(path.name.replace("CalInertialAndMag", "CalBattAndTherm"))
+    if slow == path or not slow.is_file():
         return record
-    packet, temp_c = _two(beside, _PACKET, "Thermometer (degrees C)")
+    table = parse_text(open_text(slow), (_PACKET, "Thermometer (degrees C)"))
     mine = parse_text(open_text(path), (_PACKET,)).numbers(_PACKET)
-    return with_temperature(record, np.interp(packet, mine, record.time), temp_c)
+    time = np.interp(table.numbers(_PACKET), mine, record.time)
+    return _interpolated(record, time, table.numbers("Thermometer (degrees C)"))
+
+
+def _magnetometer(unit: str) -> tuple[Column, ...]:
+    return tuple(f"Magnetometer {axis} ({unit})" for axis in "XYZ")
 
 
 def _main_file(path: str | Path, name: str) -> Path:
@@ -177,32 +138,38 @@ def _main_file(path: str | Path, name: str) -> Path:
 
 def _read(path: Path, columns: ColumnMap) -> Record:
     text = open_text(path)
-    wanted = tuple(column for channel in columns.mapped() for column in columns.columns_of(channel))
-    missing = [column for column in wanted if column not in text.names]
+    missing = [column for column in columns.wanted() if column not in text.names]
     if missing:
         raise FileFormatError(
             f"{path}: wanted column {missing[0]!r}, got {', '.join(text.names[:12])}; not the expected format"
         )
-    return build_record(parse_text(text, wanted), columns)
+    return build_record(parse_text(text, columns.wanted()), columns).record
 
 
-def _two(path: Path, first: str, second: str) -> tuple[FloatArray, FloatArray]:
-    table = parse_text(open_text(path), (first, second))
-    return table.numbers(first), table.numbers(second)
+def _with_temperature(record: Record, slow: Path, clock: str, column: str, time_unit: str) -> Record:
+    """Return the record with the temperature of a file of its own, where there is one."""
+    if not slow.is_file():
+        return record
+    table = parse_text(open_text(slow), (clock, column))
+    return _interpolated(record, table.numbers(clock) * si_factor(time_unit, "time"), table.numbers(column))
 
 
-# ---- wearables
+def _interpolated(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
+    known = np.isfinite(time) & np.isfinite(temp_c)
+    if not known.any():
+        raise InputError("temperature: wanted one reading or more, got none; leave the temperature file out")
+    order = np.argsort(time[known], kind="stable")
+    return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
+
+
+# ---- ActiGraph GT9X Link: ten lines about the recording, then Timestamp and g, deg/s, uT, degC
 
 _HEADER_LINES = 10
 _CLOCK = "Timestamp"
 
 
 def read_actigraph(path: str | Path) -> Record:
-    """Read an ActiGraph IMU file."""
-
-    def axes(name: str) -> tuple[Column, ...]:
-        return tuple(f"{name} {axis}" for axis in "XYZ")
-
+    """Read an ActiGraph IMU file. Its temperature is the chip's: 20 to 30 degC above the room."""
     text = open_text(path, TextLayout(skip_rows=_HEADER_LINES))
     lines = [line.decode("utf-8", "replace") for line in text.head.splitlines()[:_HEADER_LINES]]
     if "ActiGraph" not in lines[0] or _CLOCK not in text.names:
@@ -211,36 +178,31 @@ def read_actigraph(path: str | Path) -> Record:
         )
     rate = re.search(r"at (\d+(?:\.\d+)?) Hz", lines[0])
     serial = re.search(r"Serial Number: *([A-Za-z0-9-]+)", "\n".join(lines))
-    columns = ColumnMap(
-        time="time_s",
-        time_unit="s",
-        gyro=axes("Gyroscope"),
-        gyro_unit="dps",
-        accel=axes("Accelerometer"),
-        accel_unit="g",
-        mag=axes("Magnetometer"),
-        mag_unit="uT",
-        temp="Temperature",
-        temp_unit="degC",
-        sample_rate_hz=float(rate.group(1)) if rate else None,
-        device=serial.group(1) if serial else "",
+    gyro, accel, mag = (
+        tuple(f"{name} {axis}" for axis in "XYZ") for name in ("Gyroscope", "Accelerometer", "Magnetometer")
     )
-    wanted = tuple(
-        column for channel in columns.mapped() if channel != "time" for column in columns.columns_of(channel)
-    )
-    table = parse_text(text, wanted)
-    time = _seconds(table.columns[table.position(_CLOCK)], text.path)
-    timed = Table(source=table.source, names=(*table.names, "time_s"), columns=(*table.columns, time))
-    return build_record(timed, columns)
-
-
-def _seconds(stamps: Any, path: Path) -> FloatArray:
-    """Return seconds since the first of a column of ISO 8601 timestamps."""
+    table = parse_text(text, (*gyro, *accel, *mag, "Temperature"))
+    stamps: Any = table.columns[table.position(_CLOCK)]
     try:
         moments = np.asarray(stamps.to_numpy()).astype("datetime64[ns]")
     except (TypeError, ValueError) as error:
         raise FileFormatError(
             f"{path}: wanted ISO 8601 timestamps, got something else ({error}); export them so"
         ) from error
-    seconds: FloatArray = (moments - moments[0]).astype(np.int64) * 1e-9
-    return seconds
+    time = (moments - moments[0]).astype(np.int64) * 1e-9
+    columns = ColumnMap(
+        time="time_s",
+        time_unit="s",
+        gyro=gyro,
+        gyro_unit="dps",
+        accel=accel,
+        accel_unit="g",
+        mag=mag,
+        mag_unit="uT",
+        temp="Temperature",
+        temp_unit="degC",
+        sample_rate_hz=float(rate.group(1)) if rate else None,
+        device=serial.group(1) if serial else "",
+    )
+    timed = Table(source=table.source, names=(*table.names, "time_s"), columns=(*table.columns, time))
+    return build_record(timed, columns).record

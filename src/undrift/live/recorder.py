@@ -37,7 +37,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, LinkError, RigTimeout, UndriftError
-from undrift.io.store import read_parquet, write_parquet
+from undrift.io.parquet import read_parquet, write_parquet
 from undrift.live.clock import Block, ClockFit, ClockSettings, Timeline
 from undrift.live.decoder import Chunk, StreamDescription
 from undrift.live.transports import Source
@@ -225,7 +225,7 @@ def iter_pieces(folder: Path | str, connection: int = 1) -> Iterator[Record]:
     for name in sorted(_names(folder)):
         found = NAME.fullmatch(name)
         if found and int(found.group(1)) == connection:
-            yield read_parquet(Path(folder) / name)
+            yield read_parquet(Path(folder) / name).record
 
 
 def read_pieces(folder: Path | str, connection: int = 1) -> Record:

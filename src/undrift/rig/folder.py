@@ -31,7 +31,7 @@ from typing import Any, BinaryIO
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import write_whole
-from undrift.io.store import write_parquet
+from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.guard import uninterrupted
 from undrift.rig.programme import Protocol, Purpose, write_protocol

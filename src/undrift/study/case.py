@@ -51,8 +51,9 @@ from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.fit.least_squares import fit_paper
 from undrift.fit.smooth import not_a_knot
 from undrift.frames import quaternion_conjugate, rotate
+from undrift.io.formats import read_markers, read_reference
 from undrift.io.mocap import Up
-from undrift.io.reference import L5_OFFSET, BodyName, device_on, find_body, read_markers, read_reference
+from undrift.io.reference import L5_OFFSET, BodyName, device_on, find_body
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
 from undrift.orientation import orient, sagittal_pitch
 from undrift.record import FACES, Face, Record, Reference, Still

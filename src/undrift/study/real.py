@@ -698,8 +698,7 @@ def _devices(entries: list[TrialEntry], folder: Path) -> tuple[DeviceTrials, ...
 
 
 def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
-    from undrift.io.formats import detect, read_record
-    from undrift.io.reference import read_reference
+    from undrift.io.formats import detect, read_record, read_reference
     from undrift.io.session import read_column_map
 
     recording = folder / entry.recording

@@ -1,0 +1,250 @@
+"""Parquet, undrift's own format: column names carry the unit, the schema carries frame, state and device.
+
+The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": "g",
+"frame": "s", "state": "raw", "device": "MTi-1"}``. Files of any size are read and written in chunks of constant memory.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import FileFormatError, InputError
+from undrift.files import checked_file, first_line
+from undrift.io.columns import (
+    READ_SETTINGS,
+    ColumnMap,
+    ReadResult,
+    ReadSettings,
+    Table,
+    build_record,
+    native_columns,
+    native_map,
+)
+from undrift.record import Record
+from undrift.units import RADIAN_PER_DEGREE
+
+KIND = "undrift.record"
+FORMAT = 1
+CHUNK_ROWS = 65_536  # 4 MB of seven channels: stays in the cache
+_KEY = b"undrift"
+_BUFFER = 1 << 20
+
+
+def read_parquet(
+    path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS
+) -> ReadResult:
+    """Read a record, through a map or with undrift's own names."""
+    with _open(path) as handle:
+        columns = columns or _native_map(Path(path), handle, settings)
+        return build_record(_table(path, _whole(path, handle)), columns)
+
+
+def iter_parquet(
+    path: str | Path,
+    columns: ColumnMap | None = None,
+    settings: ReadSettings = READ_SETTINGS,
+    *,
+    rows: int = CHUNK_ROWS,
+) -> Iterator[Record]:
+    """Read a record in chunks: constant memory, whatever the size of the file."""
+    if rows < 2:
+        raise InputError(f"rows: wanted two samples or more in a chunk, got {rows}")
+    last: float | None = None
+    with _open(path, stream=True) as handle:
+        columns = columns or _native_map(Path(path), handle, settings)
+        if columns.time is None:
+            raise InputError(f"{path}: wanted a time column to read in chunks, got none; add time_s or read it whole")
+        for part in _batches(path, handle, rows):
+            record = build_record(_table(path, part), columns).record
+            if last is not None and record.time[0] <= last:
+                raise InputError(
+                    f"{path}: wanted strictly increasing time, got {last:.9g} s then {record.time[0]:.9g} s; repair the file"
+                )
+            last = float(record.time[-1])
+            yield record
+
+
+def write_parquet(record: Record, path: str | Path) -> None:
+    """Write a record; every bit reads back."""
+    with ParquetWriter(path) as writer:
+        writer.write(record)
+
+
+class ParquetWriter:
+    """Write a record chunk by chunk. The file appears under its name only when the with block ends well."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._part = self.path.with_name(self.path.name + ".part")
+        self._writer: Any = None
+        self._schema: Any = None
+        self._last = float("-inf")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is not None:
+            self._writer.close()
+        if kind is None and self._writer is not None:
+            self._part.replace(self.path)
+        else:
+            self._part.unlink(missing_ok=True)
+
+    def write(self, record: Record) -> None:
+        """Append a chunk."""
+        import pyarrow as pa
+        from pyarrow import parquet as pq
+
+        names, columns = native_columns(record)
+        held = {
+            "kind": KIND,
+            "format": FORMAT,
+            "gyro_unit": record.gyro_unit if record.gyro is not None else None,
+            "accel_unit": record.accel_unit if record.accel is not None else None,
+            "frame": record.frame,
+            "state": record.state,
+            "device": record.device,
+        }
+        metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
+        schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
+        if self._writer is None:
+            try:
+                self._writer = pq.ParquetWriter(self._part, schema, use_dictionary=False)
+            except OSError as error:
+                raise InputError(f"{self.path}: cannot be written: {error}; check the folder and its rights") from error
+            self._schema = schema
+        if not schema.equals(self._schema, check_metadata=True):
+            raise InputError(
+                f"{self.path}: wanted chunks of one record, got {schema.names} after {self._schema.names} or another "
+                "frame, state or device"
+            )
+        if record.time[0] <= self._last:
+            raise InputError(
+                f"{self.path}: wanted chunks in order of time, got {record.time[0]:.9g} s after {self._last:.9g} s"
+            )
+        self._last = float(record.time[-1])
+        self._writer.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema))
+
+
+def parquet_rows(path: str | Path) -> int:
+    """Return the number of rows without reading them."""
+    with _open(path) as handle:
+        return int(handle.metadata.num_rows)
+
+
+def parquet_names(path: str | Path) -> tuple[str, ...]:
+    """Return the column names."""
+    with _open(path) as handle:
+        return tuple(handle.schema_arrow.names)
+
+
+def read_parquet_table(path: str | Path) -> Table:
+    """Return the columns of a Parquet file as they are."""
+    with _open(path) as handle:
+        return _table(path, _whole(path, handle))
+
+
+def _open(path: str | Path, *, stream: bool = False) -> Any:
+    import pyarrow as pa
+    from pyarrow import parquet as pq
+
+    path = checked_file(path)
+    try:
+        # Read ahead, Arrow keeps every row group it has read: as much memory as the file is long.
+        return pq.ParquetFile(path, pre_buffer=not stream, buffer_size=_BUFFER if stream else 0)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise FileFormatError(
+            f"{path}: wanted a Parquet file, got something else or a cut one; {first_line(error)}"
+        ) from error
+
+
+def _whole(path: str | Path, handle: Any) -> Any:
+    try:
+        return handle.read()
+    except OSError as error:
+        raise FileFormatError(f"{path}: wanted a sound Parquet file, got a damaged one; {first_line(error)}") from error
+
+
+def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
+    """Yield Arrow tables of ``rows`` rows; a last single row goes with the chunk before it."""
+    import pyarrow as pa
+
+    held: list[Any] = []
+    count = 0
+    try:
+        for batch in handle.iter_batches(batch_size=rows):
+            held.append(batch)
+            count += batch.num_rows
+            while count >= rows + 2:  # what is left over is a chunk of its own
+                table = pa.Table.from_batches(held)
+                yield table.slice(0, rows)
+                held, count = table.slice(rows).to_batches(), count - rows
+    except OSError as error:
+        raise FileFormatError(f"{path}: wanted a sound Parquet file, got a damaged one; {first_line(error)}") from error
+    yield pa.Table.from_batches(held, schema=handle.schema_arrow)
+
+
+def _table(path: str | Path, table: Any) -> Table:
+    return Table(source=str(path), names=tuple(table.column_names), columns=tuple(table.columns))
+
+
+def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:
+    columns = native_map(tuple(handle.schema_arrow.names), settings, source=str(path))
+    metadata = handle.schema_arrow.metadata
+    if not metadata or _KEY not in metadata:
+        return columns
+    held = json.loads(metadata[_KEY])
+    if held.get("kind") != KIND or held.get("format") != FORMAT:
+        raise FileFormatError(
+            f"{path}: wanted {KIND} format {FORMAT}, got {held.get('kind')} format {held.get('format')}; read it with the "
+            "undrift that wrote it"
+        )
+    # undrift wrote it: NaN in it is a gap
+    gaps = settings.gaps or "keep"
+    return replace(columns, gaps=gaps, frame=held["frame"], state=held["state"], device=held["device"])
+
+
+# ---- orientation over time, Parquet or CSV
+
+COLUMNS = ("time_s", "q_w", "q_x", "q_y", "q_z", "inclination_deg", "heading_deg", "pitch_deg")
+
+
+def write_orientation(
+    time: FloatArray, q_nb: FloatArray, angles: tuple[FloatArray, FloatArray, FloatArray], path: str | Path
+) -> None:
+    """Write orientation over time; undrift reads the quaternions back as a reference.
+
+    Arrays: time (N,) s, q_nb (N, 4), three angles (N,) rad.
+    """
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    path = Path(path)
+    values = np.column_stack((time, q_nb, *(angle / RADIAN_PER_DEGREE for angle in angles)))
+    table = pa.table(dict(zip(COLUMNS, values.T, strict=True)))
+    part = path.with_name(path.name + ".part")
+    try:
+        if path.name.lower().endswith(".parquet"):
+            parquet.write_table(table, part)
+        elif path.name.lower().endswith(".csv"):
+            csv.write_csv(table, part)
+        elif path.name.lower().endswith(".csv.gz"):
+            with pa.CompressedOutputStream(str(part), "gzip") as stream:
+                csv.write_csv(table, stream)
+        else:
+            raise InputError(
+                f"{path}: wanted a name ending in .parquet, .csv or .csv.gz, got another; name the format so"
+            )
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error

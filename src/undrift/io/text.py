@@ -1,0 +1,211 @@
+"""Text tables: comma, tab, semicolon or blank separated, plain or gzip; CSV through a ColumnMap, or with undrift's own names.
+
+Arrow parses the rows; they are checked one by one only where that fails. undrift writes the unit into every column name. Frame,
+state and device stand in a first line, only where they are not the usual ones (sensor axes, raw, no device), so that a
+corrected file is never corrected twice::
+
+    # undrift record; frame=b; state=corrected; device=MTi-1
+"""
+
+import csv
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from undrift.errors import FileFormatError, InputError
+from undrift.files import checked_file, is_gzip, read_bytes
+from undrift.frames import Frame
+from undrift.io.columns import (
+    READ_SETTINGS,
+    Column,
+    ColumnMap,
+    ReadResult,
+    ReadSettings,
+    Table,
+    TextLayout,
+    build_record,
+    find_column,
+    native_columns,
+    native_map,
+)
+from undrift.record import Record, State
+
+MARK = b"# undrift "
+EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
+_HEAD = 1 << 20
+_NUMBER = r"^[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|[iI][nN][fF](inity)?)[ \t\r]*$"
+
+
+def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
+    """Read a record from a text table, through a map or with undrift's own names."""
+    text = open_text(path, TextLayout(drop_bad_rows=settings.drop_bad_rows) if columns is None else columns.layout)
+    if columns is None:
+        columns = replace(native_map(text.names, settings, source=str(path)), layout=text.layout)
+        if text.mark:
+            marked = dict(part.strip().split("=", 1) for part in text.mark.split(";")[1:] if "=" in part)
+            frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
+            if marked.get("frame") not in frames or marked.get("state") not in states:
+                raise FileFormatError(
+                    f"{path}: wanted '# undrift record; frame=...; state=...; device=...' in line 1, got {text.mark[:60]!r}"
+                )
+            frame, state = frames[marked["frame"]], states[marked["state"]]
+            columns = replace(columns, frame=frame, state=state, device=marked.get("device", ""))
+    return build_record(parse_text(text, columns.wanted()), columns)
+
+
+def write_csv(record: Record, path: str | Path) -> None:
+    """Write a record with undrift's own column names; every number reads back to the same bits."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names, columns = native_columns(record)
+    table = pa.table([pa.array(column, from_pandas=True) for column in columns], names=list(names))
+    head = ",".join(names) + "\n"
+    if record.frame != "s" or record.state != "raw" or record.device:
+        device = " ".join(record.device.replace(";", ",").split())
+        head = f"# undrift record; frame={record.frame}; state={record.state}; device={device}\n{head}"
+    path = Path(path)
+    try:
+        with pa.OSFile(str(path), "wb") as raw:
+            sink = pa.CompressedOutputStream(raw, "gzip") if path.suffix == ".gz" else raw
+            sink.write(head.encode())
+            arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
+            if sink is not raw:
+                sink.close()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Text:
+    """A text table, opened and its header read, its rows not parsed yet."""
+
+    path: Path
+    content: bytes | None  # Unpacked text; None when Arrow may read the file itself
+    head: bytes  # The first MiB of the text
+    names: tuple[str, ...]  # Header, or positions as text
+    layout: TextLayout
+    skip: int  # Lines before the first row
+    mark: str  # undrift's own first line, "" where there is none
+
+
+def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
+    """Open a text table and read its header."""
+    layout, path = layout or TextLayout(), checked_file(path)
+    blanks = layout.delimiter == " "
+    content = read_bytes(path) if blanks or is_gzip(path) else None
+    if content is not None and blanks:  # runs of blanks and tabs are one delimiter
+        content = re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", content.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
+    head = content[:_HEAD] if content is not None else read_bytes(path, _HEAD)
+    if b"\0" in head[:4096]:
+        raise FileFormatError(f"{path}: wanted UTF-8 text, got binary data or UTF-16; save it as UTF-8 text")
+    mark = head.splitlines()[0].decode("utf-8", "replace") if head.startswith(MARK) else ""
+    skip = layout.skip_rows + bool(mark)
+    lines = head.splitlines()[skip : skip + 64]
+    if not lines:
+        raise FileFormatError(f"{path}: wanted rows after {skip} skipped lines, got none; check skip_rows")
+    if layout.header:
+        try:
+            header = lines[0].removeprefix(b"\xef\xbb\xbf").decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise FileFormatError(
+                f"{path}: wanted UTF-8 text, got byte 0x{lines[0][error.start]:02x} in the header; save the file as UTF-8"
+            ) from error
+        names = tuple(next(csv.reader([header.strip(" ") if blanks else header], delimiter=layout.delimiter), ()))
+    else:  # positions, as many as most of the first rows have columns
+        counts = [line.count(layout.delimiter.encode()) + 1 for line in lines]
+        names = tuple(str(i) for i in range(max(set(counts), key=counts.count)))
+    return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header, mark=mark)
+
+
+def parse_text(text: Text, wanted: tuple[Column, ...]) -> Table:
+    """Parse the rows of a text table."""
+    import pyarrow as pa
+
+    positions = [find_column(text.names, column, str(text.path)) for column in wanted]
+    if not any(line.strip() for line in text.head.splitlines()[text.skip :]):
+        return Table(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
+    try:
+        parsed = _parsed(text, {str(i): pa.float64() for i in positions}, block_size=1 << 22)
+    except pa.ArrowInvalid:
+        return _parse_by_row(text, positions)
+    return Table(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+
+
+def _parsed(text: Text, types: dict[str, Any], *, bad_row: Any = None, **reading: Any) -> Any:
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names = [str(i) for i in range(len(text.names))]
+    return arrow_csv.read_csv(
+        pa.OSFile(str(text.path), "rb") if text.content is None else pa.BufferReader(text.content),
+        read_options=arrow_csv.ReadOptions(column_names=names, skip_rows=text.skip, **reading),
+        parse_options=arrow_csv.ParseOptions(delimiter=text.layout.delimiter, invalid_row_handler=bad_row),
+        convert_options=arrow_csv.ConvertOptions(
+            column_types=types,
+            null_values=EMPTY,
+            strings_can_be_null=True,
+            check_utf8=False,
+            decimal_point=text.layout.decimal,
+        ),
+    )
+
+
+def _parse_by_row(text: Text, positions: list[int]) -> Table:
+    """Find the bad rows, and drop them or name the first."""
+    import pyarrow as pa
+    from pyarrow import compute as pc
+
+    ragged: list[Any] = []  # rows with another number of columns
+
+    def skip(row: Any) -> str:
+        ragged.append(row)
+        return "skip"
+
+    try:
+        types = {str(i): pa.binary() for i in range(len(text.names))}
+        parsed = _parsed(text, types, bad_row=skip, use_threads=False)
+    except pa.ArrowInvalid as error:
+        raise FileFormatError(
+            f"{text.path}: wanted rows of text, got something else: {str(error).splitlines()[0]}; check the file and the delimiter"
+        ) from error
+    if ragged and not text.layout.drop_bad_rows:
+        row = ragged[0]
+        raise FileFormatError(
+            f"{text.path}: wanted {row.expected_columns} columns in every row, got {row.actual_columns} in data row "
+            f"{row.number - text.skip} ({row.text[:40]!r}; {len(ragged)} such rows); repair them, or set "
+            "drop_bad_rows = true in a map (--map FILE)",
+            row=row.number - text.skip,
+        )
+    lost = np.array([row.number - text.skip - 1 for row in ragged], dtype=np.int64)
+    rows = np.setdiff1d(np.arange(parsed.num_rows + len(lost)), lost)
+    columns, good = list(parsed.columns), np.ones(parsed.num_rows, dtype=np.bool_)
+    for i in positions:
+        cells = columns[i]
+        if text.layout.decimal != ".":
+            cells = pc.replace_substring(cells, text.layout.decimal.encode(), b".")
+        number = pc.fill_null(pc.match_substring_regex(cells, _NUMBER), True)  # an empty cell is a gap
+        fine = np.asarray(number.to_numpy(), dtype=np.bool_)
+        if not fine.all() and not text.layout.drop_bad_rows:
+            first = int(np.flatnonzero(~fine)[0])
+            cell = columns[i][first].as_py()[:40].decode("utf-8", "replace")
+            raise FileFormatError(
+                f"{text.path}: column {text.names[i]!r}: wanted numbers, got {cell!r} in data row "
+                f"{rows[first] + 1} ({int((~fine).sum())} such rows); repair the file, or set drop_bad_rows = true "
+                "in a map (--map FILE)",
+                row=int(rows[first]) + 1,
+            )
+        good &= fine
+        clean = pc.if_else(pa.array(fine), cells, None)
+        columns[i] = pc.cast(pc.utf8_trim_whitespace(pc.cast(clean, pa.string())), pa.float64())
+    mask = pa.array(good)
+    return Table(
+        source=str(text.path),
+        names=text.names,
+        columns=tuple(column.filter(mask) for column in columns),
+        rows=rows[good],
+        dropped=len(lost) + int((~good).sum()),
+    )
