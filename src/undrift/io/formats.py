@@ -165,7 +165,9 @@ FORMATS: dict[str, Format] = {
         lambda path, head: not head and (path / "session.toml").is_file(),
         instead="a session of recordings; read it as a session",
     ),
-    "actigraph": Format(lambda _, head: "ActiGraph" in _line(head, 0), record=lambda p, *_: read_actigraph(p)),
+    "actigraph": Format(
+        lambda _, head: "Data File Created By ActiGraph" in _line(head, 0), record=lambda p, *_: read_actigraph(p)
+    ),
     "apdm": Format(
         lambda _, head: _line(head, 2).startswith("Time,") and "/Acceleration/X" in _line(head, 2),
         record=lambda path, _, settings: read_apdm(path, settings.sensor),

@@ -1,0 +1,156 @@
+"""The registry of formats: every row is sound, and another package adds one through an entry point."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import undrift
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
+from undrift.io.formats import FORMATS, detect, iter_record, outside_formats
+from undrift.io.inspect import describe
+from undrift.record import Record, Reference
+
+LOGGER = """
+import numpy as np
+from undrift.io.formats import Format
+from undrift.record import Record, Reference
+
+def readings(path):
+    return np.array([[float(x) for x in line.split("|")] for line in path.read_text().splitlines()[1:]])
+
+def read_logger(path, columns, settings):
+    rows = readings(path)
+    rate = settings.sample_rate_hz or 100.0
+    return Record(time=np.arange(len(rows)) / rate, gyro=rows[:, :3], gyro_unit="dps", device="L1")
+
+def read_poses(path, columns):
+    rows = readings(path)
+    return Reference(time=np.arange(len(rows)) / 100.0, q_nb=np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1)))
+
+FORMAT = Format(
+    lambda path, head: head.startswith(b"LOGGER|"),
+    record=read_logger,
+    reference=read_poses,
+    honours=frozenset({"sample_rate_hz"}),
+)
+NO_FORMAT = "read_logger"
+"""
+POINTS = "[undrift.formats]\nlogger = their_logger:FORMAT\ncsv = their_logger:FORMAT\n"
+
+
+def install(folder: Path, points: str) -> None:
+    """Write a package with entry points as Python finds an installed one."""
+    (folder / "their_logger.py").write_text(LOGGER)
+    (folder / "their_logger-1.0.dist-info").mkdir()
+    (folder / "their_logger-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: their-logger\nVersion: 1.0\n"
+    )
+    (folder / "their_logger-1.0.dist-info" / "entry_points.txt").write_text(points)
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch) -> Iterator[Path]:
+    """A folder on the path of Python, as site-packages is."""
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(folder)
+    outside_formats.cache_clear()
+    yield folder
+    outside_formats.cache_clear()
+    sys.modules.pop("their_logger", None)
+
+
+def log(path: Path, n: int = 300) -> np.ndarray:
+    rates = np.random.default_rng(3).normal(0.0, 0.5, (n, 3))
+    path.write_text("LOGGER|1|x\n" + "\n".join("|".join(map(repr, map(float, row))) for row in rates) + "\n")
+    return rates
+
+
+def test_every_format_reads_something_or_names_what_it_is():
+    for name, entry in FORMATS.items():
+        readers = (entry.record, entry.markers, entry.reference)
+        assert any(readers) or entry.instead, name
+        assert entry.honours <= {"columns", *ReadSettings.__dataclass_fields__}, name
+        assert entry.record is not None or entry.instead, name
+
+
+def test_a_format_of_another_package_is_read_and_described(site, tmp_path):
+    install(site, POINTS)
+    rates = log(tmp_path / "a.log")
+    assert "their_logger" not in sys.modules
+    assert detect(tmp_path / "a.log") == "logger"
+    record = undrift.read_record(tmp_path / "a.log")
+    np.testing.assert_array_equal(record.gyro, rates)
+    assert (record.device, record.sample_rate_hz) == ("L1", pytest.approx(100.0))
+    slower = undrift.read_record(tmp_path / "a.log", settings=ReadSettings(sample_rate_hz=50.0))
+    assert slower.sample_rate_hz == pytest.approx(50.0)
+    assert isinstance(undrift.read_reference(tmp_path / "a.log"), Reference)
+    assert [len(part) for part in iter_record(tmp_path / "a.log", rows=200)] == [200, 100]
+    found = describe(tmp_path / "a.log")
+    assert (found.kind, found.format, found.rows, found.units[1]) == ("recording", "logger", 300, ("gyro", "dps"))
+
+
+def test_undrift_info_shows_a_format_of_another_package(site, tmp_path, monkeypatch):
+    install(site, POINTS)
+    log(tmp_path / "a.log")
+    monkeypatch.setenv("PYTHONPATH", f"{site}:{Path(undrift.__file__).parents[1]}")
+    done = subprocess.run(
+        [sys.executable, "-m", "undrift", "info", tmp_path / "a.log"], capture_output=True, text=True, check=True
+    )
+    assert "recording (logger)" in done.stdout
+    assert "300 samples at 100 Hz" in done.stdout
+
+
+def test_a_format_of_another_package_never_replaces_one_of_undrift(site, tmp_path):
+    install(site, POINTS)
+    (tmp_path / "r.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n1,1,2,3\n")
+    assert detect(tmp_path / "r.csv") == "csv"
+    assert undrift.read_record(tmp_path / "r.csv").device == ""
+
+
+def test_a_map_reads_a_text_file_of_another_format_as_a_table(site, tmp_path):
+    install(site, POINTS)
+    (tmp_path / "a.log").write_text("LOGGER|y|z\n" + "1|2|3\n" * 4)
+    layout = TextLayout(delimiter="|")
+    columns = ColumnMap(gyro=("LOGGER", "y", "z"), gyro_unit="dps", sample_rate_hz=10.0, layout=layout)
+    assert undrift.read_record(tmp_path / "a.log", columns).gyro.tolist() == [[1.0, 2.0, 3.0]] * 4
+
+
+def test_an_entry_point_that_is_no_format_is_refused_by_name(site, tmp_path):
+    install(site, "[undrift.formats]\nbroken = their_logger:NO_FORMAT\n")
+    (tmp_path / "a.log").write_text("a\n")
+    with pytest.raises(InputError, match=r"broken: wanted an undrift.io.formats.Format, got str; correct the package"):
+        detect(tmp_path / "a.log")
+
+
+def test_a_note_that_names_a_maker_is_prose(tmp_path):
+    (tmp_path / "SOURCE.md").write_text("# ActiGraph files\n\nwhere they come from\n")
+    assert detect(tmp_path / "SOURCE.md") == "text"
+    with pytest.raises(FileFormatError, match="got prose, not a table"):
+        undrift.read_record(tmp_path / "SOURCE.md")
+
+
+def test_reading_a_table_passes_few_modules(tmp_path):
+    """From ``read_record`` to the parser and back: the modules whose functions are called."""
+    for name in ("r.csv", "r.parquet"):
+        undrift.write_record(Record(time=np.arange(100) / 100, gyro=np.ones((100, 3)), device="A"), tmp_path / name)
+        passed: set[str] = set()
+
+        def note(frame, event, _, passed=passed):
+            module = frame.f_globals.get("__name__", "")
+            if event == "call" and module.startswith("undrift."):
+                passed.add(module)
+
+        outside_formats()
+        sys.setprofile(note)
+        try:
+            undrift.read_record(tmp_path / name)
+        finally:
+            sys.setprofile(None)
+        print(f"  {name}: {len(passed)} modules: {', '.join(sorted(passed))}")
+        assert len(passed) <= 7  # and the command's own: 8
