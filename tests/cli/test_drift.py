@@ -137,7 +137,7 @@ def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soak
     out = answer.out
     for said in (
         "verdict: good",
-        "half loop",
+        "hysteresis half-width",
         "scale factor",
         "asymmetry",
         "scale + dynamic",

@@ -135,10 +135,10 @@ DRAWN = {
 }
 WORDS = {
     "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "cooling branch", "95 %"),
-    "offsets without blocks": (">offset<", "uncertainty of the table", "a pose has no single offset to draw"),
+    "offsets without blocks": (">offset<", "uncertainty of the table", "a pose has no single offset"),
     "change alone": ("x (count)", "the same less the fit"),
     "scale": ("scale factor against", "y (%)", "soaks, 95 %"),
-    "dynamic": ("measured rate (deg/s)", "20 degC", "error taken off"),
+    "dynamic": ("measured rate (deg/s)", "20 degC", "correction (deg/s)"),
     "choice": ("scale (chosen)", "scale + dynamic"),
 }
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from undrift.correction.correct import correct
+from undrift.findings import finding
 from undrift.model import AdcModel, Verdict
 from undrift.report.validation import (
     COLUMNS,
@@ -33,6 +34,7 @@ METHOD = Method(
     verdict=Verdict(),
     settings=TrialSettings(offset="none"),
 )
+WHY = finding("earlier.text", "warn", text="why so")
 MADE = true_calibration(random_device(np.random.default_rng(2)))
 
 
@@ -46,7 +48,7 @@ def result():
     return validate_trials(pairs, calibrations=(None,), settings=TrialSettings(offset="none"), names=["a", "b", "c"])
 
 
-def said(method):
+def choices(method):
     return dict(method_section(method).rows)
 
 
@@ -66,7 +68,7 @@ def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(resu
     sections = validation_sections(result, METHOD)
     assert [section.title for section in sections] == [
         "Errors",
-        "What was done",
+        "Method",
         "Recordings",
         "Agreement over trials",
         "a",
@@ -91,58 +93,64 @@ def test_each_recording_is_shown_with_its_reference_its_lag_and_the_share_of_its
         )
     unseen = recordings_section(replace(METHOD, references=()), (replace(result.trials[0], mounting=None),) * 3)
     assert unseen.rows[0][1] == "the same file"
-    assert unseen.rows[0][5] == "not seen"
+    assert unseen.rows[0][5] == "not observable"
 
 
 def test_the_page_says_which_calibration_judged_and_what_its_verdict_was():
-    assert said(METHOD)["calibration"] == "none: readings as they come, in the unit of their file"
-    assert "its verdict" not in said(METHOD)
-    read = replace(
-        METHOD, calibration=MADE, source="mine.json", verdict=Verdict(status="marginal", remarks=("why so",))
+    assert choices(METHOD)["calibration"] == "none: readings in the unit of their file"
+    assert "its verdict" not in choices(METHOD)
+    read = replace(METHOD, calibration=MADE, source="mine.json", verdict=Verdict(status="marginal", findings=(WHY,)))
+    assert choices(read)["calibration"].startswith(f"mine.json of {MADE.device}: gyroscope by ")
+    assert method_section(read).rows[1] == ("its verdict", "marginal")
+    assert method_section(read).findings == (WHY,)
+    assert method_section(METHOD).findings == ()
+    assert "figures are optimistic" in choices(replace(METHOD, calibration=MADE))["calibration"]
+    assert choices(replace(METHOD, calibration=MADE, leave_one_out=True))["calibration"].startswith(
+        "leave-one-out: each"
     )
-    assert said(read)["calibration"].startswith(f"mine.json of {MADE.device}: gyroscope by ")
-    assert method_section(read).rows[1:3] == (("its verdict", "marginal"), ("", "why so"))
-    assert "flatters the figures" in said(replace(METHOD, calibration=MADE))["calibration"]
-    assert said(replace(METHOD, calibration=MADE, leave_one_out=True))["calibration"].startswith("leave-one-out: each")
 
 
 def test_the_page_says_what_became_of_the_offset():
     rest = replace(METHOD, settings=TrialSettings(offset="rest"))
-    assert said(METHOD)["gyroscope's offset"] == "left as it is"
-    assert said(rest)["gyroscope's offset"] == "the mean rate of the rest before the motion was taken off"
-    assert said(replace(METHOD, calibration=MADE))["gyroscope's offset"] == "the calibration's alone"
-    assert said(replace(rest, calibration=MADE))["gyroscope's offset"].startswith(
+    assert choices(METHOD)["gyroscope's offset"] == "not corrected"
+    assert choices(rest)["gyroscope's offset"] == "the mean rate of the rest before the motion is subtracted"
+    assert choices(replace(METHOD, calibration=MADE))["gyroscope's offset"] == "the calibration's alone"
+    assert choices(replace(rest, calibration=MADE))["gyroscope's offset"].startswith(
         "the calibration's, and the mean rate"
     )
-    assert "what the others' motion added" in said(replace(rest, leave_one_out=True))["gyroscope's offset"]
+    assert "and the motion of the others" in choices(replace(rest, leave_one_out=True))["gyroscope's offset"]
 
 
 def test_the_page_says_what_became_of_the_rounding():
     codes = replace(MADE, adc=AdcModel(gyro_lsb=np.ones(3), gyro_rounding="toward_zero"))
-    assert said(METHOD)["ADC's rounding"].startswith("given back where the codes show one")
-    assert said(replace(METHOD, settings=TrialSettings(adc="none")))["ADC's rounding"] == "left in"
-    assert said(replace(METHOD, calibration=codes))["ADC's rounding"] == (
-        "as the calibration knows it (gyroscope toward zero): what the codes lost was given back"
+    assert choices(METHOD)["ADC's rounding"].startswith("corrected where the codes show it")
+    assert choices(replace(METHOD, settings=TrialSettings(adc="none")))["ADC's rounding"] == "left in"
+    assert choices(replace(METHOD, calibration=codes))["ADC's rounding"] == (
+        "corrected by the calibration (gyroscope toward zero)"
     )
     assert (
-        said(replace(METHOD, calibration=replace(MADE, adc=None)))["ADC's rounding"]
-        == "none known to the calibration: left in"
+        choices(replace(METHOD, calibration=replace(MADE, adc=None)))["ADC's rounding"]
+        == "unknown to the calibration: left in"
     )
 
 
 def test_the_page_says_how_far_the_lag_was_looked_for():
     settings = TrialSettings(lag=LagSettings(longest_lag_s=30.0))
-    assert said(replace(METHOD, settings=settings))["lag"].startswith(
-        "looked for up to 30 s either way; one up to 10 ms"
+    assert choices(replace(METHOD, settings=settings))["lag"].startswith(
+        "searched up to 30 s either way; one up to 10 ms"
     )
 
 
 @pytest.mark.parametrize(
     ("align", "words"),
-    [("auto", "undone where it exceeds 5 deg"), ("rates", "is undone"), ("none", "is taken for the reference's body")],
+    [
+        ("auto", "removed where it exceeds 5 deg"),
+        ("rates", "is removed"),
+        ("none", "is assumed to be the reference's body"),
+    ],
 )
 def test_the_page_says_what_became_of_the_mounting(align, words):
-    assert said(replace(METHOD, settings=TrialSettings(align=align)))["mounting"].endswith(words)
+    assert choices(replace(METHOD, settings=TrialSettings(align=align)))["mounting"].endswith(words)
 
 
 def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):

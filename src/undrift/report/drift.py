@@ -1,6 +1,4 @@
-"""The page of a thermal fit: offset and scale over temperature with what they rest on, dynamic drift, the choice of tables.
-
-Pictures of a thermal fit: offset and scale over temperature, dynamic drift over rate, what each choice of tables foretells.
+"""The page of a thermal fit: offset and scale over temperature, dynamic drift, cross-validated errors of each choice of tables.
 
 Warming is red and cooling blue; what no data were near is hatched.
 """
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
     from undrift.drift.select import Alternatives
     from undrift.model import DynamicDrift
 
-# ---- Pictures of a thermal fit: offset and scale over temperature, dynamic drift over rate, what each choice of tables foretells.
+# ---- pictures
 
 MOST_POINTS = 3000  # blocks drawn
 _MANY = 300  # of them: small marks
@@ -65,7 +63,7 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
     panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
     if not len(summary.block_temp_c):
-        panels[2].set_title("of all poses together: a pose has no single offset to draw", loc="left", fontsize=8.5)
+        panels[2].set_title("all poses together: a pose has no single offset", loc="left", fontsize=8.5)
     _legend_below(figure, panels[1])
     return figure
 
@@ -194,13 +192,13 @@ def draw_dynamic(drift: "DynamicDrift") -> "Figure":
             axes.plot(rate, near, color=colour, marker=".", markersize=3.0, label=name)
         axes.set_title(axis, loc="left", fontsize=10)
         axes.set_xlabel("measured rate (deg/s)")
-    panels[0].set_ylabel("error taken off (deg/s)")
+    panels[0].set_ylabel("correction (deg/s)")
     panels[0].legend(loc="best", fontsize=7.0)
     return figure
 
 
 def draw_alternatives(alternatives: "Alternatives") -> "Figure":
-    """Draw what each choice of tables foretells of what was left out."""
+    """Draw the cross-validated error of each choice of tables."""
     figure, (axes,) = new_figure(1, height=1.9)
     rows = [k for k, value in enumerate(alternatives.left_out_rms_dps) if np.isfinite(value)]
     for place, k in enumerate(rows):
@@ -220,24 +218,24 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
     )
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xscale("log")
-    axes.set_xlabel("error of soaks and rates that were left out (deg/s rms, with standard error)")
+    axes.set_xlabel("error of held-out soaks and rates (deg/s rms, with standard error)")
     return figure
 
 
-# ---- drift
+# ---- tables
 
 
 def offset_heads(summary: "TriadSummary") -> tuple[str, ...]:
     """Return the heads of ``offset_rows``."""
     unit, _ = shown_unit(summary.unit)
-    heads = ["axis", f"slope ({unit} per degC)", f"table +- ({unit})", f"left out, rms ({unit})"]
-    heads += [f"half loop ({unit})"] if summary.half_loop is not None else []
+    heads = ["axis", f"slope ({unit} per degC)", f"table +- ({unit})", f"held out, rms ({unit})"]
+    heads += [f"hysteresis half-width ({unit})"] if summary.half_loop is not None else []
     heads += [f"between sessions ({unit})"] if summary.turn_on is not None else []
     return tuple(heads)
 
 
 def offset_rows(summary: "TriadSummary") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each axis: slope, uncertainty of the table, error of what was left out, loop, sessions."""
+    """Return one row of cells for each axis: slope, uncertainty of the table, cross-validated error, hysteresis, sessions."""
     _, factor = shown_unit(summary.unit)
     rows = []
     for k, axis in enumerate(AXES):
@@ -292,7 +290,7 @@ def scale_rows(fit: "DriftFit") -> tuple[tuple[str, ...], ...]:
     return tuple(rows) if scale is not None or fit.asymmetry is not None else ()
 
 
-CHOICE_HEADS = ("tables beside offsets", "fitted (deg/s rms)", "left out (deg/s rms)", "chosen")
+CHOICE_HEADS = ("tables with offsets", "fitted (deg/s rms)", "held out (deg/s rms)", "chosen")
 
 
 def choice_rows(alternatives: "Alternatives") -> tuple[tuple[str, ...], ...]:
@@ -326,35 +324,27 @@ def write_drift_report(fit: "DriftFit", path: Path) -> None:
 
 def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
     """Return the sections of the page of a thermal fit."""
-    sections = []
-    for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary)):
-        if summary is not None:
-            sections.append(
-                Section(
-                    title=name,
-                    text=(offset_title(name.lower(), summary) + ". Standard uncertainties behind +-.",),
-                    columns=offset_heads(summary),
-                    rows=offset_rows(summary),
-                    pictures=(svg_of(draw_offsets(summary)),),
-                )
-            )
-    if fit.scale_summary is not None:
-        pictures = (svg_of(draw_scale(fit.scale_summary)),)
-        sections.append(
-            Section(title="Scale over temperature", columns=SCALE_HEADS, rows=scale_rows(fit), pictures=pictures)
+    sections = [
+        Section(
+            title=name,
+            text=(offset_title(name.lower(), summary) + ". Standard uncertainties behind +-.",),
+            columns=offset_heads(summary),
+            rows=offset_rows(summary),
+            pictures=(svg_of(draw_offsets(summary)),),
         )
+        for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary))
+        if summary is not None
+    ]
+    if fit.scale_summary is not None:
+        drawn, rows = svg_of(draw_scale(fit.scale_summary)), scale_rows(fit)
+        sections.append(Section(title="Scale over temperature", columns=SCALE_HEADS, rows=rows, pictures=(drawn,)))
     drift = fit.calibration.drift
     if drift is not None and drift.dynamic is not None:
         sections.append(Section(title="Dynamic drift", pictures=(svg_of(draw_dynamic(drift.dynamic)),)))
     if fit.choice is not None:
         held = fit.choice.alternatives
+        drawn, rows = svg_of(draw_alternatives(held)), choice_rows(held)
         sections.append(
-            Section(
-                title="Which tables",
-                text=(held.reason,),
-                columns=CHOICE_HEADS,
-                rows=choice_rows(held),
-                pictures=(svg_of(draw_alternatives(held)),),
-            )
+            Section(title="Which tables", text=(held.reason,), columns=CHOICE_HEADS, rows=rows, pictures=(drawn,))
         )
     return tuple(sections)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
     from undrift.study.outcome import StudyOutcome, TaskOutcome
 
-# ---- Envelope: a course with few enough points to draw, that keeps its least and largest value in every column of the picture.
+# ---- envelope: few enough points to draw, with the least and largest value of every column
 
 COLUMNS_DRAWN = 2000  # more than a picture of 8.2 inches shows apart
 
@@ -39,8 +39,8 @@ def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN)
     edges = np.linspace(0, len(values), columns + 1).astype(np.int64)
     low = [a + int(np.argmin(part)) for a, part in _columns(np.where(gaps, np.inf, values), edges)]
     high = [a + int(np.argmax(part)) for a, part in _columns(np.where(gaps, -np.inf, values), edges)]
-    beside = np.flatnonzero(np.diff(gaps))
-    kept = np.unique(np.concatenate((low, high, beside, beside + 1)))
+    edge = np.flatnonzero(np.diff(gaps))
+    kept = np.unique(np.concatenate((low, high, edge, edge + 1)))
     return time[kept], values[kept]
 
 
@@ -172,7 +172,7 @@ def draw_agreement(
     return figure
 
 
-# ---- The Allan plot: what averaging does to the readings of a device at rest.
+# ---- Allan deviation
 
 
 def draw_allan(found: NoiseFit, *, title: str) -> "Figure":
@@ -209,7 +209,7 @@ def draw_allan(found: NoiseFit, *, title: str) -> "Figure":
     return figure
 
 
-# ---- Pictures of a study: error surface, what each parameter does, error against rig time, Figure 3.
+# ---- pictures of a study
 
 NAMES = {
     "cutoff_hz": "cut-off (Hz)",
@@ -354,7 +354,7 @@ def draw_figure3(found: "Figure3") -> "Figure":
     figure, (pitch, error, apart) = new_figure(3, height=1.9)
     pitch.plot(found.time, found.reference_pitch, color=OPTICS)
     pitch.set_ylabel("pitch (deg)")
-    pitch.set_title("sit-to-stand as the optics saw it", loc="left", fontsize=9)
+    pitch.set_title("sit-to-stand by the optics", loc="left", fontsize=9)
     for k, (name, colour) in enumerate(zip(LEVEL_NAMES, LEVEL_COLOURS, strict=True)):
         error.plot(found.time, found.actual[k], color=colour, label=f"{name}, actual")
         error.plot(found.time, found.simulated[k], color=colour, linestyle="--", label=f"{name}, simulated")

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from undrift.validation.agreement import Validation
     from undrift.validation.trial import Figures, Trial, TrialSettings
 
-# ---- What was done before a validation's figures: calibration, offset, ADC, lag, mounting, and which samples count.
+# ---- method
 
 _ALIGNED = {
-    "auto": "the rotation between the device's case and the reference's body, from their rates, is undone where it exceeds 5 deg",
-    "rates": "the rotation between the device's case and the reference's body, from their rates, is undone",
-    "none": "the device's case is taken for the reference's body",
+    "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds 5 deg",
+    "rates": "the rotation between the device's case and the reference's body, from their rates, is removed",
+    "none": "the device's case is assumed to be the reference's body",
 }
 
 
@@ -49,7 +49,7 @@ def method_section(method: Method) -> Section:
     settings = method.settings
     rows = [("calibration", _calibration(method))]
     if method.calibration is not None:
-        rows += [("its verdict", method.verdict.status), *(("", reason) for reason in method.verdict.reasons)]
+        rows.append(("its verdict", method.verdict.status))
     rows += [
         ("gyroscope's offset", _offset(method)),
         ("ADC's rounding", _adc(method)),
@@ -61,12 +61,20 @@ def method_section(method: Method) -> Section:
         ("pitch", f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)"),
         (
             "lag",
-            f"looked for up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is "
-            "the sensor's own and stays in the figures, a longer one is undone",
+            f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is the "
+            "sensor's own and stays in the figures, a longer one is removed",
         ),
         ("mounting", _ALIGNED[settings.align]),
     ]
-    return Section(title="What was done", columns=("what", "how"), rows=tuple(rows), words=True)
+    verdict = Verdict() if method.calibration is None else method.verdict
+    return Section(
+        title="Method",
+        text=verdict.remarks,
+        findings=verdict.findings,
+        columns=("step", "choice"),
+        rows=tuple(rows),
+        words=True,
+    )
 
 
 def recordings_section(method: Method, trials: "tuple[Trial, ...]") -> Section:
@@ -96,7 +104,7 @@ def _found(trial: "Trial") -> tuple[str, ...]:
     return (
         f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}",
         f"{lag.seconds * 1e3:.2f} +- {lag.standard_uncertainty * 1e3:.2f}",
-        "undone" if trial.lag_undone else "left in",
+        "removed" if trial.lag_undone else "left in",
         _mounting(trial),
         f"{100.0 * trial.figures.valid_optics_file:.1f}",
     )
@@ -104,32 +112,30 @@ def _found(trial: "Trial") -> tuple[str, ...]:
 
 def _mounting(trial: "Trial") -> str:
     if trial.mounting is None:
-        return "not seen"
-    return (
-        f"{trial.mounting.alignment.angle / RADIAN_PER_DEGREE:.1f}, {'undone' if trial.mounting.applied else 'left in'}"
-    )
+        return "not observable"
+    return f"{trial.mounting.alignment.angle / RADIAN_PER_DEGREE:.1f}, {'removed' if trial.mounting.applied else 'left in'}"
 
 
 def _calibration(method: Method) -> str:
     made = method.calibration
     if made is None:
-        return "none: readings as they come, in the unit of their file"
+        return "none: readings in the unit of their file"
     if method.leave_one_out:
         return "leave-one-out: each recording judged by a gyroscope fit to the references of the others"
     if not method.source:
-        return "gyroscope fitted to the references of these same recordings, which flatters the figures: --leave-one-out does not"
+        return "gyroscope fitted to the references of these same recordings, so figures are optimistic: use --leave-one-out"
     triads = [f"{name} by {t.method}" for name, t in (("gyroscope", made.gyro), ("accelerometer", made.accel)) if t]
     tables = "" if made.drift is None else ", with tables over temperature"
     return f"{method.source} of {made.device or 'a device without a name'}: {', '.join(triads)}{tables}"
 
 
 def _offset(method: Method) -> str:
-    rest = "the mean rate of the rest before the motion was taken off"
+    rest = "the mean rate of the rest before the motion is subtracted"
     if method.leave_one_out:
-        return "the fit's: each recording's rest before the motion, and what the others' motion added"
+        return "the fit's: each recording's rest before the motion, and the motion of the others"
     if method.settings.offset == "rest":
         return rest if method.calibration is None else f"the calibration's, and {rest} after it"
-    return "left as it is" if method.calibration is None else "the calibration's alone"
+    return "not corrected" if method.calibration is None else "the calibration's alone"
 
 
 def _adc(method: Method) -> str:
@@ -137,9 +143,9 @@ def _adc(method: Method) -> str:
         return "left in"
     made = method.calibration
     if made is None:
-        return "given back where the codes show one; the recording's notes say where"
+        return "corrected where the codes show it; see the notes of the recording"
     if made.adc is None:
-        return "none known to the calibration: left in"
+        return "unknown to the calibration: left in"
     words = [
         f"{name} {rounding.replace('_', ' ')}"
         for name, lsb, rounding in (
@@ -148,10 +154,10 @@ def _adc(method: Method) -> str:
         )
         if lsb is not None
     ]
-    return f"as the calibration knows it ({', '.join(words)}): what the codes lost was given back"
+    return f"corrected by the calibration ({', '.join(words)})"
 
 
-# ---- validation
+# ---- errors
 
 COLUMNS = (
     ("rmse_total_deg", "total rmse (deg)"),

@@ -1,36 +1,22 @@
-"""Case: one subject in one task with a device of its own, simulated once for a cut-off frequency.
+"""A run of a study: a calibration session, the fit, and a trial of one subject, all with one simulated device.
 
-Everything is drawn from (seed, task, subject): the unit of the device, the performance, the temperature, the noise. The cut-
-off frequency changes the filter alone, so that cases of one subject differ by it and by nothing else.
+Everything is drawn from (seed, task, subject): the unit of the device, the performance, the temperature, the noise. The cut-off
+frequency changes the filter alone, so that cases of one subject differ by it and by nothing else. For each protocol::
 
-A calibration session as a study simulates it: the protocol's programme on the virtual bench, and what the device reads.
+    simulate the session -> fit -> tables -> correct the trial -> orient -> compare with the true pitch
 
-The steps are those of ``undrift rig run`` (rig/programme.py): first the faces at room temperature, then, for each axis
-mounted once, all set-points in it: a rest, the rates both ways, a rest. What a dwell imposes is known; what the device makes
-of it is simulated (sim/device/simulate.py). Between dwells the chamber soaks, the table runs up and the filter settles, while
-the offset wanders on.
+Nothing but the readings passes from the simulated device to the fit. The session has the steps of ``undrift rig run``: faces at
+room temperature; then, for each axis mounted once, all set-points in it: a rest, the rates both ways, a rest. Between dwells
+the chamber soaks, the table accelerates and the filter settles, while the offset drifts.
 
-Unit of work: one subject in one task with one cut-off frequency, all protocols of it.
+The fit has the order of the note's Figure 2: static drift (not-a-knot splines over the set-points' rests), the matrix (eq. 6)
+at the set-point nearest to room temperature, what is left over rate and temperature (bicubic spline).
 
-For each protocol: simulate the session -> fit -> tables -> correct the trial -> orient -> compare. Nothing but the readings
-passes from the simulated device to the fit.
-
-Calibrate as the note does it: faces, static drift over temperature, matrix, dynamic drift over rate and temperature.
-
-The order is the one of the note's Figure 2: static drift first (not-a-knot splines over the set-points' rests), then the
-matrix (eq. 6) at the set-point nearest to room temperature, then what is left over rate and temperature (bicubic spline). A
-protocol without set-points gives the matrix and a constant offset alone.
-
-Rest at the beginning of a recorded motion: whether the body is as still as study.toml says, by its own poses.
-
-Three figures of the first ``rest_s`` seconds, rates and accelerations as means over a quarter of a second, so that the noise of
-cameras does not count as motion::
+A recorded motion must begin at rest. Three figures of its first ``rest_s`` seconds, rates and accelerations as means over 0.25 s::
 
     w    |mean of w_b|                          how fast the body turns
     a    |mean of p''|                          how fast its velocity changes
-    e    angle(mean of f_b, R_nb^T z)           what a device without any error would mistake in its tilt at the end of that time
-
-A study lays all that the pitch errs by at the device and its calibration. Where e is not small it errs by the motion instead.
+    e    angle(mean of f_b, R_nb^T z)           tilt error of a device without errors at the end of that time
 """
 
 import hashlib
@@ -68,7 +54,7 @@ from undrift.sim.motion.tasks import Subject, Task, TaskName, cohort, draw_task
 from undrift.study.plan import OwnMotion, Study, StudyTask
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-# ---- A calibration session as a study simulates it: the protocol's programme on the virtual bench, and what the device reads.
+# ---- calibration session
 
 WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
 ROOM_TEMP_C = 25.0
@@ -157,22 +143,7 @@ def rate_steps(imposed: Imposed, readings: DwellReadings) -> RateSteps:
 
 
 def read_session(imposed: Imposed, device: DeviceModel, *, rng: np.random.Generator) -> DwellReadings:
-    """Return what a device reads in a session.
-
-    Parameters
-    ----------
-    imposed : Imposed
-        What is done.
-    device : DeviceModel
-        The device.
-    rng : Generator
-        Draws its noise.
-
-    Returns
-    -------
-    DwellReadings
-        One row a dwell.
-    """
+    """Return the readings of a device in a session, one row a dwell."""
     return simulate_dwells(device, imposed.dwells, rng=rng, felt=imposed.kind == FACE)
 
 
@@ -189,7 +160,7 @@ def _force(face: Face, gravity_m_s2: float) -> FloatArray:
     return force
 
 
-# ---- Rest at the beginning of a recorded motion: whether the body is as still as study.toml says, by its own poses.
+# ---- rest at the beginning of a recorded motion
 
 SAMPLE_RATE_HZ = 100.0
 WINDOW_S = 0.25
@@ -235,11 +206,8 @@ def measure_rest(spline: PoseSpline, rest_s: float) -> Rest:
 def check_rest(spline: PoseSpline, rest_s: float, path: Path) -> None:
     """Refuse a motion that does not begin with the rest that is stated."""
     found = measure_rest(spline, rest_s)
-    if (
-        found.turn_rate <= MOST_TURN_RATE
-        and found.acceleration <= MOST_ACCELERATION
-        and found.tilt_error <= MOST_TILT_ERROR
-    ):
+    figures = np.array([found.turn_rate, found.acceleration, found.tilt_error])
+    if (figures <= (MOST_TURN_RATE, MOST_ACCELERATION, MOST_TILT_ERROR)).all():
         return
     still_s = np.floor(10.0 * found.still_s) / 10.0
     todo = (
@@ -270,7 +238,7 @@ def _windowed(values: FloatArray) -> FloatArray:
     return size
 
 
-# ---- Motion of one's own in a study: poses from a file, to be asked at any instant as a task of the library is.
+# ---- recorded motion as a task
 
 SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
 
@@ -313,13 +281,9 @@ class RecordedTask:
         )
 
 
-def read_motion(own: OwnMotion) -> RecordedTask:
-    """Read a recorded motion."""
-    return _read(own)
-
-
 @lru_cache(maxsize=4)
-def _read(own: OwnMotion) -> RecordedTask:
+def read_motion(own: OwnMotion) -> RecordedTask:
+    """Read a recorded motion, and refuse one that does not begin with the rest that is stated."""
     if sha256_of(Path(own.path)) != own.sha256:
         raise InputError(
             f"{own.path}: wanted the file that the study began with, got another content; start a new study"
@@ -328,7 +292,7 @@ def _read(own: OwnMotion) -> RecordedTask:
     spline = fit_pose_spline(reference, SKIN if own.body else PoseSettings())
     if reference.position is None:
         raise InputError(
-            f"{own.path}: wanted poses with positions, got none; without them nobody knows what accelerometers feel"
+            f"{own.path}: wanted poses with positions, got none; accelerometers cannot be simulated without them"
         )
     if len(spline.pieces) > 1:
         raise InputError(
@@ -369,7 +333,7 @@ def sha256_of(path: Path) -> str:
         raise InputError(f"{path}: wanted a file of poses or markers, got {error.strerror}; check the path") from error
 
 
-# ---- case
+# ---- trial
 
 WORN_S = 1800.0  # the device has been on for half an hour
 REST_S = 6.0  # the note's initial rest
@@ -382,8 +346,8 @@ class Case:
     device: DeviceModel  # The subject's unit, with the filter of the case
     record: Record  # What it read in the trial
     pitch: FloatArray  # (N,), true sagittal pitch, delayed by the filter as a reference is before it is compared, rad
-    still: tuple[int, int]  # Samples of the rest before, and of the motion
-    moving: tuple[int, int]  # Samples of the rest before, and of the motion
+    still: tuple[int, int]  # Samples of the rest before
+    moving: tuple[int, int]  # Samples of the motion
 
 
 def seeded(study: Study, *words: str | int) -> np.random.Generator:
@@ -474,7 +438,7 @@ def _delayed_pitch(performed: Task | RecordedTask, time: FloatArray, device: Dev
     return sagittal_pitch(performed.at(time - delay, STANDARD_GRAVITY).q_nb)
 
 
-# ---- Calibrate as the note does it: faces, static drift over temperature, matrix, dynamic drift over rate and temperature.
+# ---- the note's calibration
 
 NODES_C = np.linspace(18.0, 75.0, 115)  # the note's tuning table: every 0.5 degC
 
@@ -524,7 +488,7 @@ def calibrate_as_the_note(
 
 
 def _offsets(imposed: Imposed, rests: RestBlocks, soaks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    soak = imposed.soak[imposed.kind == 1]
+    soak = imposed.soak[imposed.kind == REST]
     temps = np.array([rests.temp_c[soak == s].mean() for s in soaks])
     means = np.array([rests.gyro[soak == s].mean(axis=0) for s in soaks])
     variances = np.array([rests.gyro_variance[soak == s].sum(axis=0) / (soak == s).sum() ** 2 for s in soaks])
@@ -541,22 +505,9 @@ def _matrix(steps: RateSteps, soak: int, offset: FloatArray, variance: FloatArra
         unit_in=unit,
         unit_out="rad/s",
     )
-    model = fit.model
-    covariance = model.covariance.copy()
+    covariance = fit.model.covariance.copy()
     covariance[9:12, 9:12] = np.diag(variance)
-    return TriadModel(
-        method=model.method,
-        unit_in=unit,
-        unit_out="rad/s",
-        matrix=model.matrix,
-        offset=offset,
-        covariance=covariance,
-        rms_residual=model.rms_residual,
-        count=model.count,
-        rank=model.rank,
-        condition=model.condition,
-        valid_range=model.valid_range,
-    )
+    return replace(fit.model, offset=offset, covariance=covariance)
 
 
 def _dynamic(
@@ -601,7 +552,7 @@ def _accel(imposed: Imposed, readings: DwellReadings, unit: str) -> TriadModel |
     return fit_six_face(poses, gravity=STANDARD_GRAVITY, settings=SixFaceSettings(mode="affine")).model
 
 
-# ---- Unit of work: one subject in one task with one cut-off frequency, all protocols of it.
+# ---- unit of work
 
 COLUMNS = (
     "cutoff_hz",
@@ -633,15 +584,13 @@ class Unit:
 class UnitRuns:
     """Runs of a unit, one for each protocol."""
 
-    cutoff_hz: FloatArray  # (P,), the protocol, Hz and deg/s
-    turn_rate_step_dps: FloatArray  # (P,), the protocol, Hz and deg/s
-    turn_rate_min_dps: FloatArray  # (P,), the protocol, Hz and deg/s
-    turn_rate_max_dps: FloatArray  # (P,), the protocol, Hz and deg/s
-    # (P,), pitch error over the motion, deg; NaN where the protocol could not calibrate the device
-    error_rms_deg: FloatArray
-    # (P,), pitch error over the motion, deg; NaN where the protocol could not calibrate the device
-    error_max_deg: FloatArray
-    rig_minutes: FloatArray  # (P,), length of the session, min
+    cutoff_hz: FloatArray  # (P,)
+    turn_rate_step_dps: FloatArray  # (P,)
+    turn_rate_min_dps: FloatArray  # (P,)
+    turn_rate_max_dps: FloatArray  # (P,)
+    error_rms_deg: FloatArray  # (P,), of the pitch over the motion; NaN where the device was left uncalibrated
+    error_max_deg: FloatArray  # (P,), as above
+    rig_minutes: FloatArray  # (P,), length of the session
 
 
 def units_of(study: Study) -> tuple[Unit, ...]:
@@ -673,7 +622,8 @@ def run_unit(unit: Unit) -> UnitRuns:
             continue
         error = pitch_error(case, calibration) / RADIAN_PER_DEGREE
         rms[k], worst[k] = np.sqrt(np.nanmean(error**2)), np.nanmax(np.abs(error))
-    dps = [np.array([getattr(p, name) for p in protocols]) / RADIAN_PER_DEGREE for name in _GRID]
+    names = ("turn_rate_step", "turn_rate_min", "turn_rate_max")
+    dps = [np.array([getattr(p, name) for p in protocols]) / RADIAN_PER_DEGREE for name in names]
     return UnitRuns(
         cutoff_hz=np.full(len(protocols), unit.cutoff_hz),
         turn_rate_step_dps=dps[0],
@@ -683,6 +633,3 @@ def run_unit(unit: Unit) -> UnitRuns:
         error_max_deg=worst,
         rig_minutes=minutes,
     )
-
-
-_GRID = ("turn_rate_step", "turn_rate_min", "turn_rate_max")

@@ -1,25 +1,21 @@
 """The note's Figure 3: pitch error over time in a sit-to-stand, of the simulated and the actual device.
 
-Each of the two goes the product's own way::
+Each of the two is calibrated and judged by the product's own functions::
 
-    bench session at 25 degC          -> calibrate    offset, matrix
+    bench session at 25 degC           -> calibrate    offset, matrix
     thermal session, soaks up and down -> fit_drift    tables
-    trial, 10 to 15 K warmer           -> correct, orient, compare with the optics, lag undone (validate_trial)
+    trial, 10 to 15 K warmer           -> correct, orient, compare with the optics, lag removed (validate_trial)
 
-with three levels of correction: none (constant offset), static (offset over temperature), full (static and dynamic). Errors are
-those of the acquisition's 4 s, from the moment that the integration begins; the note's 3.2 deg stand for 0.8 deg/s over it.
-The board warms from 25 degC while it is worn, with a time constant of 10 min, and has been worn for half an hour.
-
-The "actual" device of the note's Figure 3, and the model of it that a study works with.
+Three levels of correction: none (constant offset), static (offset over temperature), full (static and dynamic). Errors are those
+of the acquisition's 4 s from the start of integration; the note's 3.2 deg are 0.8 deg/s over it. The board warms from 25 degC
+while it is worn, with a time constant of 10 min, and has been worn for half an hour.
 
 The study's model is a unit without the effects that a study leaves out; the actual device is the same unit with them::
 
     hysteresis      offset differs between warming and cooling               as the kind of device has it
     thermometer     board thermometer lags behind the sensors                80 s, LM335 in still air
     adc_inl         integral non-linearity of the converter, a bow           2 LSB [assumed], gyroscopes and accelerometers
-    g_sensitivity   specific force feigns a rate                             as the kind of device has it
-
-All else, above all gains, offsets and their drift over temperature, is the same in both.
+    g_sensitivity   rate reading under specific force                        as the kind of device has it
 """
 
 from dataclasses import dataclass, replace
@@ -44,7 +40,7 @@ from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import TRIAL_SETTINGS, validate_trial
 
-# ---- The "actual" device of the note's Figure 3, and the model of it that a study works with.
+# ---- the simulated and the actual device
 
 Hidden = Literal["hysteresis", "thermometer", "adc_inl", "g_sensitivity"]
 HIDDEN: tuple[Hidden, ...] = get_args(Hidden)
@@ -90,7 +86,7 @@ def _bowed(chain: SensorChain) -> SensorChain:
     return chain if chain.adc is None else replace(chain, adc=replace(chain.adc, inl_lsb=np.full(3, INL_LSB)))
 
 
-# ---- figure3
+# ---- the figure
 
 LEVELS = ("none", "static", "full")
 ROOM_TEMP_C = 25.0
@@ -111,8 +107,8 @@ class Figure3:
     time: FloatArray  # (N,), from the beginning of the acquisition, s
     reference_pitch: FloatArray  # (N,), what the optics saw, deg
     simulated: FloatArray  # (3, N), pitch error of each level, deg
-    actual: FloatArray  # (3, N), pitch error of each level, deg
-    lag_ms: tuple[float, float]  # Lag that was undone, simulated and actual, ms
+    actual: FloatArray  # (3, N), as above
+    lag_ms: tuple[float, float]  # Lag that was removed, simulated and actual
     excursion_k: float  # Board temperature above that of the bench, K
 
     def __post_init__(self) -> None:

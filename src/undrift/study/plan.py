@@ -1,43 +1,13 @@
 """Plan of a study: which tasks, whose, with which device, and which protocols are tried.
 
-A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step as the note varies them, the rest from the plan. Every
-combination of the four whose step divides the span is a candidate.
+A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step vary as in the note, the rest comes from the plan. Every
+combination of the four whose step divides the span is a candidate. study.toml holds a plan (docs/study.md shows one):
 
-study.toml: which tasks, whose, with which device, and which protocols are tried.
+    [study]  name device subjects group excursion_k objective search level rig_minutes_max seed
+    [[task]] name; [task.space] what is tried; [task.protocol] what is not varied; [task.motion] an own motion
 
-[study]
-name = "my laboratory"
-device = "enc03j_3031"              # a preset: every subject wears a unit of its own; or a device.json, as a twin is
-subjects = 30
-group = "simulation"                # or testing: the note's Table 2
-excursion_k = [10.0, 15.0]          # board above the calibration's room temperature in the trials
-objective = "rms"                   # or maximum, of the pitch error
-level = 0.05
-rig_minutes_max = 240.0             # leave out for no limit
-seed = 0
-[[task]]
-name = "sit_to_stand"               # step, posturography, free; any word with [task.motion]
-[task.space]                        # every combination whose step divides the span is tried
-cutoff_hz = [5.0, 11.1, 20.0]
-turn_rate_step_dps = [5.0, 10.0]
-turn_rate_min_dps = [5.0]
-turn_rate_max_dps = [45.0, 90.0]
-[task.protocol]                     # what is not varied; leave out for the note's
-dwell_s = 2.0
-bracket_s = 6.0
-face_s = 6.0
-grid = "paper"
-set_points_c = [18.0, 30.0, 45.0, 60.0, 75.0]
-[task.motion]                       # own poses or markers in place of a drawn performance
-file = "squat.c3d"                  # from the folder of study.toml
-body = "pelvis"                     # or thorax, trunk; or markers = [...] of one rigid cluster
-up = "y"
-rest_s = 6.0                        # the body is at rest that long at the beginning, which its poses must bear out;
-hold = true                         # or, without such a rest: the first pose is held that long before the recording
-
-The note's study as a preset: its three tasks, its device, its Table 1 to stand beside ours.
-
-Spaces surround the note's values; dwell, brackets and set-points are choices, since the note leaves them unsaid (docs/study.md).
+The note's study is a preset: its three tasks, its device, its Table 1. Spaces surround the note's values; dwell, brackets and
+set-points are choices, since the note does not give them.
 """
 
 import re
@@ -68,17 +38,17 @@ class Untried:
 
     parameter: str  # turn_rate_step, turn_rate_min or turn_rate_max
     value: float  # rad/s
-    reason: str  # Why not
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
     """The values that are tried."""
 
-    cutoff_hz: tuple[float, ...]  # Of the low-pass, Hz
-    turn_rate_step: tuple[float, ...]  # d, omega_m, omega_M, rad/s
-    turn_rate_min: tuple[float, ...]  # d, omega_m, omega_M, rad/s
-    turn_rate_max: tuple[float, ...]  # d, omega_m, omega_M, rad/s
+    cutoff_hz: tuple[float, ...]  # Of the low-pass
+    turn_rate_step: tuple[float, ...]  # d, rad/s
+    turn_rate_min: tuple[float, ...]  # omega_m, rad/s
+    turn_rate_max: tuple[float, ...]  # omega_M, rad/s
     only: tuple[Grid, ...] = ()  # Of the combinations of the three these and no others, where given
 
     def numbered_grids(self) -> Iterator[tuple[int, Grid]]:
@@ -201,25 +171,18 @@ class Study:
 
 def ends_of(study: Study) -> Study:
     """Return a study of the first and last value of everything that it tries: a first look."""
-    return replace(study, tasks=tuple(map(_ends, study.tasks)))
+    tasks = []
+    for task in study.tasks:
+        values = (
+            getattr(task.space, name) for name in ("cutoff_hz", "turn_rate_step", "turn_rate_min", "turn_rate_max")
+        )
+        cutoffs, steps, lows, highs = (v if len(v) < 3 else (v[0], v[-1]) for v in values)
+        ends = Space(cutoff_hz=cutoffs, turn_rate_step=steps, turn_rate_min=lows, turn_rate_max=highs)
+        tasks.append(replace(task, space=ends) if any(True for _ in ends.grids()) else task)
+    return replace(study, tasks=tuple(tasks))
 
 
-def _ends(task: StudyTask) -> StudyTask:
-    space = task.space
-    ends = Space(
-        cutoff_hz=_outer(space.cutoff_hz),
-        turn_rate_step=_outer(space.turn_rate_step),
-        turn_rate_min=_outer(space.turn_rate_min),
-        turn_rate_max=_outer(space.turn_rate_max),
-    )
-    return replace(task, space=ends if any(True for _ in ends.grids()) else space)
-
-
-def _outer(values: tuple[float, ...]) -> tuple[float, ...]:
-    return values if len(values) < 3 else (values[0], values[-1])
-
-
-# ---- The note's study as a preset: its three tasks, its device, its Table 1 to stand beside ours.
+# ---- the note's study as a preset
 
 DEVICE = "enc03j_3031"
 SET_POINTS_C = (18.0, 30.0, 45.0, 60.0, 75.0)
@@ -286,7 +249,7 @@ def _task(
     )
 
 
-# ---- study.toml: which tasks, whose, with which device, and which protocols are tried.
+# ---- study.toml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -297,17 +260,17 @@ class SpaceEntry(Entry):
     """[task.space]."""
 
     cutoff_hz: Values  # Of the low-pass, Hz
-    turn_rate_step_dps: Values  # Step, least and greatest rate, deg/s
-    turn_rate_min_dps: Values  # Step, least and greatest rate, deg/s
-    turn_rate_max_dps: Values  # Step, least and greatest rate, deg/s
+    turn_rate_step_dps: Values  # d
+    turn_rate_min_dps: Values  # omega_m
+    turn_rate_max_dps: Values  # omega_M
 
 
 class ProtocolEntry(Entry):
     """[task.protocol]."""
 
-    dwell_s: Positive = 2.0  # Seconds at a rate, at rest around a block of rates, on a face
-    bracket_s: Positive = 6.0  # Seconds at a rate, at rest around a block of rates, on a face
-    face_s: Positive = 6.0  # Seconds at a rate, at rest around a block of rates, on a face
+    dwell_s: Positive = 2.0  # At a rate
+    bracket_s: Positive = 6.0  # At rest around a block of rates
+    face_s: Positive = 6.0  # On a face
     grid: GridRule = "paper"  # paper or inclusive
     # Of the chamber, degC, rising; empty stays at room temperature
     set_points_c: list[Finite] = Field(default_factory=lambda: list(SET_POINTS_C))

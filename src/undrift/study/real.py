@@ -1,50 +1,22 @@
-"""Real recordings judged as the study judges simulated ones: BROAD trials with and without calibration, agreement over trials.
+"""Real recordings judged as the study judges simulated ones; real.toml names them (docs/study.md shows one).
 
-Three levels of calibration, of one set of recordings::
+Trials beside optics (BROAD, or any recording with its poses), at three levels::
 
-    none         no offset taken off
+    none         no offset removed
     rest         less the mean rate of the first rest
-    calibrated   a gyroscope fit to the other trials of the same device, which never saw the one that is judged
+    calibrated   a gyroscope fit to the other trials of the same device
 
-What the converter's rounding took is worth as much as a level: half a step of truncated codes is an offset. So all three are
-judged twice, with the rounding undone and with it left in, and levels are compared with others of the same treatment alone.
+A truncating converter leaves half a step as an offset, worth as much as a level: all three levels are judged with the rounding
+undone and with it left in, and compared with the same treatment alone.
 
-real.toml: real recordings to lay beside a study, read and checked before anything runs, judged after it.
+Captured people and the simulated cohort: lean, rates and time of rising at L5. A repetition is found by the rise of the body's
+height past its middle; it begins and ends where the pitch rate falls below 5 deg/s. Quiet stance on a force plate: the centre of
+pressure, and the horizontal force over the mass, which is the acceleration of the body's centre; the cohort's centre of pressure
+is that of the pendulum, p = x - (1.147 h/g) x''. Captured and simulated people differ: nothing is paired, and a figure lies within
+the cohort's 95 % or not.
 
-[[trial]]                           # a device worn beside optics: two or more of each device
-recording = "02.hdf5"               # BROAD, or any recording in physical units; paths from the folder of the file
-reference = "02_poses.csv"          # leave out where the recording holds its own, as BROAD does
-map = "02.toml"                     # columns and units of a foreign recording, as for --map; leave out where it needs none
-device = "B"                        # which device: each trial is judged by a fit to the others of its device
-[[capture]]                         # a captured person
-file = "STS1.trc.gz"
-task = "sit_to_stand"               # or squat, stairs
-body = "pelvis"                     # by its markers, the device at L5; or markers = [...] of one rigid cluster
-up = "y"
-[[stance]]                          # quiet stance on a force plate
-file = "PDS13OF1grf.txt.gz"
-mass_kg = 65.35
-condition = "open on foam"          # open or closed, on firm or foam
-
-Captured people beside the simulated cohort: lean, rates and time of rising, and what a worn device would err by.
-
-A repetition is found by the rise of the body's height past its middle. Around it the trunk leans forward to a peak and comes up
-again; it begins and ends where the pitch rate falls below 5 deg/s. The same is done with captures and with the cohort's
-performances, at L5, so that figures can stand side by side. The two are different people: there is nothing to pair, and so no
-limits of agreement between them; a captured figure is inside the cohort's 95 % or it is not.
-
-Quiet stance on a force plate beside the simulated cohort's sway.
-
-Of the plate: the centre of pressure, and the horizontal force over the mass, which is the acceleration of the body's centre. Of
-the cohort: the acceleration at L5, which stands at the height of the centre, and the centre of pressure of the pendulum,
-p = x - (1.147 h/g) x''. The library's stance is eyes closed on foam; a trial in another condition is told as such. Real and
-simulated are different people: there is nothing to pair.
-
-A simulated device worn in captured motions: the pitch it would show, against the optics that captured them.
-
-The device goes through ``figure3.calibrated``; the capture is what it is worn in, at a board temperature above the bench's.
-Captures begin in motion or nearly so: six seconds of rest in the first pose are put before each, so that the tilt at the start
-can be taken.
+The study's device worn in the captures, at a board temperature above the bench's: six seconds of rest in the first pose precede
+each, for the tilt at the start.
 """
 
 from collections.abc import Callable, Sequence
@@ -114,10 +86,10 @@ class RealErrors:
     # What became of the converter's rounding: undone, left in, or none found in the codes of any trial
     rounding: Rounding
     trials: tuple[Trial, ...]  # Each judged
-    rmse_total_deg: float  # Medians over the trials, deg
-    rmse_inclination_deg: float  # Medians over the trials, deg
-    max_abs_pitch_deg: float  # Medians over the trials, deg
-    end_total_deg: float  # Medians over the trials, deg
+    rmse_total_deg: float  # This and the next three: medians over the trials
+    rmse_inclination_deg: float
+    max_abs_pitch_deg: float
+    end_total_deg: float
     agreement: Pairwise | None  # Of mean inclination, sensor and optics; None with fewer than three trials
 
 
@@ -184,13 +156,13 @@ def _at_level(level: str, rounding: Rounding, trials: tuple[Trial, ...]) -> Real
     )
 
 
-# ---- Captured people beside the simulated cohort: lean, rates and time of rising, and what a worn device would err by.
+# ---- captured people and the cohort
 
 Captured = Literal["sit_to_stand", "squat", "stairs"]
 LIKE: dict[Captured, TaskName] = {"sit_to_stand": "sit_to_stand", "squat": "sit_to_stand", "stairs": "step"}
 LACKS: dict[Captured, str] = {
     "sit_to_stand": "",
-    "squat": "the library has no squat: sit-to-stand stands beside it, and is not a model of it",
+    "squat": "the library has no squat: compared with sit-to-stand, which is not a model of it",
     "stairs": "several steps without a rest between; the library has a single step: length is not compared",
 }
 SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
@@ -210,17 +182,17 @@ class Capture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CohortComparison:
-    """A real figure beside the simulated cohort's."""
+    """A real figure and the simulated cohort's."""
 
-    trial: str  # Which recording, and what was done
-    task: str  # Which recording, and what was done
-    measure: str  # What
-    unit: str  # What
-    real: float  # Median over the repetitions; NaN where the recording does not tell
-    low: float  # Of the cohort: 2.5, 50 and 97.5 %
-    median: float  # Of the cohort: 2.5, 50 and 97.5 %
-    high: float  # Of the cohort: 2.5, 50 and 97.5 %
-    note: str = ""  # What the data lack, empty where nothing
+    trial: str  # Which recording
+    task: str  # What was done
+    measure: str
+    unit: str
+    real: float  # Median over the repetitions; NaN where the recording does not show it
+    low: float  # Of the cohort, 2.5 %
+    median: float  # Of the cohort
+    high: float  # Of the cohort, 97.5 %
+    note: str = ""  # Limits of the comparison
 
     @property
     def inside(self) -> bool:
@@ -235,7 +207,7 @@ WHOLE = (("pitch range", "deg"), ("peak pitch rate", "deg/s"), ("peak roll rate"
 def motion_rows(
     captures: tuple[Capture, ...], *, subjects: int = 30, seed: int = 0, group: Group = "simulation"
 ) -> tuple[CohortComparison, ...]:
-    """Lay captures beside the simulated cohort."""
+    """Compare captures with the simulated cohort."""
     names = tuple(dict.fromkeys(LIKE[capture.task] for capture in captures))
     people = cohort(group, rng=np.random.default_rng([seed, 0]))[:subjects]
     drawn = []
@@ -246,23 +218,32 @@ def motion_rows(
     rows: list[CohortComparison] = []
     for capture in captures:
         measures = WHOLE if capture.task == "stairs" else REPETITION
-        low, middle, high = np.percentile(drawn[names.index(LIKE[capture.task])], (2.5, 50.0, 97.5), axis=0)
         found, count = _of_capture(capture)
-        for k, (measure, unit) in enumerate(measures):
-            rows.append(
-                CohortComparison(
-                    trial=capture.name,
-                    task=f"{capture.task}, {count} repetitions" if count else capture.task,
-                    measure=measure,
-                    unit=unit,
-                    real=float(found[k]),
-                    low=float(low[k]),
-                    median=float(middle[k]),
-                    high=float(high[k]),
-                    note=LACKS[capture.task],
-                )
-            )
+        task = f"{capture.task}, {count} repetitions" if count else capture.task
+        rows += _compared(
+            capture.name, task, measures, found, drawn[names.index(LIKE[capture.task])], LACKS[capture.task]
+        )
     return tuple(rows)
+
+
+def _compared(
+    trial: str, task: str, measures: Sequence[tuple[str, str]], real: FloatArray, cohort: FloatArray, note: str
+) -> list[CohortComparison]:
+    low, median, high = np.percentile(cohort, (2.5, 50.0, 97.5), axis=0).tolist()
+    return [
+        CohortComparison(
+            trial=trial,
+            task=task,
+            measure=measure,
+            unit=unit,
+            real=float(real[k]),
+            low=low[k],
+            median=median[k],
+            high=high[k],
+            note=note,
+        )
+        for k, (measure, unit) in enumerate(measures)
+    ]
 
 
 def repetitions(time: FloatArray, pitch: FloatArray, rate: FloatArray, height: FloatArray) -> FloatArray:
@@ -338,13 +319,13 @@ def _of_whole(motion: Motion) -> FloatArray:
     return np.array([np.ptp(pitch), rate[:, 1].max(), rate[:, 0].max()]) / RADIAN_PER_DEGREE
 
 
-# ---- Quiet stance on a force plate beside the simulated cohort's sway.
+# ---- quiet stance on a force plate
 
 Condition = Literal["closed on foam", "open on foam", "closed on firm", "open on firm"]
 PATH_HZ = 10.0  # the path of the centre of pressure is taken at this rate: the plate's noise adds none
-BAND_HZ = (0.05, 2.5)  # below, 50 s do not tell; above, the library has no power
-EDGE_S = 2.5  # of the simulated stance, in which sway swells up
-STANCE_S = 45.0  # of both, so that slow wander counts alike
+BAND_HZ = (0.05, 2.5)  # below, 50 s are too short; above, the library has no power
+EDGE_S = 2.5  # of the simulated stance, in which sway builds up
+STANCE_S = 45.0  # of both, so that slow drift counts alike
 MEASURES = (
     ("centre of pressure AP, rms", "mm"),
     ("centre of pressure ML, rms", "mm"),
@@ -411,30 +392,16 @@ def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
 
 
 def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0) -> tuple[CohortComparison, ...]:
-    """Lay stances beside the simulated cohort's sway."""
+    """Compare stances with the simulated cohort's sway."""
     people = cohort("simulation", rng=np.random.default_rng([seed, 0]))[:subjects]
     rng = np.random.default_rng([seed, 1])
     drawn = [draw_task("posturography", rng=rng, subject=person) for person in people]
     simulated = np.array([sway_figures(_simulated(task)) for task in drawn])
-    low, middle, high = np.percentile(simulated, (2.5, 50.0, 97.5), axis=0)
-    rows = []
+    rows: list[CohortComparison] = []
     for stance in stances:
         other = stance.condition != "closed on foam"
         note = f"{stance.condition}: the library's stance is eyes closed on foam, which sways more" if other else ""
-        for k, ((measure, unit), real) in enumerate(zip(MEASURES, sway_figures(stance), strict=True)):
-            rows.append(
-                CohortComparison(
-                    trial=stance.name,
-                    task="posturography",
-                    measure=measure,
-                    unit=unit,
-                    real=float(real),
-                    low=float(low[k]),
-                    median=float(middle[k]),
-                    high=float(high[k]),
-                    note=note,
-                )
-            )
+        rows += _compared(stance.name, "posturography", MEASURES, sway_figures(stance), simulated, note)
     return tuple(rows)
 
 
@@ -470,7 +437,7 @@ def _simulated(task: Task) -> Stance:
     return Stance(name="simulated", condition="closed on foam", time=time, acceleration=acceleration, pressure=pressure)
 
 
-# ---- A simulated device worn in captured motions: the pitch it would show, against the optics that captured them.
+# ---- the simulated device worn in captured motions
 
 REST_S = 6.0
 
@@ -479,13 +446,13 @@ REST_S = 6.0
 class WornRow:
     """Pitch error in a captured motion."""
 
-    trial: str  # Which capture, and none, static or full correction
-    level: str  # Which capture, and none, static or full correction
-    error_rms_deg: float  # Over the motion, deg
-    error_max_deg: float  # Over the motion, deg
-    lean_optics_deg: float  # Largest pitch less the first, as the optics and the device have it, deg
-    lean_device_deg: float  # Largest pitch less the first, as the optics and the device have it, deg
-    length_s: float  # Of the motion, s
+    trial: str  # Which capture
+    level: str  # none, static or full correction
+    error_rms_deg: float  # Over the motion
+    error_max_deg: float
+    lean_optics_deg: float  # Largest pitch less the first, by the optics
+    lean_device_deg: float  # As above, by the device
+    length_s: float  # Of the motion
     saturated: float  # Share of the samples in which the gyroscopes were at the end of their range
 
 
@@ -597,7 +564,7 @@ def _after_rest(motion: Motion) -> Motion:
     )
 
 
-# ---- real.toml: real recordings to lay beside a study, read and checked before anything runs, judged after it.
+# ---- real.toml
 
 Given = TypeVar("Given")
 
@@ -634,9 +601,9 @@ class StanceEntry(Entry):
 class RealFile(Entry):
     """The whole file."""
 
-    trial: list[TrialEntry] = Field(default_factory=list)  # Any of them may be left out
-    capture: list[CaptureEntry] = Field(default_factory=list)  # Any of them may be left out
-    stance: list[StanceEntry] = Field(default_factory=list)  # Any of them may be left out
+    trial: list[TrialEntry] = Field(default_factory=list)  # Any of the three may be left out
+    capture: list[CaptureEntry] = Field(default_factory=list)
+    stance: list[StanceEntry] = Field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -657,7 +624,7 @@ class RealOutcome:
     motions: tuple[CohortComparison, ...]  # Captures and stances beside the cohort
     sways: tuple[CohortComparison, ...]  # Captures and stances beside the cohort
     worn: Worn | None  # The study's device worn in the captures
-    lacks: tuple[str, ...]  # What could not be said, and why
+    lacks: tuple[str, ...]  # What is missing, and why
 
 
 def read_real(path: str | Path) -> RealData:

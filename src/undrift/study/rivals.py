@@ -1,4 +1,4 @@
-"""The note's Discussion as an experiment: other ways to calibrate against the rate table, on the same device in the same time.
+"""The note's Discussion as an experiment: other ways to calibrate, other rates to dwell at, on the same devices.
 
     data_sheet            nothing is recorded
     rate_table            six faces and steady rates both ways about three axes                  the note's own
@@ -6,46 +6,31 @@
     plane_and_moves       the same with the moves between the stills recorded
     trolley               a cart on a rail: known accelerations along each axis in turn
     piston                a servohydraulic piston: known accelerations upright in turn
-    mocap                 free turns of the body beside optics                                   gyroscopes alone
+    mocap                 free turns of the body before optics                                   gyroscopes alone
     robot_arm             an arm whose poses are known                                           gyroscopes alone
     plane_and_mocap       half the time each: accelerometers from the plane, gyroscopes from optics
 
-Where a method cannot calibrate a triad, the data sheet stands in for it, with what rests alone can add: the gyroscopes' offset
-is their mean reading at rest, the accelerometers are scaled, all axes alike, until rests read gravity. What a method cannot see is
-said in the words of its own fit. The tasks are done at the temperature of the calibration: what differs is the calibration, not
-the drift.
+Each method has the rate table's time. Where it cannot calibrate a triad, the data sheet stands in, with what rests alone add: the
+gyroscopes' offset is their mean reading at rest; the accelerometers are scaled, all axes alike, until rests read gravity. Each
+unit then does the same tasks at the temperature of the calibration. Two errors of the pitch: the whole, and that of its change
+since the motion began, which excludes the tilt at the start.
 
-Rivals compared: each method calibrates the same units in the same time, each unit then does the same tasks.
-
-Pitch is compared with the truth, delayed as the filter delays it. Two errors are told: the whole, and that of the change of
-pitch since the motion began, which leaves the tilt at the start out: the accelerometers give that one, the gyroscopes the other.
-
-Optimal designs: at which rates a table should dwell, from the Fisher information, as a rival to the note's uniform grids.
-
-One axis reads, at rate w, ``y = f(w)^T c + e`` with f = (1, w, w^2, ..., w^p), scaled to the largest rate. A design puts the share
-x_i of the dwelling time at rate w_i; its information is ``M = sum_i x_i f_i f_i^T``::
+Optimal designs: one axis reads ``y = f(w)^T c + e`` at rate w, f = (1, w, ..., w^p), scaled to the largest rate. A design puts the
+share x_i of the dwelling time at rate w_i; its information is ``M = sum_i x_i f_i f_i^T``::
 
     D-optimal   greatest det M                                   the coefficients together
-    I-optimal   least mean of f(w)^T M^-1 f(w) over the task     what the correction will be wrong by, on average
+    I-optimal   least mean of f(w)^T M^-1 f(w) over the task     error of the correction, on average
 
-Both are convex; the multiplicative algorithm climbs to them from a uniform start [1]_: ``x_i <- x_i (g_i / sum_j x_j
-g_j)^(1/2)`` with g the directional derivative: ``f^T M^-1 f`` for D, ``f^T M^-1 B M^-1 f`` for I, B the mean of f f^T over
-the task.
-
-References ---------- .. [1] S. D. Silvey, D. M. Titterington, B. Torsney, "An algorithm for optimal designs on a finite
-design space", Communications in Statistics A7(14), 1978.
-
-Rates to dwell at for each task of a study: D- and I-optimal sets beside the uniform grid, at equal dwelling time.
-
-The rates of a task are those of the cohort's motions about the axis of the pitch. Rates are chosen between the grid's greatest
-rates both ways; what a dwell is uncertain by is the white noise of the device alone, N / sqrt(dwell), so that errors compare
-sets of rates and leave out what the offset wanders. Two polynomials are held: the straight line that the note's matrix is, and a
-cubic, which shows whether the line bends.
+The multiplicative algorithm starts from uniform shares (Silvey, Titterington, Torsney, Communications in Statistics A7(14), 1978):
+``x_i <- x_i (g_i / sum_j x_j g_j)^(1/2)``, g the directional derivative, ``f^T M^-1 f`` for D, ``f^T M^-1 B M^-1 f`` for I, B the
+mean of f f^T over the task. The rates of a task are those of the cohort about the axis of the pitch; a dwell has the white noise
+of the device alone, N / sqrt(dwell). Two polynomials: the line that the note's matrix is, and a cubic.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -101,7 +86,7 @@ class Rivalled:
     calibration: Calibration  # What the method gave, the data sheet where it gave nothing
     minutes: float  # Of recordings, min
     observable: tuple[str, ...]  # gyro, accel: what the method calibrated
-    notes: tuple[str, ...]  # What the fits said
+    notes: tuple[str, ...]  # Findings of the fits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,32 +168,26 @@ def _plane_and_moves(bench: _Bench) -> _Found:
     return _fitted(bench.session(motion), _length_s(motion))
 
 
-def _trolley(bench: _Bench) -> _Found:
+def _driven(bench: _Bench, kind: Literal["trolley", "piston"]) -> _Found:
+    """Fit accelerometers to the commanded motion of the drive; its departure from that is an error of the method."""
     plain = RivalSettings(tilt_sd=TILT_SD)
-    runs = len(plain.trolley_hz)
-    return _driven(bench, "trolley", replace(plain, run_s=_run_s(bench.budget_s, plain, runs)))
-
-
-def _piston(bench: _Bench) -> _Found:
-    plain = RivalSettings(tilt_sd=TILT_SD)
-    runs = len(plain.piston_hz)
-    return _driven(bench, "piston", replace(plain, run_s=_run_s(bench.budget_s, plain, runs)))
-
-
-def _driven(bench: _Bench, kind: Literal["trolley", "piston"], settings: RivalSettings) -> _Found:
-    """Fit accelerometers to what the drive was told to do; what the drive does besides is an error of the method."""
+    runs = len(plain.trolley_hz if kind == "trolley" else plain.piston_hz)
+    seconds = (bench.budget_s / 3.0 - plain.move_s - plain.still_s) / runs - plain.still_s
+    settings = replace(plain, run_s=_settled(seconds, "runs"))
     motion = rival_motion(kind, rng=bench.rng, settings=settings)
-    told = rival_motion(kind, rng=np.random.default_rng(0), settings=replace(settings, tilt_sd=0.0, shake=0.0))
+    commanded = rival_motion(kind, rng=np.random.default_rng(0), settings=replace(settings, tilt_sd=0.0, shake=0.0))
     session = bench.session(motion)
-    notes = (*_words(session), f"accelerometers fitted to what the {kind} was told to do, not to what it did")
+    notes = (*_words(session), f"accelerometers fitted to the commanded motion of the {kind}, not to the achieved one")
     record = session.records[0]
     accel = record.accel
     if accel is None:
         raise InputError(f"{kind}: wanted accelerometer readings, got none; a device without them is not calibrated so")
-    sliding = np.flatnonzero(np.abs(told.rate_b).max(axis=1) == 0.0)
+    sliding = np.flatnonzero(np.abs(commanded.rate_b).max(axis=1) == 0.0)
     best: tuple[float, TriadModel] | None = None
     for lag_s in LAGS_S:
-        force = np.column_stack([np.interp(told.time - lag_s, told.time, column) for column in told.force_b.T])
+        force = np.column_stack(
+            [np.interp(commanded.time - lag_s, commanded.time, column) for column in commanded.force_b.T]
+        )
         forward = fit_forward(force[sliding], accel[sliding], None)
         size = float((forward.residuals**2).sum())
         if best is None or size < best[0]:
@@ -270,8 +249,8 @@ _HOW: dict[Method, Callable[[_Bench], _Found]] = {
     "rate_table": _rate_table,
     "inclined_plane": _inclined_plane,
     "plane_and_moves": _plane_and_moves,
-    "trolley": _trolley,
-    "piston": _piston,
+    "trolley": partial(_driven, kind="trolley"),
+    "piston": partial(_driven, kind="piston"),
     "mocap": _mocap,
     "robot_arm": _robot_arm,
     "plane_and_mocap": _plane_and_mocap,
@@ -350,10 +329,6 @@ def _plane(budget_s: float) -> RivalSettings:
     return replace(plain, still_s=still_s)
 
 
-def _run_s(budget_s: float, plain: RivalSettings, runs: int) -> float:
-    return _settled((budget_s / 3.0 - plain.move_s - plain.still_s) / runs - plain.still_s, "runs")
-
-
 def _settled(seconds: float, what: str) -> float:
     if seconds < 2.0:
         raise InputError(
@@ -366,7 +341,7 @@ def _length_s(motion: Motion) -> float:
     return len(motion) / motion.sample_rate_hz
 
 
-# ---- Rivals compared: each method calibrates the same units in the same time, each unit then does the same tasks.
+# ---- methods compared
 
 TASKS: tuple[TaskName, ...] = ("sit_to_stand", "posturography")
 
@@ -375,9 +350,9 @@ TASKS: tuple[TaskName, ...] = ("sit_to_stand", "posturography")
 class Spread:
     """A figure over units."""
 
-    median: float  # Same unit as the figure
-    least: float  # Same unit as the figure
-    greatest: float  # Same unit as the figure
+    median: float
+    least: float
+    greatest: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -392,13 +367,9 @@ class RivalRow:
     error_max_deg: Spread  # Pitch error over the motion, deg, over units
     # Largest error of the change of pitch since the motion began, deg: what the gyroscopes' calibration is worth
     change_max_deg: Spread
-    # How many units, and with how many of them the tilt at the start was refused, the length of gravity being too far
-    # off; those have no error and are not in the figures
     units: int
-    # How many units, and with how many of them the tilt at the start was refused, the length of gravity being too far
-    # off; those have no error and are not in the figures
-    refused: int
-    # What the fits said of the first unit, what the method cannot see; and why units were refused
+    refused: int  # Units whose gravity at rest is too far off to start from; they are not in the figures
+    # Findings of the fits to the first unit, what the method cannot observe; and why units were refused
     notes: tuple[str, ...]
 
 
@@ -428,7 +399,7 @@ def compare_rivals(
             made[m].append(done)
             for t, case in enumerate(cases):
                 try:
-                    errors[number, m, t] = _told(pitch_error(case, done.calibration) / RADIAN_PER_DEGREE)
+                    errors[number, m, t] = _figures(pitch_error(case, done.calibration) / RADIAN_PER_DEGREE)
                 except InputError as error:  # a calibration too poor to start from is refused: no error, and not a zero
                     refusals[m].append(str(error))
     return tuple(
@@ -460,7 +431,7 @@ def _spread(values: FloatArray) -> Spread:
     return Spread(median=float(np.median(seen)), least=float(seen.min()), greatest=float(seen.max()))
 
 
-def _told(error: FloatArray) -> tuple[float, float, float]:
+def _figures(error: FloatArray) -> tuple[float, float, float]:
     since = error - error[np.flatnonzero(np.isfinite(error))[0]]
     return float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(np.abs(error))), float(np.nanmax(np.abs(since)))
 
@@ -483,7 +454,7 @@ def _case(device: DeviceModel, name: TaskName, rng: np.random.Generator) -> Case
     )
 
 
-# ---- Optimal designs: at which rates a table should dwell, from the Fisher information, as a rival to the note's uniform grids.
+# ---- optimal designs
 
 Criterion = Literal["D", "I"]
 ROUNDS = 4000
@@ -498,12 +469,8 @@ class RateDesign:
     criterion: Criterion  # D or I
     turn_rate: FloatArray  # (k,), rates, rad/s, increasing
     share: FloatArray  # (k,), of the time; they add up to 1
-    # What the uniform grid reaches of this design's information, by each measure: 1 is as good, 0.5 needs twice the
-    # time
-    d_efficiency_uniform: float
-    # What the uniform grid reaches of this design's information, by each measure: 1 is as good, 0.5 needs twice the
-    # time
-    i_efficiency_uniform: float
+    d_efficiency_uniform: float  # Of the uniform grid's information over this design's; 0.5 needs twice the time
+    i_efficiency_uniform: float  # As above, by the error over the task
 
 
 def optimal_rates(
@@ -573,7 +540,7 @@ def _climb(f: FloatArray, wanted: FloatArray | None) -> FloatArray:
     return share
 
 
-# ---- Rates to dwell at for each task of a study: D- and I-optimal sets beside the uniform grid, at equal dwelling time.
+# ---- rates to dwell at for each task
 
 DEGREES = (1, 3)
 CANDIDATES = 181
@@ -592,11 +559,10 @@ class DesignRow:
     grid: str  # Whose uniform grid it is compared with: the note's, or that of the optimum
     degree: int  # Of the polynomial that an axis' reading is taken for
     criterion: Set  # uniform, D or I
-    # Rates of one axis, deg/s, increasing, and shares of the time; neighbours gathered
-    turn_rate_dps: tuple[float, ...]
-    share: tuple[float, ...]  # Rates of one axis, deg/s, increasing, and shares of the time; neighbours gathered
-    d_efficiency_uniform: float  # What the uniform grid has of the information of this set; 1 for the grid itself
-    i_efficiency_uniform: float  # What the uniform grid has of the information of this set; 1 for the grid itself
+    turn_rate_dps: tuple[float, ...]  # Rates of one axis, increasing; neighbours gathered
+    share: tuple[float, ...]  # Of the time, at each
+    d_efficiency_uniform: float  # Of the uniform grid's information over this set's; 1 for the grid itself
+    i_efficiency_uniform: float  # As above
     dwells: int  # How many the uniform grid makes of one axis: all sets have their time
     dwell_s: float | None  # One dwell, s; None where it is stated by its uncertainty
     # Predicted error of the rate over the task, root-mean-square, deg/s; None for a device without white noise
@@ -660,14 +626,14 @@ def _of_degree(
         error = None
         if dwell_sd is not None:
             error = prediction_sd(at, share, rates, dwell_sd=dwell_sd, dwells=len(grid), degree=degree)
-        told, parts = (at, share) if own is None else _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
+        rates_shown, parts = (at, share) if own is None else _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
         rows.append(
             DesignRow(
                 task=task.name,
                 grid=name,
                 degree=degree,
                 criterion=which,
-                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in told),
+                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in rates_shown),
                 share=tuple(map(float, parts)),
                 d_efficiency_uniform=1.0 if own is None else own.d_efficiency_uniform,
                 i_efficiency_uniform=1.0 if own is None else own.i_efficiency_uniform,

@@ -1,50 +1,26 @@
-"""Repeated-measures analysis of variance: does the error depend on a parameter of the protocol?
+"""Repeated measures: does the error depend on a parameter of the protocol, which of its values differ, with what power?
 
 Subjects i = 1..n meet every condition j = 1..k (one value of the parameter each)::
 
     SS_condition = n sum_j (y.j - y..)^2            df = k - 1
-    SS_subject   = k sum_i (yi. - y..)^2
-    SS_error     = SS_total - SS_condition - SS_subject   df = (n - 1)(k - 1)
+    SS_error     = SS_total - SS_condition - k sum_i (yi. - y..)^2     df = (n - 1)(k - 1)
     F = MS_condition / MS_error
 
-p is given as it stands and with the degrees of freedom of Greenhouse-Geisser and Huynh-Feldt. The p to quote is the corrected
-one: Huynh-Feldt where Greenhouse-Geisser's epsilon is above 0.75, else Greenhouse-Geisser (Girden, 1992); it needs no test of
-sphericity first. The F of statsmodels' AnovaRM is the same, which a test holds.
-
-Sphericity of repeated measures: whether all differences between conditions have one variance, and what it costs if not.
-
-With the covariance S (k, k) of the conditions over subjects and C (k - 1, k) orthonormal contrasts, A = C S C^T::
+Both degrees of freedom are multiplied by an epsilon of sphericity: Huynh-Feldt where Greenhouse-Geisser's exceeds 0.75, else
+Greenhouse-Geisser (Girden, 1992). With the covariance S (k, k) of the conditions, orthonormal contrasts C and A = C S C^T::
 
     Greenhouse-Geisser   e = tr(A)^2 / ((k - 1) tr(A A))
     Huynh-Feldt          e~ = (n (k - 1) e - 2) / ((k - 1) (n - 1 - (k - 1) e)), at most 1
-    lower bound          1 / (k - 1)
-    Mauchly              W = det(A) / (tr(A) / (k - 1))^(k - 1), chi2 = -(n - 1 - (2 p^2 + p + 2) / (6 p)) ln W, p = k - 1
+    Mauchly              W = det(A) / (tr(A) / p)^p, chi2 = -(n - 1 - (2 p^2 + p + 2) / (6 p)) ln W, p = k - 1
 
-Both degrees of freedom of the F test are multiplied by the epsilon.
+Where values are missing: y_r = m_c(r) + u_s(r) + e_r with u ~ N(0, s_u^2), e ~ N(0, s_e^2), by restricted maximum likelihood over
+g = s_u^2 / s_e^2. With n_i values of subject i and a_i = 1 / sqrt(1 + n_i g), the means m are the least squares of y - (1 - a_i)
+mean_i(y): exact where subjects differ a million times more than they respond. A Wald test with n - 1 degrees of freedom in the
+denominator, which is conservative, compares the conditions; values are assumed missing at random.
 
-Unbalanced repeated measures: a mixed model with a random level for each subject.
+Pairs have paired t tests (contrasts of the mixed model) with p after Holm. Power, with noncentral F'::
 
-::
-
-    y_r = m_c(r) + u_s(r) + e_r        u ~ N(0, s_u^2), e ~ N(0, s_e^2)
-
-The ratio g = s_u^2 / s_e^2 is the one that makes the restricted likelihood greatest. For a given g, with n_i values of subject i
-and a_i = 1 / sqrt(1 + n_i g), the means m are those of ordinary least squares of ``y - (1 - a_i) mean_i(y)``; this form stays exact
-where subjects differ a million times more than they respond. The conditions are tested together by a Wald test of all contrasts,
-with n - 1 degrees of freedom in the denominator, which is on the safe side. What is missing is taken as missing by chance.
-
-Which conditions differ: paired t tests of all pairs, p after Holm; contrasts of the mixed model where values are missing.
-
-Holm's p of the r-th smallest of m: max over those up to it of (m - r + 1) p, at most 1; it holds the chance of any false
-finding at the level, whatever the dependence between the tests.
-
-Power of the repeated-measures analysis, and what looking again and again does to it.
-
-With the conditions' true means m_j, error variance s^2 per subject and condition (subjects' own levels taken out) and n subjects::
-
-    lambda = e n sum_j (m_j - m.)^2 / s^2      power = P(F' > F_crit), F' noncentral with e (k-1), e (n-1)(k-1), lambda
-
-e is the epsilon of the sphericity. The normal use: means and s^2 of a first study say how many subjects the next one needs.
+    lambda = e n sum_j (m_j - m.)^2 / s^2      power = P(F' > F_crit), degrees of freedom e (k-1), e (n-1)(k-1)
 """
 
 from collections.abc import Sequence
@@ -57,7 +33,7 @@ from numpy.typing import ArrayLike
 from undrift.arrays import FloatArray, IntArray, frozen
 from undrift.errors import InputError
 
-# ---- Sphericity of repeated measures: whether all differences between conditions have one variance, and what it costs if not.
+# ---- sphericity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,8 +41,8 @@ class Sphericity:
     """How far repeated measures are from spherical."""
 
     greenhouse_geisser: float  # Epsilon of each correction, 1 for spherical
-    huynh_feldt: float  # Epsilon of each correction, 1 for spherical
-    lower_bound: float  # Epsilon of each correction, 1 for spherical
+    huynh_feldt: float  # As above
+    lower_bound: float  # As above, 1 / (k - 1)
     mauchly_w: float  # Mauchly's W, 1 for spherical; NaN where it cannot be had
     chi_squared: float  # Of Mauchly's test
     dof: int  # Its degrees of freedom
@@ -136,7 +112,7 @@ def _mauchly(a: FloatArray, n: int) -> tuple[float, float, int, float]:
     return float(np.exp(log_w)), statistic, dof, min(max(p_value, 0.0), 1.0)
 
 
-# ---- Unbalanced repeated measures: a mixed model with a random level for each subject.
+# ---- mixed model of unbalanced data
 
 LOG_RATIO = np.linspace(-14.0, 34.0, 97)  # of s_u^2 / s_e^2; a ratio of 0 is tried besides
 
@@ -146,10 +122,10 @@ class MixedModel:
     """Outcome of a mixed model."""
 
     conditions: tuple[str, ...]  # In order of first appearance
-    subjects: int  # How many subjects, and how many values they gave
-    values: int  # How many subjects, and how many values they gave
-    means: FloatArray  # (k,), estimated mean of each condition and its standard uncertainty, unit of the data
-    uncertainties: FloatArray  # (k,), estimated mean of each condition and its standard uncertainty, unit of the data
+    subjects: int
+    values: int  # Of all subjects
+    means: FloatArray  # (k,), of the conditions
+    uncertainties: FloatArray  # (k,), standard, of the means
     covariance: FloatArray  # (k, k), of the means, that unit squared
     f: float  # Wald F of all differences together
     dof: tuple[float, float]  # k - 1 and n - 1
@@ -157,8 +133,8 @@ class MixedModel:
     # Share of the conditions in what is left without the subjects' own levels, from F and the residual's degrees of
     # freedom; that of the analysis of variance where nothing is missing
     partial_eta_squared: float
-    subject_sd: float  # s_u and s_e, unit of the data
-    residual_sd: float  # s_u and s_e, unit of the data
+    subject_sd: float  # s_u, unit of the data
+    residual_sd: float  # s_e, unit of the data
 
 
 def compare_unbalanced(y: ArrayLike, subject: Sequence[str], condition: Sequence[str]) -> MixedModel:
@@ -177,7 +153,7 @@ def compare_unbalanced(y: ArrayLike, subject: Sequence[str], condition: Sequence
             f"{r} values of {n} subjects in {k} conditions"
         )
     whose, which = (
-        np.array([known.index(each) for each in told]) for known, told in ((subjects, subject), (names, condition))
+        np.array([known.index(each) for each in rows]) for known, rows in ((subjects, subject), (names, condition))
     )
     design = np.eye(k)[which]
     residual_dof = r - n - (k - 1)
@@ -261,20 +237,20 @@ def _ratio(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
     return 0.0 if unlikely(0.0) <= unlikely(ratio) else ratio
 
 
-# ---- Which conditions differ: paired t tests of all pairs, p after Holm; contrasts of the mixed model where values are missing.
+# ---- pairs of conditions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
     """Two conditions compared."""
 
-    first: int  # Columns, or places of a mixed model's conditions
-    second: int  # Columns, or places of a mixed model's conditions
+    first: int  # Column, or place of a mixed model's condition
+    second: int
     difference: float  # Mean of first minus second, unit of the data
     interval: tuple[float, float]  # Its 95 % interval, not corrected for the number of pairs
     t: float  # Paired t, n - 1 degrees of freedom
-    p_value: float  # Two-sided, as it stands and after Holm
-    p_holm: float  # Two-sided, as it stands and after Holm
+    p_value: float  # Two-sided
+    p_holm: float  # After Holm
     cohen_dz: float  # Difference over the standard deviation of the differences; in a mixed model that is sqrt(2) s_e
 
 
@@ -347,7 +323,7 @@ def adjust_holm(p: ArrayLike) -> FloatArray:
     return adjusted
 
 
-# ---- statistics
+# ---- analysis of variance
 
 TURN_TO_HUYNH_FELDT = 0.75
 
@@ -356,13 +332,13 @@ TURN_TO_HUYNH_FELDT = 0.75
 class Anova:
     """Outcome of a one-way repeated-measures analysis of variance."""
 
-    subjects: int  # n and k
-    conditions: int  # n and k
+    subjects: int  # n
+    conditions: int  # k
     f: float  # F of the conditions
     dof: tuple[float, float]  # Degrees of freedom of the conditions and of the error, not corrected
-    p_uncorrected: float  # p of that F
-    p_greenhouse_geisser: float  # p of that F
-    p_huynh_feldt: float  # p of that F
+    p_uncorrected: float
+    p_greenhouse_geisser: float
+    p_huynh_feldt: float
     p_value: float  # The one to quote
     correction: str  # Which that is
     sphericity: Sphericity  # Epsilons and Mauchly's test
@@ -429,7 +405,7 @@ def _check(table: FloatArray) -> None:
         )
 
 
-# ---- Power of the repeated-measures analysis, and what looking again and again does to it.
+# ---- power and optional stopping
 
 MOST_SUBJECTS = 100_000
 
