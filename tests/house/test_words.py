@@ -48,5 +48,6 @@ def test_the_words_are_the_fields(path: Path) -> None:
         f"{path.name}:{number}: '{match.group(0)}' -> {better(match.group(0))}"
         for number, line in enumerate(path.read_text().splitlines(), 1)
         for match in EVERY.finditer(line)
+        if not line.endswith("# binding key")  # of files that other programs read
     ]
     assert not found, "\n".join(found)
