@@ -448,6 +448,13 @@ CATALOGUE: dict[str, Entry] = {
     ),
     # ---- validation
     # ---- twin
+    # ---- export
+    "imucal.uncertainty": Entry(
+        2,
+        "Uncertainties are unknown",
+        "The file of imucal has no uncertainties: they are NaN here.",
+        "Calibrate from the recording itself.",
+    ),
     # ---- recordings (undrift info)
     "recording.not_read": Entry(1, "{what}"),
     "recording.gravity": Entry(

@@ -158,6 +158,72 @@ def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, mo
     assert read_calibration(tmp_path / "c.json").verdict.status == "bad"
 
 
+def test_three_findings_are_shown_and_all_with_details(undrift, bench, monkeypatch):
+    from dataclasses import replace
+
+    from undrift import findings
+    from undrift.calibration import calibrate as procedure
+    from undrift.model import Verdict
+
+    for code, rank, action in (("a", 4, "record [more]"), ("b", 2, ""), ("c", 1, "")):
+        detail = "{x_deg:.1f} deg" if code == "a" else ""
+        monkeypatch.setitem(
+            findings.CATALOGUE, f"test.{code}", findings.Entry(rank, f"headline {code}", detail, action)
+        )
+    found = (
+        findings.finding("test.a", "info", x_deg=1.0),
+        findings.finding("test.b", "warn"),
+        findings.finding("test.c", "warn"),
+        findings.finding("test.c", "warn"),
+        findings.finding("test.a", "fail", x_deg=2.0),
+    )
+    good = procedure.calibrate
+    bad = Verdict(status="bad", findings=found)
+    monkeypatch.setattr(procedure, "calibrate", lambda *a, **k: replace(good(*a, **k), verdict=bad))
+    first = [
+        "verdict: bad",
+        "  - headline a", "    2.0 deg", "    -> record [more]",
+        "  - headline c",
+        "  - headline b",
+    ]  # fmt: skip
+    last = ["  - headline a", "    1.0 deg", "    -> record [more]"]
+    shown = undrift("calibrate", bench / "session").out
+    assert "\n".join([*first, "  1 more: --details"]) in shown
+    detailed = undrift("calibrate", bench / "session", "--details").out
+    assert "\n".join([*first, *last]) in detailed
+    assert "more: --details" not in detailed
+    verdict = undrift("calibrate", bench / "session", "--json").json()["verdict"]
+    assert verdict["findings"][0] == {
+        "code": "test.a", "level": "info", "values": {"x_deg": 1.0}, "text": "headline a: 1.0 deg; record [more]",
+        "action": "record [more]",
+    }  # fmt: skip
+    assert verdict["reasons"][0] == "headline a: 2.0 deg; record [more]"
+
+
+def test_settings_of_the_fit_are_options(undrift, bench, tmp_path):
+    def made(*words):
+        return undrift.good("calibrate", bench / "session", *words, "--json").json()
+
+    words = ["--window-s", "4", "--settle-s", "0.5", "--angle-uncertainty-deg", "2"]
+    plain, chosen = made(), made(*words)
+    names = ("window_s", "settle_s", "angle_uncertainty_deg")
+    assert [dict(plain["provenance"]["settings"])[name] for name in names] == ["6", "0.3", "1"]
+    assert [dict(chosen["provenance"]["settings"])[name] for name in names] == ["4", "0.5", "2"]
+    assert plain["accel"]["offset"] != chosen["accel"]["offset"]
+    assert plain["gyro"]["offset"] != chosen["gyro"]["offset"]
+
+
+def test_a_report_page_shows_matrices_and_verdict(undrift, bench, tmp_path):
+    page = tmp_path / "c.html"
+    assert f"Wrote {page}" in undrift.good("calibrate", bench / "session", "--report", page).out
+    text = page.read_text()
+    for part in ("<h2>Gyroscopes: rate-table/affine", "scale factor (count per rad/s)", "gravity 9.8"):
+        assert part in text
+    assert "wanted a name ending in .html" in undrift.refused(
+        "calibrate", bench / "session", "--report", tmp_path / "c.pdf"
+    )
+
+
 @pytest.mark.parametrize("word", ["session", "session/session.toml"])
 def test_a_session_is_named_by_its_folder_or_its_file(undrift, bench, word):
     assert undrift.good("calibrate", bench / word, "--json").json()["verdict"]["status"] == "good"

@@ -62,7 +62,7 @@ def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell
     (tmp_path / "map.toml").write_text(MPU_MAP)
     log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
     words = ["drift", log, "--map", tmp_path / "map.toml"]
-    answer = undrift.good(*words, "-o", tmp_path / "mpu.json", "--report", tmp_path / "mpu.html")
+    answer = undrift.good(*words, "-o", tmp_path / "mpu.json", "--report", tmp_path / "mpu.html", "--details")
     found = 1e3 * slopes_of(answer.out)[:, 0]
     show("slopes as shown, mdeg/s per degC", found, "-3.5 / +27.9 / -2.4 within 0.5")
     np.testing.assert_allclose(found, [-3.5, 27.9, -2.4], atol=0.5)
@@ -95,7 +95,7 @@ def test_two_plateaus_with_torn_lines_name_the_fourfold_error(undrift, tmp_path)
             'units = { temp = "degC", accel = "g", gyro = "dps" }\n'
         )
     (tmp_path / "session.toml").write_text(session)
-    answer = undrift.good("drift", tmp_path)
+    answer = undrift.good("drift", tmp_path, "--details")
     found = 1e3 * slopes_of(answer.out)[:, 0]
     show("BMI270, mdeg/s per degC", found, "+19.1 / +12.9 / -1.5")
     np.testing.assert_allclose(found, [19.1, 12.9, -1.5], atol=0.5)
@@ -104,7 +104,7 @@ def test_two_plateaus_with_torn_lines_name_the_fourfold_error(undrift, tmp_path)
     assert "have no data near them" in answer.out
     assert "verdict: marginal" in answer.out
     (tmp_path / "map.toml").write_text(BMI_MAP)
-    bare = undrift.good("drift", *sorted(tmp_path.glob("*.gz")), "--map", tmp_path / "map.toml")
+    bare = undrift.good("drift", *sorted(tmp_path.glob("*.gz")), "--map", tmp_path / "map.toml", "--details")
     assert bare.out.count("not seen") == 3  # between sessions, on each axis
     assert "no two sessions share a temperature" in bare.out
     for told in (answer.out, bare.out):
@@ -122,7 +122,7 @@ def test_eleven_recordings_of_a_bicycle_are_one_session(undrift, tmp_path):
             'units = { time = "s", gyro = "rad/s", accel = "count", temp = "degC" }\n'
         )
     (tmp_path / "session.toml").write_text(session)
-    answer = undrift.good("drift", tmp_path)
+    answer = undrift.good("drift", tmp_path, "--details")
     found, stated = 1e3 * slopes_of(answer.out).T
     show("bicycle, mdeg/s per degC", found, "-84 / +18 / -4")
     np.testing.assert_array_less(np.abs(found - [-84.0, 18.0, -4.0]), 3.0 * stated)
@@ -132,7 +132,7 @@ def test_eleven_recordings_of_a_bicycle_are_one_session(undrift, tmp_path):
 def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soaks, tmp_path):
     words = ["drift", soaks / "session", "--calibration", soaks / "calibration.json"]
     answer = undrift.good(
-        *words, "-o", tmp_path / "c.json", "--report", tmp_path / "p.html", "--figure", tmp_path / "f.png"
+        *words, "--details", "-o", tmp_path / "c.json", "--report", tmp_path / "p.html", "--figure", tmp_path / "f.png"
     )
     out = answer.out
     for said in (
@@ -192,7 +192,9 @@ def test_several_logs_are_combined_and_a_warm_up_is_fitted(undrift, soaks, tmp_p
         write_record(made.records[0], tmp_path / f"day{k}.parquet")
     logs = sorted(tmp_path.glob("*.parquet"))
     own = tmp_path / "c.json"
-    answer = undrift.good("drift", *logs, "--calibration", soaks / "calibration.json", "--warm-up", "-o", own)
+    answer = undrift.good(
+        "drift", *logs, "--calibration", soaks / "calibration.json", "--warm-up", "-o", own, "--details"
+    )
     assert "between sessions" in answer.out
     assert "one session" not in answer.out
     assert "--power-on-s SECONDS" in answer.out
@@ -283,7 +285,7 @@ def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks,
         ((), "wanted a session or recording, or more, got none"),
         ((session, "--range-c", "20"), "wanted LOW:HIGH in degC, got '20'"),
         ((session, "--range-c", "70:20"), "wanted LOW below HIGH in degC, got '70:20'"),
-        ((session, "--step-c", "0"), "wanted more than 0 K, got 0"),
+        ((session, "--step-c", "0"), "wanted more than 0 degC, got 0"),
         ((session, "-o", tmp_path / "c.txt"), "wanted a name ending in .json"),
         ((session, "--report", tmp_path / "p.pdf"), "wanted a name ending in .html"),
         ((session, "--figure", tmp_path / "none" / "f.png"), "make it first"),
@@ -301,7 +303,7 @@ def test_accelerometers_alone_have_tables_and_no_picture_of_gyroscopes(undrift, 
     made = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(5))
     write_session(replace(made, records=(replace(made.records[0], gyro=None),)), tmp_path / "session")
     words = ["drift", tmp_path / "session", "--calibration", soaks / "calibration.json"]
-    out = undrift.good(*words).out
+    out = undrift.good(*words, "--details").out
     assert "accelerometer offset over temperature: " in out
     assert "gyroscope offset" not in out
     before = contents(tmp_path)
@@ -328,6 +330,6 @@ def test_a_log_given_twice_is_refused_and_a_log_in_two_files_is_one_switch_on(un
     head, *rows = gzip.decompress(log.read_bytes()).splitlines(keepends=True)
     (tmp_path / "a.csv").write_bytes(b"".join([head, *rows[: len(rows) // 2]]))
     (tmp_path / "b.csv").write_bytes(b"".join([head, *rows[len(rows) // 2 :]]))
-    answer = undrift.good("drift", tmp_path / "b.csv", tmp_path / "a.csv", *words)
+    answer = undrift.good("drift", tmp_path / "b.csv", tmp_path / "a.csv", *words, "--details")
     assert "one session: how far the offset moves" in answer.out
     assert "between sessions" not in answer.out

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ def test_every_target_is_written_and_says_what_it_cannot_carry(undrift, bench, t
     assert told["files"] == [str(output), *([str(tmp_path / "a.c")] if target == "c" else [])]
     assert sorted(contents(tmp_path)) == sorted(name.rsplit("/", 1)[1] for name in told["files"])
     assert any("uncertainties" in text for text in told["not_carried"])
+    assert told["verdict"].keys() == {"status", "reasons", "findings"}
     assert told["verdict"]["status"] in ("good", "marginal")
     answer = undrift.good(*words)
     for text in (*told["not_carried"], *told["notes"]):
@@ -70,6 +72,43 @@ def test_a_calibration_of_imucal_comes_back(undrift, bench, tmp_path):
     assert back.device == ours.device
 
 
+BOARD = """
+from undrift.export import Target
+from undrift.export.losses import Exported
+
+def write(calibration, options, name):
+    text = f"{calibration.device} {options.prefix} {name}"
+    return Exported(text=text, more=("beside",), not_carried=("tables",), notes=("flash it",), figures={"bytes": 7})
+
+TARGET = Target(endings=(".bin",), more=(".map",), write=write)
+"""
+POINTS = "[undrift.targets]\nboard = board:TARGET\nc = board:TARGET\nodd = board:write\n"
+
+
+def test_another_package_adds_a_target_by_an_entry_point(undrift, bench, tmp_path, monkeypatch):
+    installed, out = tmp_path / "installed", tmp_path / "out"
+    information = installed / "board-1.0.dist-info"
+    information.mkdir(parents=True)
+    out.mkdir()
+    (installed / "board.py").write_text(BOARD)
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: board\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(POINTS)
+    monkeypatch.syspath_prepend(installed)
+    calibration = bench / "calibration.json"
+    words = ["export", calibration, "-o", out / "a.bin", "--prefix", "left", "--target"]
+    made = undrift.good(*words, "board", "--json").json()
+    assert contents(out) == {
+        "a.bin": f"{read_calibration(calibration).device} left a.bin".encode(),
+        "a.map": b"beside",
+    }
+    assert (made["bytes"], made["not_carried"], made["notes"]) == (7, ["tables"], ["flash it"])
+    assert made["files"] == [str(out / "a.bin"), str(out / "a.map")]
+    assert "undrift, board, odd, got 'press'" in undrift.refused(*words, "press")
+    assert "odd: wanted a Target of undrift.export" in undrift.refused(*words, "odd")
+    assert "wanted a name ending in .h" in undrift.refused(*words, "c")  # its own targets cannot be replaced
+    sys.modules.pop("board")
+
+
 def test_a_bad_verdict_is_written_and_ends_with_1(undrift, bench, tmp_path):
     held = json.loads((bench / "calibration.json").read_text())
     held["verdict"] = {"status": "bad", "reasons": ["one [axis] was never turned"]}
@@ -107,7 +146,9 @@ def test_what_export_refuses(undrift, bench, tmp_path):
     assert "wanted sensor 0, 1 or 2" in refused(
         "--target", "px4", "-o", tmp_path / "a.params", "--sensor", "7", *NOMINAL
     )
-    assert "Say undrift export --help" in refused("--target", "betaflight", "-o", tmp_path / "a.txt")
+    assert "target: wanted one of c, px4, ardupilot, fusion, imucal, ros, undrift, got 'betaflight'" in refused(
+        "--target", "betaflight", "-o", tmp_path / "a.txt"
+    )
     assert "theirs.json: imucal calibration: wanted cal_type" in refused(
         *c, tmp_path / "old.h", of=tmp_path / "theirs.json"
     )

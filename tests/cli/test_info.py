@@ -1,5 +1,6 @@
 """undrift info: every public recording, and the keys that other programs rely on."""
 
+import json
 import re
 
 import numpy as np
@@ -195,11 +196,19 @@ def test_a_map_of_one_key_serves_own_names_and_an_option_overrules_it(undrift, t
     assert undrift.good("info", tmp_path / "gap.csv", "--gaps", "keep", "--json").json()["gaps"] == 1
 
 
-def test_the_reasons_of_a_verdict_stand_one_a_line(undrift, bench):
-    told = undrift.good("info", bench / "calibration.json", "--json").json()["effects"]["verdict"]
-    lines = undrift.good("info", bench / "calibration.json").out.splitlines()
-    at = lines.index(f"  verdict: {told[0]}")
-    assert lines[at + 1 : at + len(told)] == [f"    - {reason}" for reason in told[1:]]
+def test_the_findings_of_a_verdict_stand_one_by_one_and_all_with_details(undrift, bench, tmp_path):
+    held = json.loads((bench / "calibration.json").read_text())
+    reasons = [f"the [axis] {k}" for k in range(5)]
+    held["verdict"] = {"status": "marginal", "reasons": reasons}  # a file of an earlier version: no codes
+    (tmp_path / "c.json").write_text(json.dumps(held))
+    found = undrift.good("info", tmp_path / "c.json", "--json").json()
+    assert found["effects"]["verdict"] == ["marginal", *reasons]
+    assert found["verdict"]["reasons"] == reasons
+    lines = undrift.good("info", tmp_path / "c.json").out.splitlines()
+    at = lines.index("verdict: marginal")
+    assert lines[at + 1 :] == [*(f"  - {reason}" for reason in reasons[:3]), "  2 more: --details"]
+    lines = undrift.good("info", tmp_path / "c.json", "--details").out.splitlines()
+    assert lines[at + 1 :] == [f"  - {reason}" for reason in reasons]
 
 
 def test_every_public_folder_was_found():

@@ -33,7 +33,7 @@ def test_a_task_and_a_preset_make_a_recording_with_its_truth(
     again = tmp_path / "again.parquet"
     assert run(["simulate", "sit_to_stand", "--device", "enc03j_3031", "--draw", "-o", str(again), "--seed", "3"]) == 0
     np.testing.assert_array_equal(read_record(again).gyro, record.gyro)  # type: ignore[arg-type]
-    assert "what each effect adds" in capsys.readouterr().out
+    assert "contribution of each effect" in capsys.readouterr().out
 
     assert run(["info", str(device), "--json"]) == 0
     described = json.loads(capsys.readouterr().out)

@@ -1,4 +1,4 @@
-"""PX4 and ArduPilot: the published conversion, the way back, what is lost, and what is refused."""
+"""PX4 and ArduPilot: the published conversion, curves read back, what is lost, and what is refused."""
 
 import re
 from dataclasses import replace
@@ -6,26 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.autopilots import import_ardupilot, import_px4, read_parameters
 from testkit.data import show
 from testkit.full_calibration import STEPS, device, tables
-from undrift.errors import FileFormatError, InputError
-from undrift.export.autopilots import (
-    AutopilotSettings,
-    Cubic,
-    export_ardupilot,
-    export_px4,
-    fit_cubic,
-    import_ardupilot,
-    import_px4,
-    read_parameters,
-)
+from undrift.errors import InputError
+from undrift.export.autopilots import AutopilotSettings, Cubic, export_ardupilot, export_px4, fit_cubic
 from undrift.model import AdcModel, DriftTables, StaticDrift
 
 DEG = np.pi / 180.0
 
 
 def value(text, name):
-    return dict(read_parameters(text, "test"))[name]
+    return read_parameters(text)[name]
 
 
 def fixture_times():
@@ -66,7 +58,6 @@ def test_both_ways_give_the_same_curve():
         worst = float(np.abs(back.gyro.at(temp_c) - fixture_curve(temp_c)[:, None]).max())
         show("worst difference after export and import, rad/s", worst, 1e-15)
         assert worst < 1e-15
-        np.testing.assert_allclose(back.static(temp_c).gyro_offset, back.gyro.at(temp_c), rtol=0)
     px4 = import_px4(export_px4(fixture()).text)
     again = px4.gyro.about(35.0).about(px4.gyro.reference_c)
     np.testing.assert_allclose(again.coefficients, px4.gyro.coefficients, rtol=1e-12)
@@ -206,14 +197,3 @@ def test_what_is_refused():
     cold, hot = (export_px4(gyro_alone, AutopilotSettings(temp_c=t)) for t in (30.0, 60.0))
     assert cold.text == hot.text  # gains of gyroscopes have no place there: nothing is frozen, nothing is said of it
     assert "tables over temperature" not in " ".join((*cold.notes, *hot.notes))
-    with pytest.raises(FileFormatError, match="wanted a name and a number, got 'a b c' in line 2"):
-        import_px4("A,1\na b c\n")
-    with pytest.raises(FileFormatError, match="wanted a name and a number, got 'A,nan' in line 1"):
-        import_px4("A,nan")
-    with pytest.raises(FileFormatError, match="wanted each parameter once, got A again in line 3"):
-        import_ardupilot("A,1\n# note\nA 2")
-    with pytest.raises(FileFormatError, match="wanted the parameter TC_G0_X0_0, got none of that name"):
-        import_px4("TC_G_ENABLE,1\nTC_G0_TREF,25")
-    text = export_ardupilot(fixture()).text
-    with pytest.raises(FileFormatError, match="wanted INS_TCAL1_TMIN below TMAX, got 90 and"):
-        import_ardupilot(re.sub("INS_TCAL1_TMIN,.*", "INS_TCAL1_TMIN,90", text))

@@ -141,6 +141,7 @@ def test_an_imported_calibration_says_that_its_uncertainty_is_not_known(tmp_path
     assert np.isnan(made.gyro.covariance).all()
     assert np.isnan(made.accel.standard_uncertainty).all()
     assert made.verdict.status == "marginal"
+    assert [(f.code, f.level) for f in made.verdict.findings] == [("imucal.uncertainty", "warn")]
     assert "no uncertainties: they are NaN" in made.verdict.reasons[0]
     write_calibration(made, tmp_path / "c.json")
     read = read_calibration(tmp_path / "c.json")

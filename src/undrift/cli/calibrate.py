@@ -1,28 +1,45 @@
 """``undrift calibrate``: fit what a session allows."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from cyclopts import Parameter
-
-from undrift.cli.common import Flag
+from undrift.cli.common import (
+    Details,
+    Flag,
+    Json,
+    OptionalOutput,
+    checked_output,
+    say,
+    show_table,
+    show_verdict,
+    waiting,
+    write_json,
+)
 
 if TYPE_CHECKING:
-    from undrift.model import Calibration, TriadModel
+    from undrift.model import Calibration
 
 
 def calibrate(
     session: Path,
     /,
     *,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: OptionalOutput = None,
+    report: Path | None = None,
     accel: Literal["six-face", "multi-position"] | None = None,
     gyro: Literal["rate-table", "known-rotation", "multi-position"] | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
+    keep_offset: Flag = False,
+    adc: Literal["auto", "none"] = "auto",
+    window_s: float = 6.0,
+    settle_s: float = 0.3,
     latitude_deg: float | None = None,
-    json: Flag = False,
+    angle_uncertainty_deg: float = 1.0,
+    scale_tolerance: float = 0.25,
+    details: Details = False,
+    json: Json = False,
 ) -> int:
-    """Fit what a session allows, and say what was not observable.
+    """Fit what a session allows, with verdict and findings.
 
     Parameters
     ----------
@@ -30,16 +47,28 @@ def calibrate(
         Folder with session.toml, or that file.
     output : Path or None
         calibration.json to write.
+    report : Path or None
+        Report page to write: .html.
     accel : str or None
         How to calibrate the accelerometers; what the session allows by default.
     gyro : str or None
         How to calibrate the gyroscopes; what the session allows by default.
     mode : str or None
         paper (the note's equations to the letter), affine, or levelled (six faces, weighted by how level they lay).
+    keep_offset : bool
+        Mode paper, whose matrix has no offset column: the readings are free of it, remove none.
+    adc : str
+        "auto" looks for the step and rounding of the codes; "none" leaves them.
+    window_s : float
+        Longest stretch of each face that is averaged, s.
+    settle_s : float
+        Start of each dwell at a known rate that is left out, s.
     latitude_deg : float or None
-        Takes the Earth's rotation off a rate table that stands level there.
-    json : bool
-        The calibration as one JSON object on stdout.
+        Removes the Earth's rotation from a rate table that stands level there.
+    angle_uncertainty_deg : float
+        Standard uncertainty of a turn by a known angle, deg.
+    scale_tolerance : float
+        Largest relative difference of a scale factor from the stated unit; physical units only.
 
     Returns
     -------
@@ -48,86 +77,74 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.cli.common import checked_output, waiting, write_json
     from undrift.io.session import read_session
     from undrift.io.store import calibration_json, write_calibration
 
-    if output is not None:
-        checked_output(output, endings=(".json",), reads=())  # no recording ends so
-
+    for path, ending in ((output, ".json"), (report, ".html")):
+        if path is not None:
+            checked_output(path, endings=(ending,), reads=())  # no recording ends so
+    settings = CalibrateSettings(
+        window_s=window_s,
+        settle_s=settle_s,
+        latitude_deg=latitude_deg,
+        angle_uncertainty_deg=angle_uncertainty_deg,
+        scale_tolerance=scale_tolerance,
+        remove_offset=not keep_offset,
+        identify_adc=adc == "auto",
+    )
     with waiting("reading and fitting"):
-        made = fit(
-            read_session(session),
-            accel=accel,
-            gyro=gyro,
-            mode=mode,
-            settings=CalibrateSettings(latitude_deg=latitude_deg),
-        )
+        made = fit(read_session(session), accel=accel, gyro=gyro, mode=mode, settings=settings)
     if output is not None:
         write_calibration(made, output)
+    if report is not None:
+        _write_report(made, report)
     if json:
         write_json(calibration_json(made))
+        return 1 if made.verdict.status == "bad" else 0
+    _show(made)
+    show_verdict(made.verdict, details=details)
+    if report is not None:
+        say(f"Wrote {report}")
+    if output is None:
+        say(f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json")
     else:
-        show_calibration(made)
-        _say_next(session, output)
+        say(f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet")
     return 1 if made.verdict.status == "bad" else 0
 
 
-def show_calibration(calibration: "Calibration") -> None:
-    """Show a calibration as tables and its verdict in words.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What was fitted.
-    """
-    import math
-
-    from undrift.cli.common import console, show_verdict
-
-    out = console()
-    where = "" if math.isnan(calibration.reference_temp_c) else f" at {calibration.reference_temp_c:.1f} degC"
+def _heading(calibration: "Calibration") -> str:
+    known = calibration.reference_temp_c == calibration.reference_temp_c  # not NaN
+    where = f" at {calibration.reference_temp_c:.1f} degC" if known else ""
     device = calibration.device or "device without a serial number"
-    out.print(f"{device}{where}, gravity {calibration.gravity_m_s2:.5f} m/s2", markup=False)
-    for name, triad in (("accelerometers", calibration.accel), ("gyroscopes", calibration.gyro)):
-        if triad is None:
-            out.print(f"{name}: not calibrated", markup=False)
-        else:
-            _show_triad(name, triad)
-    if calibration.adc is not None:
-        adc = calibration.adc
-        for name, lsb, rounding in (
-            ("gyro", adc.gyro_lsb, adc.gyro_rounding),
-            ("accel", adc.accel_lsb, adc.accel_rounding),
-        ):
-            if lsb is not None:
-                steps = ", ".join(f"{step:.6g}" for step in lsb)
-                out.print(f"ADC {name}: step {steps}, rounded {rounding.replace('_', ' ')}", markup=False)
-    show_verdict(calibration.verdict)
+    return f"{device}{where}, gravity {calibration.gravity_m_s2:.5f} m/s2"
 
 
-def _show_triad(name: str, triad: "TriadModel") -> None:
-    from undrift.cli.common import console, table
+def _write_report(calibration: "Calibration", path: Path) -> None:
+    from undrift.report.page import calibration_sections, write_page
+
+    title, sections = f"Calibration of {calibration.device or 'a device'}", calibration_sections(calibration)
+    write_page(path, title=title, lead=_heading(calibration), sections=sections, verdict=calibration.verdict)
+
+
+def _show(calibration: "Calibration") -> None:
+    """Show matrices, offsets and ADC steps."""
     from undrift.report.page import triad_heads, triad_notes, triad_rows
 
-    title = f"{name} ({triad.method}): corrected = matrix @ (raw - offset), {triad.unit_out} per {triad.unit_in}"
-    shown = table(title, *triad_heads(triad))
-    for row in triad_rows(triad):
-        shown.add_row(*row)
-    out = console()
-    out.print(shown, markup=False)
-    for note in triad_notes(triad):
-        out.print(f"  {note}", markup=False)
-
-
-def _say_next(session: Path, output: Path | None) -> None:
-    from undrift.cli.common import console
-
-    if output is None:
-        console().print(
-            f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json", markup=False
-        )
-    else:
-        console().print(
-            f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet", markup=False
-        )
+    say(_heading(calibration))
+    for name, triad in (("accelerometers", calibration.accel), ("gyroscopes", calibration.gyro)):
+        if triad is None:
+            say(f"{name}: not calibrated")
+            continue
+        title = f"{name} ({triad.method}): corrected = matrix @ (raw - offset), {triad.unit_out} per {triad.unit_in}"
+        show_table(title, triad_heads(triad), triad_rows(triad))
+        say(*(f"  {note}" for note in triad_notes(triad)))
+    adc = calibration.adc
+    if adc is None:
+        return
+    for name, lsb, rounding in (
+        ("gyro", adc.gyro_lsb, adc.gyro_rounding),
+        ("accel", adc.accel_lsb, adc.accel_rounding),
+    ):
+        if lsb is not None:
+            steps = ", ".join(f"{step:.6g}" for step in lsb)
+            say(f"ADC {name}: step {steps}, rounded {rounding.replace('_', ' ')}")

@@ -1,10 +1,16 @@
-"""What every command does with a result: one JSON object on stdout, or something a person likes to read."""
+"""What commands share: how to open recordings, where results may go, and how results are shown.
+
+A command reads its inputs with ``Opening``, checks the files that it will write before the work begins (``checked_output``,
+``checked_folder``), and ends with one JSON object on stdout (``write_json``) or tables and a verdict for a person. Messages and
+progress go to stderr. Nothing here imports numpy or rich before a command runs: ``--help`` answers at once.
+"""
 
 import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -13,8 +19,6 @@ from cyclopts import Parameter
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
@@ -23,9 +27,18 @@ if TYPE_CHECKING:
     from undrift.model import Calibration, Verdict
     from undrift.record import Record, Reference
 
-# ---- What a command may be told about a recording that does not say it itself.
-
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
+Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
+Details: TypeAlias = Annotated[
+    bool, Parameter(show_default=False, help="Show every finding, not only the first three.")
+]
+Output: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
+OptionalOutput: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
+Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
+Up: TypeAlias = Literal["y", "z"] | None
+Policy: TypeAlias = Literal["raise", "hold", "nan"]
+
+# ---- Recordings
 
 
 @Parameter(name="*")
@@ -52,13 +65,7 @@ class Opening:
     gaps: Literal["raise", "keep"] | None = None
 
     def columns(self) -> "ColumnMap | None":
-        """Return the column map, None where none was named.
-
-        Returns
-        -------
-        ColumnMap or None
-            Read from the file; None too where it names no columns, for a file with undrift's own names.
-        """
+        """Return the column map; None where none was named, or where it names no columns."""
         from undrift.io.session import read_column_map, read_map_settings
 
         if self.column_map is None or read_map_settings(self.column_map) is not None:
@@ -66,15 +73,7 @@ class Opening:
         return read_column_map(self.column_map)
 
     def settings(self) -> "ReadSettings":
-        """Return what else the reader is told.
-
-        Returns
-        -------
-        ReadSettings
-            Rate, sensor, gaps, and what a map without columns says; options overrule it.
-        """
-        from dataclasses import replace
-
+        """Return rate, sensor and gaps; options overrule a map without columns."""
         from undrift.io.columns import ReadSettings
         from undrift.io.session import read_map_settings
 
@@ -87,24 +86,7 @@ class Opening:
         )
 
     def read(self, path: Path) -> "Record":
-        """Read a recording; a session folder gives its only recording.
-
-        Parameters
-        ----------
-        path : Path
-            File or folder.
-
-        Returns
-        -------
-        Record
-            The readings.
-
-        Raises
-        ------
-        InputError
-            As the reader says, or a session of several recordings.
-        """
-        from undrift.errors import InputError
+        """Read a recording; a session folder gives its only recording."""
         from undrift.io.formats import detect, read_record
         from undrift.io.session import read_session
 
@@ -119,25 +101,10 @@ class Opening:
 
 
 def check_physical(record: "Record", path: Path) -> None:
-    """Refuse counts and volts where nothing says what they are worth.
-
-    Parameters
-    ----------
-    record : Record
-        As read, without a calibration.
-    path : Path
-        Where it was read.
-
-    Raises
-    ------
-    InputError
-        A gyroscope or accelerometer in counts or volts.
-    """
-    from undrift.errors import InputError
+    """Refuse counts and volts of a recording that no calibration gives a physical unit."""
     from undrift.units import is_physical
 
-    held = (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit))
-    for name, values, unit in held:
+    for name, values, unit in (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit)):
         if values is not None and not is_physical(unit):
             raise InputError(
                 f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
@@ -146,57 +113,22 @@ def check_physical(record: "Record", path: Path) -> None:
 
 
 def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
-    """Leave out the triad that stays in counts or volts because the calibration has no model of it.
-
-    Parameters
-    ----------
-    record : Record
-        As read.
-    model : Calibration
-        That it is to be corrected with.
-
-    Returns
-    -------
-    record : Record
-        Unchanged where every triad has a model or a physical unit, or where nothing would be left.
-    notes : tuple of str
-        What was left out, and why.
-    """
-    from dataclasses import replace
-
+    """Leave out, with a note, the triad that stays in counts or volts because the calibration has no model of it."""
     from undrift.units import is_physical
 
     if record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
         return record, ()
+    note = "the {} are left out of the result: their readings are in {}, and the calibration has no model of them"
     if model.accel is None and not is_physical(record.accel_unit):
-        return replace(record, accel=None, accel_unit="m/s2"), (_left_out("accelerometers", record.accel_unit),)
+        left = replace(record, accel=None, accel_unit="m/s2")
+        return left, (note.format("accelerometers", record.accel_unit),)
     if model.gyro is None and not is_physical(record.gyro_unit):
-        return replace(record, gyro=None, gyro_unit="rad/s"), (_left_out("gyroscopes", record.gyro_unit),)
+        return replace(record, gyro=None, gyro_unit="rad/s"), (note.format("gyroscopes", record.gyro_unit),)
     return record, ()
 
 
-def _left_out(what: str, unit: str) -> str:
-    return (
-        f"the {what} are left out of the result: their readings are in {unit}, and the calibration has no model of them"
-    )
-
-
 def check_gravity(record: "Record", path: Path) -> None:
-    """Refuse accelerations that cannot be in the unit that is stated: the answer would look like one and be wrong.
-
-    Parameters
-    ----------
-    record : Record
-        Readings of a worn or resting device; counts and volts are passed.
-    path : Path
-        Where they were read.
-
-    Raises
-    ------
-    InputError
-        A median under half or over twice that of gravity.
-    """
-    from undrift.errors import InputError
+    """Refuse accelerations whose median is under half or over twice that of gravity: their unit cannot be the one stated."""
     from undrift.io.inspect import median_accel_g
 
     median = median_accel_g(record)
@@ -207,142 +139,21 @@ def check_gravity(record: "Record", path: Path) -> None:
         )
 
 
-# ---- What a command may write to: looked at before the work begins, so that a wrong name costs nothing and loses nothing.
-
-
-def checked_output(path: Path, *, endings: tuple[str, ...], reads: Iterable[Path | None]) -> Path:
-    """Return the path of a file that may be written.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write; it may exist.
-    endings : tuple of str
-        How its name may end.
-    reads : iterable of Path or None
-        What the command reads: none of these files, nor a recording in these folders, is written over.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    InputError
-        Another ending, a folder of that name, no folder to write into, or a file that is read.
-    """
-    if not path.name.lower().endswith(endings):
-        raise InputError(f"{path}: wanted a name ending in {_either(endings)}, got another; name the format so")
-    if path.is_dir():
-        raise InputError(f"{path}: wanted the name of a file to write, got a folder; name a file in it")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
-    if path.exists() and any(_holds(read, path) for read in reads if read is not None):
-        raise InputError(f"{path}: wanted another file to write than those that are read; name another")
-    return path
-
-
-def checked_folder(path: Path) -> Path:
-    """Return the path of a folder that may be written to or made.
-
-    Parameters
-    ----------
-    path : Path
-        The folder; the one that holds it must exist.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    InputError
-        A file of that name, or nothing that could hold it.
-    """
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: wanted a folder to write to, got a file of that name; name another")
-    if not path.exists() and not path.parent.is_dir():
-        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
-    return path
-
-
-def name_of(path: Path) -> str:
-    """Return a recording's name without its endings: walk.v2 of walk.v2.csv.gz.
-
-    Parameters
-    ----------
-    path : Path
-        File or folder.
-
-    Returns
-    -------
-    str
-        To name rows and files by.
-    """
-    name = path.resolve().name if path.name in ("", "..") else path.name
-    for ending in (".gz", ".csv", ".txt", ".log", ".parquet", ".npz", ".mat", ".hdf5", ".h5", ".tsv"):
-        if len(name) > len(ending):
-            name = name.removesuffix(ending)
-    return name
-
-
-def _holds(read: Path, target: Path) -> bool:
-    from undrift.io.session import NAME, read_session
-
-    if not read.is_dir():
-        return read.exists() and target.samefile(read)
-    if (read / NAME).is_file():
-        names = [NAME, *(name for name, _ in read_session(read).inputs)]
-    else:
-        names = [file.name for file in read.iterdir()]  # of a device that records into a folder
-    return any(target.samefile(read / name) for name in names)
-
-
-def _either(endings: tuple[str, ...]) -> str:
-    return endings[0] if len(endings) == 1 else ", ".join(endings[:-1]) + " or " + endings[-1]
-
-
-# ---- Recordings and their references, read in pairs.
+def labels_of(markers: str | None) -> tuple[str, ...] | None:
+    """Return the labels of ``--markers A,B,C``."""
+    return tuple(label.strip() for label in markers.split(",")) if markers else None
 
 
 def read_pairs(
     records: tuple[Path, ...],
     reference: tuple[Path, ...],
-    labels: tuple[str, ...] | None,
-    up: Literal["y", "z"] | None,
+    markers: str | None,
+    up: Up,
     opening: Opening,
     *,
     command: str,
 ) -> list[tuple["Record", "Reference"]]:
-    """Read recordings and the reference of each.
-
-    Parameters
-    ----------
-    records : tuple of Path
-        Recordings.
-    reference : tuple of Path
-        One for each, in the same order; none where every recording is a BROAD file, which holds its own.
-    labels : tuple of str or None
-        Markers of one rigid cluster, for C3D and TRC.
-    up : str or None
-        Laboratory axis that points up, for C3D and TRC.
-    opening : Opening
-        How to read foreign recordings.
-    command : str
-        Who asks, for the error.
-
-    Returns
-    -------
-    list of tuple
-        Record and Reference.
-
-    Raises
-    ------
-    InputError
-        Another number of references than recordings, and all that the readers raise.
-    """
+    """Read recordings and the reference of each; a BROAD file holds its own."""
     from undrift.io.formats import detect
 
     if not reference and all(detect(record) == "broad" for record in records):
@@ -352,11 +163,12 @@ def read_pairs(
             f"{command}: wanted one reference for each recording, got {len(reference)} for {len(records)}; "
             "say --reference once for each, in the same order"
         )
+    labels = labels_of(markers)
     return [(opening.read(record), _poses(poses, labels, up)) for record, poses in zip(records, reference, strict=True)]
 
 
-def _poses(path: Path, labels: tuple[str, ...] | None, up: Literal["y", "z"] | None) -> "Reference":
-    """Read a reference; what a file of markers needs is asked for in the words of the command line."""
+def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
+    """Read a reference; errors name the options that a file of markers needs."""
     from undrift.io.formats import detect, read_markers, read_reference
     from undrift.io.mocap import pose_from_cluster
 
@@ -378,32 +190,74 @@ def _poses(path: Path, labels: tuple[str, ...] | None, up: Literal["y", "z"] | N
     return pose_from_cluster(markers, labels)
 
 
-# ---- common
+# ---- Files to write, checked before the work begins: a wrong name costs nothing and loses nothing
 
-Json: TypeAlias = bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"] | None
+
+def checked_output(path: Path, *, endings: tuple[str, ...], reads: Iterable[Path | None]) -> Path:
+    """Return the path of a file that may be written: its ending fits, its folder exists, and it is none of those read."""
+    if not path.name.lower().endswith(endings):
+        either = endings[0] if len(endings) == 1 else ", ".join(endings[:-1]) + " or " + endings[-1]
+        raise InputError(f"{path}: wanted a name ending in {either}, got another; name the format so")
+    if path.is_dir():
+        raise InputError(f"{path}: wanted the name of a file to write, got a folder; name a file in it")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
+    if path.exists() and any(_holds(read, path) for read in reads if read is not None):
+        raise InputError(f"{path}: wanted another file to write than those that are read; name another")
+    return path
+
+
+def checked_folder(path: Path) -> Path:
+    """Return the path of a folder that may be written to, or made in a folder that exists."""
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: wanted a folder to write to, got a file of that name; name another")
+    if not path.exists() and not path.parent.is_dir():
+        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
+    return path
+
+
+def name_of(path: Path) -> str:
+    """Return a recording's name without its endings, for rows and files: walk.v2 of walk.v2.csv.gz."""
+    name = path.resolve().name if path.name in ("", "..") else path.name
+    for ending in (".gz", ".csv", ".txt", ".log", ".parquet", ".npz", ".mat", ".hdf5", ".h5", ".tsv"):
+        if len(name) > len(ending):
+            name = name.removesuffix(ending)
+    return name
+
+
+def _holds(read: Path, target: Path) -> bool:
+    """Tell whether a file is the one read, or one of the folder read."""
+    from undrift.io.session import NAME, read_session
+
+    if not read.is_dir():
+        return read.exists() and target.samefile(read)
+    if (read / NAME).is_file():
+        names = [NAME, *(name for name, _ in read_session(read).inputs)]
+    else:
+        names = [file.name for file in read.iterdir()]  # of a device that records into a folder
+    return any(target.samefile(read / name) for name in names)
+
+
+# ---- Results
 
 
 def console() -> "Console":
-    """Return the console that results are shown on (stdout).
-
-    Returns
-    -------
-    Console
-        As wide as a table needs where stdout is not a terminal.
-    """
+    """Return the console for results (stdout), as wide as a table needs where stdout is not a terminal."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else 400, highlight=False, soft_wrap=not sys.stdout.isatty())
+    terminal = sys.stdout.isatty()
+    return Console(width=None if terminal else 400, highlight=False, soft_wrap=not terminal)
+
+
+def say(*lines: str) -> None:
+    """Print lines as they are: brackets in names are not markup."""
+    out = console()
+    for line in lines:
+        out.print(line, markup=False)
 
 
 def progress() -> "Progress":
-    """Return a progress display on stderr, with the time left; silent where stderr is not a terminal.
-
-    Returns
-    -------
-    Progress
-        To be used as a context.
-    """
+    """Return a progress display on stderr, with the time left; silent where stderr is not a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -417,21 +271,16 @@ def progress() -> "Progress":
     return Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal)
 
 
+def waiting(what: str) -> AbstractContextManager[object]:
+    """Return a context that shows on a terminal's stderr what is being done."""
+    from rich.console import Console
+
+    stderr = Console(stderr=True)
+    return stderr.status(what) if stderr.is_terminal else nullcontext()
+
+
 def table(title: str, *columns: str) -> "Table":
-    """Return an empty table whose columns after the first are right-aligned.
-
-    Parameters
-    ----------
-    title : str
-        Heading.
-    *columns : str
-        Column heads; a unit in brackets goes on a line of its own. Where space is short the first column folds.
-
-    Returns
-    -------
-    Table
-        Ready for rows.
-    """
+    """Return an empty table; columns after the first are right-aligned, a unit in brackets goes on a line of its own."""
     from rich import box
     from rich.table import Table
 
@@ -442,30 +291,24 @@ def table(title: str, *columns: str) -> "Table":
     return made
 
 
-def write_json(value: object) -> None:
-    """Write one JSON object to stdout.
+def show_table(title: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Print a table."""
+    made = table(title, *heads)
+    for row in rows:
+        made.add_row(*row)
+    console().print(made, markup=False)
 
-    Parameters
-    ----------
-    value : object
-        Mappings, sequences, numbers, arrays; NaN is written as null.
-    """
+
+Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
+
+
+def write_json(value: object) -> None:
+    """Write one JSON object to stdout; NaN is written as null."""
     sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def plain(value: object) -> Json:
-    """Return a value made of what JSON knows.
-
-    Parameters
-    ----------
-    value : object
-        Mappings, sequences, numbers, arrays, strings, None.
-
-    Returns
-    -------
-    Json
-        The same, with arrays as lists and NaN or infinity as None.
-    """
+def plain(value: object) -> Plain:
+    """Return a value made of what JSON knows: arrays as lists, NaN and infinity as None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):  # arrays and numbers of numpy
@@ -479,37 +322,16 @@ def plain(value: object) -> Json:
     return str(value)
 
 
-def waiting(what: str) -> "AbstractContextManager[object]":
-    """Return a context that shows on a terminal's stderr that something is being worked on.
+def show_verdict(verdict: "Verdict", *, details: bool) -> None:
+    """Show a verdict with its most consequential findings; all of them with details."""
+    from undrift.findings import SHOWN_FIRST, most_consequential_first
 
-    Parameters
-    ----------
-    what : str
-        What is being done.
-
-    Returns
-    -------
-    context manager
-        Silent where stderr is not a terminal.
-    """
-    from contextlib import nullcontext
-
-    from rich.console import Console
-
-    stderr = Console(stderr=True)
-    return stderr.status(what) if stderr.is_terminal else nullcontext()
-
-
-def show_verdict(verdict: "Verdict") -> None:
-    """Show a verdict and its reasons, one a line.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        What a fit is worth.
-    """
     colour = {"good": "green", "marginal": "yellow", "bad": "red"}[verdict.status]
-    out = console()
-    out.print(f"[bold {colour}]verdict: {verdict.status}[/bold {colour}]")
-    for reason in verdict.reasons:
-        out.print(f"  - {reason}", markup=False)
+    console().print(f"[bold {colour}]verdict: {verdict.status}[/bold {colour}]")
+    texts = [(item.headline, item.detail, item.action) for item in most_consequential_first(verdict.findings)]
+    texts += [(remark, "", "") for remark in verdict.remarks]
+    shown = texts if details else texts[:SHOWN_FIRST]
+    for headline, detail, action in shown:
+        say(f"  - {headline}", *([f"    {detail}"] if detail else []), *([f"    -> {action}"] if action else []))
+    if len(texts) > len(shown):
+        say(f"  {len(texts) - len(shown)} more: --details")

@@ -5,11 +5,23 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import Flag, Opening
+from undrift.cli.common import (
+    Details,
+    Flag,
+    Json,
+    Opening,
+    OptionalOutput,
+    checked_output,
+    progress,
+    say,
+    show_table,
+    show_verdict,
+    write_json,
+)
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from undrift.drift.fit import DriftFit, DriftSettings, TableChoice
+    from undrift.drift.fit import DriftFit, TableChoice
     from undrift.model import Calibration
     from undrift.record import Session
 
@@ -25,7 +37,7 @@ TABLES: "dict[str, TableChoice]" = {
 def drift(
     *sessions: Path,
     calibration: Path | None = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: OptionalOutput = None,
     report: Path | None = None,
     figure: Path | None = None,
     span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
@@ -35,7 +47,8 @@ def drift(
     lag_s: float | None = None,
     warm_up: Flag = False,
     opening: Opening = Opening(),
-    json: Flag = False,
+    details: Details = False,
+    json: Json = False,
 ) -> int:
     """Tuning tables over temperature: offsets, matrix and dynamic drift, from soaks, ramps or a warm-up.
 
@@ -50,40 +63,53 @@ def drift(
     output : Path or None
         calibration.json to write, with the tables in it; may be the one that was read.
     report : Path or None
-        Report to write, with pictures: .html.
+        Report page to write, with pictures: .html.
     figure : Path or None
         Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
     span : str or None
         First and last node, LOW:HIGH in degC; what was seen, or 18:75 where most of that was seen, by default.
     step_c : float
-        From node to node, K.
+        Step between nodes, degC.
     spline : str
-        smooth (stiffness chosen by leaving out), or not-a-knot (through the set-points, as the note does).
+        smooth (stiffness by cross-validation), or not-a-knot (through the set-points, as the note does).
     tables : str
-        Which tables beside offsets: auto chooses by what each foretells.
+        Which tables besides offsets: auto chooses by cross-validated error.
     lag_s : float or None
-        By how much the thermometer trails the sensors, s; estimated from ramps at two speeds by default, 0 leaves it in.
+        Thermometer lag, s; estimated from ramps at two speeds by default, 0 leaves it in.
     warm_up : bool
-        Fit an offset that dies away after power-on, with which each recording, or each clock that begins anew, begins.
+        Fit the power-on transient with which each recording, or each clock that begins anew, begins.
     opening : Opening
         How to read foreign recordings.
-    json : bool
-        The calibration with its tables as one JSON object on stdout.
 
     Returns
     -------
     int
         0, or 1 when the verdict is bad.
     """
-    from undrift.cli.common import progress, write_json
-    from undrift.drift.fit import fit_drift
+    from undrift.drift.checks import verdict_before
+    from undrift.drift.fit import DriftSettings, fit_drift
     from undrift.drift.sessions import check_once
+    from undrift.drift.static import CurveSettings, StaticSettings
     from undrift.io.store import calibration_json, read_calibration, write_calibration
+    from undrift.report.figures import PICTURES
 
     if not sessions:
         raise InputError("drift: wanted a session or recording, or more, got none; name them first")
-    settings = _settings(span, step_c, spline, tables, lag_s, warm_up)
-    _check_outputs(sessions, (calibration, opening.column_map), output, report, figure)
+    if not 0.0 < step_c < float("inf"):
+        raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
+    settings = DriftSettings(
+        range_c=None if span is None else _range(span),
+        step_c=step_c,
+        lag_s=lag_s,
+        tables=TABLES[tables],
+        static=StaticSettings(not_a_knot=spline == "not-a-knot", curve=CurveSettings(warm_up=warm_up)),
+    )
+    read = tuple(path for path in sessions if path.exists())
+    if output is not None:  # may be the calibration that was read: it is written whole
+        checked_output(output, endings=(".json",), reads=(*read, opening.column_map))
+    for path, endings in ((report, (".html",)), (figure, PICTURES)):
+        if path is not None:
+            checked_output(path, endings=endings, reads=(*read, calibration, opening.column_map))
     model = None if calibration is None else read_calibration(calibration)
     with progress() as shown:
         task = shown.add_task("reading", total=1.0)
@@ -104,26 +130,12 @@ def drift(
     if json:
         write_json(calibration_json(fit.calibration))
     else:
-        _show(fit, model, calibration)
-        _say_next(fit, output, report, figure)
+        _show(fit)
+        show_verdict(fit.verdict, details=details)
+        if model is not None:
+            say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
+        _say_next(fit, output, (figure, report))
     return 1 if fit.calibration.verdict.status == "bad" else 0
-
-
-def _settings(
-    span: str | None, step: float, spline: str, tables: str, lag_s: float | None, warm_up: bool
-) -> "DriftSettings":
-    from undrift.drift.fit import DriftSettings
-    from undrift.drift.static import CurveSettings, StaticSettings
-
-    if not 0.0 < step < float("inf"):
-        raise InputError(f"step-c: wanted more than 0 K, got {step:g}; 0.5 is the note's")
-    return DriftSettings(
-        range_c=None if span is None else _range(span),
-        step_c=step,
-        lag_s=lag_s,
-        tables=TABLES[tables],
-        static=StaticSettings(not_a_knot=spline == "not-a-knot", curve=CurveSettings(warm_up=warm_up)),
-    )
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -135,29 +147,6 @@ def _range(text: str) -> tuple[float, float]:
     if not (-273.15 < ends[0] < ends[1] < float("inf")):
         raise InputError(f"range-c: wanted LOW below HIGH in degC, got '{text}'; for example 18:75")
     return ends
-
-
-def _check_outputs(
-    sessions: tuple[Path, ...],
-    reads: tuple[Path | None, Path | None],
-    output: Path | None,
-    report: Path | None,
-    figure: Path | None,
-) -> None:
-    """Refuse what cannot be written; the calibration that was read may be written over, as it appears whole."""
-    from undrift.cli.common import checked_output
-    from undrift.report.figures import PICTURES
-
-    if output is not None:
-        checked_output(output, endings=(".json",), reads=(*_that_exist(sessions), reads[1]))
-    if report is not None:
-        checked_output(report, endings=(".html",), reads=(*_that_exist(sessions), *reads))
-    if figure is not None:
-        checked_output(figure, endings=PICTURES, reads=(*_that_exist(sessions), *reads))
-
-
-def _that_exist(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    return tuple(path for path in paths if path.exists())
 
 
 def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
@@ -202,9 +191,7 @@ def _write_pictures(fit: "DriftFit", report: Path | None, figure: Path | None) -
         write_drift_report(fit, report)
 
 
-def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> None:
-    from undrift.cli.common import console, show_verdict, table
-    from undrift.drift.checks import verdict_before
+def _show(fit: "DriftFit") -> None:
     from undrift.report.drift import (
         CHOICE_HEADS,
         SCALE_HEADS,
@@ -215,45 +202,25 @@ def _show(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> No
         scale_rows,
     )
 
-    out = console()
     device = fit.calibration.device or "device without a serial number"
-    out.print(f"{device}: {len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates", markup=False)
-    parts = [
-        (offset_title(name, summary), offset_heads(summary), offset_rows(summary))
-        for name, summary in (("gyroscope", fit.gyro_summary), ("accelerometer", fit.accel_summary))
-        if summary is not None
-    ]
+    say(f"{device}: {len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates")
+    for name, summary in (("gyroscope", fit.gyro_summary), ("accelerometer", fit.accel_summary)):
+        if summary is not None:
+            show_table(offset_title(name, summary), offset_heads(summary), offset_rows(summary))
     if rows := scale_rows(fit):
-        parts.append(("gyroscope scale factor over temperature", SCALE_HEADS, rows))
+        show_table("gyroscope scale factor over temperature", SCALE_HEADS, rows)
     if fit.choice is not None:
-        parts.append(("which tables", CHOICE_HEADS, choice_rows(fit.choice.alternatives)))
-    for title, heads, rows in parts:
-        shown = table(title, *heads)
-        for row in rows:
-            shown.add_row(*row)
-        out.print(shown, markup=False)
+        show_table("which tables", CHOICE_HEADS, choice_rows(fit.choice.alternatives))
     drift = fit.calibration.drift
-    lag_s = 0.0 if drift is None else drift.lag_s
-    if lag_s > 0.0:
-        out.print(f"lag of the thermometer taken off: {lag_s:.3g} s", markup=False)
-    show_verdict(fit.verdict)
-    if model is not None and path is not None:
-        before = len(verdict_before(model).reasons)
-        out.print(f"calibration given: {path}, which has {before} remarks of its own", markup=False)
+    if drift is not None and drift.lag_s > 0.0:
+        say(f"thermometer lag removed: {drift.lag_s:.3g} s")
 
 
-def _say_next(fit: "DriftFit", output: Path | None, report: Path | None, figure: Path | None) -> None:
-    from undrift.cli.common import console
-
-    out = console()
-    for path in (figure, report):
-        if path is not None:
-            out.print(f"Wrote {path}", markup=False)
+def _say_next(fit: "DriftFit", output: Path | None, written: tuple[Path | None, ...]) -> None:
+    say(*(f"Wrote {path}" for path in written if path is not None))
     if output is None:
-        out.print("No tables were written: add -o calibration.json to keep them", markup=False)
+        say("No tables were written: add -o calibration.json to keep them")
         return
     static = None if fit.calibration.drift is None else fit.calibration.drift.static
     aged = " --power-on-s SECONDS" if static is not None and static.warm_up is not None else ""
-    out.print(
-        f"Wrote {output}. Next: undrift correct RECORD --calibration {output}{aged} -o corrected.parquet", markup=False
-    )
+    say(f"Wrote {output}. Next: undrift correct RECORD --calibration {output}{aged} -o corrected.parquet")

@@ -1,11 +1,11 @@
-"""``undrift info``: what a file holds."""
+"""``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from undrift.cli.common import Flag, Opening
+from undrift.cli.common import Details, Json, Opening, Up, say, show_verdict, write_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -15,186 +15,17 @@ if TYPE_CHECKING:
     from undrift.model import Calibration, DriftTables
     from undrift.record import Record, Still
 
-# ---- What a calibration holds, for ``undrift info``.
-
-
-def contents_of(path: Path, found: "Description") -> "tuple[Description, dict[str, list[str]]]":
-    """Return what a calibration holds.
-
-    Parameters
-    ----------
-    path : Path
-        calibration.json.
-    found : Description
-        What is known of it.
-
-    Returns
-    -------
-    found : Description
-        With the span of all its tables, degC.
-    lines : dict
-        What there is to say of each part.
-    """
-    from undrift.io.store import read_calibration
-
-    held = read_calibration(path)
-    lines = _triads(held)
-    tables, spans = _tables(held.drift)
-    if tables:
-        lines["tables"] = tables
-    lines["verdict"] = [held.verdict.status, *held.verdict.reasons]
-    span = (max(s[0] for s in spans), min(s[-1] for s in spans)) if spans else None
-    return replace(found, temp_c=None if span is None else (float(span[0]), float(span[1]))), lines
-
-
-def _triads(held: "Calibration") -> dict[str, list[str]]:
-    lines: dict[str, list[str]] = {}
-    for name, model in (("gyro", held.gyro), ("accel", held.accel)):
-        if model is None:
-            lines[name] = ["no model"]
-            continue
-        lines[name] = [f"{model.method}, {model.unit_in} to {model.unit_out}"]
-        if model.g_sensitivity is not None:
-            lines[name].append("g-sensitivity")
-    known = held.reference_temp_c == held.reference_temp_c
-    lines["reference temperature"] = [f"{held.reference_temp_c:.2f} degC" if known else "not known"]
-    return lines
-
-
-def _tables(drift: "DriftTables | None") -> "tuple[list[str], list[FloatArray]]":
-    """A sentence each, and the temperatures of their nodes."""
-    said: list[str] = []
-    spans: list[FloatArray] = []
-    if drift is None:
-        return said, spans
-    static, scale, dynamic = drift.static, drift.scale, drift.dynamic
-    parts = []
-    if static is not None:
-        parts += [
-            ("offset of the gyro", static.temp_c, static.gyro_offset, static.gyro_extrapolated),
-            ("offset of the accel", static.temp_c, static.accel_offset, static.accel_extrapolated),
-        ]
-    if scale is not None:
-        parts += [
-            ("matrix of the gyro", scale.temp_c, scale.gyro_matrix, scale.gyro_extrapolated),
-            ("matrix of the accel", scale.temp_c, scale.accel_matrix, scale.accel_extrapolated),
-        ]
-    if dynamic is not None:
-        low, high = dynamic.turn_rate[0] / RADIAN_PER_DEGREE, dynamic.turn_rate[-1] / RADIAN_PER_DEGREE
-        what = f"error of the gyro over {low:.0f} to {high:.0f} deg/s"
-        parts.append((what, dynamic.temp_c, dynamic.error, dynamic.extrapolated))
-    for what, temp_c, values, marks in parts:
-        if values is not None:
-            far = 0 if marks is None else int(marks.sum())
-            count = values.shape[0] if marks is None else marks.size
-            said.append(f"{what} {temp_c[0]:g} to {temp_c[-1]:g} degC ({count} nodes, {far} extrapolated)")
-            spans.append(temp_c)
-    if static is not None and static.warm_up is not None:
-        said.append(f"warm-up over {static.warm_up.power_on_s[-1]:g} s")
-    if drift.lag_s > 0.0:
-        said.append(f"thermometer lag {drift.lag_s:g} s")
-    return said, spans
-
-
-# ---- What ``undrift info`` says of a folder that is neither a session nor a recording: one line for each file in it.
-
-
-def is_plain_folder(path: Path) -> bool:
-    """Tell a folder of files from one that is a session or a recording.
-
-    Parameters
-    ----------
-    path : Path
-        File or folder.
-
-    Returns
-    -------
-    bool
-        True for a folder without session.toml or the files of a known device.
-    """
-    from undrift.io.formats import detect
-
-    if not path.is_dir():
-        return False
-    try:
-        detect(path)
-    except InputError:
-        return True
-    return False
-
-
-def list_folder(path: Path) -> list[tuple[str, str, str]]:
-    """Describe what lies directly in a folder.
-
-    Parameters
-    ----------
-    path : Path
-        The folder.
-
-    Returns
-    -------
-    list of (str, str, str)
-        Name, kind and summary of each file or folder; kind "damaged" where it cannot be read, with the reason.
-
-    Raises
-    ------
-    InputError
-        An empty folder.
-    """
-    held = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
-    if not held:
-        raise InputError(f"{path}: wanted a recording or a folder of recordings, got an empty folder; check the path")
-    return [(entry.name, *_described(entry)) for entry in held]
-
-
-def _described(path: Path) -> tuple[str, str]:
-    from undrift.io.inspect import describe
-
-    if is_plain_folder(path):
-        return "folder", "not looked into"
-    try:
-        found = describe(path)
-    except InputError as error:
-        return "damaged", str(error)
-    return found.kind, found.summary
-
-
-def show_folder(path: Path, *, json: bool) -> None:
-    """Say what lies in a folder, for a person or as JSON.
-
-    Parameters
-    ----------
-    path : Path
-        The folder.
-    json : bool
-        One JSON object with the keys of ``undrift info``, and files.
-    """
-    from undrift.cli.common import console, write_json
-
-    found = list_folder(path)
-    kinds = Counter(kind for _, kind, _ in found)
-    summary = f"{len(found)} entries: " + ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-    if json:
-        head = {"kind": "folder", "format": "folder", "rows": None, "sample_rate_hz": None, "duration_s": None}
-        rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": []}
-        problems = [text for _, kind, text in found if kind == "damaged"]
-        files = [{"name": name, "kind": kind, "summary": text} for name, kind, text in found]
-        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files})
-        return
-    out = console()
-    out.print(f"{path}: folder, {summary}", markup=False)
-    for name, kind, text in found:
-        out.print(f"  {name}: {kind}, {text}", markup=False)
-    out.print("  name one of them to see more", markup=False)
-
-
-# ---- info
-
 
 def info(
-    file: Path, /, *, opening: Opening = Opening(), reference_up: Literal["y", "z"] | None = None, json: Flag = False
+    file: Path,
+    /,
+    *,
+    opening: Opening = Opening(),
+    reference_up: Up = None,
+    details: Details = False,
+    json: Json = False,
 ) -> int:
-    """Say what a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
+    """What a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
 
     Parameters
     ----------
@@ -204,27 +35,27 @@ def info(
         How to read a foreign recording.
     reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
-    json : bool
-        One JSON object on stdout.
 
     Returns
     -------
     int
         Exit code.
     """
-    from undrift.cli.common import write_json
     from undrift.io.inspect import describe
-    from undrift.io.store import findings_json
+    from undrift.io.store import findings_json, read_calibration, verdict_json
 
-    if is_plain_folder(file):
-        show_folder(file, json=json)
+    if _is_plain_folder(file):
+        _show_folder(file, json=json)
         return 0
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
     stills, reason = _stills(file, found, opening)
     effects = _effects(file) if found.kind == "device" else {}
-    if found.kind == "calibration":
-        found, effects = contents_of(file, found)
+    calibration = read_calibration(file) if found.kind == "calibration" else None
+    if calibration is not None:
+        effects, span = _parts(calibration)
+        found = replace(found, temp_c=span)
     if json:
+        verdict = None if calibration is None else calibration.verdict
         write_json(
             {
                 "kind": found.kind,
@@ -243,19 +74,68 @@ def info(
                 "summary": found.summary,
                 "map": found.example,
                 "no_still_because": reason,
-                "effects": effects,
+                "effects": effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]},
+                "verdict": None if verdict is None else verdict_json(verdict),
             }
         )
         return 0
     _show(found, stills, reason)
-    for part, names in effects.items():
-        if part == "verdict":  # one reason a line
-            _line(f"  verdict: {names[0]}")
-            for name in names[1:]:
-                _line(f"    - {name}")
-        else:
-            _line(f"  {part}: {', '.join(names)}")
+    say(*(f"  {part}: {', '.join(texts)}" for part, texts in effects.items()))
+    if calibration is not None:
+        show_verdict(calibration.verdict, details=details)
     return 0
+
+
+# ---- A calibration and a device model
+
+
+def _parts(held: "Calibration") -> "tuple[dict[str, list[str]], tuple[float, float] | None]":
+    """Return what a calibration holds of each part, and the span of all its tables, degC."""
+    lines: dict[str, list[str]] = {}
+    for name, model in (("gyro", held.gyro), ("accel", held.accel)):
+        lines[name] = ["no model"] if model is None else [f"{model.method}, {model.unit_in} to {model.unit_out}"]
+        if model is not None and model.g_sensitivity is not None:
+            lines[name].append("g-sensitivity")
+    known = held.reference_temp_c == held.reference_temp_c  # not NaN
+    lines["reference temperature"] = [f"{held.reference_temp_c:.2f} degC" if known else "not known"]
+    if held.drift is None:
+        return lines, None
+    tables, spans = _tables(held.drift)
+    if tables:
+        lines["tables"] = tables
+    return lines, (float(max(s[0] for s in spans)), float(min(s[-1] for s in spans))) if spans else None
+
+
+def _tables(drift: "DriftTables") -> "tuple[list[str], list[FloatArray]]":
+    """Return a line for each table, and the temperatures of their nodes."""
+    static, scale, dynamic = drift.static, drift.scale, drift.dynamic
+    parts = []
+    if static is not None:
+        parts += [
+            ("offset of the gyro", static.temp_c, static.gyro_offset, static.gyro_extrapolated),
+            ("offset of the accel", static.temp_c, static.accel_offset, static.accel_extrapolated),
+        ]
+    if scale is not None:
+        parts += [
+            ("matrix of the gyro", scale.temp_c, scale.gyro_matrix, scale.gyro_extrapolated),
+            ("matrix of the accel", scale.temp_c, scale.accel_matrix, scale.accel_extrapolated),
+        ]
+    if dynamic is not None:
+        low, high = dynamic.turn_rate[0] / RADIAN_PER_DEGREE, dynamic.turn_rate[-1] / RADIAN_PER_DEGREE
+        what = f"error of the gyro over {low:.0f} to {high:.0f} deg/s"
+        parts.append((what, dynamic.temp_c, dynamic.error, dynamic.extrapolated))
+    lines, spans = [], []
+    for what, temp_c, values, marks in parts:
+        if values is not None:
+            far = 0 if marks is None else int(marks.sum())
+            count = values.shape[0] if marks is None else marks.size
+            lines.append(f"{what} {temp_c[0]:g} to {temp_c[-1]:g} degC ({count} nodes, {far} extrapolated)")
+            spans.append(temp_c)
+    if static is not None and static.warm_up is not None:
+        lines.append(f"warm-up over {static.warm_up.power_on_s[-1]:g} s")
+    if drift.lag_s > 0.0:
+        lines.append(f"thermometer lag {drift.lag_s:g} s")
+    return lines, spans
 
 
 def _effects(file: Path) -> dict[str, list[str]]:
@@ -271,10 +151,51 @@ def _effects(file: Path) -> dict[str, list[str]]:
     }
 
 
-def _line(text: str) -> None:
-    from undrift.cli.common import console
+# ---- A folder that is neither a session nor a recording: one line for each file in it
 
-    console().print(text, markup=False)
+
+def _is_plain_folder(path: Path) -> bool:
+    from undrift.io.formats import detect
+
+    if not path.is_dir():
+        return False
+    try:
+        detect(path)
+    except InputError:
+        return True
+    return False
+
+
+def _show_folder(path: Path, *, json: bool) -> None:
+    """Show name, kind and summary of each entry; kind "damaged" where it cannot be read, with the reason."""
+    from undrift.io.inspect import describe
+
+    found = []
+    for entry in sorted(entry for entry in path.iterdir() if not entry.name.startswith(".")):
+        if _is_plain_folder(entry):
+            found.append((entry.name, "folder", "not looked into"))
+            continue
+        try:
+            held = describe(entry)
+            found.append((entry.name, held.kind, held.summary))
+        except InputError as error:
+            found.append((entry.name, "damaged", str(error)))
+    if not found:
+        raise InputError(f"{path}: wanted a recording or a folder of recordings, got an empty folder; check the path")
+    kinds = Counter(kind for _, kind, _ in found)
+    summary = f"{len(found)} entries: " + ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    if json:
+        head = {"kind": "folder", "format": "folder", "rows": None, "sample_rate_hz": None, "duration_s": None}
+        rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": []}
+        problems = [text for _, kind, text in found if kind == "damaged"]
+        files = [{"name": name, "kind": kind, "summary": text} for name, kind, text in found]
+        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files})
+        return
+    lines = [f"  {name}: {kind}, {text}" for name, kind, text in found]
+    say(f"{path}: folder, {summary}", *lines, "  name one of them to see more")
+
+
+# ---- A recording or session: still phases, and what a person sees
 
 
 def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[list[float]], str]:
@@ -295,8 +216,7 @@ def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[li
 
 
 def _search(record: "Record", recording: int = 0) -> "tuple[tuple[Still, ...], str]":
-    """Return the still phases, and why there is none; a recording too short to tell is told, not refused."""
-    from undrift.errors import InputError
+    """Return the still phases, and why there is none; a recording too short to search is no error."""
     from undrift.segments import StillSettings, find_still
 
     try:
@@ -308,36 +228,25 @@ def _search(record: "Record", recording: int = 0) -> "tuple[tuple[Still, ...], s
 
 
 def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
-    from undrift.cli.common import console
-
-    out = console()
-    out.print(f"{found.path}: {found.kind} ({found.format})", markup=False)
-    out.print(f"  {found.summary.partition(', for example')[0] if found.example else found.summary}", markup=False)
-    for name, unit in found.units:
-        out.print(f"  {name}: {unit}", markup=False)
+    summary = found.summary.partition(", for example")[0] if found.example else found.summary
+    lines = [summary, *(f"{name}: {unit}" for name, unit in found.units)]
     if found.kind in ("recording", "session"):
-        for name in ("gyro", "accel"):
-            if name not in dict(found.units):
-                out.print(f"  {name}: none")
+        lines += [f"{name}: none" for name in ("gyro", "accel") if name not in dict(found.units)]
     if found.columns and found.kind != "recording":
-        shown = ", ".join(found.columns[:12]) + (
-            f", ... {len(found.columns)} in all" if len(found.columns) > 12 else ""
-        )
-        out.print(f"  columns: {shown}", markup=False)
+        more = f", ... {len(found.columns)} in all" if len(found.columns) > 12 else ""
+        lines.append(f"columns: {', '.join(found.columns[:12])}{more}")
     if found.temp_c:
-        out.print(f"  temperature: {found.temp_c[0]:.2f} to {found.temp_c[1]:.2f} degC")
+        lines.append(f"temperature: {found.temp_c[0]:.2f} to {found.temp_c[1]:.2f} degC")
     if found.gaps:
-        out.print(f"  gaps: {found.gaps} samples")
+        lines.append(f"gaps: {found.gaps} samples")
     if stills:
         spans = ", ".join(f"{start:.1f}-{stop:.1f}" for start, stop in stills[:8])
-        out.print(f"  still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
+        lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
     elif reason:
-        out.print(f"  {reason}", markup=False)
-    for problem in found.problems:
-        if problem != found.summary:
-            out.print(f"  problem: {problem}", markup=False)
-    for hint in _hints(found):
-        out.print(f"  {hint}", markup=False)
+        lines.append(reason)
+    lines += [f"problem: {problem}" for problem in found.problems if problem != found.summary]
+    lines += _hints(found)
+    say(f"{found.path}: {found.kind} ({found.format})", *(f"  {line}" for line in lines))
 
 
 def _hints(found: "Description") -> list[str]:

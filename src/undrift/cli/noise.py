@@ -1,11 +1,24 @@
-"""``undrift noise``: what a device says when it does not move."""
+"""``undrift noise``: noise coefficients of a device at rest."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from undrift.cli.common import Flag, Opening, calibrated_part, check_gravity
+from undrift.cli.common import (
+    Details,
+    Json,
+    Opening,
+    calibrated_part,
+    check_gravity,
+    checked_output,
+    say,
+    show_table,
+    show_verdict,
+    waiting,
+    write_json,
+)
+from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -23,7 +36,8 @@ def noise(
     power_on_s: float | None = None,
     figure: Annotated[Path | None, Parameter(name=["--figure", "-o"])] = None,
     opening: Opening = Opening(),
-    json: Flag = False,
+    details: Details = False,
+    json: Json = False,
 ) -> int:
     """Angle random walk, bias instability, rate random walk of a device at rest, each with its 95 % interval.
 
@@ -34,17 +48,15 @@ def noise(
     calibration : Path or None
         calibration.json: turns counts into rad/s and m/s2 first.
     start_s : float or None
-        Take the recording from here only, s on its own clock.
+        Use the recording from here on, s on its own clock.
     stop_s : float or None
-        Take the recording up to here only, s on its own clock.
+        Use the recording up to here, s on its own clock.
     power_on_s : float or None
-        Time since power-on at the first sample, s; without it no warm-up is taken off.
+        Time since power-on at the first sample, s; without it no warm-up is subtracted.
     figure : Path or None
         Allan plot to write: .svg, .png or .pdf.
     opening : Opening
         How to read a foreign recording.
-    json : bool
-        One JSON object on stdout.
 
     Returns
     -------
@@ -52,8 +64,7 @@ def noise(
         Exit code.
     """
     from undrift.calibration.noise import TERMS, fit_noise
-    from undrift.cli.common import checked_output, console, show_verdict, waiting, write_json
-    from undrift.report.figures import PICTURES
+    from undrift.report.figures import PICTURES, draw_allan, save_figure
 
     if figure is not None:
         checked_output(figure, endings=PICTURES, reads=(record, calibration))
@@ -74,29 +85,22 @@ def noise(
         check_gravity(readings, record)
         found = fit_noise(readings)
     if figure is not None:
-        _draw(found, figure, record.name)
+        save_figure(draw_allan(found, title=f"{record.name}: overlapping Allan deviation"), figure)
     if json:
-        write_json(noise_json(found) | {"notes": notes})
+        write_json(_noise_json(found) | {"notes": notes})
         return 0
     brackets = f"in brackets the {100.0 * found.confidence:g} % intervals"
     _show(f"gyroscopes, {brackets}", found.gyro, tuple(TERMS["gyro"].values()))
     _show(f"accelerometers, {brackets}", found.accel, tuple(TERMS["accel"].values()))
-    show_verdict(found.verdict)
-    for note in notes:
-        console().print(f"  note: {note}", markup=False)
-    if figure is not None:
-        console().print(f"Wrote {figure}", markup=False)
+    show_verdict(found.verdict, details=details)
+    say(*(f"  note: {note}" for note in notes), *([] if figure is None else [f"Wrote {figure}"]))
     return 0
 
 
 def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "Record":
     """Return the stretch that was asked for, which must lie within the recording."""
-    import numpy as np
-
-    from undrift.errors import InputError
-
     first, last = float(record.time[0]), float(record.time[-1])
-    start, stop = first if start_s is None else start_s, np.inf if stop_s is None else stop_s
+    start, stop = first if start_s is None else start_s, float("inf") if stop_s is None else stop_s
     if not (start < stop and start < last and stop > first):
         raise InputError(
             f"--start-s, --stop-s: wanted a stretch of the recording, which goes from {first:.6g} to {last:.6g} s, got {start:g} "
@@ -105,19 +109,9 @@ def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "
     return record.between(start, stop)
 
 
-def noise_json(found: "NoiseFit") -> dict[str, object]:
-    """Return a noise fit under the names that other programs rely on.
+def _noise_json(found: "NoiseFit") -> dict[str, object]:
+    from undrift.io.store import verdict_json
 
-    Parameters
-    ----------
-    found : NoiseFit
-        Coefficients and Allan deviation.
-
-    Returns
-    -------
-    dict
-        gyro, accel, taus_s, adev and what goes with them.
-    """
     return {
         "gyro": [_axis_json(axis) for axis in found.gyro],
         "accel": [_axis_json(axis) for axis in found.accel],
@@ -126,19 +120,17 @@ def noise_json(found: "NoiseFit") -> dict[str, object]:
         "units": {"gyro": found.gyro_unit, "accel": found.accel_unit},
         "duration_s": found.duration_s,
         "confidence": found.confidence,
-        "verdict": {"status": found.verdict.status, "reasons": found.verdict.reasons},
+        "verdict": verdict_json(found.verdict),
     }
 
 
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:
-    named = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
-    held = {name: getattr(axis, name) for name in named}
-    told: dict[str, object] = {"axis": axis.axis}
-    told |= {
-        name: {"value": c.value, "interval": c.interval, "unit": c.unit, "reason": c.reason} for name, c in held.items()
-    }
+    made: dict[str, object] = {"axis": axis.axis}
+    for name in ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization"):
+        c = getattr(axis, name)
+        made[name] = {"value": c.value, "interval": c.interval, "unit": c.unit, "reason": c.reason}
     customary = _customary(axis)
-    return told if customary is None else told | {customary[1]: customary[0]}
+    return made if customary is None else made | {customary[1]: customary[0]}
 
 
 def _customary(axis: "AxisNoise") -> tuple[float, str, str] | None:
@@ -152,28 +144,21 @@ def _customary(axis: "AxisNoise") -> tuple[float, str, str] | None:
 
 
 def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, ...]) -> None:
-    from undrift.cli.common import console, table
-
     if not axes:
         return
-    first = axes[0]
-    units = (first.angle_random_walk.unit, first.bias_instability.unit, first.rate_random_walk.unit)
-    shown = table(title, "axis", *(f"{name} ({unit})" for name, unit in zip(names, units, strict=True)))
+    rows = []
     for axis in axes:
-        cells = []
-        for coefficient in (axis.angle_random_walk, axis.bias_instability, axis.rate_random_walk):
-            low, high = coefficient.interval
-            seen = coefficient.value == coefficient.value
-            cells.append(f"{coefficient.value:.3g} [{low:.3g}, {high:.3g}]" if seen else f"not seen, under {high:.2g}")
-        shown.add_row(axis.axis, *cells)
-    console().print(shown, markup=False)
+        three = (axis.angle_random_walk, axis.bias_instability, axis.rate_random_walk)
+        cells = [
+            f"{c.value:.3g} [{c.interval[0]:.3g}, {c.interval[1]:.3g}]"
+            if c.value == c.value
+            else f"not seen, under {c.interval[1]:.2g}"
+            for c in three
+        ]
+        rows.append((axis.axis, *cells))
+    heads = [f"{name} ({c.unit})" for name, c in zip(names, three, strict=True)]
+    show_table(title, ("axis", *heads), rows)
     walks = [(axis.axis, customary) for axis in axes if (customary := _customary(axis)) is not None]
     if walks:
         values = ", ".join(f"{axis} {value:.3g}" for axis, (value, _, _) in walks)
-        console().print(f"{names[0]} in {walks[0][1][2]}: {values}", markup=False)
-
-
-def _draw(found: "NoiseFit", path: Path, name: str) -> None:
-    from undrift.report.figures import draw_allan, save_figure
-
-    save_figure(draw_allan(found, title=f"{name}: overlapping Allan deviation"), path)
+        say(f"{names[0]} in {walks[0][1][2]}: {values}")

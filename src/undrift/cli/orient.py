@@ -2,25 +2,21 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal
 
-from cyclopts import Parameter
-
-from undrift.cli.common import Flag, Opening, check_physical
+from undrift.cli.common import Json, Opening, Output, Policy, Side, check_physical, checked_output, say, write_json
+from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
-    from undrift.orientation import Orientation
     from undrift.record import Record, Still
-
-Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 
 
 def orient(
     record: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Output,
     calibration: Path | None = None,
     offset: Literal["none", "rest"] = "none",
     still_start_s: float | None = None,
@@ -29,9 +25,9 @@ def orient(
     forward: Side = "+x",
     up: Side = "+z",
     power_on_s: float | None = None,
-    policy: Literal["raise", "hold", "nan"] = "raise",
+    policy: Policy = "raise",
     opening: Opening = Opening(),
-    json: Flag = False,
+    json: Json = False,
 ) -> int:
     """Initial tilt and strapdown: quaternions, inclination, heading, sagittal pitch.
 
@@ -44,7 +40,7 @@ def orient(
     calibration : Path or None
         calibration.json of the device, for a raw recording.
     offset : str
-        "rest" takes off the mean rate of the still phase.
+        "rest" subtracts the mean rate of the still phase.
     still_start_s : float or None
         Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
     still_stop_s : float or None
@@ -56,28 +52,27 @@ def orient(
     up : str
         Device axis that points up on the upright segment.
     power_on_s : float or None
-        Time since power-on at the first sample, s; without it no warm-up is taken off.
+        Time since power-on at the first sample, s; without it no warm-up is subtracted.
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
         temperature was recorded the result is a gap under each, and a warning says for how long.
     opening : Opening
         How to read a foreign recording.
-    json : bool
-        One JSON object on stdout.
 
     Returns
     -------
     int
         Exit code.
     """
-    from undrift.cli.common import checked_output, console, write_json
     from undrift.io.parquet import write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
 
     checked_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
     readings, model, notes = opening.read(record), None, tuple[str, ...]()
-    if calibration is not None:
+    if calibration is None:
+        check_physical(readings, record)
+    else:
         from undrift.correction.correct import correct_checked
         from undrift.correction.coverage import find_beyond
         from undrift.io.store import read_calibration
@@ -86,66 +81,51 @@ def orient(
         done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
         beyond = (one.text for one in find_beyond(done.record, held) if one.text)
         readings, model, notes = done.record, held.accel, (*done.warnings, *beyond, *done.notes)
-    else:
-        check_physical(readings, record)
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     found = find(readings, _still(readings, still_start_s, still_stop_s), settings, accel_model=model)
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
+    start_s, stop_s = (float(found.time[k]) for k in (found.still.start, found.still.stop - 1))
+    inclination, pitch = _span(found.inclination), _span(found.pitch)
+    tilt_uncertainty = math.degrees(found.tilt.inclination_uncertainty)
     if json:
-        write_json(_json(found) | {"recording": str(record), "output": str(output), "notes": notes})
+        made = {
+            "samples": len(found.time),
+            "still": [start_s, stop_s],
+            "tilt_uncertainty_deg": tilt_uncertainty,
+            "offset_dps": found.offset * (180.0 / math.pi),
+            "inclination_deg": inclination,
+            "pitch_deg": pitch,
+        }
+        write_json(made | {"recording": str(record), "output": str(output), "notes": notes})
         return 0
-    start_s, stop_s = found.time[[found.still.start, found.still.stop - 1]]
     share = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
     if model is not None:
         share = "scatter and calibration"
-    out = console()
-    out.print(f"{record} -> {output}: {len(found.time)} samples", markup=False)
-    out.print(
-        f"  tilt from the still phase {start_s:.1f} to {stop_s:.1f} s, known to "
-        f"{math.degrees(found.tilt.inclination_uncertainty):.3f} deg (standard uncertainty; {share})",
-        markup=False,
+    say(
+        f"{record} -> {output}: {len(found.time)} samples",
+        f"  tilt from the still phase {start_s:.1f} to {stop_s:.1f} s, standard uncertainty {tilt_uncertainty:.3f} deg ({share})",
+        f"  inclination: {inclination[0]:.2f} to {inclination[1]:.2f} deg",
+        f"  pitch: {pitch[0]:.2f} to {pitch[1]:.2f} deg",
+        *(f"  note: {note}" for note in notes),
     )
-    for name, angle in (("inclination", found.inclination), ("pitch", found.pitch)):
-        low, high = _span(angle)
-        out.print(f"  {name}: {low:.2f} to {high:.2f} deg", markup=False)
-    for note in notes:
-        out.print(f"  note: {note}", markup=False)
     return 0
 
 
 def _still(record: "Record", start_s: float | None, stop_s: float | None) -> "Still | None":
     """Return the stretch at rest that was named, None where none was."""
-    import numpy as np
-
-    from undrift.errors import InputError
     from undrift.record import Still
 
     if start_s is None and stop_s is None:
         return None
     first, last = float(record.time[0]), float(record.time[-1])
     if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
+        got = " and ".join("none" if value is None else f"{value:g}" for value in (start_s, stop_s))
         raise InputError(
             f"--still-start-s, --still-stop-s: wanted both, within the recording's {first:.6g} to {last:.6g} s and in that order, "
-            f"got {_told(start_s)} and {_told(stop_s)}; name a stretch at rest by its start and end"
+            f"got {got}; name a stretch at rest by its start and end"
         )
-    start, stop = np.searchsorted(record.time, (start_s, stop_s))
+    start, stop = record.time.searchsorted((start_s, stop_s))
     return Still(start=int(start), stop=max(int(stop), int(start) + 1))
-
-
-def _told(value: float | None) -> str:
-    return "none" if value is None else f"{value:g}"
-
-
-def _json(found: "Orientation") -> dict[str, object]:
-    degrees = 180.0 / math.pi
-    return {
-        "samples": len(found.time),
-        "still": [float(found.time[found.still.start]), float(found.time[found.still.stop - 1])],
-        "tilt_uncertainty_deg": found.tilt.inclination_uncertainty * degrees,
-        "offset_dps": found.offset * degrees,
-        "inclination_deg": _span(found.inclination),
-        "pitch_deg": _span(found.pitch),
-    }
 
 
 def _span(angle: "FloatArray") -> tuple[float, float]:

@@ -1,12 +1,11 @@
 """``undrift simulate``: simulated sensor output for recorded poses, for a task, or for a thermal session."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
+from typing import TYPE_CHECKING, cast, get_args
 
-from cyclopts import Parameter
-
+from undrift.cli.common import Flag, Json, Output, Up, checked_folder, labels_of, say, show_table, waiting, write_json
 from undrift.errors import InputError
-from undrift.units import STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,19 +26,19 @@ def simulate(
     /,
     *,
     device: str,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    draw: Annotated[bool, Parameter(negative="")] = False,
+    output: Output,
+    draw: Flag = False,
     sample_rate_hz: float | None = None,
     temp_c: float | None = None,
     power_on_s: float | None = None,
     gravity_m_s2: float = STANDARD_GRAVITY,
     markers: str | None = None,
-    reference_up: Literal["y", "z"] | None = None,
+    reference_up: Up = None,
     cutoff_hz: str | None = None,
     truth: Path | None = None,
     save_device: Path | None = None,
     seed: int = 0,
-    json: bool = False,
+    json: Json = False,
 ) -> int:
     """Simulate the readings of a device in a motion.
 
@@ -75,9 +74,7 @@ def simulate(
     save_device : Path or None
         Write the device there, as device.json.
     seed : int
-        Of every random draw: the same seed gives the same file.
-    json : bool
-        One JSON object on stdout.
+        Seed of every random draw: the same seed gives the same file.
 
     Returns
     -------
@@ -86,8 +83,9 @@ def simulate(
     """
     import numpy as np
 
-    from undrift.cli.common import console, waiting, write_json
     from undrift.io.formats import write_record
+    from undrift.io.reference import write_reference
+    from undrift.record import Reference
     from undrift.sim.device.model import write_device
     from undrift.sim.device.simulate import simulate_device
 
@@ -95,46 +93,41 @@ def simulate(
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
     rng = np.random.default_rng(seed)
     model = _device(device, draw, rng)
+    simulated: Simulated | None = None
     if motion.startswith(THERMAL):
         kind = _thermal_kind(
             motion, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
         )
-        held = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
-        if save_device is not None:
-            write_device(model, save_device)
-        if json:
-            write_json({"motion": motion, "output": str(output), **held})
-        else:
-            console().print(_summary(motion, output, held), markup=False)
-        return 0
-    with waiting(f"simulating {motion}"):
-        moved, where, chosen = _motion(
-            motion, sample_rate_hz or 100.0, gravity_m_s2, _labels(markers), reference_up, cutoff_hz, rng
-        )
-        made = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
-    write_record(made.record, output)
-    if truth is not None:
-        _write_truth(moved, where, truth)
+        made = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
+        low, high = cast("list[float]", made["temp_c"])
+        lines = [
+            f"{motion} -> {output}: {made['samples']} samples at {made['sample_rate_hz']:.6g} Hz over "
+            f"{made['duration_s']:.0f} s, {low:.1f} to {high:.1f} degC, {made['stills']} stills, {made['turns']} turns"
+        ]
+    else:
+        with waiting(f"simulating {motion}"):
+            moved, where, chosen = _motion(
+                motion, sample_rate_hz or 100.0, gravity_m_s2, labels_of(markers), reference_up, cutoff_hz, rng
+            )
+            simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
+        record = simulated.record
+        write_record(record, output)
+        if truth is not None:
+            poses = Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving)
+            write_reference(poses, truth)
+        cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
+        made = ({"cutoff": cutoffs} if chosen else {}) | _figures(simulated, model)
+        lines = [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()]
+        lines.append(f"{motion} -> {output}: {len(record)} samples at {record.sample_rate_hz:.6g} Hz")
     if save_device is not None:
         write_device(model, save_device)
     if json:
-        cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
-        shown = {"cutoff": cutoffs} if chosen else {}
-        write_json({"motion": motion, "output": str(output), **shown, **_figures(made, model)})
+        write_json({"motion": motion, "output": str(output), **made})
         return 0
-    out = console()
-    for signal, one in chosen.items():
-        out.print(f"cut-off of the {signal}: {one.cutoff_hz:.1f} Hz, as {one.reason}", markup=False)
-    out.print(f"{motion} -> {output}: {len(made.record)} samples at {made.record.sample_rate_hz:.6g} Hz", markup=False)
-    _show(made, model)
+    say(*lines)
+    if simulated is not None:
+        _show(simulated, model)
     return 0
-
-
-def _write_truth(moved: "Motion", where: "FloatArray | None", path: Path) -> None:
-    from undrift.io.reference import write_reference
-    from undrift.record import Reference
-
-    write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), path)
 
 
 def _thermal_kind(motion: str, **unused: object) -> "ThermalKind":
@@ -162,7 +155,6 @@ def _thermal(
     """Write a thermal session and return what it holds."""
     from dataclasses import replace
 
-    from undrift.cli.common import checked_folder, waiting
     from undrift.io.session import write_session
     from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
@@ -193,14 +185,6 @@ def _thermal(
     }
 
 
-def _summary(motion: str, output: Path, held: dict[str, object]) -> str:
-    low, high = cast("list[float]", held["temp_c"])
-    return (
-        f"{motion} -> {output}: {held['samples']} samples at {held['sample_rate_hz']:.6g} Hz over {held['duration_s']:.0f} s, "
-        f"{low:.1f} to {high:.1f} degC, {held['stills']} stills, {held['turns']} turns"
-    )
-
-
 def _device(name: str, draw: bool, rng: "np.random.Generator") -> "DeviceModel":
     from undrift.sim.device.model import read_device
     from undrift.sim.device.presets import PRESETS, preset, random_device_of
@@ -219,7 +203,7 @@ def _motion(
     sample_rate_hz: float,
     gravity_m_s2: float,
     markers: tuple[str, ...] | None,
-    up: Literal["y", "z"] | None,
+    up: Up,
     cutoff_hz: str | None,
     rng: "np.random.Generator",
 ) -> tuple["Motion", "FloatArray | None", "dict[str, Cutoff]"]:
@@ -273,10 +257,6 @@ def _pose_settings(reference: "Reference", cutoff_hz: str | None) -> tuple["Pose
     return PoseSettings(cutoff_hz=stated, position_cutoff_hz=stated), {}
 
 
-def _labels(markers: str | None) -> tuple[str, ...] | None:
-    return None if markers is None else tuple(label.strip() for label in markers.split(","))
-
-
 def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
     """Return the device, saturation, and the size of each effect, for JSON."""
     import numpy as np
@@ -301,25 +281,23 @@ def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
 
 
 def _show(made: "Simulated", model: "DeviceModel") -> None:
-    """Show the size of each effect."""
+    """Show the size of each effect, saturation and gaps."""
     import numpy as np
 
-    from undrift.cli.common import console, table
-    from undrift.units import RADIAN_PER_DEGREE
-
-    shown = table(f"{model.name} {model.serial}: what each effect adds (rms)", "effect", "x", "y", "z")
+    rows, record = [], made.record
     for unit, factor, triad in (("deg/s", RADIAN_PER_DEGREE, made.gyro), ("m/s2", 1.0, made.accel)):
         for c in triad.contributions:
             rms = np.sqrt(np.nanmean(np.square(c.value), axis=0)) / factor
-            shown.add_row(f"{c.effect.replace('_', ' ')}, {unit}", *(f"{value:.4g}" for value in rms))
-    out = console()
-    out.print(shown)
+            rows.append((f"{c.effect.replace('_', ' ')}, {unit}", *(f"{value:.4g}" for value in rms)))
+    show_table(f"{model.name} {model.serial}: contribution of each effect (rms)", ("effect", "x", "y", "z"), rows)
+    lines = []
     for name, triad in (("gyroscope", made.gyro), ("accelerometer", made.accel)):
-        held = int(triad.saturated.any(axis=1).sum())
-        if held:
-            out.print(f"  warning: {name} held to its range in {held} samples")
-    gaps = 0 if made.record.gyro is None else int(np.isnan(made.record.gyro[:, 0]).sum())
+        saturated = int(triad.saturated.any(axis=1).sum())
+        if saturated:
+            lines.append(f"  warning: {name} saturated in {saturated} samples")
+    gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
     if gaps:
-        out.print(f"  warning: {gaps} samples are gaps, where the poses are not known")
-    if made.record.accel is None:
-        out.print("  no accelerometer: these poses hold no positions")
+        lines.append(f"  warning: {gaps} samples are gaps, where the poses are not known")
+    if record.accel is None:
+        lines.append("  no accelerometer: these poses hold no positions")
+    say(*lines)

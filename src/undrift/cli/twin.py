@@ -1,17 +1,16 @@
-"""``undrift twin``: the device model fitted to a real device, and how far it can be trusted."""
+"""``undrift twin``: the device model fitted to a real device, and its errors on recordings held out."""
 
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from undrift.cli.common import Opening
+from undrift.cli.common import Json, Opening, OptionalOutput, Up, read_pairs, say, show_table, waiting, write_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
-    from undrift.twin.fit import Prepared, Twin
+    from undrift.twin.fit import Twin
     from undrift.twin.heldout import Ending, HeldOutTrial, Part
 
 
@@ -21,15 +20,15 @@ def twin(
     gravity_m_s2: float = STANDARD_GRAVITY,
     seed: int = 0,
     markers: str | None = None,
-    reference_up: Literal["y", "z"] | None = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    reference_up: Up = None,
+    output: OptionalOutput = None,
     opening: Opening = Opening(),
-    json: bool = False,
+    json: Json = False,
 ) -> int:
     """Fit the device model to a real device from recordings with an optical reference.
 
     With two recordings or more each is held out in turn: a device fitted to the others is simulated on its motion and compared
-    with what the real one said.
+    with the real readings.
 
     Parameters
     ----------
@@ -38,9 +37,9 @@ def twin(
     reference : Path
         The reference of each recording, in the same order; a BROAD file holds its own.
     gravity_m_s2 : float
-        Local gravity: the accelerometer's scale stands and falls with it.
+        Local gravity, m/s2; the accelerometer's scale is proportional to it.
     seed : int
-        Of the noise of simulated devices.
+        Seed of the noise of simulated devices.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
     reference_up : str or None
@@ -49,8 +48,6 @@ def twin(
         device.json to write.
     opening : Opening
         How to read foreign recordings.
-    json : bool
-        One JSON object on stdout.
 
     Returns
     -------
@@ -59,20 +56,19 @@ def twin(
     """
     import numpy as np
 
-    from undrift.cli.common import read_pairs, waiting, write_json
+    from undrift.sim.device.model import write_device
     from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
-    from undrift.twin.heldout import compare_held_out, contributions, end_errors
+    from undrift.twin.heldout import compare_held_out, contributions, device_of, end_errors
 
     if not records:
         raise InputError("twin: wanted one recording or more, got none; name them first")
     settings = TwinSettings(gravity_m_s2=gravity_m_s2)
-    labels = tuple(markers.split(",")) if markers else None
     rng = np.random.default_rng(seed)
     held: tuple[HeldOutTrial, ...] = ()
     endings: tuple[Ending, ...] = ()
     parts: tuple[Part, ...] = ()
     with waiting("reading, fitting and simulating"):
-        pairs = read_pairs(records, reference, labels, reference_up, opening, command="twin")
+        pairs = read_pairs(records, reference, markers, reference_up, opening, command="twin")
         names = [record.name.split(".")[0] for record in records]
         prepared = prepare_twin([p[0] for p in pairs], [p[1] for p in pairs], settings=settings, names=names)
         fitted = fit_prepared(prepared, settings=settings)
@@ -81,37 +77,21 @@ def twin(
             endings = end_errors(prepared, rng=rng)
             parts = contributions(prepared, 0, rng=rng)
     if output is not None:
-        _write(fitted, prepared, output)
+        record = prepared.records[0]
+        device = device_of(fitted, sample_rate_hz=record.sample_rate_hz, serial=record.device)
+        write_device(device, output)
     if json:
-        write_json(twin_json(fitted, held, endings, parts))
+        write_json(_twin_json(fitted, held, endings, parts))
     else:
         _show(fitted, held, endings, parts, names)
         if output is not None:
-            _say(f"Wrote {output}")
+            say(f"Wrote {output}")
     return 0
 
 
-def twin_json(
+def _twin_json(
     fitted: "Twin", held: "tuple[HeldOutTrial, ...]", endings: "tuple[Ending, ...]", parts: "tuple[Part, ...]"
 ) -> dict[str, object]:
-    """Return a twin under the names that other programs rely on.
-
-    Parameters
-    ----------
-    fitted : Twin
-        Parameters and residuals.
-    held : tuple of HeldOutTrial
-        Windows of held-out recordings.
-    endings : tuple of Ending
-        End errors of simulated devices beside the real one.
-    parts : tuple of Part
-        What limits the twin on the first recording.
-
-    Returns
-    -------
-    dict
-        parameters, heldout, residual; and end_errors, contributions.
-    """
     deg = 1.0 / RADIAN_PER_DEGREE
     accel = fitted.accel
     return {
@@ -131,9 +111,9 @@ def twin_json(
                 "recording": h.recording,
                 "window_s": h.window_s,
                 "windows": len(h.errors.pitch),
-                "max_abs_pitch_difference_deg": spread(h.errors.pitch * deg),
-                "max_tilt_difference_deg": spread(h.errors.tilt * deg),
-                "end_difference_deg": [spread(axis * deg) for axis in h.errors.end.T],
+                "max_abs_pitch_difference_deg": _spread(h.errors.pitch * deg),
+                "max_tilt_difference_deg": _spread(h.errors.tilt * deg),
+                "end_difference_deg": [_spread(axis * deg) for axis in h.errors.end.T],
             }
             for h in held
         ],
@@ -160,39 +140,14 @@ def twin_json(
     }
 
 
-def spread(values: "FloatArray") -> dict[str, float]:
-    """Return median, 95th percentile and largest of what is not a gap.
-
-    Parameters
-    ----------
-    values : array, shape (W,)
-        Any unit.
-
-    Returns
-    -------
-    dict
-        median, p95, max.
-    """
+def _spread(values: "FloatArray") -> dict[str, float]:
+    """Return median, 95th percentile and largest of what is not a gap."""
     import numpy as np
 
     seen = values[np.isfinite(values)]
     if not len(seen):
         return dict.fromkeys(("median", "p95", "max"), float("nan"))
     return {"median": float(np.median(seen)), "p95": float(np.quantile(seen, 0.95)), "max": float(seen.max())}
-
-
-def _write(fitted: "Twin", prepared: "Prepared", path: Path) -> None:
-    from undrift.sim.device.model import write_device
-    from undrift.twin.heldout import device_of
-
-    record = prepared.records[0]
-    write_device(device_of(fitted, sample_rate_hz=record.sample_rate_hz, serial=record.device), path)
-
-
-def _say(text: str) -> None:
-    from undrift.cli.common import console
-
-    console().print(text, markup=False)
 
 
 def _show(
@@ -202,62 +157,49 @@ def _show(
     parts: "tuple[Part, ...]",
     names: list[str],
 ) -> None:
-    from undrift.cli.common import console, table
-
-    out, deg = console(), 1.0 / RADIAN_PER_DEGREE
-    shown = table("parameters of the device", "name", "value", "standard error", "unit")
-    reasons: dict[str, list[str]] = {}
+    deg = 1.0 / RADIAN_PER_DEGREE
+    rows, reasons = [], dict[str, list[str]]()
     for p in fitted.parameters:
         value = p.value if isinstance(p.value, str) else f"{p.value:.6g}"
-        shown.add_row(p.name, value if p.identifiable else f"({value})", f"{p.standard_error:.2g}", p.unit)
+        rows.append((p.name, value if p.identifiable else f"({value})", f"{p.standard_error:.2g}", p.unit))
         if not p.identifiable:
             reasons.setdefault(p.reason, []).append(p.name)
-    out.print(shown, markup=False)
-    for reason, lost in reasons.items():
-        out.print(f"not identifiable: {', '.join(lost)}: {reason}", markup=False)
-    shown = table("against the poses, rms per axis", "recording", "gyro dps", "of", "accel m/s2", "of")
+    show_table("parameters of the device", ("name", "value", "standard error", "unit"), rows)
+    say(*(f"not identifiable: {', '.join(lost)}: {reason}" for reason, lost in reasons.items()))
+    residuals, accel = [], fitted.accel
     for k, name in enumerate(names):
-        accel = ("-", "-") if fitted.accel is None else (
-            f"{fitted.accel.residual_rms[k]:.3f}", f"{fitted.accel.signal_rms[k]:.2f}"
-        )  # fmt: skip
-        gyro = fitted.gyro_residual_rms[k] * deg, fitted.gyro_signal_rms[k] * deg
-        shown.add_row(name, f"{gyro[0]:.2f}", f"{gyro[1]:.1f}", *accel)
-    out.print(shown, markup=False)
-    out.print(
-        f"low-pass: gyro {fitted.settings.gyro_cutoff_hz:g} Hz, accel {fitted.settings.accel_cutoff_hz:g} Hz",
-        markup=False,
-    )
+        forces = ("-", "-") if accel is None else (f"{accel.residual_rms[k]:.3f}", f"{accel.signal_rms[k]:.2f}")
+        gyro = (f"{fitted.gyro_residual_rms[k] * deg:.2f}", f"{fitted.gyro_signal_rms[k] * deg:.1f}")
+        residuals.append((name, *gyro, *forces))
+    heads = ("recording", "gyro dps", "of", "accel m/s2", "of")
+    show_table("residual against the reference, and signal, rms per axis", heads, residuals)
+    say(f"low-pass: gyro {fitted.settings.gyro_cutoff_hz:g} Hz, accel {fitted.settings.accel_cutoff_hz:g} Hz")
     if not held:
-        out.print(
-            "one recording: none could be held out; add a second one to see how far the twin carries", markup=False
-        )
+        say("one recording: none could be held out; add a second one to see how well the twin predicts")
         return
-    _show_held(held, endings, parts, names)
-
-
-def _show_held(
-    held: "tuple[HeldOutTrial, ...]", endings: "tuple[Ending, ...]", parts: "tuple[Part, ...]", names: list[str]
-) -> None:
-    from undrift.cli.common import console, table
-
-    out, deg = console(), 1.0 / RADIAN_PER_DEGREE
+    windows = [
+        (
+            h.recording,
+            f"{h.window_s:g}",
+            str(len(h.errors.pitch)),
+            *(f"{v:.2f}" for v in _spread(h.errors.pitch * deg).values()),
+        )
+        for h in held
+    ]
     title = "held out: largest pitch difference between simulated and real device in a window, deg"
-    shown = table(title, "recording", "window s", "windows", "median", "95 %", "max")
-    for h in held:
-        three = spread(h.errors.pitch * deg).values()
-        shown.add_row(h.recording, f"{h.window_s:g}", str(len(h.errors.pitch)), *(f"{v:.2f}" for v in three))
-    out.print(shown, markup=False)
-    shown = table(f"what makes it, {names[0]}, 5 s windows, median", "part", "pitch deg", "tilt deg")
-    for p in parts:
-        shown.add_row(p.name, f"{p.pitch * deg:.3f}", f"{p.tilt * deg:.3f}")
-    out.print(shown, markup=False)
-    shown = table(
-        "end error, deg: real, and 95 % of simulated devices", "recording", "offset", "total", "", "incl.", ""
-    )
-    for e in endings:
-        cells = [
-            (f"{r * deg:.1f}", f"{low * deg:.1f}-{high * deg:.1f}")
-            for r, (low, high) in zip(e.real, e.interval, strict=True)
-        ]
-        shown.add_row(e.recording, "none" if e.row == "raw" else "rest", *cells[0], *cells[1])
-    out.print(shown, markup=False)
+    show_table(title, ("recording", "window s", "windows", "median", "95 %", "max"), windows)
+    limits = [(p.name, f"{p.pitch * deg:.3f}", f"{p.tilt * deg:.3f}") for p in parts]
+    show_table(f"its contributions, {names[0]}, 5 s windows, median", ("part", "pitch deg", "tilt deg"), limits)
+    ends = [
+        (
+            e.recording,
+            "none" if e.row == "raw" else "rest",
+            *chain.from_iterable(
+                (f"{r * deg:.1f}", f"{low * deg:.1f}-{high * deg:.1f}")
+                for r, (low, high) in zip(e.real, e.interval, strict=True)
+            ),
+        )
+        for e in endings
+    ]
+    title = "end error, deg: real, and 95 % of simulated devices"
+    show_table(title, ("recording", "offset", "total", "", "incl.", ""), ends)

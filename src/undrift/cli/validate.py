@@ -3,11 +3,30 @@
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.cli.common import Flag, Opening, check_gravity, check_physical, checked_folder, name_of
+from undrift.cli.common import (
+    Flag,
+    Json,
+    Opening,
+    OptionalOutput,
+    Policy,
+    Side,
+    Up,
+    check_gravity,
+    check_physical,
+    checked_folder,
+    checked_output,
+    name_of,
+    plain,
+    read_pairs,
+    say,
+    show_table,
+    waiting,
+    write_json,
+)
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +36,6 @@ if TYPE_CHECKING:
     from undrift.validation.agreement import Validation
     from undrift.validation.trial import Trial, TrialSettings
 
-Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 SHOWN = (
     ("rmse_total_deg", "total"),
     ("rmse_inclination_deg", "inclination"),
@@ -41,13 +59,14 @@ def validate(
     forward: Side = "+x",
     up: Side = "+z",
     power_on_s: float | None = None,
-    policy: Literal["raise", "hold", "nan"] = "raise",
+    policy: Policy = "raise",
     max_lag_s: float = 5.0,
     markers: str | None = None,
-    reference_up: Literal["y", "z"] | None = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    reference_up: Up = None,
+    output: OptionalOutput = None,
+    report: Path | None = None,
     opening: Opening = Opening(),
-    json: Flag = False,
+    json: Json = False,
 ) -> int:
     """Compare recordings with an optical reference: lag, errors in degrees, agreement over trials.
 
@@ -64,44 +83,44 @@ def validate(
     leave_one_out : bool
         With --calibrate-from: each recording is judged by a fit to the others.
     offset : str or None
-        "rest" takes off the mean rate of the rest before the motion, "none" does not. Without a calibration: rest.
+        "rest" subtracts the mean rate of the rest before the motion, "none" does not. Without a calibration: rest.
     adc : str
-        "auto" gives back what the ADC's rounding took, where it shows; "none" leaves the codes.
+        "auto" corrects the quantisation of the codes where it shows; "none" leaves them.
     forward : str
         Body axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
         Body axis that points up on the upright segment.
     power_on_s : float or None
-        Time since power-on at the first sample of each recording, s; without it no warm-up is taken off.
+        Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
         temperature was recorded the result is a gap under each, and a warning says for how long.
     max_lag_s : float
-        How far the clocks of recording and reference may stand apart, s: the lag is looked for up to this either way.
+        Largest lag between the clocks of recording and reference, either way, s.
     markers : str or None
         Labels of one rigid cluster, with commas between, for C3D and TRC.
     reference_up : str or None
         Laboratory axis that points up, for C3D and TRC.
     output : Path or None
         Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
+    report : Path or None
+        Report page to write: .html; without a folder.
     opening : Opening
         How to read foreign recordings.
-    json : bool
-        One JSON object on stdout.
 
     Returns
     -------
     int
         Exit code.
     """
-    from undrift.cli.common import read_pairs, waiting, write_json
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
     _check_asked(records, calibration, calibrate_from, leave_one_out, max_lag_s)
     if output is not None:
         checked_folder(output)
-    labels = tuple(markers.split(",")) if markers else None
+    if report is not None:
+        checked_output(report, endings=(".html",), reads=(*records, *reference, calibration))
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(
         offset=chosen,
@@ -113,7 +132,7 @@ def validate(
         lag=LagSettings(longest_lag_s=max_lag_s),
     )
     with waiting("reading, aligning and integrating"):
-        pairs = read_pairs(records, reference, labels, reference_up, opening, command="validate")
+        pairs = read_pairs(records, reference, markers, reference_up, opening, command="validate")
         if calibration is None and calibrate_from is None:
             for (readings, _), path in zip(pairs, records, strict=True):
                 check_physical(readings, path)
@@ -122,13 +141,16 @@ def validate(
         result, model = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
     source = calibration.name if calibration else calibrate_from
     asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
-    told = validation_json(result) | asked
-    if output is not None:
-        _write(output, result, told, _method(records, reference, calibration, result, model, settings))
+    made = _validation_json(result) | asked
+    _write(output, report, result, made, _method(records, reference, calibration, result, model, settings))
     if json:
-        write_json(told)
-    else:
-        _show(result, chosen, output, in_sample=calibrate_from is not None and not leave_one_out)
+        write_json(made)
+        return 0
+    _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
+    say(
+        *([] if report is None else [f"Wrote {report}"]),
+        *([] if output is None else [f"Wrote {output}: look at report.html"]),
+    )
     return 0
 
 
@@ -150,19 +172,7 @@ def _check_asked(
         raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
 
 
-def validation_json(result: "Validation") -> dict[str, object]:
-    """Return a validation under the names that other programs rely on.
-
-    Parameters
-    ----------
-    result : Validation
-        Trials and what they come to.
-
-    Returns
-    -------
-    dict
-        trials, mean, median, agreement.
-    """
+def _validation_json(result: "Validation") -> dict[str, object]:
     agreement = None
     if result.agreement is not None:
         limits, absolute = result.agreement.limits, result.agreement.absolute
@@ -187,7 +197,7 @@ def validation_json(result: "Validation") -> dict[str, object]:
 
 
 def _check_scale(trial: "Trial") -> None:
-    """Refuse a device that turned another number of times as fast as its reference: degrees taken for radians, most likely."""
+    """Refuse a device with over twice or under half the rate of its reference: degrees for radians, most likely."""
     import numpy as np
 
     times = 1.0 / float(np.linalg.norm(trial.lag.matrix, ord=2))  # the matrix maps readings to the reference's rate
@@ -250,61 +260,64 @@ def _method(
     )
 
 
-def _write(folder: Path, result: "Validation", told: dict[str, object], method: "Method") -> None:
+def _write(
+    folder: Path | None, page: Path | None, result: "Validation", made: dict[str, object], method: "Method"
+) -> None:
     import json
 
-    from undrift.cli.common import plain
     from undrift.files import write_whole
     from undrift.io.store import write_calibration
     from undrift.report.validation import write_validation_report
 
+    if page is not None:
+        write_validation_report(result, method, page)
+    if folder is None:
+        return
     folder.mkdir(exist_ok=True)
     write_validation_report(result, method, folder / "report.html")
-    write_whole(folder / "validation.json", json.dumps(plain(told), indent=1, allow_nan=False) + "\n")
+    write_whole(folder / "validation.json", json.dumps(plain(made), indent=1, allow_nan=False) + "\n")
     if method.calibration is not None and not method.source:
         write_calibration(method.calibration, folder / "calibration.json")
 
 
-def _show(result: "Validation", offset: str, output: Path | None, *, in_sample: bool) -> None:
-    from undrift.cli.common import console, table
+def _show(result: "Validation", offset: str, *, in_sample: bool) -> None:
     from undrift.report.validation import OPTICS_SEEN, PITCH_DEFINED
 
+    figures_of = [(trial.recording, trial.figures) for trial in result.trials]
+    if len(figures_of) > 1:
+        figures_of += [("mean", result.mean), ("median", result.median)]
+    rows = [
+        (
+            name,
+            *(f"{getattr(figures, key):.2f}" for key, _ in SHOWN),
+            _percent(figures.pitch_defined),
+            _percent(figures.valid_optics),
+        )
+        for name, figures in figures_of
+    ]
     title = f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})"
-    shown = table(title, "recording", *(head for _, head in SHOWN), "pitch %", "optics %")
-    rows = [(trial.recording, trial.figures) for trial in result.trials]
-    if len(rows) > 1:
-        rows += [("mean", result.mean), ("median", result.median)]
-    for name, figures in rows:
-        cells = [f"{getattr(figures, key):.2f}" for key, _ in SHOWN]
-        shown.add_row(name, *cells, _percent(figures.pitch_defined), _percent(figures.valid_optics))
-    out = console()
-    out.print(shown, markup=False)
+    show_table(title, ("recording", *(head for _, head in SHOWN), "pitch %", "optics %"), rows)
+    lines = []
     if result.agreement is not None:
         limits, icc = result.agreement.limits, result.agreement.absolute
-        out.print(
+        lines.append(
             f"agreement on mean inclination over {limits.count} trials: bias {limits.bias:+.2f} deg, 95 % limits "
             f"{limits.limits[0]:+.2f} to {limits.limits[1]:+.2f} deg; {icc.kind} {icc.value:.3f} "
-            f"[{icc.interval[0]:.3f}, {icc.interval[1]:.3f}]",
-            markup=False,
+            f"[{icc.interval[0]:.3f}, {icc.interval[1]:.3f}]"
         )
-    if any(figures.pitch_defined < 1.0 for _, figures in rows):
-        out.print(PITCH_DEFINED.replace("Pitch defined", "pitch %"), markup=False)
+    if any(figures.pitch_defined < 1.0 for _, figures in figures_of):
+        lines.append(PITCH_DEFINED.replace("Pitch defined", "pitch %"))
     least = min(trial.figures.valid_optics_file for trial in result.trials)
     if least < min(trial.figures.valid_optics for trial in result.trials) - SHOWN_SHARE:
         whole = f"{_percent(least)} %" + (" or more" if len(result.trials) > 1 else "")
-        out.print(f"{OPTICS_SEEN.replace('Optics seen', 'optics %')} of the whole file it is {whole}", markup=False)
+        lines.append(f"{OPTICS_SEEN.replace('Optics seen', 'optics %')} of the whole file it is {whole}")
     if in_sample:
-        out.print(
-            "these recordings made the calibration that they judge: say --leave-one-out for an honest figure",
-            markup=False,
-        )
-    notes = dict.fromkeys(note for trial in result.trials for note in trial.notes)
-    for note in notes:
-        told = [trial.recording for trial in result.trials if note in trial.notes]
-        who = "every recording" if 1 < len(told) == len(result.trials) else ", ".join(told)
-        out.print(f"  {who}: {note}", markup=False)
-    if output is not None:
-        out.print(f"Wrote {output}: look at report.html", markup=False)
+        lines.append("these recordings made the calibration that they judge: say --leave-one-out for an honest figure")
+    for note in dict.fromkeys(note for trial in result.trials for note in trial.notes):
+        noted = [trial.recording for trial in result.trials if note in trial.notes]
+        who = "every recording" if 1 < len(noted) == len(result.trials) else ", ".join(noted)
+        lines.append(f"  {who}: {note}")
+    say(*lines)
 
 
 def _percent(share: float) -> str:

@@ -1,1 +1,91 @@
-"""What firmware and other programs read: one target a file, each with a list of what it cannot carry."""
+"""Targets of ``undrift export``: a name, and the object that writes the file.
+
+A target is one file that ends in ``TARGET = Target(endings=(".bin",), write=write)`` and one line in ``TARGETS``; another package
+adds one through the entry-point group ``undrift.targets`` (see ``plugins.py``). ``write`` takes the calibration, the options of the
+command line and the name of the file, and returns ``Exported``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from undrift.errors import InputError
+from undrift.plugins import load_named, names_in
+
+if TYPE_CHECKING:
+    from undrift.export.losses import Exported
+    from undrift.model import Calibration
+
+TARGETS = {
+    "c": "undrift.export.c:TARGET",
+    "px4": "undrift.export.autopilots:PX4",
+    "ardupilot": "undrift.export.autopilots:ARDUPILOT",
+    "fusion": "undrift.export.programs:FUSION",
+    "imucal": "undrift.export.programs:IMUCAL",
+    "ros": "undrift.export.programs:ROS",
+    "undrift": "undrift.export.programs:UNDRIFT",
+}
+GROUP = "undrift.targets"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Options that some targets take.
+
+    Parameters
+    ----------
+    fixed : bool
+        c: fixed point where the build defines nothing; the source holds all three arithmetics anyway.
+    double : bool
+        c: double where the build defines nothing.
+    prefix : str
+        c: what every name begins with, in lower case.
+    gyro_raw_bits : int or None
+        c, fixed point: bits behind the point of a gyroscope reading; chosen from the offsets where not given.
+    accel_raw_bits : int or None
+        c, fixed point: the same of an accelerometer reading.
+    gyro_unit : str or None
+        c: unit of the gyroscope readings where the calibration has no model of them; rad/s where not given.
+    accel_unit : str or None
+        c: the same of the accelerometer readings; m/s2 where not given.
+    sensor : int
+        px4, ardupilot: which inertial sensor of the autopilot, from 0.
+    gyro_dps_per_unit : float or None
+        px4, ardupilot: the autopilot driver's gain, deg/s per count or volt.
+    accel_g_per_unit : float or None
+        px4, ardupilot: the autopilot driver's gain, g per count or volt.
+    temp_c : float or None
+        Where tables are read that the target has no place for, degC; the reference temperature where not given.
+    """
+
+    fixed: bool = False
+    double: bool = False
+    prefix: str = "undrift"
+    gyro_raw_bits: int | None = None
+    accel_raw_bits: int | None = None
+    gyro_unit: str | None = None
+    accel_unit: str | None = None
+    sensor: int = 0
+    gyro_dps_per_unit: float | None = None
+    accel_g_per_unit: float | None = None
+    temp_c: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """How a target's file is named and written."""
+
+    endings: tuple[str, ...]  # of the file
+    more: tuple[str, ...] = ()  # endings of the files beside it, as many as ``Exported.more``
+    write: "Callable[[Calibration, ExportOptions, str], Exported]"  # takes the name of the file last
+
+
+def find_target(name: str) -> Target:
+    """Return the target of a name."""
+    names = names_in(TARGETS, GROUP)
+    if name not in names:
+        raise InputError(f"target: wanted one of {', '.join(names)}, got '{name}'; name one of them")
+    target = load_named(name, TARGETS, GROUP)
+    if not isinstance(target, Target):
+        raise InputError(f"{name}: wanted a Target of undrift.export, got {target!r}; mend the package that has it")
+    return target

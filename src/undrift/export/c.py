@@ -10,12 +10,14 @@ builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
 import re
 import textwrap
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
+from undrift.export import ExportOptions, Target
 from undrift.export.firmware import (
     ASSUMPTION,
     FULL_FORCE,
@@ -35,7 +37,7 @@ from undrift.export.firmware import (
     nominal_triad,
     triads_of,
 )
-from undrift.export.losses import Part, losses
+from undrift.export.losses import Exported, Part, losses
 from undrift.model import Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -140,13 +142,11 @@ class CSettings:
     # Begins every name, so that two devices fit into one program: a C identifier in lower case
     prefix: str = "undrift"
     header_name: str = "undrift.h"  # File name that the source includes
-    # Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets tell of large codes
+    # Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets show large codes
     gyro_raw_bits: int | None = None
-    # Fixed point: bits behind the point of a reading; None chooses 16, fewer where the offsets tell of large codes
     accel_raw_bits: int | None = None
     # Physical unit of the readings of a triad that has no model; None for rad/s and m/s2
     gyro_unit: str | None = None
-    # Physical unit of the readings of a triad that has no model; None for rad/s and m/s2
     accel_unit: str | None = None
     date: str = ""  # When it was exported; written into the comment
 
@@ -155,13 +155,13 @@ class CSettings:
 class ExportedC:
     """A C99 header and source, and what they cost."""
 
-    header: str  # The files
-    source: str  # The files
+    header: str
+    source: str
     not_carried: tuple[str, ...]  # What the calibration holds and the source does not
     notes: tuple[str, ...]  # What the firmware must know or do
     costs: tuple[Cost, ...]  # Of the float, double and fixed builds
-    gyro_bound: FloatArray  # (3,), fixed point: worst error against exact arithmetic, rad/s and m/s2
-    accel_bound: FloatArray  # (3,), fixed point: worst error against exact arithmetic, rad/s and m/s2
+    gyro_bound: FloatArray  # (3,), fixed point: worst error against exact arithmetic, rad/s
+    accel_bound: FloatArray  # (3,), the same, m/s2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -221,7 +221,9 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
             raise InputError(f"export c: wanted 0 to 30 bits behind the point of a reading, got {bits}; choose fewer")
     gyro, accel, notes = _triads(calibration, settings)
     of_accel = fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
-    of_gyro = _fixed_gyro(gyro, of_accel, settings)
+    of_gyro = fixed_triad(
+        gyro, raw_bits=settings.gyro_raw_bits, full=FULL_RATE, accel_bound=of_accel.bound, accel_full=FULL_FORCE
+    )
     views = [_View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro))]
     lead = lead_of(calibration)
     if lead is not None:
@@ -250,18 +252,8 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     )
 
 
-def _fixed_gyro(gyro: Triad, accel: FixedTriad, settings: CSettings) -> FixedTriad:
-    return fixed_triad(
-        gyro,
-        raw_bits=settings.gyro_raw_bits,
-        full=FULL_RATE,
-        accel_bound=accel.bound,
-        accel_full=FULL_FORCE,
-    )
-
-
 def _triads(calibration: Calibration, settings: CSettings) -> tuple[Triad, Triad, tuple[str, ...]]:
-    """Both triads, nominal where there is no model, and what there is to say of these."""
+    """Return both triads, nominal where there is no model, with a note on those."""
     gyro, accel = triads_of(calibration)
     for name, triad, unit in (("gyro", gyro, settings.gyro_unit), ("accel", accel, settings.accel_unit)):
         if triad is not None and unit is not None:
@@ -335,7 +327,7 @@ def _header(
     calibration: Calibration,
     settings: CSettings,
     costs: tuple[Cost, ...],
-    said: tuple[str, ...],
+    notes: tuple[str, ...],
     lead: Lead | None,
 ) -> str:
     p = calibration.provenance
@@ -343,7 +335,7 @@ def _header(
     return str(
         _environment().get_template("undrift.h.j2").render(
             title=_title(calibration),
-            comment=[comment_text(line) for line in _comment(views, calibration, settings, costs, said)],
+            comment=[comment_text(line) for line in _comment(views, calibration, settings, costs, notes)],
             default=settings.default, p=settings.prefix, P=settings.prefix.upper(), triads=views, created=p.created,
             lead=lead, lag_s=f"{lead.lag_s:g}" if lead else "", smooth_s=f"{lead.smooth_s:g}" if lead else "",
             warm_up=bool(warm), warm_s=f"{warm[0].temp.stop:g}" if warm else "",
@@ -352,7 +344,7 @@ def _header(
 
 
 def _comment(
-    views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], said: tuple[str, ...]
+    views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], notes: tuple[str, ...]
 ) -> list[str]:
     warming = " and warm-up" if any(view.real.warm_up_table is not None for view in views) else ""
     lines = [
@@ -388,8 +380,8 @@ def _comment(
             lines.append(f"  gyro_out {worst:.3g} rad/s ({worst / RADIAN_PER_DEGREE:.3g} deg/s)")
         else:
             lines.append(f"  accel_out {worst:.3g} m/s2 ({worst / STANDARD_GRAVITY * 1e3:.3g} mg)")
-    if said:
-        lines += ["", "Not in here, or to be minded:", *(f"  - {text}" for text in said)]
+    if notes:
+        lines += ["", "Not carried, and notes:", *(f"  - {text}" for text in notes)]
     return [part for line in lines for part in wrapped(line)]
 
 
@@ -398,3 +390,39 @@ def _span(triad: Triad) -> str:
         return "without a table"
     low, high = max(t.temp.start for t in triad.tables), min(t.temp.stop for t in triad.tables)
     return f"{low:g} to {high:g} degC"
+
+
+# ---- Target of ``undrift export``
+
+
+def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
+    """Return header and source with their figures; the source includes the header by its name."""
+    if not re.fullmatch(r"[\w.-]+", name, re.ASCII):
+        raise InputError(
+            f"{name}: wanted a file name of letters, digits, -, _ and . for a C header, got others; rename it"
+        )
+    settings = CSettings(
+        default="fixed" if options.fixed else "double" if options.double else "float",
+        prefix=options.prefix,
+        header_name=name,
+        gyro_raw_bits=options.gyro_raw_bits,
+        accel_raw_bits=options.accel_raw_bits,
+        gyro_unit=options.gyro_unit,
+        accel_unit=options.accel_unit,
+        date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+    )
+    made = export_c(calibration, settings)
+    keys = ("arithmetic", "table_bytes", "flash_bytes", "cycles", "lead_cycles")
+    figures = {
+        "builds": [{key: getattr(cost, key) for key in keys} for cost in made.costs],
+        "fixed_point_bound": {
+            "gyro_rad_s": float(made.gyro_bound.max()),
+            "accel_m_s2": float(made.accel_bound.max()),
+        },
+    }
+    return Exported(
+        text=made.header, more=(made.source,), not_carried=made.not_carried, notes=made.notes, figures=figures
+    )
+
+
+TARGET = Target(endings=(".h",), more=(".c",), write=write_c)

@@ -1,6 +1,7 @@
 """What a target cannot carry, in sentences with figures: the parts of a calibration, and those that a target has a place for."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -23,11 +24,17 @@ class Exported:
         What the calibration holds and the file does not, one sentence each, with its size where it has one.
     notes : tuple of str
         What the reader of the file must know or do.
+    more : tuple of str
+        Files beside it.
+    figures : mapping
+        Sizes and error bounds, for ``--json``.
     """
 
     text: str
     not_carried: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    more: tuple[str, ...] = ()
+    figures: Mapping[str, object] = field(default_factory=dict)
 
 
 # ---- losses

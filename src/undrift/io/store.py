@@ -217,16 +217,19 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
     InputError
         A folder that cannot be written to, or a value that could not be read back; no file is left behind.
     """
-    path = Path(path)
+    write_whole(Path(path), calibration_text(calibration, str(path)))
+
+
+def calibration_text(calibration: Calibration, name: str) -> str:
+    """Return the text of a calibration file; the name stands in errors."""
     content = calibration_json(calibration)
     try:
         CalibrationFile.model_validate(content)
     except ValidationError as error:
         raise InputError(
-            f"{path}: wanted a calibration that reads back, got {_first_problem(error)}; mend the value"
+            f"{name}: wanted a calibration that reads back, got {_first_problem(error)}; mend the value"
         ) from error
-    text = _compact(json.dumps(content, indent=2, allow_nan=False)) + "\n"
-    write_whole(path, text)
+    return _compact(json.dumps(content, indent=2, allow_nan=False)) + "\n"
 
 
 def read_calibration(path: Path | str) -> Calibration:
