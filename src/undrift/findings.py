@@ -561,4 +561,51 @@ CATALOGUE: dict[str, Entry] = {
     ),
     "study.note_not_tried": Entry(4, "The note's protocol was not tried"),
     "study.note_uncalibrated": Entry(3, "The note's protocol left a device uncalibrated"),
+    # ---- rig check
+    "rig_check.error": Entry(
+        1,
+        "Following error beyond its limit",
+        "Largest {largest_deg:.4f} deg at steady rate, limit {limit_deg:g} deg.",
+        "Check friction, load and gains of the table.",
+    ),
+    "rig_check.link_delay": Entry(
+        3,
+        "Link delay hides the error",
+        "Largest {largest_deg:.3g} deg, of which up to {unknown_deg:.3g} deg may be delay; limit {limit_deg:g} deg.",
+        "Repeat with a slower wave or a faster link.",
+    ),
+    "rig_check.no_encoder": Entry(
+        3,
+        "Following error not observable",
+        "A controller without encoder reports commanded steps; lost steps and loop margins do not show.",
+        "Check marks on the table after the wave.",
+    ),
+    "rig_check.loop_not_observed": Entry(
+        3,
+        "Servo loop not observable",
+        "The records show no crossover of the open loop.",
+        "Repeat with a larger acceleration or a faster link.",
+    ),
+    "rig_check.low_margin": Entry(
+        2,
+        "Low phase margin",
+        "{margin_deg:.1f} deg at {crossover_rad_s:.0f} rad/s; {least_deg:g} deg or more is usual.",
+        "Raise KD or lower KP.",
+    ),
+    "rig_check.no_gains": Entry(
+        3,
+        "No gains suggested",
+        "No KP and KD give {wanted_deg:g} deg at {crossover_rad_s:.0f} rad/s; the margin is {margin_deg:.1f} deg.",
+    ),
+    "rig_check.gains": Entry(
+        4,
+        "Suggested gains",
+        "KP {kp:g}, KD {kd:g}, KI {ki:g} for a phase margin of {wanted_deg:g} deg.",
+        "Repeat with --set-gains to set them.",
+    ),
+    "rig_check.gains_set": Entry(
+        4,
+        "Gains set until the next power-up",
+        "KP {kp:g}, KD {kd:g}, KI {ki:g} for a phase margin of {wanted_deg:g} deg.",
+    ),
 }

@@ -174,7 +174,7 @@ class GalilCard:
     def __init__(self, port: GalilPort, axis: str = "X") -> None:
         self.port = port
         self.axis = axis
-        self._commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
+        self.commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
         self._digits: int | None = None
         self._tells_signs: bool | None = None  # of a jog speed that is read back
 
@@ -231,7 +231,7 @@ class GalilCard:
 
     def set(self, name: str, value: float, *, tolerance: float = 0.0, magnitude: bool = False) -> float:
         """Set a parameter of the axis and read it back."""
-        tell, ask = f"{name} {self._commas}{value:.10g}", f"{name} {self._commas}?"
+        tell, ask = f"{name} {self.commas}{value:.10g}", f"{name} {self.commas}?"
         self.do(tell)
         held = self.number(ask)
         if magnitude and value < 0.0:
@@ -613,6 +613,11 @@ class GalilServo:
         if not (0.0 < kp <= 1023.875 and 0.0 < kd <= 4095.875):
             return None
         return Gains(kp=round(8.0 * kp) / 8.0, ki=gains.ki, kd=round(8.0 * kd) / 8.0)
+
+    def nudge(self, turn_rate: float) -> None:
+        """Change a jog speed; a lost byte can only make it smaller or turn it round, and the record shows what it was."""
+        with self._guarded():
+            self._card.do(f"JG {self._card.commas}{JOG_BY_TWO.round(self._scale.counts(turn_rate))}")
 
     def start(self, span_s: float) -> None:
         """Begin to record for a while, every 2^n samples, as densely as the arrays allow."""

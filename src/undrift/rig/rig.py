@@ -190,6 +190,9 @@ class Servo(Protocol):
     def gains_for(self, margin: float, crossover: float, response: complex) -> Gains | None:
         """Return gains with a phase margin (rad) at a crossover (rad/s), from the open loop's response there."""
 
+    def nudge(self, turn_rate: float) -> None:
+        """Change the rate of a turn that runs, at once; nothing is read back."""
+
     def start(self, span_s: float) -> None:
         """Begin to record for a while."""
 
