@@ -72,6 +72,26 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
             np.testing.assert_allclose(ratio, np.eye(3), atol=3e-3)
 
 
+def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emulated, capsys):
+    call = ["rig", "check", "--rig", emulated["rig"], "--seconds", "8", "--json"]
+    assert run(call) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["kind"], found["wave"]["seconds"]) == ("undrift.rig_check", 8.0)
+    error = found["error_deg"]
+    assert error["pass"] is True
+    assert 0.0 < error["rms"] < error["max"] < error["limit_deg"] == pytest.approx(0.012)
+    assert found["gains"]["read"] == found["gains"]["held"] == {"kp": 12.5, "ki": 0.0, "kd": 245.0}
+    assert {"crossover_rad_s", "phase_margin_deg"} <= found.keys()
+    assert found["findings"] == found["verdict"]["findings"]
+    assert run([*call, "--limit-deg", "0.0001"]) == 1
+    failed = json.loads(capsys.readouterr().out)
+    assert (failed["error_deg"]["pass"], failed["verdict"]["status"]) == (False, "bad")
+    assert [item["code"] for item in failed["findings"] if item["level"] == "fail"] == ["rig_check.error"]
+    assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
+    status = json.loads(capsys.readouterr().out)
+    assert (status["moving"], status["motor_on"], status["fault"]) == (False, False, None)
+
+
 @pytest.mark.parametrize(
     ("words", "message", "code"),
     [
@@ -79,6 +99,9 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
         (["stop", "--rig", "lathe:"], "rig: wanted one of galil:", 2),
         (["stop", "--rig", "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"], "127.0.0.1:9", 3),
         (["status", "--rig", "manual:"], "status: wanted a Galil card", 2),
+        (["check", "--rig", "manual:"], "rig check: wanted a table with a motor, got manual:", 2),
+        (["check", "--rig", NOBODY, "--seconds", "0"], "rig check: wanted duration_s above 0", 2),
+        (["check", "--rig", NOBODY], "127.0.0.1:9", 3),
         (["emulate", "--device", "gold"], "device: wanted a device.json or one of", 2),
     ],
 )

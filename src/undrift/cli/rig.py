@@ -1,4 +1,4 @@
-"""``undrift rig``: run a protocol on a rate table, stop it from another shell, or emulate one."""
+"""``undrift rig``: run a protocol on a rate table, stop it from another shell, check a table, or emulate one."""
 
 import sys
 from pathlib import Path
@@ -12,6 +12,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from contextlib import ExitStack
 
+    from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard
     from undrift.rig.programme import Programme
@@ -21,11 +22,12 @@ if TYPE_CHECKING:
 
 rig = App(
     name="rig",
-    help="Run a protocol on a rate table, stop it from another shell, or emulate one; each takes --json.",
+    help="Run a protocol on a rate table, stop it from another shell, check a table, or emulate one; each takes --json.",
     help_format="plaintext",
     default_parameter=Parameter(negative=()),
     result_action="return_value",
 )
+LONGEST_SILENCE_S = 60.0  # of a check, s of the host; then it hangs, and the guard stops the table
 Output = Annotated[Path, Parameter(name=["--output", "-o"])]
 
 
@@ -276,6 +278,86 @@ def status(*, rig: str, json: bool = False) -> int:
     return 0
 
 
+@rig.command
+def check(
+    *,
+    rig: str,
+    seconds: float = 60.0,
+    turn_rate_dps: float = 90.0,
+    acceleration_dps2: float = 2300.0,
+    limit_deg: float = 0.012,
+    travel_deg: float | None = None,
+    set_gains: bool = False,
+    json: bool = False,
+) -> int:
+    """Accept a table: following error in a step wave, crossover and phase margin of its servo loop. The table turns.
+
+    Parameters
+    ----------
+    rig : str
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0
+    seconds : float
+        Length of the step wave, s of the table.
+    turn_rate_dps : float
+        Rate of the wave either way, deg/s; nothing faster is commanded.
+    acceleration_dps2 : float
+        Of the run-ups, deg/s2.
+    limit_deg : float
+        Largest following error at steady rate, deg; beyond it the exit code is 1.
+    travel_deg : float or None
+        How far the table may turn either way, deg; without end where not given.
+    set_gains : bool
+        Set the suggested gains, until the controller is switched off.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    from contextlib import ExitStack
+
+    from undrift.rig.check import CheckSettings, check_rig
+    from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
+    from undrift.rig.link import Clock
+    from undrift.rig.rig import Limits, RigSettings, open_rig, parse_address
+
+    dps = RADIAN_PER_DEGREE
+    settings = CheckSettings(
+        turn_rate=turn_rate_dps * dps,
+        duration_s=seconds,
+        acceleration=acceleration_dps2 * dps,
+        limit=limit_deg * dps,
+        set_gains=set_gains,
+    )
+    if parse_address(rig)[0] == "manual":
+        raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
+    limits = Limits(
+        turn_rate=settings.turn_rate,
+        acceleration=settings.acceleration,
+        travel=None if travel_deg is None else travel_deg * dps,
+    )
+    asked = RigSettings(limits=limits)
+    with ExitStack() as stack:
+        stack.enter_context(stopping_on_signals())
+        stops, guard = StopWatch(rig), stack.enter_context(Guard(rig))
+
+        def report(line: str) -> None:
+            stops.check()
+            guard.check()
+            guard.expect(LONGEST_SILENCE_S)
+            if sys.stderr.isatty():
+                sys.stderr.write(f"\r\x1b[K{line}")
+
+        table = open_rig(rig, asked)
+        stack.callback(table.close)
+        guard.arm()
+        found = check_rig(table, Clock(speed=parse_address(rig)[2].clock_speed), settings, report)
+    _show_check(found, rig, settings, json)
+    return 1 if found.passed is False else 0
+
+
 def _guard(stack: "ExitStack", rig: str, chamber: str | None) -> "Guard | None":
     """Have table and chamber guarded; before they are opened, so that they are closed before the guard goes."""
     from undrift.rig.guard import Guard
@@ -444,6 +526,66 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
         f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing",
         markup=False,
     )
+
+
+def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:
+    from dataclasses import asdict
+
+    from undrift.cli.common import console, show_verdict, write_json
+    from undrift.io.store import verdict_json
+
+    dps, loop, error = RADIAN_PER_DEGREE, found.loop, found.error
+    verdict = verdict_json(found.verdict)
+    if json:
+        write_json(
+            {
+                "kind": "undrift.rig_check",
+                "format": 1,
+                "rig": rig,
+                "identity": found.identity,
+                "wave": {
+                    "seconds": settings.duration_s,
+                    "turn_rate_dps": settings.turn_rate / dps,
+                    "achieved_dps": error.turn_rate / dps,
+                    "acceleration_dps2": settings.acceleration / dps,
+                },
+                "error_deg": {
+                    "rms": error.rms / dps,
+                    "max": error.largest / dps,
+                    "limit_deg": settings.limit / dps,
+                    "pass": found.passed,
+                    "run_up_max": error.in_run_up / dps,
+                    "link_delay": error.unknown / dps,
+                },
+                "crossover_rad_s": loop and loop.crossover,
+                "crossover_standard_uncertainty_rad_s": loop and loop.crossover_uncertainty,
+                "phase_margin_deg": loop and loop.margin / dps,
+                "phase_margin_standard_uncertainty_deg": loop and loop.margin_uncertainty / dps,
+                "gains": {
+                    "read": found.gains and asdict(found.gains),
+                    "suggested": found.suggested and asdict(found.suggested),
+                    "held": found.held and asdict(found.held),
+                },
+                "verdict": verdict,
+                "findings": verdict["findings"],
+            }
+        )
+        return
+    lines = [
+        f"{found.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
+        f"following error {error.rms / dps:.4f} deg rms, {error.largest / dps:.4f} deg at most at steady rate; limit "
+        f"{settings.limit / dps:g} deg",
+    ]
+    if loop is not None:
+        lines.append(
+            f"crossover {loop.crossover:.1f} +- {loop.crossover_uncertainty:.1f} rad/s, phase margin {loop.margin / dps:.1f} "
+            f"+- {loop.margin_uncertainty / dps:.1f} deg (standard uncertainties)"
+        )
+    if found.gains is not None:
+        lines.append(f"gains KP {found.gains.kp:g}, KD {found.gains.kd:g}, KI {found.gains.ki:g}")
+    for line in lines:
+        console().print(line, markup=False)
+    show_verdict(found.verdict)
 
 
 def _announce(addresses: dict[str, str], json: bool) -> None:

@@ -37,9 +37,10 @@ Report = Callable[[str], None]
 SETTLE_S = 0.05  # after a run-up, before the error counts
 RECORDED = 0.8  # part of each half period that is recorded
 RECORDS, MOST_RECORDS = 24, 96  # of the loop: looked at after so many
-ENOUGH, LARGEST_UNCERTAINTY = 0.015, 0.1  # standard, of the margin (rad) and of the crossover (relative)
+ENOUGH, LARGEST_UNCERTAINTY = 0.025, 0.1  # standard, of the margin (rad) and of the crossover (relative)
 RECORD_S, EXCITED = 0.25, 0.7  # table s; part of it in which the rate changes: the loop comes to rest within the record
-PULSES_S = (0.006, 0.012)  # lengths of the run-ups that excite the loop
+CHANGE = 0.3  # of the wave's rate, to and fro
+PAUSES_S = (0.0025, 0.004, 0.0065, 0.01)  # between two changes: crossovers from 300 to 1300 rad/s see the most of them
 SMOOTHING_S = 0.004  # over which the commanded rate is seen through the rounding of counts
 GOLDEN = 0.6180339887498949  # its multiples, less whole turns, fill an interval evenly
 TAPER = 0.05  # of a record, at each end
@@ -272,14 +273,16 @@ def _measured_loop(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings
 def _excited(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings, number: int) -> Trace:
     """Return a record of the loop while the rate changes as often as the link lets it."""
     base = math.copysign(settings.turn_rate * (0.4 + 0.5 * (number * GOLDEN % 1.0)), 0.5 - number % 2)
-    change = min(settings.acceleration * PULSES_S[number % len(PULSES_S)], 0.3 * settings.turn_rate)
+    pause_s = PAUSES_S[number % len(PAUSES_S)]
     rig.turn(base)
     clock.wait(2.0 * settings.turn_rate / settings.acceleration + SETTLE_S)
     servo.start(RECORD_S)
-    end = clock.now() + EXCITED * RECORD_S
-    while clock.now() < end:
-        servo.nudge(base - math.copysign(change, base))
-        servo.nudge(base)
+    end, count = clock.now() + EXCITED * RECORD_S, 0
+    while (begun := clock.now()) < end:
+        count += 1
+        servo.nudge(base - math.copysign(CHANGE * settings.turn_rate * (count % 2), base))
+        clock.wait(pause_s * (0.7 + 0.6 * (count * GOLDEN % 1.0)) - (clock.now() - begun))
+    servo.nudge(base)
     return servo.trace()
 
 
@@ -288,7 +291,8 @@ def open_loop(traces: Sequence[Trace]) -> Loop | None:
     n, period_s = min(len(trace.position) for trace in traces), traces[0].period_s
     omega = 2.0 * math.pi * np.fft.rfftfreq(n - 1, period_s)[1:]
 
-    taper = np.minimum(1.0, np.minimum(np.arange(n - 1), np.arange(n - 1)[::-1]) / (TAPER * n))
+    inward = np.arange(n - 1)
+    taper = np.minimum(1.0, np.minimum(inward, inward[::-1]) / (TAPER * n))
 
     def spectra(values: FloatArray) -> np.ndarray:
         return np.fft.rfft(taper * (values - values[:, -1 - n // 8 :].mean(axis=1, keepdims=True)), axis=1)[:, 1:]

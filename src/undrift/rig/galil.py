@@ -151,14 +151,12 @@ class Switches:
 
 def error_in_words(code: int) -> str:
     """Say what an error code means."""
-    return ERRORS.get(
-        code, "an error this driver has no words for; look it up in the card's command reference under TC"
-    )
+    return ERRORS.get(code, "an error that is not listed here; see TC in the card's command reference")
 
 
 def stop_in_words(code: int) -> str:
     """Say why the axis stopped."""
-    return STOPS.get(code, "a reason this driver has no words for; look it up under SC")
+    return STOPS.get(code, "a reason that is not listed here; see SC in the card's command reference")
 
 
 # ---- The language of Galil cards: one command, one answer, read strictly.
@@ -574,8 +572,7 @@ class GalilServo:
         guarded: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self._card, self._scale, self._place, self._guarded = card, scale, place, guarded
-        self._room = 0
-        self._records, self._period_s = 0, 0.0
+        self._room, self._records, self._period_s = 0, 0, 0.0
 
     def read_gains(self) -> Gains:
         """Return the servo filter that the card runs (KP, KI, KD)."""
@@ -595,7 +592,10 @@ class GalilServo:
                 raise LimitError(f"{name}: wanted 0 to {largest}, got {value:g}; choose another gain", gain=value)
             wanted.append((name, min(step * math.floor(value / step + 0.5), largest), step))
         with self._guarded():
-            kp, ki, kd = (self._card.set(name, value, tolerance=step) for name, value, step in wanted)
+            held = [self._card.set(name, value, tolerance=step) for name, value, step in wanted]
+        kp, ki, kd = (
+            round(value / step) * step for value, (*_, step) in zip(held, wanted, strict=True)
+        )  # shown to 0.01
         return Gains(kp=kp, ki=ki, kd=kd)
 
     def gains_for(self, margin: float, crossover: float, response: complex) -> Gains | None:

@@ -122,12 +122,12 @@ def parse_status(line: str, name: str) -> Status:
 
 def error_in_words(code: int) -> str:
     """Say what an error code means."""
-    return ERRORS.get(code, "an error this driver has no words for; look it up in the firmware's list of errors")
+    return ERRORS.get(code, "an error that is not listed here; see the firmware's list of error codes")
 
 
 def alarm_in_words(code: int) -> str:
     """Say what an alarm means."""
-    return ALARMS.get(code, "an alarm this driver has no words for; look it up in the firmware's list of alarms")
+    return ALARMS.get(code, "an alarm that is not listed here; see the firmware's list of alarms")
 
 
 # ---- The language of GRBL 1.1 (grblHAL, FluidNC): lines answered by ``ok`` or ``error:n``, and single characters that act at once.
