@@ -27,7 +27,7 @@ COMMANDS = {  # one line of 80 columns each
     "export": "Write calibrations for firmware and other programs.",
     "noise": "Angle random walk, bias instability, rate random walk.",
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
-    "rig": "Run a protocol on a rate table; check, stop or emulate one.",
+    "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",
     "study": "Find the calibration protocol that is enough for a task.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
