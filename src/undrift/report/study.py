@@ -218,11 +218,12 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
 def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Section, ...]:
     name, surface = _name(task), svg_of(draw_surface(outcome, task))
+    white = "not tried" if task.halving is None else "not tried, dropped in an earlier round"
     return (
         Section(
             title=f"{name}: error surface",
             text=(
-                "Mean error over the subjects. Each cell is the best of the protocols that share it; white: not tried, or a "
+                f"Mean error over the subjects. Each cell is the best of the protocols that share it; white: {white}, or a "
                 "device could not be calibrated. Star: optimum; ring: the note's protocol. The colours span a factor of two at "
                 "least, so that small differences look small.",
             ),
