@@ -1,4 +1,4 @@
-"""Record: what a device said, sample by sample, and Reference: what the optics saw.
+"""Record: the readings of a device, sample by sample; Reference: the poses that optics saw; Session: recordings and labels.
 
 A Record keeps the readings in the device's own unit, with the unit beside them. NaN means a gap and nothing else; time
 strictly increases; both are checked here, once. There is no default sample rate.

@@ -26,7 +26,7 @@ class SimulatedTrial:
     Parameters
     ----------
     record : Record
-        What the device said.
+        Readings of the device.
     reference : Reference
         What the cameras saw.
     motion : Motion

@@ -505,8 +505,10 @@ def _read(
         walked = (walked[0] + _walk_of(made.gyro), walked[1] + _walk_of(made.accel))
         ended_s = float(time[-1])
         noise = draw_streams(rng).of("thermometer")
-        said = _said(device.thermometer, np.interp(made.true_time, programme.profile.time, felt), made.true_time, noise)
-        record = replace(made.record, temp_c=None if settings.drop_temperature else said)
+        shown = _shown_by(
+            device.thermometer, np.interp(made.true_time, programme.profile.time, felt), made.true_time, noise
+        )
+        record = replace(made.record, temp_c=None if settings.drop_temperature else shown)
         taken.append(_labelled(leg, record.part(first, len(record)), made.true_time[first:], settings))
     return tuple(taken)
 
@@ -554,7 +556,7 @@ def _felt(thermometer: Thermometer, profile: Profile, power_on_s: float) -> Floa
     return thermometer_reading(silent, scene, np.random.default_rng(0))  # nothing is drawn without noise
 
 
-def _said(thermometer: Thermometer, felt: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _shown_by(thermometer: Thermometer, felt: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return what it says to what it felt: trim, slope, noise and steps, degC, shape (N,)."""
     return thermometer_reading(replace(thermometer, lag_s=0.0, self_heating_c=0.0), _scene(time, felt, 0.0), rng)
 

@@ -102,11 +102,11 @@ def _model(chain: SensorChain, warmth: float, unit_out: str) -> TriadModel:
     factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
     offset = chain.offset.at(warmth) if chain.offset else np.zeros(3)
     matrix = np.linalg.inv(factor[:, None] * chain.forward_matrix)
-    feigned = matrix @ (chain.gain * factor[:, None] * chain.g_sensitivity.matrix) if chain.g_sensitivity else None
+    apparent = matrix @ (chain.gain * factor[:, None] * chain.g_sensitivity.matrix) if chain.g_sensitivity else None
     return _inverse(
         matrix,
         chain.null + chain.gain * factor * offset,
-        feigned,
+        apparent,
         chain.unit,
         unit_out,
         chain.full_scale / float(np.max(1.0 + chain.scale.error)),

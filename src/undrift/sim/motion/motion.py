@@ -181,7 +181,7 @@ class Sway:
 
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """A knock that dies away: A (u/T)^3 exp(3 - 3 u/T) sin(w u), u the time since it came."""
+    """A decaying knock: A (u/T)^3 exp(3 - 3 u/T) sin(w u), u the time since it came."""
 
     amplitude: float  # A, m
     frequency_hz: float  # w / 2 pi, Hz

@@ -94,7 +94,7 @@ class LoopMargins:
 def loop_margins(servo: ServoSettings) -> LoopMargins:
     """Return crossover, phase margin and poles of the linear loop (no friction, no steps, no clip).
 
-    Crossover and margin are of L(s) = M(s) Ka Kd Kf (2/T)/(s + 2/T) D(s) with D(s) = 4 KP + 4 KD T s + KI/(2 T s), the
+    Crossover and margin belong to L(s) = M(s) Ka Kd Kf (2/T)/(s + 2/T) D(s) with D(s) = 4 KP + 4 KD T s + KI/(2 T s), the
     makers' way (DMC-2x00 manual, ch. 10). The poles are those of the sampled loop: (z-1)^2 + K T^2/2 (z+1) D(z) = 0.
     """
     gain = _plant_gain(servo)
@@ -213,7 +213,7 @@ class HostClock:
 
 
 class HandClock:
-    """A clock that stands still until it is told to move on, for tests that must repeat to the last bit."""
+    """A clock that stands still until ``advance`` moves it, for tests that must repeat to the last bit."""
 
     def __init__(self) -> None:
         self._time = 0.0

@@ -334,11 +334,11 @@ class BenchHands:
         try:
             with socket.create_connection(self._place, timeout=HANDS_TIMEOUT_S) as link:
                 link.sendall(f"MOUNT {up}\n".encode("ascii"))
-                said = link.makefile("r", encoding="ascii", errors="replace").readline().strip()
+                answer = link.makefile("r", encoding="ascii", errors="replace").readline().strip()
         except OSError as error:
             raise RigFault(f"hands: wanted {up} up, got '{error}'; is the emulated bench running?") from error
-        if said != f"OK {up}":
-            raise RigFault(f"hands: wanted {up} up, got '{said}'; mount it with a face that there is")
+        if answer != f"OK {up}":
+            raise RigFault(f"hands: wanted {up} up, got '{answer}'; mount it with a face that there is")
 
 
 def start_bench(settings: EmulatedBenchSettings | None = None, *, clock: Clock | None = None) -> Bench:

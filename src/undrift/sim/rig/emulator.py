@@ -35,12 +35,12 @@ from undrift.sim.rig.grbl import GrblMachine, GrblSettings
 
 LINK_FAULTS = {
     "drop_bytes": "every third byte of each answer is lost",
-    "stall": "answers are held back until the fault is cleared, then come late; the card goes on doing what it is told",
+    "stall": "answers are held back until the fault is cleared, then come late; the card keeps executing its last command",
     "garbage": "each answer is replaced by random bytes without a prompt",
     "half_reply": "the second half of each answer, prompt included, is lost",
     "slow_link": "answers come at 20 bytes a second of the host's time",
     "late_reply": "each answer comes 0.5 s late, host's time",
-    "disconnect": "every client's socket is closed once; the card goes on with what it was told, clients may come back",
+    "disconnect": "every client's socket is closed once; the card keeps executing its last command, clients may come back",
 }
 RIG_FAULTS = {
     "amplifier_fault": "no torque while it lasts; with OE1 the card switches the motor off, SC 8; else the error grows",
@@ -148,7 +148,7 @@ class Session(Protocol):
         """
 
     def unasked(self) -> bytes:
-        """Return what is said without being asked."""
+        """Return unsolicited messages."""
 
 
 class Machine(Protocol):

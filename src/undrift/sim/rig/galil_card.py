@@ -562,7 +562,7 @@ def variable_value(card: Card, name: str) -> float:
     return look_up(card.variables, name)
 
 
-def told(card: Card, word: str) -> str:
+def reported(card: Card, word: str) -> str:
     """Return the answer to a tell word or to `word ?`, in its own format."""
     bare = card.values["LZ"] == 1.0
     value = value_of(card, word)

@@ -50,9 +50,9 @@ from undrift.sim.rig.galil_card import (
     operand_value,
     places,
     record,
+    reported,
     set_sample_time,
     shown,
-    told,
     variable_value,
 )
 
@@ -87,7 +87,7 @@ def execute(card: Card, command: str, in_program: bool = False) -> str:
         return _valued(card, word, rest)
     if word in TELL:
         _axes(rest)
-        return told(card, word) + CRLF
+        return reported(card, word) + CRLF
     return _WORDS[word](card, rest)
 
 
@@ -135,7 +135,7 @@ def _axes(rest: str) -> None:
 def _valued(card: Card, word: str, rest: str) -> str:
     field = _argument(rest)
     if field == "?":
-        return told(card, word) + CRLF
+        return reported(card, word) + CRLF
     value = _number(card, field)
     if word == "JG":
         card.jog(value)
@@ -191,7 +191,7 @@ def _stop(card: Card, rest: str) -> str:
 
 def _abort(card: Card, rest: str) -> str:
     if rest.strip() == "?":
-        return told(card, "AB") + CRLF
+        return reported(card, "AB") + CRLF
     if rest.strip() not in ("", "0", "1"):
         raise Refused(OUT_OF_RANGE if rest.strip().isdigit() else OPERAND)
     card.abort()
@@ -521,7 +521,7 @@ class GalilMachine:
             return session
 
     def close_session(self, session: object) -> None:
-        """Forget a client; the card goes on with what it was told."""
+        """Forget a client; the card keeps executing its last command."""
         with self.lock:
             self._sessions = [kept for kept in self._sessions if kept is not session]
 

@@ -729,9 +729,9 @@ class GrblSession:
 
     def _work(self) -> str:
         # a full board does not read on
-        board, said = self._machine.board, ""
+        board, answers = self._machine.board, ""
         board.advance()
         while self._lines and not board.full:
             line = self._lines.popleft()
-            said += f"error:11{EOL}" if len(line) > LINE_LENGTH else answer(board, line)
-        return said
+            answers += f"error:11{EOL}" if len(line) > LINE_LENGTH else answer(board, line)
+        return answers

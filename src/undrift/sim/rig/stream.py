@@ -212,12 +212,12 @@ class _Lag:
         felt = self._lagging(scene.temp_c)
         young = 1.0 if what.lag_s == 0.0 else -np.expm1(-scene.age_s / what.lag_s)
         felt = felt + what.self_heating_c * young
-        said: FloatArray = felt + what.trim_error_c + what.slope_error * (felt - TRIM_TEMP_C)
+        shown: FloatArray = felt + what.trim_error_c + what.slope_error * (felt - TRIM_TEMP_C)
         if what.noise_c > 0.0:
-            said = said + self._noise.normal(0.0, what.noise_c, len(said))
+            shown = shown + self._noise.normal(0.0, what.noise_c, len(shown))
         if what.step_c == 0.0:
-            return said
-        whole: FloatArray = rounded((said - what.zero_c) / what.step_c, what.rounding) * what.step_c + what.zero_c
+            return shown
+        whole: FloatArray = rounded((shown - what.zero_c) / what.step_c, what.rounding) * what.step_c + what.zero_c
         return whole
 
     def _lagging(self, temp: FloatArray) -> FloatArray:
@@ -443,8 +443,8 @@ class EmulatedDevice:
         counts = np.arange(self._next, last + 1)
         self._next = last + 1
         scene, mean = self._scene(np.minimum(counts * self._step, now))
-        said = self._device.read(scene, mean)
-        self._send(counts, np.column_stack((said.gyro, said.accel, said.temp_c)))
+        read = self._device.read(scene, mean)
+        self._send(counts, np.column_stack((read.gyro, read.accel, read.temp_c)))
 
     def _scene(self, times: FloatArray) -> tuple[Scene, FloatArray]:
         """Return what surrounds the device at moments, and its mean rate over the step before each."""
@@ -510,6 +510,6 @@ class DeviceSession:
         return []
 
     def unasked(self) -> bytes:
-        """Return what the device said since the last time."""
+        """Return the readings of the device since the last call."""
         data, self._waiting = self._waiting, b""
         return data
