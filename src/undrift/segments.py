@@ -191,9 +191,10 @@ def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None
         found = replace(found, value=value, basis="gap")
     elif np.quantile(finite, 0.99) <= _PEAK * max(floor, np.finfo(float).tiny):
         found = replace(found, value=max(float(finite.max()), _PEAK * floor), basis="all still")
-    limit = _bench_limit(is_gyro, unit)
-    if limit is not None and found.value > limit:
-        found = replace(found, value=limit, basis="limit")
+    if is_physical(unit):
+        limit = BENCH_RATE_LIMIT / si_factor(unit, "rate") if is_gyro else BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
+        if found.value > limit:
+            found = replace(found, value=limit, basis="limit")
     return found
 
 
@@ -218,12 +219,6 @@ def _gap_above(spread: FloatArray, floor: float) -> float | None:
         return None
     emptiest = inside[np.flatnonzero(depth <= depth[least] + 1e-12)]
     return floor * float(10.0 ** centre[emptiest].mean())
-
-
-def _bench_limit(is_gyro: bool, unit: str) -> float | None:
-    if not is_physical(unit):
-        return None
-    return BENCH_RATE_LIMIT / si_factor(unit, "rate") if is_gyro else BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
 
 
 def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> BoolArray:

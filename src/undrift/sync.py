@@ -13,7 +13,7 @@ Gauss-Newton on A, c and lag together: the change of u with time is one more col
 its time stamp. Where each sample instead holds over the interval before it, as in strapdown, the lag is half a sample shorter.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -317,7 +317,7 @@ def find_axis_lag(record: Record, time: FloatArray, angle: FloatArray, settings:
 def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings, method: str) -> Lag:
     start = coarse_lag(time, gyro, rates, settings.longest_lag_s)
     known = RunningIntegral(time, gyro)
-    wanted = _Averages.of(rates, settings.average_s)
+    wanted = _averaged(rates, settings.average_s)
     before, _ = _aligned(known, wanted, 0.0)
     lag, fit = start, None
     for _ in range(_STEPS):
@@ -329,7 +329,7 @@ def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagS
         lag += step
         if abs(step) < 1e-7:
             break
-    correlation = 0.0 if fit is None else fit.correlation
+    correlation = 0.0 if fit is None else fit.correlation_after
     if fit is None or correlation < settings.least_correlation or abs(lag) > settings.longest_lag_s + 1.0:
         raise AlignmentError(
             f"lag: wanted a correlation of {settings.least_correlation:g} or more between the record's rates and the "
@@ -337,48 +337,21 @@ def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagS
             "files belong together, or widen longest_lag_s (--max-lag-s)",
             correlation=correlation,
         )
-    return Lag(
-        seconds=lag,
-        standard_uncertainty=fit.standard_uncertainty,
-        method=method,
-        correlation_before=0.0 if before is None else before.correlation,
-        correlation_after=correlation,
-        matrix=fit.matrix,
-        constant=fit.constant,
-        residual_rms=fit.residual_rms,
-    )
+    at_zero = 0.0 if before is None else before.correlation_after
+    return replace(fit, seconds=lag, method=method, correlation_before=at_zero)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Averages:
-    """Reference rates averaged over runs of neighbouring steps: start, stop (K,), s; rate (K, A), rad/s; run length."""
-
-    start: FloatArray
-    stop: FloatArray
-    rate: FloatArray
-
-    @classmethod
-    def of(cls, rates: PoseRates, average_s: float) -> "_Averages":
-        step = rates.stop - rates.start
-        width = max(1, round(average_s / float(np.median(step))))
-        turn = box_sums(rates.rate * step[:, None], width)
-        whole = box_sums(rates.valid[:, None].astype(float), width)[:, 0] > width - 0.5
-        start, stop = rates.start[: len(whole)][whole], rates.stop[width - 1 :][whole]
-        return cls(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None])
+def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
+    """Return the rates averaged over runs of neighbouring steps that are all valid."""
+    step = rates.stop - rates.start
+    width = max(1, round(average_s / float(np.median(step))))
+    turn = box_sums(rates.rate * step[:, None], width)
+    whole = box_sums(rates.valid[:, None].astype(float), width)[:, 0] > width - 0.5
+    start, stop = rates.start[: len(whole)][whole], rates.stop[width - 1 :][whole]
+    return PoseRates(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None], valid=whole[whole])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Fit:
-    """A, c, correlation, residual rms and the lag's standard uncertainty at one lag."""
-
-    matrix: FloatArray
-    constant: FloatArray
-    correlation: float
-    residual_rms: float
-    standard_uncertainty: float
-
-
-def _aligned(known: RunningIntegral, wanted: _Averages, lag: float) -> tuple[_Fit | None, float]:
+def _aligned(known: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
     """Fit A and c at a lag; return them with the step of the lag that reduces the residual most."""
     mean, inside = known.mean(wanted.start + lag, wanted.stop + lag)
     if inside.sum() < 30:
@@ -398,12 +371,15 @@ def _aligned(known: RunningIntegral, wanted: _Averages, lag: float) -> tuple[_Fi
     if not power > 0.0:
         return None, 0.0
     step, uncertainty = _lag_step(slope @ a, u - centre_u, residual, wanted.start[inside])
-    fit = _Fit(
+    fit = Lag(
+        seconds=lag,
+        standard_uncertainty=uncertainty,
+        method="",
+        correlation_before=0.0,
+        correlation_after=float(np.sqrt(max(0.0, 1.0 - unexplained / power))),
         matrix=a.T,
         constant=centre_w - a.T @ centre_u,
-        correlation=float(np.sqrt(max(0.0, 1.0 - unexplained / power))),
         residual_rms=float(np.sqrt(unexplained / residual.size)),
-        standard_uncertainty=uncertainty,
     )
     return fit, step
 

@@ -11,13 +11,12 @@ from undrift.calibration.checks import (
     check_faces,
     check_gravity,
     check_handedness,
-    check_pose_count,
     check_saturation,
     check_scale_factor,
     face_vectors,
     missing_faces,
 )
-from undrift.errors import Implausible, NotObservable
+from undrift.errors import Implausible
 from undrift.record import FACES
 from undrift.units import STANDARD_GRAVITY
 
@@ -119,12 +118,6 @@ def test_a_gain_off_by_two_is_called_a_factor_and_the_sample_rate_is_named():
     ):
         check_scale_factor(np.array([0.8507]), 1.0, 0.03, "gyroscope y")
     check_scale_factor(np.array([1.0, 1.02, 0.98]), 1.0, 0.03, "gyroscope")
-
-
-def test_too_few_poses_are_counted():
-    with pytest.raises(NotObservable, match="wanted 9 free poses or more, got 4; record the missing ones"):
-        check_pose_count(4, 9, "free poses")
-    check_pose_count(9, 9, "free poses")
 
 
 def test_readings_stuck_at_the_end_of_the_range_are_found_and_quantised_rest_is_not():

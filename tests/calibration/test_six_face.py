@@ -11,14 +11,14 @@ from undrift.calibration.checks import face_vectors
 from undrift.calibration.six_face import (
     FaceMeans,
     SixFaceSettings,
-    estimate_tilt,
     face_means,
     fit_six_face,
+    fit_tilted,
     polynomial_filter,
     tilted_sigma,
 )
 from undrift.errors import Implausible, InputError, NotObservable
-from undrift.fit.least_squares import noise_of_means
+from undrift.fit.least_squares import fit_forward, noise_of_means
 from undrift.record import FACES, Record, Still
 
 G = 9.81
@@ -188,20 +188,25 @@ def test_faces_too_short_to_show_their_noise_give_none():
     assert face_means([record], stills).noise is None
 
 
+def tilt_found(reading, noise):
+    return fit_tilted(UP, reading, noise, fit_forward(UP, reading, noise))[1]
+
+
 def test_level_faces_are_not_called_tilted_and_tilted_ones_are_measured():
-    gain = np.full(3, G)
     noise = np.full((6, 3), 0.002)
     rng = np.random.default_rng(5)
-    level = [estimate_tilt(UP, UP + 0.002 * rng.standard_normal((6, 3)), noise, gain) for _ in range(200)]
+    level = [tilt_found(UP + 0.002 * rng.standard_normal((6, 3)), noise) for _ in range(200)]
     assert np.mean(np.array(level) > 0.0) < 0.15  # 8 % by design
     tilt = np.radians(0.3)
     found = []
     for _ in range(200):
         cross = np.where(UP == 0.0, G * tilt * rng.standard_normal((6, 3)), 0.0)
-        found.append(estimate_tilt(UP, UP + cross + 0.002 * rng.standard_normal((6, 3)), noise, gain))
-    # six spare equations tell one tilt to 29 %, the mean of 200 to 2 %; likelihood leans low by a few per cent
+        found.append(tilt_found(UP + cross + 0.002 * rng.standard_normal((6, 3)), noise))
+    # six spare equations show one tilt to 29 %, the mean of 200 to 2 %; likelihood is low by a few per cent
     assert np.mean(found) == pytest.approx(tilt, rel=0.1)
-    assert estimate_tilt(UP[:4], UP[:4], noise[:4], gain) == 0.0
+    few = UP[[0, 2, 4, 5]]
+    plain = fit_forward(few, few, noise[:4])
+    assert fit_tilted(few, few, noise[:4], plain) == (plain, 0.0)  # no spare equation
 
 
 def test_a_tilt_loads_cross_axes_with_its_sine_and_the_own_axis_with_its_cosine():

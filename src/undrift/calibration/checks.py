@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.errors import Implausible, NotObservable
+from undrift.errors import Implausible
 from undrift.model import AXES
 from undrift.record import FACES, Axis, Face
 
@@ -161,14 +161,6 @@ def face_vectors(faces: Sequence[Face]) -> FloatArray:
 def axis_vectors(axes: Sequence[Axis]) -> FloatArray:
     """Return the unit vector of each axis, one a row, (R, 3)."""
     return np.eye(3)[[AXES.index(axis) for axis in axes]].reshape(-1, 3)
-
-
-def check_pose_count(count: int, needed: int, what: str) -> None:
-    """Raise unless there are enough poses or turns for a fit."""
-    if count < needed:
-        raise NotObservable(
-            f"wanted {needed} {what} or more, got {count}; record the missing ones", count=count, needed=needed
-        )
 
 
 def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:

@@ -22,6 +22,7 @@ vector of its three variances, must stay below a multiple of what it is at rest 
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -551,15 +552,15 @@ def _attempt(
         )
     else:
         reading, variances = _poses(levels, stills)
-    nothing = ThresholdTrial(
-        multiple=multiple, stills=len(stills), poses=0, cost=np.inf, rms_residual=np.inf, uncertainty=np.inf
-    )
-    if len(stills) < (9 if settings.cross_axis else 6) or not np.ptp(reading, axis=0).any():
-        return _Attempt(trial=nothing, stills=stills, reading=reading, fit=None)
-    try:
-        fit = fit_norm(reading, gravity=gravity, variances=variances, cross_axis=settings.cross_axis)
-    except PoorFit:
-        return _Attempt(trial=nothing, stills=stills, reading=reading, fit=None)
+    fit: NormFit | None = None
+    if len(stills) >= (9 if settings.cross_axis else 6) and np.ptp(reading, axis=0).any():
+        with suppress(PoorFit):
+            fit = fit_norm(reading, gravity=gravity, variances=variances, cross_axis=settings.cross_axis)
+    if fit is None:
+        none = ThresholdTrial(
+            multiple=multiple, stills=len(stills), poses=0, cost=np.inf, rms_residual=np.inf, uncertainty=np.inf
+        )
+        return _Attempt(trial=none, stills=stills, reading=reading, fit=None)
     means = reading if variances is not None else _poses(levels, stills)[0]
     square = float(fit.residuals @ fit.residuals)
     trial = ThresholdTrial(

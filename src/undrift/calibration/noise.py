@@ -333,18 +333,17 @@ class NoiseFit:
                 raise InputError(
                     f"noise model: wanted rad/s and m/s2, got {unit}; correct the record with its calibration first"
                 )
-        nothing = (np.nan,) * 3
-        gyro = [(a.angle_random_walk.value, a.bias_instability.value, a.rate_random_walk.value) for a in self.gyro]
-        accel = [(a.angle_random_walk.value, a.bias_instability.value, a.rate_random_walk.value) for a in self.accel]
-        n, b, k = zip(*gyro, strict=True) if gyro else (nothing,) * 3
-        na, ba, ka = zip(*accel, strict=True) if accel else (nothing,) * 3
+
+        def coefficient(axes: tuple[AxisNoise, ...], name: str) -> FloatArray:
+            return np.array([getattr(axis, name).value for axis in axes] or (np.nan,) * 3)
+
         return NoiseModel(
-            angle_random_walk=np.array(n),
-            bias_instability=np.array(b),
-            rate_random_walk=np.array(k),
-            velocity_random_walk=np.array(na),
-            accel_bias_instability=np.array(ba),
-            accel_random_walk=np.array(ka),
+            angle_random_walk=coefficient(self.gyro, "angle_random_walk"),
+            bias_instability=coefficient(self.gyro, "bias_instability"),
+            rate_random_walk=coefficient(self.gyro, "rate_random_walk"),
+            velocity_random_walk=coefficient(self.accel, "angle_random_walk"),
+            accel_bias_instability=coefficient(self.accel, "bias_instability"),
+            accel_random_walk=coefficient(self.accel, "rate_random_walk"),
         )
 
 

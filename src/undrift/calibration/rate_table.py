@@ -292,7 +292,11 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
         verdict=verdict,
         axis=dwells.axis,
         turn_rate=dwells.turn_rate,
-        linearity=tuple(_own_axis(dwells, axis) for axis in _AXES),
+        linearity=tuple(
+            linearity(dwells.reading[rows, own], dwells.turn_rate[rows], axis)
+            for own, axis in enumerate(_AXES)
+            for rows in (np.array([a == axis for a in dwells.axis]),)
+        ),
     )
 
 
@@ -378,11 +382,6 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
     rates: FloatArray = axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None]
     return rates
-
-
-def _own_axis(dwells: DwellMeans, axis: Axis) -> Linearity:
-    rows = np.array([a == axis for a in dwells.axis])
-    return linearity(dwells.reading[rows, AXES.index(axis)], dwells.turn_rate[rows], axis)
 
 
 def _check_scale(scale: FloatArray, unit: str, settings: RateTableSettings, what: str) -> None:

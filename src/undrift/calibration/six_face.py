@@ -23,7 +23,6 @@ from undrift.calibration.checks import (
     check_faces,
     check_gravity,
     check_handedness,
-    check_pose_count,
     check_saturation,
     check_scale_factor,
     face_vectors,
@@ -100,14 +99,6 @@ def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: Fo
         plain, matrix=matrix, offset=offset, covariance=jacobian @ covariance @ jacobian.T, residuals=residuals
     )
     return fit, _most_likely_tilt(tilts, likelihood)
-
-
-def estimate_tilt(up: FloatArray, reading: FloatArray, noise: FloatArray, gain: FloatArray) -> float:
-    """Estimate the standard deviation of the faces' tilt, rad, from readings (P, 3) in the axes of the case."""
-    if reading.size <= 12:
-        return 0.0
-    tilts, _, _, likelihood = _solved(up, reading, noise, gain)
-    return _most_likely_tilt(tilts, likelihood)
 
 
 def _most_likely_tilt(tilts: FloatArray, likelihood: FloatArray) -> float:
@@ -260,7 +251,11 @@ def _check(poses: FaceMeans, gravity: float, settings: SixFaceSettings) -> None:
         raise InputError(
             f"six faces: wanted one reading (3,) for each of {len(poses.faces)} faces, got {poses.reading.shape}"
         )
-    check_pose_count(len(poses.faces), 5, "labelled faces")
+    if len(poses.faces) < 5:
+        count = len(poses.faces)
+        raise NotObservable(
+            f"wanted 5 labelled faces or more, got {count}; record the missing ones", count=count, needed=5
+        )
     if is_physical(poses.unit):
         check_gravity(poses.reading * si_factor(poses.unit, "accel"), gravity)
     check_faces(poses.reading, poses.faces)
