@@ -350,6 +350,14 @@ class Calibration:
         What it is worth.
     provenance : Provenance
         Where it came from.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> device = undrift.random_device(np.random.default_rng(7))
+    >>> session = undrift.simulate_session("six_face", device, rng=np.random.default_rng(8))
+    >>> print(str(undrift.calibrate(session)).splitlines()[1])
+    gyro     not calibrated
     """
 
     device: str

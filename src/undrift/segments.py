@@ -113,6 +113,15 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
     ------
     InputError
         The record is shorter than one window.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(1)
+    >>> gyro = np.repeat([0.01, 2.0, 0.01], 500)[:, None] * rng.standard_normal((1500, 3))
+    >>> record = undrift.Record(time=np.arange(1500) / 100.0, gyro=gyro)
+    >>> [(still.start, still.stop) for still in undrift.find_still(record).stills]
+    [(0, 446), (1054, 1500)]
     """
     fs = record.sample_rate_hz
     window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))

@@ -70,7 +70,7 @@ def test_a_worn_sensor_has_no_still_phase_and_the_reason_is_said_once(undrift, t
     path = data_path("worn_lowback", "HA_001_Test11.csv.gz")
     answer = undrift.good("info", path, "--map", tmp_path / "map.toml")
     assert answer.out.count("no still phase") == 1
-    assert "wander by gyro 0.83 dps" in answer.out
+    assert "vary by gyro 0.83 dps" in answer.out
     told = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
     assert (told["rows"], told["stills"]) == (13759, [])  # SOURCE.md: 137 s at 100 Hz
 

@@ -368,6 +368,14 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
     ------
     InputError
         Gaps, drop-outs, fewer than 64 samples, a channel that never changes, or motion; says where.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> gyro = 0.01 * np.random.default_rng(1).standard_normal((20_000, 3))
+    >>> found = undrift.fit_noise(undrift.Record(time=np.arange(20_000) / 100.0, gyro=gyro))
+    >>> print(f"{found.gyro[0].angle_random_walk.value:.4f}")  # 0.01 rad/s at 100 Hz: 0.001 rad/s/sqrt(Hz)
+    0.0010
     """
     rate = record.sample_rate_hz
     if len(record) < SHORTEST or (np.diff(record.time) > 1.5 / rate).any():
