@@ -162,7 +162,9 @@ def test_a_subject_whose_device_nothing_calibrates_is_left_out_and_named(tmp_pat
     assert effect.anova.subjects == 11
     write_study_report(outcome, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
-    assert "<strong>Subjects left out</strong>: no protocol calibrated the device of subject 4 of surface.parquet" in page
+    assert (
+        "<strong>Subjects left out</strong>: no protocol calibrated the device of subject 4 of surface.parquet" in page
+    )
 
 
 def test_too_few_subjects_are_not_made_fewer(tmp_path: Path) -> None:

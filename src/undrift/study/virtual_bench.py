@@ -34,7 +34,7 @@ from undrift.rig.folder import RunFolder
 from undrift.rig.guard import stopping_on_signals
 from undrift.rig.link import Clock
 from undrift.rig.programme import Programme, ProgrammeSettings, Protocol, programme_of
-from undrift.rig.rig import open_rig
+from undrift.rig.rig import RigSettings, open_rig
 from undrift.rig.run import Bench, Progress, RunResult, run_programme
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
@@ -59,7 +59,9 @@ AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
 SOAK_S = 25.0  # forecast of a soak: overshoot, then the window
 CRYSTAL = ClockSettings(memory_s=1e5, rate_tolerance=1e-4)  # the board samples by a crystal, whatever the host does
-ATTEMPTS = 3  # a computer that is busy for a moment loses an answer; the run resumes
+PATIENCE_S = 10.0  # the longest wait for table, chamber and device: a busy computer runs them late, host s
+ATTEMPTS = 4  # a computer that is too busy loses an answer, or takes readings later than they are due; the run resumes
+SLOWER = 2.5  # times, at each further attempt
 STEP_HOST_S = 0.04  # sockets and disk take as long for each step, host s
 
 log = logging.getLogger(__name__)
@@ -134,38 +136,41 @@ def bench_device(seed: int = UNIT_SEED) -> DeviceModel:
 
 
 def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
-    """Emulate a bench with a device on it and record both protocols."""
+    """Emulate a bench with a device on it and record both protocols; resume slower where the computer is too busy."""
     began = time.monotonic()
-    emulated = EmulatedBenchSettings(
-        rig=EmulatorSettings(speed=plan.speed), air=AIR, stream=StreamSettings(seed=plan.seed), device=device
-    )
+    done: list[RunResult] = []
+    with stopping_on_signals():
+        for attempt in range(1, ATTEMPTS + 1):
+            try:
+                _record_rest(plan, device, folder, done, tell, resume=attempt > 1)
+                break
+            except (LinkError, RigTimeout) as error:
+                if attempt == ATTEMPTS:
+                    raise
+                plan = replace(plan, speed=plan.speed / SLOWER)
+                log.warning("%s; resuming, attempt %d of %d, at speed %g", error, attempt + 1, ATTEMPTS, plan.speed)
+    return BenchRun(plan=plan, bench=done[0], thermal=done[1], host_s=time.monotonic() - began)
+
+
+def _record_rest(
+    plan: BenchPlan, device: DeviceModel, folder: Path, done: list[RunResult], tell: Tell, *, resume: bool
+) -> None:
+    """Run the protocols that are not done yet on a bench of their own, and add their results."""
+    stream = StreamSettings(seed=plan.seed, framing="frame")  # costs half as much as text
+    emulated = EmulatedBenchSettings(rig=EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device)
     room, warm = plan.programmes
     later_s = warm.duration_s / plan.speed + STEP_HOST_S * len(warm.steps)
-    with stopping_on_signals(), start_bench(emulated) as bench:
-        tell("virtual bench: faces and rates at room temperature", plan.host_s)
-        first = _record(plan, bench, (plan.bench, room), folder / "bench", _steps("bench", plan, later_s, tell))
+    with start_bench(emulated) as bench:
+        if not done:
+            tell("virtual bench: faces and rates at room temperature", plan.host_s)
+            report = _steps("bench", plan, later_s, tell)
+            done.append(_record(plan, bench, (plan.bench, room), folder / "bench", report, resume=resume))
         tell("virtual bench: set-points in the thermal chamber", later_s)
-        second = _record(plan, bench, (plan.thermal, warm), folder / "thermal", _steps("thermal", plan, 0.0, tell))
-    return BenchRun(plan=plan, bench=first, thermal=second, host_s=time.monotonic() - began)
+        report = _steps("thermal", plan, 0.0, tell)
+        done.append(_record(plan, bench, (plan.thermal, warm), folder / "thermal", report, resume=resume))
 
 
 def _record(
-    plan: BenchPlan,
-    bench: EmulatedBench,
-    what: tuple[Protocol, Programme],
-    path: Path,
-    report: Callable[[Progress], None],
-) -> RunResult:
-    """Run one protocol, and resume it where a late answer ended it."""
-    for attempt in range(1, ATTEMPTS):
-        try:
-            return _record_once(plan, bench, what, path, report, resume=attempt > 1)
-        except (LinkError, RigTimeout) as error:
-            log.warning("%s; resuming, attempt %d of %d", error, attempt + 1, ATTEMPTS)
-    return _record_once(plan, bench, what, path, report, resume=True)
-
-
-def _record_once(
     plan: BenchPlan,
     bench: EmulatedBench,
     what: tuple[Protocol, Programme],
@@ -178,16 +183,22 @@ def _record_once(
     protocol, programme = what
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path, protocol, resume=resume))
-        recorder = Recorder(source_at(bench.device_address), settings=RecorderSettings(clock=CRYSTAL))
-        recorder.start()
-        readings = DwellReadings(recorder)
+        settings = RecorderSettings(clock=CRYSTAL, silence_s=PATIENCE_S)
+        recorder = Recorder(source_at(bench.device_address), settings=settings)
+        readings = DwellReadings(recorder, deadline_s=PATIENCE_S)
         stack.callback(readings.close)
+        recorder.start()
         chamber = None
         if protocol.temperatures_c:
-            watched = ChamberSettings(soak=plan.soak, clock_speed=plan.speed, steepest_c_per_min=AIR.ramp_c_per_min)
+            watched = ChamberSettings(
+                soak=plan.soak,
+                clock_speed=plan.speed,
+                steepest_c_per_min=AIR.ramp_c_per_min,
+                reply_timeout_s=PATIENCE_S,
+            )
             chamber = open_chamber(bench.chamber_address, watched)
             stack.callback(chamber.close)
-        rig = open_rig(bench.rig_address)
+        rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=PATIENCE_S))
         stack.callback(rig.close)
         connected = Bench(
             rig=rig,

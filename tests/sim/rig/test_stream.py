@@ -70,6 +70,20 @@ class Heard:
         return np.array(counts), np.array(values)
 
 
+def test_a_stream_does_not_begin_with_a_backlog_of_what_its_first_reading_compiled(monkeypatch):
+    read, hand_clock, clocks = CausalDevice.read, HandClock, []
+
+    def slow_once(device, scene, mean):
+        if clocks and not clocks[0].now():
+            clocks[0].advance(25.0)
+        return read(device, scene, mean)
+
+    monkeypatch.setattr(CausalDevice, "read", slow_once)
+    monkeypatch.setitem(globals(), "HandClock", lambda: clocks.append(hand_clock()) or clocks[-1])
+    with Heard() as heard:
+        assert heard.next(0.1)[0].tolist() == list(range(2501, 2511))
+
+
 @pytest.mark.parametrize("count", [0, 255, 65_535, 65_536 + 7])
 def test_what_is_written_here_is_read_there(count):
     row = frozen([1.0, -2.0, 0.1, 1e-7, 3e5, -0.0, 24.75], (None,), "row")

@@ -254,7 +254,7 @@ class ChamberSession:
 
 # ---- bench
 
-HANDS_TIMEOUT_S = 5.0
+HANDS_TIMEOUT_S = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

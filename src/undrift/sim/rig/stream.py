@@ -353,9 +353,10 @@ class EmulatedDevice:
         self._lock = threading.RLock()
         self._sessions: list[DeviceSession] = []
         self._faults: set[str] = set()
-        self._next = 1  # reading k is taken at k steps
-        self._last_rate: FloatArray | None = None
         self._mount(settings.face)
+        self._warm_up()
+        self._next = 1 + int(clock.now() / self._step + 1e-6)  # reading k is taken at k steps
+        self._last_rate: FloatArray | None = None
         self._link = FaultyLink(settings.seed)
         self._server = Server(self, self._link, (settings.host, settings.port))
 
@@ -434,6 +435,12 @@ class EmulatedDevice:
         up = unit_vector(face) + np.cross(tilt, unit_vector(face))
         self._face, self._up = face, up / np.linalg.norm(up)
         self._mounted = facing(np.array([1.0, 0.0, 0.0, 0.0]), self._up)
+
+    def _warm_up(self) -> None:
+        """Compile what takes readings before the first is due: its stream would begin with a backlog of as many seconds."""
+        self._last_rate = None
+        first = CausalDevice(self.device, self._step, np.random.default_rng(0))
+        first.read(*self._scene(np.array([self._clock.now()])))
 
     def _go_on(self) -> None:
         now = self._clock.now()
