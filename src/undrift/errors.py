@@ -1,4 +1,4 @@
-"""The error tree. Every message says what was wanted, what came, and what to do; numbers ride along as attributes.
+"""The error tree. Every message states what was wanted, what came, and what to do; its numbers are attributes.
 
 UndriftError
   InputError(ValueError)       the call or the data is wrong
@@ -50,7 +50,7 @@ class CalibrationError(UndriftError):
 
 
 class NotObservable(CalibrationError):
-    """The data do not determine a parameter; the message says which, and what recording would."""
+    """The data do not determine a parameter; the message names it, and the recording that would."""
 
 
 class PoorFit(CalibrationError):

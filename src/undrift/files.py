@@ -1,4 +1,7 @@
-"""Files appear whole or not at all: written beside their place, then moved into it."""
+"""Files as bytes, checked TOML, and writing: a file appears whole or not at all.
+
+A file is written beside its place, then moved into it. Errors in TOML name the line and the entry.
+"""
 
 import gzip
 import hashlib
@@ -13,8 +16,6 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from undrift.errors import FileFormatError, InputError
-
-# ---- Files as bytes: there or not, gzip or not, and their checksum.
 
 _GZIP = b"\x1f\x8b"
 _BLOCK = 1 << 20
@@ -77,7 +78,7 @@ def sha256_of(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-# ---- TOML files checked against a model; errors name the line and the entry.
+# ---- TOML checked against a model
 
 
 class Entry(BaseModel):
@@ -126,7 +127,7 @@ def line_of(text: str, place: tuple[Any, ...]) -> int:
 
 
 def entry_name(place: tuple[Any, ...]) -> str:
-    """Return an entry's name as a person says it."""
+    """Return an entry's name for a message: "[[turn]] 2, angle_deg"."""
     parts: list[str] = []
     for k, part in enumerate(place):
         if isinstance(part, int):
@@ -162,7 +163,7 @@ def _plain(message: str) -> str:
     return message.replace("Input should be ", "wanted ").splitlines()[0]
 
 
-# ---- files
+# ---- writing
 
 
 def write_whole(path: Path | str, content: bytes | str) -> None:

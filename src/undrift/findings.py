@@ -448,6 +448,27 @@ CATALOGUE: dict[str, Entry] = {
     ),
     # ---- validation
     # ---- twin
+    "twin.g_sensitivity_zero": Entry(
+        3,
+        "Within {sigmas:g} standard errors of zero",
+        "only gravity acted on the device",
+        "swing it harder, or turn it over on a tumbling table",
+    ),
+    "twin.no_accelerometer": Entry(3, "No accelerometer readings", action="map the accelerometer columns"),
+    "twin.not_fitted": Entry(3, "Not fitted", "{error}"),
+    "twin.no_rest": Entry(
+        3,
+        "No usable rest",
+        "wanted {samples} samples without gaps in which every reading changes",
+        "record a longer rest before the motion",
+    ),
+    "twin.bandwidth_above": Entry(
+        3,
+        "Bandwidth above {above_hz:.0f} Hz",
+        "noise at rest shows no low-pass below half the sample rate, {nyquist_hz:.0f} Hz",
+        "sample faster to find it",
+    ),
+    "twin.codes": Entry(3, "ADC not identified", "{evidence}"),
     # ---- export
     "imucal.uncertainty": Entry(
         2,

@@ -20,20 +20,14 @@ Frame = Literal["s", "b", "t", "m", "n"]
 
 
 def rotation(q: FloatArray) -> "Rotation":
-    """Return scipy's Rotation of scalar-first quaternions.
-
-    Arrays: q (N, 4).
-    """
+    """Return scipy's Rotation of scalar-first quaternions, (N, 4)."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(q, scalar_first=True)
 
 
 def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return the Hamilton product p q, gaps (NaN) passing through.
-
-    Arrays: p (..., 4), q (..., 4) -> (..., 4).
-    """
+    """Return the Hamilton product p q, gaps (NaN) passing through. p (..., 4), q (..., 4) -> (..., 4)."""
     pw, px, py, pz = np.moveaxis(p, -1, 0)
     qw, qx, qy, qz = np.moveaxis(q, -1, 0)
     return np.stack(
@@ -48,29 +42,20 @@ def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def quaternion_conjugate(q: FloatArray) -> FloatArray:
-    """Return the inverse of unit quaternions.
-
-    Arrays: q (..., 4) -> (..., 4).
-    """
+    """Return the inverse of unit quaternions. q (..., 4) -> (..., 4)."""
     inverse: FloatArray = q * np.array([1.0, -1.0, -1.0, -1.0])
     return inverse
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
-    """Return vectors turned by unit quaternions, gaps (NaN) passing through.
-
-    Arrays: q (..., 4), v (..., 3) -> (..., 3).
-    """
+    """Return vectors turned by unit quaternions, gaps (NaN) passing through. q (..., 4), v (..., 3) -> (..., 3)."""
     t = 2.0 * np.cross(q[..., 1:], v)
     turned: FloatArray = v + q[..., :1] * t + np.cross(q[..., 1:], t)
     return turned
 
 
 def rotation_vector(q: FloatArray) -> FloatArray:
-    """Return the rotation vector of unit quaternions, gaps (NaN) passing through.
-
-    Arrays: q (..., 4) -> (..., 3) rad.
-    """
+    """Return the rotation vector of unit quaternions, gaps (NaN) passing through. q (..., 4) -> (..., 3) rad."""
     w, v = q[..., :1], q[..., 1:]
     sine = np.linalg.norm(v, axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, np.abs(w))
@@ -80,9 +65,6 @@ def rotation_vector(q: FloatArray) -> FloatArray:
 
 
 def quaternion_of(vector: FloatArray) -> FloatArray:
-    """Return the unit quaternion of rotation vectors, gaps (NaN) passing through.
-
-    Arrays: vector (..., 3) rad -> (..., 4).
-    """
+    """Return the unit quaternion of rotation vectors, gaps (NaN) passing through. vector (..., 3) rad -> (..., 4)."""
     half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.concatenate((np.cos(half), 0.5 * np.sinc(half / np.pi) * vector), axis=-1)

@@ -3,8 +3,6 @@
 A Record keeps the readings in the device's own unit, with the unit beside them. NaN means a gap and nothing else; time
 strictly increases; both are checked here, once. There is no default sample rate.
 
-Session: the recordings of one calibration, and where in them the device stood still or turned.
-
 Ranges are sample numbers, half-open [start, stop). A face names the sensor axis that points up: it reads +g.
 """
 
@@ -46,7 +44,7 @@ class Record:
     state : str
         "raw" or "corrected".
     device : str
-        Serial number or name; "" when the file does not say.
+        Serial number or name; "" when the file does not state it.
 
     Raises
     ------
@@ -229,10 +227,7 @@ class Reference:
 
 
 def check_time(time: FloatArray) -> None:
-    """Raise unless time strictly increases, without gaps, over two samples or more.
-
-    Arrays: time (N,) s.
-    """
+    """Raise unless time strictly increases, without gaps, over two samples or more."""
     if len(time) < 2:
         raise InputError(
             f"time: wanted two samples or more, got {len(time)}; the file holds no recording", samples=len(time)
@@ -251,10 +246,7 @@ def check_time(time: FloatArray) -> None:
 
 
 def sample_rate_of(time: FloatArray) -> float:
-    """Return samples per second, drop-outs (steps over 1.5 medians) left out of the mean.
-
-    Arrays: time (N,) s.
-    """
+    """Return samples per second, drop-outs (steps over 1.5 medians) left out of the mean."""
     steps = np.diff(time)
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
@@ -266,7 +258,7 @@ def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quan
     return values * (si_factor(unit, quantity) / si_factor(wanted, quantity)), wanted
 
 
-# ---- Session: the recordings of one calibration, and where in them the device stood still or turned.
+# ---- session
 
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]

@@ -10,7 +10,7 @@ from typing import Literal
 
 from undrift.errors import InputError
 
-# ---- The Earth as an inertial sensor feels it: local gravity and the rotation rate.
+# ---- the Earth: rotation rate and local gravity
 
 EARTH_RATE = 7.292115e-5  # rad/s, WGS 84
 _LOWEST, _HIGHEST = -5000.0, 100e3  # m: the deepest mine; where aircraft and the series in height end
@@ -41,7 +41,7 @@ def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
     return g0 * (1.0 - 2.0 / a * (1.0 + f + m - 2.0 * f * s) * h + 3.0 * h * h / (a * a))
 
 
-# ---- units
+# ---- table of units
 
 Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
 

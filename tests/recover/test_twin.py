@@ -120,9 +120,10 @@ def test_the_codes_and_what_cannot_be_told_are_named():
     assert by_name["gyro_rounding"].value == "toward_zero"
     assert by_name["gyro_lsb"].value == pytest.approx(np.radians(STEP_DPS), rel=1e-6)
     assert not by_name["gyro_bandwidth"].identifiable
-    assert "only faster sampling would tell" in by_name["gyro_bandwidth"].reason
+    assert by_name["gyro_bandwidth"].finding.code == "twin.bandwidth_above"
     assert not any(p.identifiable for p in fitted().parameters if "g_sensitivity" in p.name)
-    assert "shake or swing it harder" in by_name["gyro_g_sensitivity_xx"].reason
+    assert by_name["gyro_g_sensitivity_xx"].finding.code == "twin.g_sensitivity_zero"
+    assert by_name["accel_lsb"].finding.code == "twin.codes"
     assert "on no grid" in by_name["accel_lsb"].reason
 
 

@@ -29,7 +29,8 @@ def test_the_error_of_a_mean_is_the_larger_of_claim_and_scatter():
     assert mean_with_error([0.0, 2.0], [0.1, 0.1])[1] == pytest.approx(1.0)
 
 
-def test_g_sensitivity_within_its_error_is_not_told():
+def test_g_sensitivity_within_its_error_is_not_identified():
     found = g_sensitivity_parameters(np.array([9e-4] + [1e-5] * 8), np.full(9, 1e-4))
     assert [p.identifiable for p in found] == [True] + [False] * 8
-    assert "within four standard errors of zero" in found[1].reason
+    assert (found[1].finding.code, found[1].finding.values) == ("twin.g_sensitivity_zero", {"sigmas": 4.0})
+    assert found[1].reason.startswith("Within 4 standard errors of zero")

@@ -8,8 +8,7 @@ import pytest
 from testkit.hand_turns import make_recording
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.record import Reference
-from undrift.twin import accel as match
-from undrift.twin.accel import fit_accel, lever_matrix, prepare_accel
+from undrift.twin.accel import fit_accel, lever_matrix, match, prepare_accel
 from undrift.twin.fit import fit_twin, prepare_twin
 from undrift.twin.heldout import compare_held_out
 from undrift.units import STANDARD_GRAVITY
@@ -59,7 +58,7 @@ def test_poses_without_positions_tell_nothing_of_the_accelerometer(pair):
 
 def test_short_motion_is_refused(pair):
     record, reference = make_recording(np.random.default_rng(2), turn_s=12.0)
-    with pytest.raises(NotObservable, match=r"wanted 20 s of motion that the poses tell or more, got 1[0-9] s"):
+    with pytest.raises(NotObservable, match=r"wanted 20 s of motion with known poses or more, got 1[0-9] s"):
         fit_accel([match(record, placed(reference))], gravity_m_s2=STANDARD_GRAVITY)
 
 
@@ -68,7 +67,7 @@ def test_readings_full_of_gaps_are_refused(pair):
     accel = np.array(record.accel)
     accel[::50] = np.nan
     broken = match(replace(record, accel=accel), placed(reference))
-    with pytest.raises(NotObservable, match="wanted a second of motion that the poses tell, got none"):
+    with pytest.raises(NotObservable, match="wanted a second of motion with known poses, got none"):
         prepare_accel([broken], gravity_m_s2=STANDARD_GRAVITY)
 
 

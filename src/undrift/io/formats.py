@@ -48,7 +48,7 @@ class Format:
     # "columns" and fields of ReadSettings that the record reader makes use of
     honours: frozenset[str] = frozenset()
     instead: str = ""  # What a file without a record reader is, and what to do with it
-    generic: bool = False  # Asked after all others
+    generic: bool = False  # Tried after all others
 
 
 def _line(head: bytes, number: int) -> str:
@@ -182,7 +182,7 @@ FORMATS: dict[str, Format] = {
         record=lambda path, _, settings: read_ximu(path, settings.sample_rate_hz),
         honours=frozenset({"sample_rate_hz"}),
     ),
-    # What other packages add is asked here.
+    # The formats of other packages come here.
     "nilspod": Format(
         lambda path, head: b"\0" in head and path.suffix.lower() == ".bin" and head[0] >= 0x30,
         instead="the binary of a NilsPod; export it with NilsPodLib to CSV",
@@ -247,7 +247,7 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     path : str or Path
         Text table (plain or gzip), Parquet, npz, mat, BROAD HDF5, APDM, ActiGraph, or an NGIMU, x-IMU or x-IMU3 folder.
     columns : ColumnMap or None
-        Which column is what; None where the format or undrift's own names say so.
+        Which column is what; None where the format or undrift's own names state it.
     settings : ReadSettings or None
         Sample rate, sensor and gaps where the file leaves them unstated.
 
@@ -359,7 +359,7 @@ def read_reference(
     labels : tuple of str or None
         Markers of one rigid cluster, for C3D and TRC.
     up : str or None
-        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not say.
+        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not state it.
 
     Returns
     -------

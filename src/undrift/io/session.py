@@ -85,8 +85,8 @@ class ScaleEntry(Entry):
 class TrimEntry(Entry):
     """One-point trim of an LM335."""
 
-    reads_c: float  # What its voltage says, degC
-    true_c: float  # What was true, degC
+    reads_c: float  # By its voltage, degC
+    true_c: float  # True temperature, degC
 
 
 class MapEntry(Entry):

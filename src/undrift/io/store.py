@@ -133,7 +133,7 @@ class AdcFile(BaseModel, strict=True, extra="forbid", frozen=True):
 
 
 class NoiseFile(BaseModel, strict=True, extra="forbid", frozen=True):
-    """Noise coefficients per axis, SI; null where the record was too short to tell."""
+    """Noise coefficients per axis, SI; null where the record was too short."""
 
     angle_random_walk: Vector
     bias_instability: Vector
@@ -372,7 +372,7 @@ def _plain(value: Any) -> Any:
 
 
 def _drift_json(drift: DriftTables | None) -> dict[str, Any] | None:
-    """The tables, without the keys that came later where they say nothing: a reader that does not know them reads the rest."""
+    """The tables, without later keys that state nothing: an older reader reads the rest."""
     if drift is None:
         return None
     content = {name: _plain(getattr(drift, name)) for name in drift.__slots__}

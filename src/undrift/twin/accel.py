@@ -6,15 +6,12 @@ at the sensor, r from that origin, is::
     f + L r = M u(t + d) - c            f = R_nb^T (p'' + g z),  L = [w']x + [w]x [w]x,  c = M o
 
 The optics are the noisy side (differentiated twice), the readings u the quiet one, so f is what is explained and no regressor
-carries much noise. All terms are turned into n and low-passed there alike; then the model is linear in M, c and r, and in d
-by the change of u with time. Residuals beyond 1.345 robust standard deviations count less (Huber). Filtered residuals are
-kin to their neighbours, so the covariance is the sandwich over blocks of one second.
+carries much noise. All terms are turned into n and low-passed there alike; a low-pass there commutes with the second
+derivative of the position. Then the model is linear in M, c and r, and in d by the change of u with time. Residuals beyond
+1.345 robust standard deviations count less (Huber). Filtered residuals correlate with their neighbours, so the covariance is
+the sandwich over blocks of one second.
 
-Match: a recording beside the ideal motion that its reference tells, on one time axis.
-
-The motion is a spline through the poses (``sim.motion.poses``); it is asked at the instants that the readings stand for, the
-record's time less the delay of the gyroscopes. What is compared is compared in the level frame n: a low-pass there acts on
-readings and motion alike, whatever the body does meanwhile, and it commutes with the second derivative of the position.
+The motion is a spline through the poses (``sim.motion.poses``), evaluated at the record's time less the gyroscopes' delay.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,7 +32,7 @@ from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sync import Lag, LagSettings, find_lag, find_motion, native_poses
 from undrift.sync import Motion as Span
 
-# ---- Match: a recording beside the ideal motion that its reference tells, on one time axis.
+# ---- a recording and the ideal motion of its reference, on one time axis
 
 LAG_SETTINGS = LagSettings()
 POSE_SETTINGS = PoseSettings(cutoff_hz=30.0, position_cutoff_hz=30.0)
@@ -47,15 +44,15 @@ _PER_CUTOFF = 4.0  # samples kept for each period of the cut-off
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Match:
-    """One recording and the motion beside it."""
+    """One recording and the motion of its reference."""
 
-    name: str  # Of the recording
-    record: Record  # rad/s and m/s2, codes as they came
-    gyro: FloatArray  # (N, 3), readings with the mean loss of the ADC's rounding given back, rad/s
+    name: str
+    record: Record  # rad/s and m/s2
+    gyro: FloatArray  # (N, 3), readings with the mean loss of the ADC's rounding corrected, rad/s
     reference: Reference  # Poses at the frames that the cameras took
     spline: PoseSpline  # Through them
     lag: Lag  # Of the gyroscope readings against the poses
-    span: Span  # Stretch of motion on the record's clock (of ``sync``)
+    span: Span  # The motion, on the record's clock
     rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s
 
     def at(self, delay_s: float, gravity_m_s2: float) -> Motion:
@@ -72,9 +69,8 @@ class Match:
 
     @property
     def rest(self) -> Record:
-        """Readings of the rest before the motion, the ADC's rounding given back: truncation narrows noise about zero."""
-        given_back = replace(self.record, gyro=self.gyro)
-        return given_back.between(float(self.record.time[0]), self.span.start_s - _LEAD_S)
+        """Readings of the rest before the motion, the ADC's rounding corrected: truncation narrows noise about zero."""
+        return replace(self.record, gyro=self.gyro).between(float(self.record.time[0]), self.span.start_s - _LEAD_S)
 
 
 def match(
@@ -111,10 +107,7 @@ def match(
 
 
 def stretches(match: Match, motion: Motion, readings: FloatArray) -> Iterator[slice]:
-    """Yield stretches of motion in which both poses and readings are known, long enough to be filtered.
-
-    Arrays: readings (N, C).
-    """
+    """Yield stretches of motion in which poses and readings (N, C) are known, long enough to be filtered."""
     known = match.moving & (np.asarray(motion.valid) > 0.0) & np.isfinite(readings).all(axis=1)
     known &= np.isfinite(motion.force_b).all(axis=1) | np.isnan(motion.force_b).all()
     for start, stop in runs(known):
@@ -123,10 +116,7 @@ def stretches(match: Match, motion: Motion, readings: FloatArray) -> Iterator[sl
 
 
 def smoothed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tuple[FloatArray, IntArray]:
-    """Return columns low-passed without delay, thinned to a few samples for each period, without the ends.
-
-    Arrays: values (N, C) -> (K, C), (K,).
-    """
+    """Return columns (N, C) low-passed without delay, thinned to a few for each period, without the ends, and their rows."""
     from scipy.signal import butter, sosfiltfilt
 
     edge = int(np.ceil(_EDGE * sample_rate_hz / cutoff_hz))
@@ -143,7 +133,7 @@ CUTOFF_HZ = 10.0  # above it the second derivative of the poses is noise
 BLOCK_S = 1.0
 HUBER = 1.345
 _REWEIGHTINGS = 10
-_PASSES = 2  # the motion is asked again at the delay found
+_PASSES = 2  # the second evaluates the motion at the delay found
 _LEAST_BLOCKS = 20
 NAMES = (*MATRIX_NAMES, *OFFSET_NAMES, "lever_x", "lever_y", "lever_z", "delay")
 
@@ -164,20 +154,16 @@ class AccelFit:
 
     model: TriadModel  # f = M (u - o) with covariance
     lever_arm: FloatArray  # (3,), from the optical body's origin to the sensor, frame of that body, m
-    # How late the readings are, s, beyond the delay that each recording was asked at (that of its gyroscopes)
-    delay: float
+    delay: float  # Of the readings beyond that of each recording's gyroscopes, s
     covariance: FloatArray  # (16, 16), matrix, offset, lever arm, delay
-    residual_rms: FloatArray  # (R,), per axis, after the fit and before, for each recording, m/s2
-    raw_rms: FloatArray  # (R,), per axis, after the fit and before, for each recording, m/s2
+    residual_rms: FloatArray  # (R,), per axis, for each recording, m/s2
+    raw_rms: FloatArray  # (R,), the same before the fit
     signal_rms: FloatArray  # (R,), of the specific force less gravity, per axis, m/s2
     cutoff_hz: float  # Low-pass of all three, Hz
 
 
 def lever_matrix(motion: Motion) -> FloatArray:
-    """Return what a lever arm does to specific force: L = [w']x + [w]x [w]x.
-
-    Arrays:  -> (N, 3, 3).
-    """
+    """Return the effect of a lever arm on specific force, L = [w']x + [w]x [w]x, (N, 3, 3)."""
     if motion.angular_acceleration_b is None:
         raise InputError("lever arm: wanted a motion with angular acceleration, got none; make it from poses")
     w = motion.rate_b
@@ -192,10 +178,7 @@ def lever_matrix(motion: Motion) -> FloatArray:
 def accel_rows(
     match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ
 ) -> AccelRows:
-    """Return the equations of one recording.
-
-    Arrays: matrix (3, 3).
-    """
+    """Return the equations of one recording."""
     readings = match.record.accel
     if readings is None or match.reference.position is None:
         raise InputError("accel fit: wanted accel readings and positions of the reference, got one only or neither")
@@ -218,7 +201,7 @@ def accel_rows(
         done, kept = smoothed(np.concatenate(turned, axis=2).reshape(n, -1), cutoff_hz, rate)
         parts.append((done.reshape(len(kept), 3, 17), match.record.time[rows][kept]))
     if not parts:
-        raise NotObservable("accel fit: wanted a second of motion that the poses tell, got none; record longer motion")
+        raise NotObservable("accel fit: wanted a second of motion with known poses, got none; record longer motion")
     table, time = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
     return AccelRows(
         design=table[:, :, :16],
@@ -238,7 +221,7 @@ class PreparedAccel:
     """Equations of several recordings, and where they were linearised."""
 
     rows: tuple[AccelRows, ...]  # One for each recording
-    delay: float  # Delay beyond the gyroscopes' that they were asked at, s
+    delay: float  # Beyond the gyroscopes', at which they were linearised, s
     gravity_m_s2: float  # m/s2
 
 
@@ -306,7 +289,7 @@ def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
     blocks = np.concatenate([s + shift for s, shift in zip(starts, shifts, strict=True)])
     if len(blocks) < _LEAST_BLOCKS:
         raise NotObservable(
-            f"accel fit: wanted {_LEAST_BLOCKS} s of motion that the poses tell or more, got {len(blocks)} s; record longer",
+            f"accel fit: wanted {_LEAST_BLOCKS} s of motion with known poses or more, got {len(blocks)} s; record longer",
             seconds=len(blocks),
         )
     flat = a.reshape(-1, 16)

@@ -1,18 +1,16 @@
 """Twin: the device model fitted to a real device from recordings with an optical reference.
 
-Gyroscopes by rotation over windows (``calibration.fit.reference``), accelerometers by specific force (``accel``), noise and
-bandwidth by the spectrum at rest (``rest``), the ADC by its codes (``calibration.adc``). Every parameter comes with a standard
-error, or with the reason why these recordings do not tell it.
+Gyroscopes by rotation over windows (``calibration.reference``), accelerometers by specific force (``twin.accel``), noise and
+bandwidth by the spectrum at rest, the ADC by its codes (``calibration.adc``). Every parameter comes with a standard error, or
+with a finding that names why these recordings do not identify it.
 
-Rest: white noise and bandwidth from the spectrum of readings at rest.
-
-White noise N through the device's own second-order Butterworth low-pass of bandwidth f_b leaves the one-sided density::
+White noise N through the device's own second-order Butterworth low-pass of bandwidth f_b leaves, at rest, the density::
 
     S(f) = 2 N^2 / (1 + (f / f_b)^4), and its images at multiples of the sample rate
 
 Averaged periodograms scatter as chi-square, so the Whittle likelihood sum(log S + P / S) is maximised over f_b, N^2 in closed
-form. Only the upper part of the band counts: hands and floors move a device at low frequency. Where no bandwidth is better
-than an infinite one by more than chi-square allows, the noise is flat and only a lower limit is told.
+form. Only the upper part of the band counts: people and floors move a device at low frequency. Where no bandwidth is better
+than an infinite one by more than chi-square allows, the noise is flat and only a lower limit is stated.
 """
 
 from collections.abc import Sequence
@@ -25,6 +23,7 @@ from undrift.calibration.adc import AdcFinding, identify_adc
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.errors import CalibrationError, InputError
+from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, AdcModel, TriadModel
 from undrift.record import Record, Reference
@@ -41,7 +40,7 @@ from undrift.twin.accel import (
 )
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-# ---- Parameters of a twin: what each is, how well it is known, and why it is not where it is not.
+# ---- parameters of a twin
 
 SIGNIFICANT = 4.0  # standard errors from zero that set an effect apart from none: nine elements are tried at once
 
@@ -50,31 +49,37 @@ SIGNIFICANT = 4.0  # standard errors from zero that set an effect apart from non
 class TwinParameter:
     """One parameter of the device model."""
 
-    name: str  # What it is
+    name: str
     value: float | str  # Best value; NaN where there is none
     standard_error: float  # Same unit; NaN where it has no meaning
     unit: str  # "1" for a ratio, "" for a word
-    identifiable: bool = True  # Whether the recordings tell it
-    reason: str = ""  # Why they do not; "" where they do
+    finding: Finding | None = None  # Why the recordings do not identify it; None where they do
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the recordings identify it."""
+        return self.finding is None
+
+    @property
+    def reason(self) -> str:
+        """Why they do not, as text; "" where they do."""
+        return "" if self.finding is None else self.finding.text
 
 
 def known(name: str, value: float, error: float, unit: str) -> TwinParameter:
-    """Return a parameter that the recordings tell."""
+    """Return a parameter that the recordings identify."""
     return TwinParameter(name=name, value=float(value), standard_error=float(error), unit=unit)
 
 
-def unknown(name: str, unit: str, reason: str) -> TwinParameter:
-    """Return a parameter that the recordings do not tell."""
-    nothing = float("nan")
-    return TwinParameter(name=name, value=nothing, standard_error=nothing, unit=unit, identifiable=False, reason=reason)
+def unknown(name: str, unit: str, why: Finding) -> TwinParameter:
+    """Return a parameter that the recordings do not identify."""
+    return TwinParameter(name=name, value=float("nan"), standard_error=float("nan"), unit=unit, finding=why)
 
 
 def triad_parameters(prefix: str, model: TriadModel, covariance: FloatArray, unit: str) -> list[TwinParameter]:
-    """Return rotation, matrix and offset of a fitted triad.
+    """Return rotation, matrix and offset of a fitted triad; covariance (12 or more, 12 or more).
 
     The rotation is that of the polar decomposition M = R S: the axes of the sensor against those of the optical body.
-
-    Arrays: covariance (12 or more, 12 or more).
     """
     turn, jacobian = polar_rotation(model.matrix)
     error = np.sqrt(np.einsum("ip,pq,iq->i", jacobian, covariance[:9, :9], jacobian))
@@ -87,10 +92,7 @@ def triad_parameters(prefix: str, model: TriadModel, covariance: FloatArray, uni
 
 
 def polar_rotation(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation vector of the polar part of a matrix, and its change with the matrix.
-
-    Arrays: matrix (3, 3) -> (3,) rad, (3, 9).
-    """
+    """Return the rotation vector of the polar part of a matrix, (3,) rad, and its change with the matrix, (3, 9)."""
     from scipy.spatial.transform import Rotation
 
     def of(m: FloatArray) -> FloatArray:
@@ -104,36 +106,25 @@ def polar_rotation(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def g_sensitivity_parameters(values: FloatArray, errors: FloatArray) -> list[TwinParameter]:
-    """Return the nine elements of the g-sensitivity, those that cannot be told from zero marked so.
-
-    Arrays: values (9,), errors (9,).
-    """
-    reason = (
-        "within four standard errors of zero: gravity alone pushed on the device; shake or swing it harder, or turn it over "
-        "on a tumbling table"
-    )
-    found = []
-    for name, value, error in zip(G_NAMES, values, errors, strict=True):
-        told = bool(abs(value) > SIGNIFICANT * error)
-        found.append(
-            TwinParameter(
-                name=f"gyro_g_sensitivity_{name[-2:]}",
-                value=float(value),
-                standard_error=float(error),
-                unit="rad/s per m/s2",
-                identifiable=told,
-                reason="" if told else reason,
-            )
+    """Return the nine elements (9,) of the g-sensitivity; those that do not differ from zero are not identified."""
+    return [
+        TwinParameter(
+            name=f"gyro_g_sensitivity_{name[-2:]}",
+            value=float(value),
+            standard_error=float(error),
+            unit="rad/s per m/s2",
+            finding=None
+            if abs(value) > SIGNIFICANT * error
+            else finding("twin.g_sensitivity_zero", "info", sigmas=SIGNIFICANT),
         )
-    return found
+        for name, value, error in zip(G_NAMES, values, errors, strict=True)
+    ]
 
 
 def spread_of(values: FloatArray, prior: float, weight: float = 2.0) -> FloatArray:
-    """Return the standard deviation between recordings, held by a prior where there are few.
+    """Return the standard deviation (3,) between recordings (R, 3), with a prior where there are few.
 
     s^2 = (sum (x - mean)^2 + k s0^2) / (n - 1 + k): a single recording gives the prior s0.
-
-    Arrays: values (R, 3) -> (3,).
     """
     square = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
     spread: FloatArray = np.sqrt((square + weight * prior**2) / (len(values) - 1 + weight))
@@ -141,17 +132,14 @@ def spread_of(values: FloatArray, prior: float, weight: float = 2.0) -> FloatArr
 
 
 def mean_with_error(values: Sequence[float] | FloatArray, errors: Sequence[float] | FloatArray) -> tuple[float, float]:
-    """Return the mean of several findings and its standard error, the larger of what they claim and what they scatter.
-
-    Arrays: values (R,), errors (R,).
-    """
+    """Return the mean of several estimates (R,) and its standard error, the larger of their own and their scatter's."""
     x, e = np.asarray(values, float), np.asarray(errors, float)
     claimed = float(np.sqrt((e**2).sum())) / len(x)
     scatter = float(x.std(ddof=1) / np.sqrt(len(x))) if len(x) > 1 else 0.0
     return float(x.mean()), max(claimed, scatter)
 
 
-# ---- Rest: white noise and bandwidth from the spectrum of readings at rest.
+# ---- white noise and bandwidth at rest
 
 BAND = (0.35, 0.95)  # of half the sample rate
 _SEGMENT = 256  # samples
@@ -162,63 +150,55 @@ _LIMIT = 4.0  # the same, two
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RestNoise:
-    """White noise of a triad, and what its spectrum says of the bandwidth."""
+    """White noise of a triad, and its bandwidth where the spectrum shows one."""
 
-    random_walk: FloatArray  # (3,), N and its standard error, unit/sqrt(Hz)
-    random_walk_error: FloatArray  # (3,), N and its standard error, unit/sqrt(Hz)
+    random_walk: FloatArray  # (3,), N, unit/sqrt(Hz)
+    random_walk_error: FloatArray  # (3,), its standard error
     bandwidth_hz: float  # f_b; NaN where the noise is flat
     bandwidth_error_hz: float  # Standard error; NaN likewise
     bandwidth_above_hz: float  # Lower limit
 
 
 def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) -> RestNoise | None:
-    """Return white noise and bandwidth of a triad from recordings at rest."""
+    """Return white noise and bandwidth of a triad from recordings at rest; ``step`` is the code step, in its unit."""
     spectra, counts = [], []
     f: FloatArray = np.empty(0)
     rate = records[0].sample_rate_hz if records else 1.0
+    window = np.hanning(_SEGMENT)
     for record in records:
         values = getattr(record, channel)
         if values is None or len(values) < 4 * _SEGMENT or not np.isfinite(values).all():
             continue
         if not values.std(axis=0).all():
             continue  # readings that never change hold no noise
-        f, density, averaged = _periodogram(values, rate)
-        spectra.append(density)
-        counts.append(averaged)
+        counts.append(2 * (len(values) // _SEGMENT) - 1)
+        pieces = values[(np.arange(counts[-1]) * (_SEGMENT // 2))[:, None] + np.arange(_SEGMENT)]
+        pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window[None, :, None]
+        power = np.abs(np.fft.rfft(pieces, axis=1)) ** 2
+        spectra.append(2.0 * power.mean(axis=0) / (rate * float((window**2).sum())))
+        f = np.fft.rfftfreq(_SEGMENT, 1.0 / rate)
     if not spectra:
         return None
     weight = np.array(counts, float) / sum(counts)
     chosen = (f >= BAND[0] * 0.5 * rate) & (f <= BAND[1] * 0.5 * rate)
     density = np.einsum("r,rfi->fi", weight, np.array(spectra)[:, chosen])
-    return _likely(
-        f[chosen], density, 0.8 * sum(counts), (rate, step)
-    )  # Hann windows that half overlap: about 0.8 independent
+    averaged = 0.8 * sum(counts)  # independent ones: Hann windows that half overlap
+    return _likely(f[chosen], density, averaged, rate=rate, step=step)
 
 
-def _periodogram(values: FloatArray, rate: float) -> tuple[FloatArray, FloatArray, int]:
-    count = 2 * (len(values) // _SEGMENT) - 1
-    window = np.hanning(_SEGMENT)
-    starts = np.arange(count) * (_SEGMENT // 2)
-    pieces = values[starts[:, None] + np.arange(_SEGMENT)]
-    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window[None, :, None]
-    power = np.abs(np.fft.rfft(pieces, axis=1)) ** 2
-    density = 2.0 * power.mean(axis=0) / (rate * float((window**2).sum()))
-    return np.fft.rfftfreq(_SEGMENT, 1.0 / rate), density, count
-
-
-def _likely(f: FloatArray, density: FloatArray, averaged: float, sampling: tuple[float, float]) -> RestNoise:
-    rate, step = sampling
+def _likely(f: FloatArray, density: FloatArray, averaged: float, *, rate: float, step: float) -> RestNoise:
     trials = np.geomspace(0.1, 10.0, 400) * 0.5 * rate  # beyond 1 the noise folds back: no bandwidth, only a limit
-    cost = np.array([_cost(density / _shape(f, b, rate)[:, None], _shape(f, b, rate), averaged) for b in trials])
+    shapes = [_shape(f, bandwidth, rate) for bandwidth in trials]
+    cost = np.array([_cost(density / shape[:, None], shape, averaged) for shape in shapes])
     flat = _cost(density, np.ones(len(f)), averaged)
     best = int(np.argmin(cost))
     bandwidth = error = float("nan")
+    shape: FloatArray = np.ones(len(f))
     near = trials[cost <= cost[best] + 1.0]
     above = float(trials[cost <= min(flat, cost[best]) + _LIMIT].min())
     if flat - cost[best] > _BETTER and best > 0 and trials[best] < 0.45 * rate:
-        bandwidth, error = float(trials[best]), 0.5 * float(near[-1] - near[0])
-    shape = np.ones(len(f)) if np.isnan(bandwidth) else _shape(f, bandwidth, rate)
-    square = 0.5 * (density / shape[:, None]).mean(axis=0) - step**2 / (12.0 * rate)
+        bandwidth, error, shape = float(trials[best]), 0.5 * float(near[-1] - near[0]), shapes[best]
+    square = 0.5 * (density / shape[:, None]).mean(axis=0) - step**2 / (12.0 * rate)  # less the codes' own noise
     level = np.sqrt(np.maximum(square, 0.0))
     independent = averaged * len(f) * 2.0 / 3.0  # neighbouring bins of a Hann window share
     return RestNoise(
@@ -250,12 +230,12 @@ REFERENCE_SETTINGS = ReferenceSettings()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwinSettings:
-    """How a device is twinned."""
+    """Settings of the fit of a twin."""
 
-    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity: the accelerometer's scale stands and falls with it
+    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity: the accelerometer's scale is in proportion to it
     gyro_cutoff_hz: float = 20.0  # Low-pass at which gyroscope residuals are stated, Hz
     accel_cutoff_hz: float = CUTOFF_HZ  # Low-pass of the accelerometer fit, Hz
-    # Offset at rest between recordings of a device, standard deviation where one recording alone cannot tell, rad/s
+    # Standard deviation of the offset at rest between recordings, where a single recording cannot show it, rad/s
     offset_spread: float = 0.01 * RADIAN_PER_DEGREE
     motion_offset_spread: float = 0.01 * RADIAN_PER_DEGREE  # The same of the change from rest to motion, rad/s
 
@@ -271,9 +251,9 @@ class Prepared:
     references: tuple[Reference, ...]  # As given
     matches: tuple[Match, ...]  # One for each
     adc: AdcModel | None  # Rounding of the gyroscope codes
-    accel_codes: AdcFinding | None  # What the accelerometer codes say
+    accel_codes: AdcFinding | None  # ADC of the accelerometer, by its codes
     accel: PreparedAccel | None  # Equations of the accelerometer
-    accel_reason: str  # Why there are none
+    accel_refused: str  # Why there are none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -291,13 +271,13 @@ class Twin:
     gyro_noise, accel_noise : RestNoise or None
         At rest.
     parameters : tuple of TwinParameter
-        All, with standard errors or reasons.
+        All, with standard errors, or why they are not identified.
     gyro_residual_rms : array, shape (R,)
-        Per axis, rad/s, after a low-pass; one for each recording.
+        Corrected readings less the poses' rate, per axis, rad/s, after a low-pass; one for each recording.
     gyro_signal_rms : array, shape (R,)
         Of the body rate, likewise.
     settings : TwinSettings
-        As asked.
+        Gravity and cut-offs of the fit.
     """
 
     gyro: ReferenceFit
@@ -332,11 +312,11 @@ def prepare_twin(
     called = list(names) or [""] * len(records)
     records = [record.in_si() for record in records]
     matches = tuple(match(r, p, adc=adc, name=n) for r, p, n in zip(records, references, called, strict=True))
-    accel, why = None, ""
+    accel, refused = None, ""
     try:
         accel = prepare_accel(matches, gravity_m_s2=settings.gravity_m_s2, cutoff_hz=settings.accel_cutoff_hz)
     except (InputError, CalibrationError) as error:
-        why = str(error)
+        refused = str(error)
     codes = records[0].accel
     return Prepared(
         records=tuple(records),
@@ -345,7 +325,7 @@ def prepare_twin(
         adc=adc,
         accel_codes=None if codes is None else identify_adc(codes),
         accel=accel,
-        accel_reason=why,
+        accel_refused=refused,
     )
 
 
@@ -425,7 +405,7 @@ def fit_prepared(
 
 
 def gyro_residual(match: Match, fit: ReferenceFit, settings: TwinSettings) -> tuple[float, float]:
-    """Return what is left between corrected readings and the rate of the poses, and that rate itself."""
+    """Return rms of corrected readings less the rate of the poses, and of that rate, after a low-pass, rad/s."""
     motion = match.at(match.lag.seconds, settings.gravity_m_s2)
     model = fit.model_at_rest_offset(match.rest_offset)
     done = (match.gyro - model.offset) @ model.matrix.T
@@ -445,13 +425,14 @@ def gyro_residual(match: Match, fit: ReferenceFit, settings: TwinSettings) -> tu
 def _parameters(
     twin: Twin, prepared: Prepared, records: Sequence[Record], references: Sequence[Reference]
 ) -> tuple[TwinParameter, ...]:
-    gyro = twin.gyro
+    gyro, model = twin.gyro, twin.gyro.triad.model
     found = [known("gyro_delay", *mean_with_error(gyro.lags_s, gyro.lag_uncertainties_s), "s")]
-    found += triad_parameters("gyro", gyro.triad.model, gyro.triad.model.covariance, "rad/s")
-    moved = zip(AXES, gyro.motion_offset, _motion_error(gyro), strict=True)
+    found += triad_parameters("gyro", model, model.covariance, "rad/s")
+    errors = np.sqrt(np.maximum(np.diag(model.covariance)[9:12], 0.0))
+    moved = zip(AXES, gyro.motion_offset, errors, strict=True)
     found += [known(f"gyro_motion_offset_{a}", value, error, "rad/s") for a, value, error in moved]
     found += _g_sensitivity(prepared, records, references)
-    found += _accel_parameters(twin, prepared.accel_reason)
+    found += _accel_parameters(twin, prepared.accel_refused)
     found += _noise_parameters("gyro", twin.gyro_noise, "rad/s/sqrt(Hz)", records[0].sample_rate_hz)
     found += _noise_parameters("accel", twin.accel_noise, "m/s2/sqrt(Hz)", records[0].sample_rate_hz)
     codes = None if records[0].gyro is None else identify_adc(records[0].gyro)
@@ -463,31 +444,26 @@ def _step(lsb: FloatArray | None) -> float:
     return 0.0 if lsb is None else float(np.mean(lsb))
 
 
-def _motion_error(gyro: ReferenceFit) -> FloatArray:
-    total = gyro.triad.model.covariance[range(9, 12), range(9, 12)]
-    error: FloatArray = np.sqrt(np.maximum(total, 0.0))
-    return error
-
-
 def _g_sensitivity(
     prepared: Prepared, records: Sequence[Record], references: Sequence[Reference]
 ) -> list[TwinParameter]:
     unit = "rad/s per m/s2"
     if any(record.accel is None for record in records):
-        return [unknown("gyro_g_sensitivity", unit, "no accelerometer readings beside the gyroscope's")]
+        return [unknown("gyro_g_sensitivity", unit, finding("twin.no_accelerometer", "info"))]
     settings = replace(REFERENCE_SETTINGS, g_sensitivity=True)
     try:
         model = fit_reference(records, references, settings=settings, adc=prepared.adc).triad.model
     except CalibrationError as error:
-        return [unknown("gyro_g_sensitivity", unit, str(error))]
+        return [unknown("gyro_g_sensitivity", unit, finding("twin.not_fitted", "warn", error=str(error)))]
     values = np.zeros(9) if model.g_sensitivity is None else model.g_sensitivity.ravel()
     return g_sensitivity_parameters(values, model.standard_uncertainty[12:])
 
 
-def _accel_parameters(twin: Twin, reason: str) -> list[TwinParameter]:
+def _accel_parameters(twin: Twin, refused: str) -> list[TwinParameter]:
     fit = twin.accel
     if fit is None:
-        return [unknown("accel_matrix", "1", reason), unknown("lever_arm", "m", reason)]
+        why = finding("twin.not_fitted", "warn", error=refused)
+        return [unknown("accel_matrix", "1", why), unknown("lever_arm", "m", why)]
     sigma = np.sqrt(np.diag(fit.covariance))
     gyro_error = mean_with_error(twin.gyro.lags_s, twin.gyro.lag_uncertainties_s)[1]
     found = [known("accel_delay", twin.delay + fit.delay, float(np.hypot(sigma[15], gyro_error)), "s")]
@@ -498,7 +474,7 @@ def _accel_parameters(twin: Twin, reason: str) -> list[TwinParameter]:
 def _noise_parameters(prefix: str, noise: RestNoise | None, unit: str, rate: float) -> list[TwinParameter]:
     name = "angle_random_walk" if prefix == "gyro" else "velocity_random_walk"
     if noise is None:
-        why = "no rest of 1024 samples or more without gaps in which every reading changes"
+        why = finding("twin.no_rest", "info", samples=4 * _SEGMENT)
         return [unknown(f"{prefix}_{name}", unit, why), unknown(f"{prefix}_bandwidth", "Hz", why)]
     found = [
         known(f"{prefix}_{name}_{a}", noise.random_walk[i], noise.random_walk_error[i], unit)
@@ -506,26 +482,23 @@ def _noise_parameters(prefix: str, noise: RestNoise | None, unit: str, rate: flo
     ]
     if np.isfinite(noise.bandwidth_hz):
         return [*found, known(f"{prefix}_bandwidth", noise.bandwidth_hz, noise.bandwidth_error_hz, "Hz")]
-    reason = (
-        f"noise at rest tells of no low-pass below half the sample rate, {0.5 * rate:.0f} Hz: it lies above "
-        f"{noise.bandwidth_above_hz:.0f} Hz; only faster sampling would tell"
-    )
-    return [*found, unknown(f"{prefix}_bandwidth", "Hz", reason)]
+    limits = finding("twin.bandwidth_above", "info", above_hz=noise.bandwidth_above_hz, nyquist_hz=0.5 * rate)
+    return [*found, unknown(f"{prefix}_bandwidth", "Hz", limits)]
 
 
 def _adc(prefix: str, codes: AdcFinding | None, rounding: str | None, unit: str) -> list[TwinParameter]:
     if codes is None:
         return []
+    why = finding("twin.codes", "info", evidence=codes.reason)
     if codes.lsb is None:
-        return [unknown(f"{prefix}_lsb", unit, codes.reason)]
-    told = rounding or codes.rounding
+        return [unknown(f"{prefix}_lsb", unit, why)]
+    rounding = rounding or codes.rounding
     step = known(f"{prefix}_lsb", float(codes.lsb.mean()), float(codes.lsb.std()), unit)
     word = TwinParameter(
         name=f"{prefix}_rounding",
-        value=told or float("nan"),
+        value=rounding or float("nan"),
         standard_error=float("nan"),
         unit="",
-        identifiable=told is not None,
-        reason="" if told is not None else codes.reason,
+        finding=None if rounding else why,
     )
     return [step, word]

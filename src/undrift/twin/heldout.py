@@ -1,26 +1,23 @@
-"""Held out: the twin simulated on a motion that it was not fitted to, against what the real device said of it.
+"""Held out: the twin, simulated on a motion to which it was not fitted, compared with the real device.
 
 The twin comes from the other recordings of the device. Its readings of the held-out motion and the real readings are corrected
 alike, by the twin's matrix and each less its own offset, and integrated from the same orientation over every window. What
 counts is the largest difference of sagittal pitch in a window, where the vertical is within 60 deg of the sagittal plane:
-beyond, pitch stretches a difference of tilt more than twofold and loses its meaning. Beside it stands the largest angle
-between the two verticals, which needs no plane, and the difference at the window's end about each axis of the body.
+beyond, pitch stretches a difference of tilt more than twofold. Two more figures need no plane: the largest angle between the
+two verticals, and the difference at the window's end about each axis of the body.
 
-End errors: what many devices that the twin allows would be off by after a motion, beside what the real one was.
+End errors: those of many devices that the twin allows, and the real one's. Each draw has a matrix and an in-motion offset from
+the covariance of the fit, an offset at rest that differs from the mean of the other recordings as much as recordings of a
+device differ, and noise and codes of its own. The held-out motion is the rate between its poses, the corrected real rate
+where the poses are missing, and nothing at rest. The readings go through the protocol of ``validation.trial``: (a) as they
+come, (b) less their mean over the first rest. The poses are smoothed further than for windows: pose noise of 1 deg/s would
+carry codes of a device that pauses to both sides of zero, and a code that changes sign loses nothing on average to
+truncation, while one that does not loses half a step.
 
-Each draw has a matrix and an in-motion offset from the covariance of the fit, an offset at rest that differs from the mean of
-the other recordings as much as recordings of a device differ, and noise and codes of its own. The held-out motion is the rate
-between its poses, the corrected real rate where the poses are missing, and nothing at rest. The readings go through the
-protocol of ``validation.trial``: (a) as they come, (b) less their mean over the first rest. The poses are smoothed further
-than for windows: pose noise of 1 deg/s would carry codes of a device that pauses to both sides of zero, and a code that
-changes sign loses nothing on average to truncation, while one that does not loses half a step.
-
-Contributions: what each part of the twin, and of the comparison itself, adds to the difference from the real device.
-
-Every part is simulated alone against a twin without it, over the same windows of the same held-out motion. What the poses
-add at rest is measured: the real gyroscope against the poses over windows before the motion. Parts add as squares; what is
-left of the difference found is unexplained: poses that err more in motion than at rest, markers and board that give, and
-effects of the device that the model lacks, which these recordings cannot tell apart.
+Contributions: every part of the twin is simulated alone against a twin without it, over the same windows of the same held-out
+motion. What the poses add at rest is measured: the real gyroscope against the poses over windows before the motion. Parts add
+as squares; the rest of the difference is unexplained: poses that err more in motion than at rest, markers and board that
+give, and effects of the device that the model lacks, which these recordings cannot separate.
 """
 
 from collections.abc import Sequence
@@ -29,7 +26,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.reference import restored
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
@@ -45,7 +42,7 @@ from undrift.twin.fit import Prepared, RestNoise, Twin, fit_prepared, spread_of
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.trial import TrialSettings, compare_orientations, validate_trial, wrapped
 
-# ---- The twin as a device that ``sim`` can simulate, and draws of it within its uncertainty.
+# ---- the twin as a device to simulate, and draws of it within its uncertainty
 
 _BITS = 16
 
@@ -81,26 +78,19 @@ def drawn_gyro(device: DeviceModel, twin: Twin, rng: np.random.Generator) -> Dev
     """Return a device with gyroscope matrix and in-motion offset drawn from the twin's uncertainty."""
     model = twin.gyro.triad.model
     spread = model.covariance[:12, :12].copy()
-    wander = twin.settings.motion_offset_spread**2
-    spread[range(9, 12), range(9, 12)] += wander
+    spread[range(9, 12), range(9, 12)] += twin.settings.motion_offset_spread**2
     step = rng.multivariate_normal(np.zeros(12), spread, method="eigh")
     chain = chain_of(model.matrix + step[:9].reshape(3, 3), model.offset + step[9:], None, "rad/s")
     return replace(device, gyro=replace(device.gyro, scale=chain.scale, offset=chain.offset))
 
 
 def with_offset(device: DeviceModel, offset: FloatArray) -> DeviceModel:
-    """Return a device with another offset of the gyroscopes.
-
-    Arrays: offset (3,) rad/s.
-    """
+    """Return a device with another offset (3,) of the gyroscopes, rad/s."""
     return replace(device, gyro=replace(device.gyro, offset=Offset(constant=offset)))
 
 
 def chain_of(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, unit: str) -> SensorChain:
-    """Return the chain whose readings a correction matrix and offset undo.
-
-    Arrays: matrix (3, 3), offset (3,).
-    """
+    """Return the chain whose readings a correction matrix (3, 3) and offset (3,) correct."""
     forward = np.linalg.inv(matrix)
     gain = np.linalg.norm(forward, axis=1)
     return SensorChain(
@@ -111,13 +101,13 @@ def chain_of(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, un
     )
 
 
-# ---- heldout
+# ---- windows
 
 LENGTHS_S = (5.0, 50.0)
 SHARED_CLOCK_S = 1e-3  # delays of a device's recordings agree to this where device and optics share a clock
 IN_PLANE = 0.5  # shortest part of the vertical in the sagittal plane
 STRIDE_S = 0.5  # from one window to the next
-POINTS_PER_S = 36.0  # at which a window is looked at
+POINTS_PER_S = 36.0  # at which a window is compared
 MOTION_SETTINGS = PoseSettings(cutoff_hz=20.0, position_cutoff_hz=10.0)
 _FRESH = 30  # samples: shorter stretches hold nothing
 
@@ -126,8 +116,7 @@ _FRESH = 30  # samples: shorter stretches hold nothing
 class WindowErrors:
     """Differences over all windows of one length."""
 
-    # (W,), largest difference of pitch in each window, rad; NaN where the vertical never came near the plane
-    pitch: FloatArray
+    pitch: FloatArray  # (W,), largest difference in each, rad; NaN where the vertical never came near the plane
     tilt: FloatArray  # (W,), largest angle between the verticals, rad
     end: FloatArray  # (W, 3), size of the difference at the end about each axis of the body, rad
 
@@ -136,43 +125,37 @@ class WindowErrors:
 class HeldOutTrial:
     """One held-out recording."""
 
-    recording: str  # Name
-    window_s: float  # Length of the windows, s
-    errors: WindowErrors  # Of all windows
+    recording: str
+    window_s: float  # Length of the windows
+    errors: WindowErrors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stage:
-    """A held-out motion and how the twin stands to it."""
+class HeldOutMotion:
+    """A held-out motion and the twin of the other recordings."""
 
     match: Match  # The held-out recording
     twin: Twin  # Of the others
-    device: DeviceModel  # The twin without delay: the motion is asked at the delayed instants
-    motion: Motion  # What the poses tell, at those instants
+    device: DeviceModel  # The twin without delay: the motion is evaluated at the delayed instants
+    motion: Motion  # Of the poses, at those instants
     # (3,), of the real readings in motion: their own rest plus the twin's change from rest to motion, rad/s
     offset: FloatArray
 
     def corrected(self, readings: FloatArray, offset: FloatArray) -> FloatArray:
-        """Return readings corrected by the twin's matrix.
-
-        Arrays: readings (N, 3) rad/s, offset (3,) rad/s -> (N, 3) rad/s.
-        """
+        """Return readings (N, 3) corrected by the twin's matrix and an offset (3,), rad/s."""
         done: FloatArray = (readings - offset) @ self.twin.gyro.triad.model.matrix.T
         return done
 
     def simulated(self, device: DeviceModel, rng: np.random.Generator) -> FloatArray:
-        """Return what a device says of the motion, corrected as the real readings are.
-
-        Arrays:  -> (N, 3) rad/s.
-        """
-        said = np.asarray(simulate_device(device, self.motion, rng=rng).record.gyro, dtype=np.float64)
+        """Return a device's readings of the motion, (N, 3) rad/s, corrected as the real readings are."""
+        readings = np.asarray(simulate_device(device, self.motion, rng=rng).record.gyro, dtype=np.float64)
         adc = self.twin.adc if device.gyro.adc is not None else None
         offset = self.twin.gyro.triad.model.offset
-        return self.corrected(restored(said, adc), offset)
+        return self.corrected(restored(readings, adc), offset)
 
 
-def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> Stage:
-    """Fit the twin to all recordings but one, and put the one before it."""
+def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> HeldOutMotion:
+    """Fit the twin to all recordings but one, and return it with the motion of that one."""
     others = [k for k in range(len(prepared.records)) if k != number]
     if twin is None:
         if not others:
@@ -184,7 +167,7 @@ def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> St
     spline = fit_pose_spline(replace(match.reference, position=None), MOTION_SETTINGS)
     motion = spline.at(match.record.time - (lag - 0.5 / rate), twin.settings.gravity_m_s2)
     device = replace(device_of(twin, sample_rate_hz=rate), sampling=Sampling())
-    return Stage(
+    return HeldOutMotion(
         match=match,
         twin=twin,
         device=device,
@@ -199,33 +182,33 @@ def compare_held_out(
     """Hold every recording out in turn and compare the twin of the others with it."""
     found = []
     for number in range(len(prepared.records)):
-        stage = hold_out(prepared, number)
-        real = stage.corrected(stage.match.gyro, stage.offset)
-        said = stage.simulated(stage.device, rng)
+        held = hold_out(prepared, number)
+        real = held.corrected(held.match.gyro, held.offset)
+        simulated = held.simulated(held.device, rng)
         for length in lengths_s:
-            errors = window_errors(stage, real, said, length)
+            errors = window_errors(held, real, simulated, length)
             if len(errors.pitch):
-                found.append(HeldOutTrial(recording=stage.match.name, window_s=length, errors=errors))
+                found.append(HeldOutTrial(recording=held.match.name, window_s=length, errors=errors))
     return tuple(found)
 
 
-def window_errors(stage: Stage, one: FloatArray, other: FloatArray, length_s: float) -> WindowErrors:
-    """Compare two rates over every window of the motion.
-
-    Arrays: one (N, 3) rad/s, other (N, 3) rad/s.
-    """
-    known = stage.match.moving & (np.asarray(stage.motion.valid) > 0.0)
+def window_errors(held: HeldOutMotion, one: FloatArray, other: FloatArray, length_s: float) -> WindowErrors:
+    """Compare two rates (N, 3), rad/s, over every window of the motion."""
+    known = held.match.moving & (np.asarray(held.motion.valid) > 0.0)
     known &= np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
-    rows = [run_errors(stage.motion, one, other, slice(int(a), int(b)), length_s) for a, b in runs(known)]
+    return _over_windows(held.motion, one, other, known, length_s)
+
+
+def _over_windows(
+    motion: Motion, one: FloatArray, other: FloatArray, known: BoolArray, length_s: float
+) -> WindowErrors:
+    rows = [run_errors(motion, one, other, slice(int(a), int(b)), length_s) for a, b in runs(known)]
     table = np.concatenate([r for r in rows if len(r)] or [np.empty((0, 5))])
     return WindowErrors(pitch=table[:, 0], tilt=table[:, 1], end=table[:, 2:])
 
 
 def run_errors(motion: Motion, one: FloatArray, other: FloatArray, rows: slice, length_s: float) -> FloatArray:
-    """Compare two rates over every window of one stretch.
-
-    Arrays: one (N, 3) rad/s, other (N, 3) rad/s -> (W, 5) rad.
-    """
+    """Compare two rates (N, 3), rad/s, over every window of one stretch: pitch, tilt, end about x, y, z, (W, 5) rad."""
     time, q = motion.time[rows], motion.q_nb[rows]
     rate = motion.sample_rate_hz
     samples, stride = round(length_s * rate), max(1, round(STRIDE_S * rate))
@@ -257,7 +240,7 @@ def plain(device: DeviceModel) -> DeviceModel:
     return with_offset(replace(device, gyro=replace(device.gyro, white_noise=None, adc=None)), offset)
 
 
-# ---- End errors: what many devices that the twin allows would be off by after a motion, beside what the real one was.
+# ---- end errors of devices that the twin allows, and of the real one
 
 Row = Literal["raw", "rest"]
 ROWS: tuple[Row, ...] = ("raw", "rest")
@@ -270,8 +253,8 @@ _WITHIN = (2.5, 97.5)  # per cent of the draws
 class Ending:
     """End errors of one recording."""
 
-    recording: str  # Name
-    row: Row  # "raw": no offset taken off. "rest": less the mean of the first rest
+    recording: str
+    row: Row  # "raw": no offset subtracted. "rest": less the mean of the first rest
     real: FloatArray  # (2,), total and inclination, rad
     simulated: FloatArray  # (D, 2), the same of every draw
 
@@ -292,25 +275,25 @@ def end_errors(prepared: Prepared, *, rng: np.random.Generator, draws: int = 60)
     """Compare simulated and real end errors of every recording, each against the twin of the others."""
     found: list[Ending] = []
     for number in range(len(prepared.records)):
-        stage = hold_out(prepared, number)
-        simulated = _simulated(stage, rng, draws)
+        held = hold_out(prepared, number)
+        simulated = _simulated(held, rng, draws)
         for k, row in enumerate(ROWS):
             settings = TrialSettings(offset="none" if row == "raw" else "rest", adc="none")
             figures = validate_trial(prepared.records[number], prepared.references[number], settings=settings).figures
             real = np.array([figures.end_total_deg, figures.end_inclination_deg]) * RADIAN_PER_DEGREE
-            found.append(Ending(recording=stage.match.name, row=row, real=real, simulated=simulated[k]))
+            found.append(Ending(recording=held.match.name, row=row, real=real, simulated=simulated[k]))
     return tuple(found)
 
 
-def _simulated(stage: Stage, rng: np.random.Generator, draws: int) -> FloatArray:
-    match, twin, span = stage.match, stage.twin, stage.match.span
+def _simulated(held: HeldOutMotion, rng: np.random.Generator, draws: int) -> FloatArray:
+    match, twin, span = held.match, held.twin, held.match.span
     last = int(np.searchsorted(match.record.time, span.stop_s + _END_S)) + 1
     time = match.record.time[:last]
     slow = fit_pose_spline(replace(match.reference, position=None), SLOW_SETTINGS)
-    motion = slow.at(stage.motion.time[:last], twin.settings.gravity_m_s2)
+    motion = slow.at(held.motion.time[:last], twin.settings.gravity_m_s2)
     inside = (time >= span.start_s) & (time < span.stop_s)
     known = (np.asarray(motion.valid) > 0.0)[:, None]
-    rate = np.where(known, np.nan_to_num(motion.mean_rate_b), stage.corrected(match.gyro[:last], stage.offset))
+    rate = np.where(known, np.nan_to_num(motion.mean_rate_b), held.corrected(match.gyro[:last], held.offset))
     rate = rate * inside[:, None]
     first = int(np.searchsorted(time, span.start_s - _LEAD_S))
     seen = motion.q_nb[:first][known[:first, 0]]
@@ -320,35 +303,35 @@ def _simulated(stage: Stage, rng: np.random.Generator, draws: int) -> FloatArray
     tilted = _tilted(start, twin)
     out = np.empty((2, draws, 2))
     for d in range(draws):
-        device, change = _drawn(stage, rng)
-        fed = rate + inside[:, None] * change
-        said = np.asarray(simulate_device(device, _turning(time, fed), rng=rng).record.gyro, dtype=np.float64)
-        rest = said[:first].mean(axis=0)
+        device, change = _drawn(held, rng)
+        motion = _turning(time, rate + inside[:, None] * change)
+        readings = np.asarray(simulate_device(device, motion, rng=rng).record.gyro, dtype=np.float64)
+        rest = readings[:first].mean(axis=0)
         for k, offset in enumerate((np.zeros(3), rest)):
-            q = integrate_strapdown(said[first:] - offset, time[first:], tilted)
+            q = integrate_strapdown(readings[first:] - offset, time[first:], tilted)
             error = compare_orientations(q[ends], truth[ends])
             out[k, d] = np.median(error.total), np.median(error.inclination)
     return out
 
 
-def _drawn(stage: Stage, rng: np.random.Generator) -> tuple[DeviceModel, FloatArray]:
-    """Return a device with its offset at rest, and the rate that its change of offset in motion feigns."""
-    twin, gyro = stage.twin, stage.twin.gyro
+def _drawn(held: HeldOutMotion, rng: np.random.Generator) -> tuple[DeviceModel, FloatArray]:
+    """Return a device with its offset at rest, and the apparent rate of its change of offset in motion."""
+    twin, gyro = held.twin, held.twin.gyro
     step = rng.multivariate_normal(np.zeros(12), gyro.triad.model.covariance[:12, :12], method="eigh")
     matrix = gyro.triad.model.matrix + step[:9].reshape(3, 3)
     n = len(gyro.rest_offsets)
     again = np.sqrt(1.0 + 1.0 / n)  # the mean of n and one more recording
     spread = spread_of(gyro.rest_offsets, twin.settings.offset_spread)
     rest = gyro.rest_offsets.mean(axis=0) + again * spread * rng.standard_normal(3)
-    wander = again * twin.settings.motion_offset_spread * rng.standard_normal(3)
-    change = matrix @ (gyro.motion_offset + step[9:] + wander)
+    moved = again * twin.settings.motion_offset_spread * rng.standard_normal(3)
+    change = matrix @ (gyro.motion_offset + step[9:] + moved)
     chain = chain_of(matrix, rest, None, "rad/s")
-    device = replace(stage.device, gyro=replace(stage.device.gyro, scale=chain.scale, offset=Offset(constant=rest)))
+    device = replace(held.device, gyro=replace(held.device.gyro, scale=chain.scale, offset=Offset(constant=rest)))
     return device, change
 
 
 def _turning(time: FloatArray, rate: FloatArray) -> Motion:
-    # Rates alone: nothing here asks for orientation or force.
+    # Rates alone: nothing here needs orientation or force.
     n = len(time)
     return Motion(
         time=time,
@@ -362,16 +345,16 @@ def _turning(time: FloatArray, rate: FloatArray) -> Motion:
 
 
 def _tilted(q_nb: FloatArray, twin: Twin) -> FloatArray:
-    # What a start from the raw accelerometer at rest gets wrong.
+    # The tilt error of a start from the raw accelerometer at rest.
     if twin.accel is None:
         return q_nb
     up = rotate(q_nb * np.array([1.0, -1.0, -1.0, -1.0]), np.array([0.0, 0.0, twin.settings.gravity_m_s2]))
-    said = np.linalg.solve(twin.accel.model.matrix, up) + twin.accel.model.offset
-    turn = np.cross(said / np.linalg.norm(said), up / np.linalg.norm(up))
+    reading = np.linalg.solve(twin.accel.model.matrix, up) + twin.accel.model.offset
+    turn = np.cross(reading / np.linalg.norm(reading), up / np.linalg.norm(up))
     return quaternion_product(q_nb, quaternion_of(turn))
 
 
-# ---- Contributions: what each part of the twin, and of the comparison itself, adds to the difference from the real device.
+# ---- contributions
 
 DRAWS = 5
 _MARGIN_S = 1.0
@@ -381,7 +364,7 @@ _MARGIN_S = 1.0
 class Part:
     """One contribution."""
 
-    name: str  # What it is
+    name: str
     pitch: float  # Median over windows of the largest difference of pitch, rad
     tilt: float  # Median over windows of the largest angle between the verticals, rad
 
@@ -390,18 +373,18 @@ def contributions(
     prepared: Prepared, number: int, *, rng: np.random.Generator, length_s: float = 5.0
 ) -> tuple[Part, ...]:
     """Return what limits the twin on one held-out recording."""
-    stage = hold_out(prepared, number)
-    bare = plain(stage.device)
-    ideal = stage.simulated(bare, rng)
+    held = hold_out(prepared, number)
+    bare = plain(held.device)
+    ideal = held.simulated(bare, rng)
 
     def alone(device: DeviceModel) -> WindowErrors:
-        return window_errors(stage, stage.simulated(device, rng), ideal, length_s)
+        return window_errors(held, held.simulated(device, rng), ideal, length_s)
 
-    white = replace(bare, gyro=replace(bare.gyro, white_noise=stage.device.gyro.white_noise))
-    codes = replace(bare, gyro=replace(bare.gyro, adc=stage.device.gyro.adc))
-    fits = [alone(drawn_gyro(bare, stage.twin, rng)) for _ in range(DRAWS)]
+    white = replace(bare, gyro=replace(bare.gyro, white_noise=held.device.gyro.white_noise))
+    codes = replace(bare, gyro=replace(bare.gyro, adc=held.device.gyro.adc))
+    fits = [alone(drawn_gyro(bare, held.twin, rng)) for _ in range(DRAWS)]
     whole = _part(
-        "found", window_errors(stage, stage.corrected(stage.match.gyro, stage.offset), stage.simulated(stage.device, rng), length_s)
+        "found", window_errors(held, held.corrected(held.match.gyro, held.offset), held.simulated(held.device, rng), length_s)
     )  # fmt: skip
     parts = [
         _part("white noise", alone(white)),
@@ -411,7 +394,7 @@ def contributions(
             pitch=float(np.mean([_part("", e).pitch for e in fits])),
             tilt=float(np.mean([_part("", e).tilt for e in fits])),
         ),
-        _part("device and poses at rest", _at_rest(stage, length_s)),
+        _part("device and poses at rest", _at_rest(held, length_s)),
     ]
     known = parts[1:] if np.isfinite(parts[3].pitch) else parts[:3]  # the rest holds white noise already
     left = Part(
@@ -427,22 +410,22 @@ def contributions(
     return (*parts, left, whole, own)
 
 
-def _at_rest(stage: Stage, length_s: float) -> WindowErrors:
-    match, motion = stage.match, stage.motion
+def _at_rest(held: HeldOutMotion, length_s: float) -> WindowErrors:
+    match, motion = held.match, held.motion
     still = (motion.time < match.span.start_s - _MARGIN_S) & (np.asarray(motion.valid) > 0.0)
-    real = stage.corrected(match.gyro, match.rest_offset)
+    real = held.corrected(match.gyro, match.rest_offset)
     seen = np.nan_to_num(motion.mean_rate_b)
-    rows = [run_errors(motion, real, seen, slice(int(a), int(b)), length_s) for a, b in runs(still)]
-    table = np.concatenate([r for r in rows if len(r)] or [np.empty((0, 5))])
-    return WindowErrors(pitch=table[:, 0], tilt=table[:, 1], end=table[:, 2:])
+    return _over_windows(motion, real, seen, still, length_s)
 
 
 def _part(name: str, errors: WindowErrors) -> Part:
-    seen = errors.pitch[np.isfinite(errors.pitch)]
-    pitch = float(np.median(seen)) if len(seen) else float("nan")
-    return Part(name=name, pitch=pitch, tilt=float(np.median(errors.tilt)) if len(errors.tilt) else float("nan"))
+    seen, nothing = errors.pitch[np.isfinite(errors.pitch)], float("nan")
+    return Part(
+        name=name,
+        pitch=float(np.median(seen)) if len(seen) else nothing,
+        tilt=float(np.median(errors.tilt)) if len(errors.tilt) else nothing,
+    )
 
 
 def _rest_of(whole: float, parts: list[float]) -> float:
-    square = whole**2 - float(np.sum(np.square(np.asarray(parts, dtype=np.float64))))
-    return float(np.sqrt(max(square, 0.0)))
+    return float(np.sqrt(max(whole**2 - float(np.sum(np.square(parts))), 0.0)))

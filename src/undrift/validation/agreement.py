@@ -1,4 +1,4 @@
-"""Several recordings: each judged, means and medians, agreement over trials, and fits judged where they were not made.
+"""Several recordings: errors of each, means and medians, agreement over trials, and leave-one-out.
 
 Agreement of methods or raters: a two-way layout of n subjects (here trials) and k methods, with mean squares MSR of rows, MSC
 of columns and MSE of the rest [1]_::
@@ -8,7 +8,7 @@ of columns and MSE of the rest [1]_::
     SEM      = sqrt(max(MSC - MSE, 0) / n + MSE)                        standard error of one measurement
     MDC95    = 1.96 sqrt(2) SEM                                         least change between two that is real
 
-Intervals from F distributions [2]_. An ICC depends on how much the subjects differ: it stands beside the limits, never alone.
+Intervals from F distributions [2]_. An ICC depends on how much the subjects differ: report it with the limits, never alone.
 
 References
 ----------
@@ -32,7 +32,7 @@ from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, validate_trial
 
-# ---- Agreement of methods or raters
+# ---- two methods, or several raters
 
 Interval = tuple[float, float]
 Z95 = 1.959963984540054
@@ -64,10 +64,7 @@ class IntraclassCorrelation:
 
 
 def bland_altman(first: FloatArray, second: FloatArray) -> BlandAltman:
-    """Compare two methods over subjects, one value each.
-
-    Arrays: first (n,), second (n,).
-    """
+    """Compare two methods over subjects, one value each (n,)."""
     from scipy.special import stdtrit
 
     table = _table(np.stack((first, second), axis=1) if len(first) == len(second) else np.empty((0, 2)))
@@ -91,10 +88,7 @@ def bland_altman(first: FloatArray, second: FloatArray) -> BlandAltman:
 def intraclass_correlation(
     ratings: FloatArray, kind: Literal["ICC(2,1)", "ICC(3,1)"] = "ICC(2,1)"
 ) -> IntraclassCorrelation:
-    """Return an intraclass correlation of single measurements with its 95 % interval.
-
-    Arrays: ratings (n, k).
-    """
+    """Return an intraclass correlation of single measurements, ratings (n, k), with its 95 % interval."""
     table = _table(ratings)
     n, k = table.shape
     rows, columns, rest = _mean_squares(table)
@@ -170,7 +164,7 @@ def _consistency_interval(n: int, k: int, rows: float, rest: float) -> Interval:
 # ---- agreement
 
 LEAST_FOR_AGREEMENT = 3
-ONE_DEVICE_DPS = 0.1  # what one warm device reads at rest repeats within 0.01-0.02 deg/s over a session, BROAD
+ONE_DEVICE_DPS = 0.1  # BROAD: one warm device repeats its reading at rest within 0.01-0.02 deg/s over a session
 REFERENCE_SETTINGS = ReferenceSettings()
 
 Pair = tuple[Record, Reference]
@@ -187,13 +181,13 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Validation:
-    """Recordings judged."""
+    """Recordings compared with their references."""
 
     trials: tuple[Trial, ...]  # One for each recording, in order
     mean: Figures  # Over the trials, gaps left out
     median: Figures  # Over the trials, gaps left out
     agreement: Agreement | None  # None with fewer than three trials
-    held_out: tuple[HeldOut, ...] = ()  # The fits that judged each recording, in leave-one-out; empty otherwise
+    held_out: tuple[HeldOut, ...] = ()  # The fit that corrected each recording, in leave-one-out
 
 
 def validate_trials(
@@ -203,7 +197,7 @@ def validate_trials(
     settings: TrialSettings = TRIAL_SETTINGS,
     names: Sequence[str] = (),
 ) -> Validation:
-    """Judge several recordings against their references.
+    """Compare several recordings with their references.
 
     Parameters
     ----------
@@ -247,7 +241,7 @@ def validate_leave_one_out(
     fit_settings: ReferenceSettings = REFERENCE_SETTINGS,
     names: Sequence[str] = (),
 ) -> Validation:
-    """Judge recordings of one device, each by a gyroscope fit to the others' references.
+    """Compare recordings of one device, each by a gyroscope fit to the others' references.
 
     Of the held-out recording the fit knows its own rest before the motion, and nothing of its reference.
 
