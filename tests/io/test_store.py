@@ -329,10 +329,10 @@ def test_a_mark_is_true_or_false_and_each_node_has_one(tmp_path: Path) -> None:
             read_calibration(path)
 
 
-def test_a_warm_up_begins_at_power_on_and_dies_away() -> None:
+def test_a_warm_up_begins_at_power_on_and_ends_at_zero() -> None:
     with pytest.raises(InputError, match="wanted nodes from 0 s to an offset of zero, got 5 s and 0 at the end"):
         WarmUp(power_on_s=[5.0, 9.0], gyro_offset=np.zeros((2, 3)))
-    with pytest.raises(InputError, match="got 0 s and 2 at the end; the settled offset belongs into the static table"):
+    with pytest.raises(InputError, match="got 0 s and 2 at the end; put the settled offset into the static table"):
         WarmUp(power_on_s=[0.0, 9.0], gyro_offset=[[5.0, 5.0, 5.0], [0.0, -2.0, 0.0]])
 
 
