@@ -4,11 +4,21 @@ import tempfile
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from undrift.cli.common import Flag, Opening, calibrated_part, checked_folder, checked_output, name_of
+from undrift.cli.common import (
+    Json,
+    Opening,
+    Output,
+    Policy,
+    calibrated_part,
+    checked_folder,
+    checked_output,
+    name_of,
+    progress,
+    say,
+    write_json,
+)
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,12 +38,12 @@ MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 
 def correct(
     *records: Path,
     calibration: Path,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    policy: Literal["raise", "hold", "nan"] = "raise",
+    output: Output,
+    policy: Policy = "raise",
     power_on_s: float | None = None,
     opening: Opening = Opening(),
     scheduler: str | None = None,
-    json: Flag = False,
+    json: Json = False,
 ) -> int:
     """Turn raw recordings into rad/s and m/s2. Parquet streams in constant memory.
 
@@ -54,15 +64,12 @@ def correct(
         How to read a foreign recording.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
-    json : bool
-        One JSON object on stdout.
 
     Returns
     -------
     int
         Exit code.
     """
-    from undrift.cli.common import console, write_json
     from undrift.correction.stream import Corrector
     from undrift.io.store import read_calibration
 
@@ -86,18 +93,17 @@ def correct(
         rows = [_row(*result) for result in results]
         write_json({"calibration": str(calibration), "recordings": rows})
         return 0
-    out = console()
-    for record, target, state, said in results:
-        out.print(f"{record} -> {target}: {state.samples} samples in rad/s and m/s2", markup=False)
-        for text in said.warnings:
-            out.print(f"  warning: {text}", markup=False)
-        for text in said.notes:
-            out.print(f"  note: {text}", markup=False)
+    for record, target, state, remarks in results:
+        say(
+            f"{record} -> {target}: {state.samples} samples in rad/s and m/s2",
+            *(f"  warning: {text}" for text in remarks.warnings),
+            *(f"  note: {text}" for text in remarks.notes),
+        )
     return 0
 
 
-def _row(record: Path, target: Path, state: "CorrectorState", said: "Said") -> dict[str, object]:
-    """What --json says of one recording."""
+def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks") -> dict[str, object]:
+    """Return a recording as --json has it."""
     return {
         "recording": str(record),
         "output": str(target),
@@ -117,23 +123,21 @@ def _row(record: Path, target: Path, state: "CorrectorState", said: "Said") -> d
                 "range": one.seen,
                 "unit": "rad/s" if one.sensor == "gyro" else "m/s2",
             }
-            for one in said.beyond
+            for one in remarks.beyond
             if one.samples
         ],
-        "warnings": said.warnings,
-        "notes": said.notes,
+        "warnings": remarks.warnings,
+        "notes": remarks.notes,
     }
 
 
 def _correct_all(
     records: tuple[Path, ...],
     targets: list[Path],
-    correct_one: "Callable[..., tuple[CorrectorState, Said]]",
+    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]",
     scheduler: str | None,
-) -> list[tuple[Path, Path, "CorrectorState", "Said"]]:
+) -> list[tuple[Path, Path, "CorrectorState", "Remarks"]]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
-    from undrift.cli.common import progress
-
     done = []
     with tempfile.TemporaryDirectory(dir=targets[0].parent, prefix=".undrift-") as held, progress() as shown:
         parts = [Path(held) / target.name for target in targets]
@@ -154,10 +158,10 @@ class _Job:
 
     record: Path
     part: Path
-    correct_one: "Callable[..., tuple[CorrectorState, Said]]"
+    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]"
 
 
-def _do(job: _Job) -> tuple["CorrectorState", "Said"]:
+def _do(job: _Job) -> tuple["CorrectorState", "Remarks"]:
     return job.correct_one(job.record, job.part, advance=_unwatched)
 
 
@@ -168,10 +172,10 @@ def _unwatched(_: float) -> None:
 def _on_workers(
     records: tuple[Path, ...],
     parts: list[Path],
-    correct_one: "Callable[..., tuple[CorrectorState, Said]]",
+    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]",
     scheduler: str,
     shown: "Progress",
-) -> list[tuple["CorrectorState", "Said"]]:
+) -> list[tuple["CorrectorState", "Remarks"]]:
     from undrift.study.run import Dask
 
     jobs = [_Job(record.resolve(), part.resolve(), correct_one) for record, part in zip(records, parts, strict=True)]
@@ -206,22 +210,12 @@ def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, .
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Said:
-    """What correcting a recording had to say.
+class Remarks:
+    """What a reader of a corrected recording should know."""
 
-    Parameters
-    ----------
-    warnings : list of str
-        Where the calibration did not cover it, and what makes one doubt that it was read rightly.
-    notes : list of str
-        What a reader of the result may not expect.
-    beyond : tuple of Beyond
-        Readings beyond what the fits have seen, which the warnings tell of too.
-    """
-
-    warnings: list[str]
+    warnings: list[str]  # Where the calibration did not cover it, and signs that it was not read rightly
     notes: list[str]
-    beyond: "tuple[Beyond, ...]" = ()
+    beyond: "tuple[Beyond, ...]" = ()  # Readings beyond the range of the fits; in the warnings too
 
 
 def _correct_one(
@@ -232,39 +226,43 @@ def _correct_one(
     model: "Calibration",
     opening: Opening,
     advance: "Callable[[float], None]",
-) -> tuple["CorrectorState", Said]:
+) -> tuple["CorrectorState", Remarks]:
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
     from undrift.io.formats import iter_record, write_record
     from undrift.io.parquet import ParquetWriter
 
-    stream, doubts, notes = corrector(), list[str](), dict[str, None]()
+    stream, suspicions, notes = corrector(), list[str](), dict[str, None]()
     if not part.name.endswith(".parquet"):
         raw, left_out = calibrated_part(opening.read(record), model)
         done = stream.push_checked(raw)
         _check_unit(done.record, record, raw.accel_unit)
         write_record(done.record, part)
-        doubts = _doubts(done.record, model)
-        return stream.state, _said(doubts, done.warnings, (*left_out, *done.notes), find_beyond(done.record, model))
+        suspicions = _suspicions(done.record, model)
+        return stream.state, _remarks(
+            suspicions, done.warnings, (*left_out, *done.notes), find_beyond(done.record, model)
+        )
     beyond: tuple[Beyond, ...] = ()
     with ParquetWriter(part) as writer:
         for read in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
             chunk, left_out = calibrated_part(read, model)
             done = stream.push_checked(chunk)
-            if stream.state.samples == len(chunk):  # the first chunk tells
+            if stream.state.samples == len(chunk):  # the first chunk is enough
                 _check_unit(done.record, record, chunk.accel_unit)
-                doubts = _doubts(done.record, model)
+                suspicions = _suspicions(done.record, model)
             writer.write(done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
-    return stream.state, _said(doubts, stream.warnings, notes, beyond)
+    return stream.state, _remarks(suspicions, stream.warnings, notes, beyond)
 
 
-def _said(doubts: list[str], warnings: "Iterable[str]", notes: "Iterable[str]", beyond: "tuple[Beyond, ...]") -> Said:
+def _remarks(
+    suspicions: list[str], warnings: "Iterable[str]", notes: "Iterable[str]", beyond: "tuple[Beyond, ...]"
+) -> Remarks:
     texts = [one.text for one in beyond if one.text]
-    return Said(warnings=[*doubts, *warnings, *texts], notes=[*notes], beyond=beyond)
+    return Remarks(warnings=[*suspicions, *warnings, *texts], notes=[*notes], beyond=beyond)
 
 
 def _check_unit(done: "Record", path: Path, unit: str) -> None:
@@ -282,22 +280,22 @@ def _check_unit(done: "Record", path: Path, unit: str) -> None:
         )
 
 
-def _doubts(done: "Record", model: "Calibration") -> list[str]:
-    """Return what makes one doubt that the right columns were read in the right unit."""
+def _suspicions(done: "Record", model: "Calibration") -> list[str]:
+    """Return signs that other columns or another unit were read than meant."""
     from undrift.io.inspect import GRAVITY_RANGE, median_accel_g
 
     named = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
-    doubts = [
+    suspicions = [
         f"no {what} in the recording, though the calibration has one: check the names of its columns"
         for what, triad, values in named
         if triad is not None and values is None
     ]
     median = median_accel_g(done)
     if median < GRAVITY_RANGE[0] or median > GRAVITY_RANGE[1]:
-        doubts.append(
+        suspicions.append(
             f"the median of the corrected specific force is {median:.3g} g, far from 1 g: check the unit and the device"
         )
-    return doubts
+    return suspicions
 
 
 def _rows(record: Path) -> int | None:

@@ -21,7 +21,7 @@ from undrift.cli.common import (
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from undrift.drift.fit import DriftFit, TableChoice
+    from undrift.drift.fit import DriftFit, DriftSettings, TableChoice
     from undrift.model import Calibration
     from undrift.record import Session
 
@@ -87,8 +87,7 @@ def drift(
         0, or 1 when the verdict is bad.
     """
     from undrift.drift.checks import verdict_before
-    from undrift.drift.fit import DriftSettings, fit_drift
-    from undrift.drift.sessions import check_once
+    from undrift.drift.fit import DriftSettings
     from undrift.drift.static import CurveSettings, StaticSettings
     from undrift.io.store import calibration_json, read_calibration, write_calibration
     from undrift.report.figures import PICTURES
@@ -111,19 +110,7 @@ def drift(
         if path is not None:
             checked_output(path, endings=endings, reads=(*read, calibration, opening.column_map))
     model = None if calibration is None else read_calibration(calibration)
-    with progress() as shown:
-        task = shown.add_task("reading", total=1.0)
-        held = []
-        for k, path in enumerate(sessions):
-            shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
-            held.append(_read(path, opening, model))
-        check_once(held)
-        fit = fit_drift(
-            _by_power_on(sessions, held),
-            model,
-            settings=settings,
-            told=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
-        )
+    fit = _fit(sessions, opening, model, settings)
     _write_pictures(fit, report, figure)
     if output is not None:
         write_calibration(fit.calibration, output)
@@ -136,6 +123,28 @@ def drift(
             say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
         _say_next(fit, output, (figure, report))
     return 1 if fit.calibration.verdict.status == "bad" else 0
+
+
+def _fit(
+    sessions: tuple[Path, ...], opening: Opening, model: "Calibration | None", settings: "DriftSettings"
+) -> "DriftFit":
+    """Read the sessions and fit their tables, with a bar."""
+    from undrift.drift.fit import fit_drift
+    from undrift.drift.sessions import check_once
+
+    with progress() as shown:
+        task = shown.add_task("reading", total=1.0)
+        held = []
+        for k, path in enumerate(sessions):
+            shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
+            held.append(_read(path, opening, model))
+        check_once(held)
+        return fit_drift(
+            _by_power_on(sessions, held),
+            model,
+            settings=settings,
+            told=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
+        )
 
 
 def _range(text: str) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.cli.common import Json, Opening, Output, Policy, Side, check_physical, checked_output, say, write_json
 from undrift.errors import InputError
@@ -64,7 +64,10 @@ def orient(
     int
         Exit code.
     """
+    from undrift.correction.correct import correct_checked
+    from undrift.correction.coverage import find_beyond
     from undrift.io.parquet import write_orientation
+    from undrift.io.store import read_calibration
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
 
@@ -73,10 +76,6 @@ def orient(
     if calibration is None:
         check_physical(readings, record)
     else:
-        from undrift.correction.correct import correct_checked
-        from undrift.correction.coverage import find_beyond
-        from undrift.io.store import read_calibration
-
         held = read_calibration(calibration)
         done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
         beyond = (one.text for one in find_beyond(done.record, held) if one.text)
@@ -84,28 +83,25 @@ def orient(
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     found = find(readings, _still(readings, still_start_s, still_stop_s), settings, accel_model=model)
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
-    start_s, stop_s = (float(found.time[k]) for k in (found.still.start, found.still.stop - 1))
-    inclination, pitch = _span(found.inclination), _span(found.pitch)
-    tilt_uncertainty = math.degrees(found.tilt.inclination_uncertainty)
+    made: dict[str, Any] = {
+        "samples": len(found.time),
+        "still": [float(found.time[k]) for k in (found.still.start, found.still.stop - 1)],
+        "tilt_uncertainty_deg": math.degrees(found.tilt.inclination_uncertainty),
+        "offset_dps": found.offset * (180.0 / math.pi),
+        "inclination_deg": _span(found.inclination),
+        "pitch_deg": _span(found.pitch),
+    }
     if json:
-        made = {
-            "samples": len(found.time),
-            "still": [start_s, stop_s],
-            "tilt_uncertainty_deg": tilt_uncertainty,
-            "offset_dps": found.offset * (180.0 / math.pi),
-            "inclination_deg": inclination,
-            "pitch_deg": pitch,
-        }
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes})
         return 0
-    share = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
-    if model is not None:
-        share = "scatter and calibration"
+    alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
+    share = alone if model is None else "scatter and calibration"
     say(
-        f"{record} -> {output}: {len(found.time)} samples",
-        f"  tilt from the still phase {start_s:.1f} to {stop_s:.1f} s, standard uncertainty {tilt_uncertainty:.3f} deg ({share})",
-        f"  inclination: {inclination[0]:.2f} to {inclination[1]:.2f} deg",
-        f"  pitch: {pitch[0]:.2f} to {pitch[1]:.2f} deg",
+        f"{record} -> {output}: {made['samples']} samples",
+        "  tilt from the still phase {:.1f} to {:.1f} s, ".format(*made["still"])
+        + f"standard uncertainty {made['tilt_uncertainty_deg']:.3f} deg ({share})",
+        "  inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
+        "  pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
         *(f"  note: {note}" for note in notes),
     )
     return 0

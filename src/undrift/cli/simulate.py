@@ -91,34 +91,27 @@ def simulate(
 
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
-    rng = np.random.default_rng(seed)
+    rng, simulated = np.random.default_rng(seed), None
     model = _device(device, draw, rng)
-    simulated: Simulated | None = None
     if motion.startswith(THERMAL):
         kind = _thermal_kind(
             motion, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
         )
         made = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
-        low, high = cast("list[float]", made["temp_c"])
-        lines = [
-            f"{motion} -> {output}: {made['samples']} samples at {made['sample_rate_hz']:.6g} Hz over "
-            f"{made['duration_s']:.0f} s, {low:.1f} to {high:.1f} degC, {made['stills']} stills, {made['turns']} turns"
-        ]
+        lines = [f"{motion} -> {output}: {_summary(made)}"]
     else:
         with waiting(f"simulating {motion}"):
             moved, where, chosen = _motion(
                 motion, sample_rate_hz or 100.0, gravity_m_s2, labels_of(markers), reference_up, cutoff_hz, rng
             )
             simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
-        record = simulated.record
-        write_record(record, output)
+        write_record(simulated.record, output)
         if truth is not None:
-            poses = Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving)
-            write_reference(poses, truth)
+            write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
         cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
         made = ({"cutoff": cutoffs} if chosen else {}) | _figures(simulated, model)
         lines = [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()]
-        lines.append(f"{motion} -> {output}: {len(record)} samples at {record.sample_rate_hz:.6g} Hz")
+        lines.append(f"{motion} -> {output}: {made['samples']} samples at {made['sample_rate_hz']:.6g} Hz")
     if save_device is not None:
         write_device(model, save_device)
     if json:
@@ -183,6 +176,14 @@ def _thermal(
         "stills": len(session.stills),
         "turns": len(session.turns),
     }
+
+
+def _summary(made: dict[str, object]) -> str:
+    low, high = cast("list[float]", made["temp_c"])
+    return (
+        f"{made['samples']} samples at {made['sample_rate_hz']:.6g} Hz over {made['duration_s']:.0f} s, "
+        f"{low:.1f} to {high:.1f} degC, {made['stills']} stills, {made['turns']} turns"
+    )
 
 
 def _device(name: str, draw: bool, rng: "np.random.Generator") -> "DeviceModel":

@@ -2,7 +2,7 @@
 
 The source evaluates the model of ``correction/correct.py`` in its order: rounding, static table and warm-up, matrix or scale table,
 g-sensitivity, dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table
-up in a time that does not depend on the data. A thermometer's lag is taken off by a function of its own, whose state the caller
+up in a time that does not depend on the data. A thermometer's lag is removed by a function of its own, whose state the caller
 owns (export/firmware.py); the warm-up by a second entry, to which the caller gives the time since power-on. One source makes three
 builds: ``-DUNDRIFT_FLOAT``, ``-DUNDRIFT_DOUBLE``, ``-DUNDRIFT_FIXED``.
 """
@@ -228,13 +228,13 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     lead = lead_of(calibration)
     if lead is not None:
         notes += (
-            f"the thermometer's lag of {lead.lag_s:.3g} s is taken off by {settings.prefix}_temperature: pass every reading "
+            f"the thermometer's lag of {lead.lag_s:.3g} s is removed by {settings.prefix}_temperature: pass every reading "
             f"through it before {settings.prefix}_correct",
         )
     if gyro.warm_up_table is not None:
         over = gyro.warm_up_table.temp.stop
         notes += (
-            f"the extra offset after power-on, over after {over:g} s, is taken off by {settings.prefix}_correct_since, which wants "
+            f"the extra offset after power-on, zero from {over:g} s on, is subtracted by {settings.prefix}_correct_since, which takes "
             f"the time since power-on; {settings.prefix}_correct leaves it in",
         )
     source, sizes = _source(views, calibration, settings, lead)

@@ -4,30 +4,7 @@ A table whose nodes are whole multiples of one step is put on the even grid that
 cell is found by one multiplication; one that would more than double its memory that way keeps its nodes, and the cell is
 found by bisection in a number of steps that depends on the table alone. Either way a lookup takes constant time.
 
-Fixed point: every number of a triad as integers, and what that costs in accuracy.
-
-Readings, temperatures and results are int32 with 16 bits behind the point (Q16.16); readings with fewer where their codes need
-the room. A table holds int16 values q of a value y, one base and scale for each column::
-
-    y = (base + q scale / 2^shift) / 2^bits        positions in a table have 16 bits behind the point too
-
-Products are int64, sums are rounded to nearest, results saturate. Where nothing saturates and the result lies within
-``FULL_RATE`` and ``FULL_FORCE`` on every axis, the error against exact arithmetic on the same inputs is at most ``bound``: the
-sum of what each rounding can do at worst.
-
-What a build costs on a small controller, estimated: bytes of flash, and cycles of one sample.
-
-Tables are counted byte by byte. Instructions are estimates for a Cortex-M4F at -O2 with tables in flash without wait states:
-float uses its floating-point unit, double is done in software, fixed point uses the 32 by 32 bit multiplier. A sample costs the
-sum of its steps, each step being so many loads, products, comparisons and so on, counted by hand from the generated source.
-
-The lead that takes a thermometer's lag off, as firmware evaluates it: the same filter as drift/thermometer_lag.py, rewritten.
-
-With d = x - z, how far the reading x is from its low-passed z, a = dt / smooth, and g = lag / smooth::
-
-    d = e^-a d + m (x - x_before)     m = (1 - e^-a) / a          y = x + (g - 1) d
-
-so that two numbers are carried, and d is small where the temperature is steady: float loses little.
+Then the same in integers with its error bound, the cost of each build, and the lead that removes a thermometer's lag.
 """
 
 import math
@@ -93,14 +70,13 @@ class Triad:
     name: str  # gyro or accel
     unit_in: str  # Unit of the reading
     matrix: FloatArray  # (3, 3), SI per raw unit
-    offset: FloatArray  # (3,), raw unit; half a step is taken off where codes are rounded down
+    offset: FloatArray  # (3,), raw unit; less half a step where codes are rounded down
     half_step: FloatArray | None  # (3,), raw unit; None unless codes are cut off toward zero
     g_sensitivity: FloatArray | None  # (3, 3), rad/s per m/s2
     offset_table: Table | None  # In the same units
     matrix_table: Table | None  # In the same units
     error_table: Table | None  # In the same units
-    # Extra offset over the time since power-on, s, in the place of the temperature; zero at its last node and after
-    # it
+    # Extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
     warm_up_table: Table | None = None
 
     @property
@@ -188,10 +164,7 @@ def nominal_triad(name: str, quantity: Quantity, unit: str) -> Triad:
 
 
 def rounding_of(calibration: Calibration, *, is_gyro: bool) -> tuple[FloatArray | None, FloatArray]:
-    """Return what gives back the half step that the rounding of the codes took.
-
-    Arrays:  -> (3,), (3,).
-    """
+    """Return the half step of codes cut off toward zero, and the shift of codes rounded down; both (3,)."""
     adc, zero = calibration.adc, np.zeros(3)
     lsb = None if adc is None else adc.gyro_lsb if is_gyro else adc.accel_lsb
     if adc is None or lsb is None:
@@ -239,7 +212,16 @@ def _check_finite(triad: Triad) -> None:
         )
 
 
-# ---- Fixed point: every number of a triad as integers, and what that costs in accuracy.
+# ---- Fixed point
+#
+# Readings, temperatures and results are int32 with 16 bits behind the point (Q16.16); readings with fewer where their codes
+# need the room. A table holds int16 values q of a value y, one base and scale for each column:
+#
+#     y = (base + q scale / 2^shift) / 2^bits        positions in a table have 16 bits behind the point too
+#
+# Products are int64, sums are rounded to nearest, results saturate. Where nothing saturates and the result lies within
+# FULL_RATE and FULL_FORCE on every axis, the error against exact arithmetic on the same inputs is at most ``bound``: the sum
+# of the worst that each rounding can do.
 
 OUT_BITS = 16
 FULL_RATE = 2000.0 * RADIAN_PER_DEGREE  # rad/s: the range that the error bound is stated for
@@ -444,7 +426,11 @@ def _bound(
     return bound
 
 
-# ---- What a build costs on a small controller, estimated: bytes of flash, and cycles of one sample.
+# ---- Cost of a build: bytes of flash, and cycles of one sample
+#
+# Tables are counted byte by byte. Instructions are estimates for a Cortex-M4F at -O2 with tables in flash without wait states:
+# float uses its floating-point unit, double is done in software, fixed point uses the 32 by 32 bit multiplier. A sample costs
+# the sum of its steps, each so many loads, products, comparisons and so on, counted by hand from the generated source.
 
 Arithmetic = Literal["float", "double", "fixed"]
 ASSUMPTION = "Cortex-M4F, -O2, no wait states, double in software"
@@ -461,22 +447,12 @@ class Steps:
     both: int  # A value between four nodes, without its place on the rate axis
     row: int  # Three products of a matrix with a vector, summed
     less: int  # Half a step and offset of one axis
-    # One call of the function that takes the thermometer's lag off, with a step of time of at most half the smoothing
-    lead: int
-    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
-    # the lead
+    lead: int  # One call that removes the lag, with a step of time of at most half the smoothing
+    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for the lead
     code_base: int
-    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
-    # the lead
     code_triad: int
-    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
-    # the lead
     code_table: int
-    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
-    # the lead
     code_warm_up: int
-    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for
-    # the lead
     code_lead: int
 
 
@@ -502,7 +478,7 @@ class Cost:
     table_bytes: int  # Constants, exact
     code_bytes: int  # Instructions, estimated
     cycles: int  # One call of the correction, with the warm-up where there is one, estimated
-    lead_cycles: int = 0  # One call that takes the thermometer's lag off, estimated; 0 where there is none
+    lead_cycles: int = 0  # One call that removes the lag, estimated; 0 where there is none
 
     @property
     def flash_bytes(self) -> int:
@@ -541,8 +517,13 @@ def _place(axis: Axis, steps: Steps) -> int:
     return steps.place if axis.even else steps.place + axis.stride.bit_length() * steps.stride
 
 
-# ---- The lead that takes a thermometer's lag off, as firmware evaluates it: the same filter as drift/thermometer_lag.py,
-# rewritten.
+# ---- Lead: removes a thermometer's lag, the filter of drift/thermometer_lag.py rewritten
+#
+# With d = x - z, how far the reading x is from its low-passed z, a = dt / smooth, and g = lag / smooth:
+#
+#     d = e^-a d + m (x - x_before)     m = (1 - e^-a) / a          y = x + (g - 1) d
+#
+# so that two numbers are carried, and d is small where the temperature is steady: float loses little.
 
 STEP_BITS = 20  # behind the point of a step of time: 1 us, up to 2047 s
 SHORTEST_S, LONGEST_S = 1e-3, 1e5  # smoothing that 32 bits hold with their accuracy
@@ -553,8 +534,8 @@ MOST_GAIN = 2.0**15
 class Lead:
     """Constants of the lead."""
 
-    lag_s: float  # The thermometer's time constant and what is left of it, s
-    smooth_s: float  # The thermometer's time constant and what is left of it, s
+    lag_s: float  # The thermometer's time constant
+    smooth_s: float  # Time constant of the smoothing
 
     @property
     def gain(self) -> float:

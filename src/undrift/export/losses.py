@@ -99,7 +99,7 @@ def _of_tables(drift: DriftTables) -> list[tuple[Part, str]]:
         found.append(("dynamic", f"error over rate and temperature (the dynamic table), up to {worst:.2g} deg/s"))
     if drift.lag_s > 0.0:
         found.append(
-            ("lag", f"the thermometer's lag of {drift.lag_s:.3g} s: give the temperature with the lag taken off")
+            ("lag", f"the thermometer's lag of {drift.lag_s:.3g} s: give the temperature with the lag removed")
         )
     return found
 
