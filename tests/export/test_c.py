@@ -278,7 +278,7 @@ def test_what_is_not_carried_is_listed():
     exported = export_c(device(drift=drift, adc=ROUNDINGS[1]))
     said = " | ".join(exported.not_carried)
     assert "lag" not in said
-    assert "the thermometer's lag of 30 s is taken off by undrift_temperature" in " ".join(exported.notes)
+    assert "the thermometer's lag of 30 s is removed by undrift_temperature" in " ".join(exported.notes)
     assert "power-on" not in said
     for text in ("hysteresis", "uncertainties"):
         assert text in said

@@ -234,8 +234,8 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     if gyro.warm_up_table is not None:
         over = gyro.warm_up_table.temp.stop
         notes += (
-            f"the extra offset after power-on, zero from {over:g} s on, is subtracted by {settings.prefix}_correct_since, which takes "
-            f"the time since power-on; {settings.prefix}_correct leaves it in",
+            f"the extra offset after power-on, zero from {over:g} s on, is subtracted by {settings.prefix}_correct_since, which "
+            f"takes the time since power-on; {settings.prefix}_correct leaves it in",
         )
     source, sizes = _source(views, calibration, settings, lead)
     triads = tuple(view.real for view in views)
