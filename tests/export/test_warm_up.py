@@ -152,7 +152,7 @@ def test_the_header_tells_of_the_second_entry_and_without_a_warm_up_there_is_non
     exported = export_c(warming())
     assert "it is zero from 901.3 s on" in exported.header
     assert (
-        "undrift_correct_since, which wants the time since power-on; undrift_correct leaves it in" in exported.notes[0]
+        "undrift_correct_since, which takes the time since power-on; undrift_correct leaves it in" in exported.notes[0]
     )
     assert "2 offset(T) and warm-up" in exported.header
     assert not [text for text in exported.not_carried if "power-on" in text]
