@@ -55,11 +55,8 @@ def make_recording(
     w = turning_rate(fine, rng, rest_s=rest_s, turn_s=turn_s, speed=speed)
     middle = turning_rate_at_middle(w)
     steps = Rotation.from_rotvec(middle / FINE_HZ)
-    q = np.empty((len(fine), 4))
-    q[0] = Rotation.from_euler("xyz", (tilt, -0.5 * tilt, 0.7)).as_quat(scalar_first=True)
-    parts = steps.as_quat(scalar_first=True)
-    for k in range(len(fine) - 1):
-        q[k + 1] = product(q[k], parts[k])
+    start = Rotation.from_euler("xyz", (tilt, -0.5 * tilt, 0.7)).as_quat(scalar_first=True)
+    q = running_product(np.vstack((start, steps.as_quat(scalar_first=True)[:-1])))
     turned = Rotation.from_quat(q, scalar_first=True)
     force = turned.inv().apply((0.0, 0.0, GRAVITY))
     t = np.arange(round(total * sample_rate_hz)) / sample_rate_hz
@@ -97,14 +94,30 @@ def turning_rate_at_middle(w):
 
 
 def product(p, q):
-    return np.array(
+    """Quaternions w-x-y-z, one after the other."""
+    a, b, c, d = np.moveaxis(p, -1, 0)
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.stack(
         (
-            p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-            p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-            p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-            p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-        )
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ),
+        axis=-1,
     )
+
+
+def running_product(q):
+    """Product of all quaternions up to each: many short runs side by side, then from run to run."""
+    n = len(q)
+    width = round(np.sqrt(n))
+    runs = np.vstack((q, np.tile((1.0, 0.0, 0.0, 0.0), (-n % width, 1)))).reshape(-1, width, 4)
+    for k in range(1, width):
+        runs[:, k] = product(runs[:, k - 1], runs[:, k])
+    for k in range(1, len(runs)):
+        runs[k] = product(runs[k - 1, -1], runs[k])
+    return runs.reshape(-1, 4)[:n]
 
 
 def cut(reference, keep):
