@@ -46,7 +46,7 @@ def emulated(tmp_path):
 
 def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, tmp_path, capsys):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    words = [word for name in ("rig", "device", "hands") for word in (f"--{name}", emulated[name])]
+    words = [word for name in ("rig", "device", "operator") for word in (f"--{name}", emulated[name])]
     assert (
         run(["rig", "run", str(tmp_path / "protocol.toml"), *words, "-o", str(tmp_path / "run"), "--yes", "--json"])
         == 0

@@ -161,7 +161,8 @@ def test_rates_accelerations_and_travel_beyond_the_rigs_are_refused_before_it_is
 
 def test_rates_for_a_persons_hands_are_refused_with_the_way_out():
     with pytest.raises(
-        InputError, match=r"manual rig: wanted rests on faces only, got 12 dwells .*leave \[rates\] out of the protocol"
+        InputError,
+        match=r"manual rig: wanted rests and turns by known angles, got 12 dwells .*replace \[rates\] by \[turns\]",
     ):
         check_programme(programme_of(SMALL), Limits(), by_hand=True)
     check_programme(programme_of(Protocol(faces=("+x",))), Limits(), by_hand=True)

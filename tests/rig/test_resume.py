@@ -208,7 +208,7 @@ def test_two_programs_never_write_into_one_folder(tmp_path):
                 RunFolder(path, SHORT, resume=resume)
         process = started(
             ["rig", "run", "none"],
-            f"from pathlib import Path; from undrift.rig.journal import Journal; Journal(Path({str(path / JOURNAL)!r})); ",
+            f"from pathlib import Path; from undrift.rig.folder import Journal; Journal(Path({str(path / JOURNAL)!r})); ",
         )
         assert "no other program writes to" in process.communicate(timeout=120.0)[1]
     assert first.pieces == ()

@@ -10,7 +10,7 @@ from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulate
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.rig.galil import read_status
-from undrift.rig.manual import AskedHands
+from undrift.rig.manual import AskedOperator
 from undrift.rig.programme import Protocol
 from undrift.rig.run import RunSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
@@ -113,7 +113,7 @@ def test_hands_that_give_up_or_are_not_there_are_a_fault():
 
     for ask in (lambda line: "q", nobody):
         with pytest.raises(RigFault, match=r"wanted the device mounted \+x up, got 'q'; go on with --resume"):
-            AskedHands(ask).mount("+x")
+            AskedOperator(ask).mount("+x")
 
 
 def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(tmp_path):
@@ -261,6 +261,6 @@ def test_a_status_is_read_beside_the_one_who_drives(tmp_path):
 
 def test_hands_that_are_there_mount():
     asked = []
-    AskedHands(lambda line: asked.append(line) or "").mount("-y")
+    AskedOperator(lambda line: asked.append(line) or "").mount("-y")
     assert "Mount the device with -y up" in asked[0]
     assert Hands().up is None

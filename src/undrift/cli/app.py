@@ -33,6 +33,7 @@ COMMANDS = {  # one line of 80 columns each
 }
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--page": "--report", "--range": "--range-c", "--step": "--step-c"},
+    "rig": {"--hands": "--operator"},
     "info": {"--up": "--reference-up"},
     "simulate": {"--up": "--reference-up"},
     "validate": {"--longest-lag-s": "--max-lag-s"},

@@ -40,7 +40,7 @@ def run(
     device: str,
     output: Output,
     chamber: str | None = None,
-    hands: str | None = None,
+    operator: str | None = None,
     serial: str = "",
     gravity_m_s2: float = STANDARD_GRAVITY,
     highest_turn_rate_dps: float = 360.0,
@@ -65,8 +65,8 @@ def run(
         Folder of the run.
     chamber : str or None
         Address of the thermal chamber, where the protocol has temperatures: tcp://host:port
-    hands : str or None
-        Address of an emulator's hands, which mount the device; a person is asked where not given.
+    operator : str or None
+        Address of an emulated operator, who mounts the device; a person is asked where not given.
     serial : str
         Of the device; what its address says where not given.
     gravity_m_s2 : float
@@ -117,7 +117,7 @@ def run(
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
         watch = Watch(StopWatch(rig), _guard(stack, rig, chamber), programme)
-        bench, called = _bench(stack, (rig, device, chamber, hands), settings, programme)
+        bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         watch.arm()
         result = _performed(programme, bench, folder, watch, (serial or called, gravity_m_s2), giving_up)
     _result(result, output, json)
@@ -140,7 +140,7 @@ def emulate(
     seed: int = 0,
     json: bool = False,
 ) -> int:
-    """Emulate a table, a chamber, a device and hands on loopback ports; print their addresses and go on until Ctrl-C.
+    """Emulate a table, a chamber, a device and an operator on loopback ports; print their addresses and go on until Ctrl-C.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def emulate(
     room_c : float
         Temperature around, degC.
     mount_tilt_deg : float
-        How well the hands mount: standard deviation of the error about each axis, deg.
+        Mounting error of the operator: standard deviation about each axis, deg.
     heating_c_per_min : float
         How fast the chamber changes its temperature, K/min.
     gravity_m_s2 : float
@@ -201,7 +201,7 @@ def emulate(
                 "rig": bench.rig_address,
                 "device": bench.device_address,
                 "chamber": bench.chamber_address,
-                "hands": bench.hands_address,
+                "operator": bench.hands_address,
             },
             json,
         )
@@ -374,18 +374,18 @@ def _bench(
     settings: "RigSettings",
     programme: "Programme",
 ) -> "tuple[Bench, str]":
-    """Connect device, chamber, hands and, last, the table; return them and what the device is called."""
+    """Connect device, chamber, operator and, last, the table; return them and what the device is called."""
     from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
     from undrift.live.transports import source_at
     from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
     from undrift.rig.link import Clock
-    from undrift.rig.manual import AskedHands
+    from undrift.rig.manual import AskedOperator
     from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import Bench
     from undrift.sim.rig.bench import BenchHands
 
-    rig, device, chamber, hands = addresses
+    rig, device, chamber, operator = addresses
     source = source_at(device)
     clock = Clock(speed=parse_address(rig, settings)[2].clock_speed)
     longest_s = max(dwell.duration_s for dwell in programme.dwells)
@@ -399,7 +399,7 @@ def _bench(
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
         oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed))
         stack.callback(oven.close)
-    mounting = AskedHands(_asked) if hands is None else BenchHands(hands)
+    mounting = AskedOperator(_asked) if operator is None else BenchHands(operator)
     table = open_rig(rig, settings)
     stack.callback(table.close)
     made = Bench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
@@ -585,14 +585,14 @@ def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bo
         lines.append(f"gains KP {found.gains.kp:g}, KD {found.gains.kd:g}, KI {found.gains.ki:g}")
     for line in lines:
         console().print(line, markup=False)
-    show_verdict(found.verdict)
+    show_verdict(found.verdict, details=True)
 
 
 def _announce(addresses: dict[str, str], json: bool) -> None:
     from undrift.cli.common import write_json
 
     if json:
-        write_json(addresses)
+        write_json({**addresses, "hands": addresses["operator"]})  # its name in earlier releases
     else:
         sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
     sys.stdout.flush()

@@ -244,7 +244,7 @@ def _slope(t: "np.typing.NDArray[np.float64]", temp: "np.typing.NDArray[np.float
     return float(apart @ temp) / spread if spread > 0.0 else math.inf
 
 
-# ---- What a run needs beside the rig: readings of the device, a chamber, hands that mount it. Live ones and fakes fit alike.
+# ---- What a run needs beside the rig: readings of the device, a chamber, an operator. Live ones and fakes fit alike.
 
 
 class Readings(Protocol):
@@ -284,10 +284,10 @@ class Chamber(Protocol):
 
 
 class Mounting(Protocol):
-    """Hands that mount the device on the table."""
+    """The operator, who mounts the device on the table."""
 
     def mount(self, up: Face) -> None:
-        """Have the device mounted; returns when it is done and hands are off."""
+        """Have the device mounted; returns when it is done and the table is free to turn."""
 
 
 # ---- The device's board in a chamber: it follows the air late, so a soak ends when the board stands still, not the air.

@@ -225,21 +225,20 @@ class Piece:
     """A dwell that is on the disk."""
 
     step: int  # Of the programme
-    purpose: Purpose  # face, bracket or rate
+    purpose: Purpose  # face, bracket, rate or turn
     up: Face  # Device axis that points up
     axis: Axis | None  # Axis of the turn
     samples: int  # Readings
     start_s: float  # On the device's clock, s; the stop is left out
     stop_s: float  # On the device's clock, s; the stop is left out
-    # As the protocol has it, as the controller rounded it, as the encoder measured it: rad/s
-    nominal_turn_rate: float = 0.0
-    # As the protocol has it, as the controller rounded it, as the encoder measured it: rad/s
-    set_turn_rate: float = 0.0
-    turn_rate: float = 0.0  # As the protocol has it, as the controller rounded it, as the encoder measured it: rad/s
+    nominal_turn_rate: float = 0.0  # As the protocol has it, rad/s
+    set_turn_rate: float = 0.0  # As the controller rounded it, rad/s
+    turn_rate: float = 0.0  # As the encoder measured it, rad/s
     turn_rate_uncertainty: float = 0.0  # Standard uncertainty of the last, rad/s
     temp_c: float | None = None  # Chamber set-point, degC
     chamber_c: float | None = None  # What the chamber read, degC
     device_c: float | None = None  # Mean of the device's own thermometer, degC; None where it has none
+    angle: float | None = None  # Turned between two rests, as the operator or the rig stated it, rad
     missing: int = 0  # Readings that never came; gaps in the piece
     sha256: str = ""  # Of the file
 
@@ -353,10 +352,14 @@ class RunFolder:
 
 
 def protocol_digest(protocol: Protocol) -> str:
-    """Return what tells a protocol from another."""
+    """Return what tells a protocol from another; turns count only where there are any, as in folders from before them."""
     fields = {
         name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in asdict(protocol).items()
     }
+    if not protocol.turn_axes:
+        fields = {
+            name: value for name, value in fields.items() if name not in ("turn_angle", "turn_axes", "turn_rest_s")
+        }
     return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 
@@ -392,7 +395,10 @@ def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
         span = [f"recording = {number}", f"start_s = {piece.start_s!r}", f"stop_s = {piece.stop_s!r}"]
         temp_c = piece.temp_c if piece.device_c is None else piece.device_c
         span += [] if piece.temp_c is None else [f"temp_c = {temp_c!r}"]
-        if piece.purpose == "rate":
+        if piece.angle is not None:
+            angle_deg = piece.angle / RADIAN_PER_DEGREE
+            lines += ["", "[[turn]]", *span, f'axis = "{piece.axis}"', f"angle_deg = {angle_deg!r}"]
+        elif piece.purpose == "rate":
             dps = piece.turn_rate / RADIAN_PER_DEGREE
             lines += ["", "[[turn]]", *span, f'axis = "{piece.axis}"', f"turn_rate_dps = {dps!r}"]
         else:

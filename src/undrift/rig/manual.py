@@ -13,13 +13,13 @@ from undrift.rig.link import Clock
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Hands that mount the device: a person who is asked.
+# ---- An operator who mounts the device
 
 GIVING_UP = ("q", "quit", "stop")
 
 
-class AskedHands:
-    """A person, one line at a time."""
+class AskedOperator:
+    """A person at the table, asked one line at a time."""
 
     def __init__(self, ask: Callable[[str], str]) -> None:
         self._ask = ask
@@ -28,7 +28,7 @@ class AskedHands:
         """Have the device mounted."""
         try:
             said = self._ask(
-                f"Motor off. Mount the device with {up} up, hands off, then press Enter (q gives up): "
+                f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
             ).strip()
         except EOFError:
             said = "q"

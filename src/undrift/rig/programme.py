@@ -15,7 +15,7 @@ Keys of protocol.toml: docs/rig.md.
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -59,9 +59,18 @@ class Protocol:
     soak_c_per_min: float = 0.1  # A set-point counts as reached below this slope, K/min
     acceleration: float = 40.0  # Of the table, rad/s2
     seed: int = 0  # Of the random order
+    turn_angle: float = 0.0  # Turn by a known angle about each of `turn_axes`, rad; 0 leaves the turns out
+    turn_axes: tuple[Axis, ...] = ()  # Case axes of those turns, in order
+    turn_rest_s: float = 3.0  # Rest before and after each of those turns, s
 
     def __post_init__(self) -> None:
-        for name, least in (("face_s", 0.0), ("bracket_s", 0.0), ("cutoff_hz", 1e-3), ("soak_c_per_min", 1e-6)):
+        for name, least in (
+            ("turn_rest_s", 0.5),
+            ("face_s", 0.0),
+            ("bracket_s", 0.0),
+            ("cutoff_hz", 1e-3),
+            ("soak_c_per_min", 1e-6),
+        ):
             if not least <= getattr(self, name) < np.inf:
                 raise InputError(f"protocol: wanted {name} of {least:g} or more, got {getattr(self, name):g}")
         if not 0.0 < self.acceleration < np.inf:
@@ -72,8 +81,10 @@ class Protocol:
             self.turn_rates()
             if self.dwell_s is None and self.turn_rate_uncertainty is None:
                 raise InputError("protocol: wanted dwell_s or turn_rate_uncertainty, got neither; state one of them")
-        elif not self.faces:
-            raise InputError("protocol: wanted faces or rates, got neither; there is nothing to do")
+        elif not (self.faces or self.turn_axes):
+            raise InputError("protocol: wanted faces, rates or turns, got none; there is nothing to do")
+        if self.turn_axes and not (math.isfinite(self.turn_angle) and self.turn_angle != 0.0):
+            raise InputError(f"protocol: wanted a turn by an angle other than 0, got {self.turn_angle:g} rad")
         if any(b <= a for a, b in pairwise(self.temperatures_c)):
             raise InputError("protocol: wanted rising temperatures, got others; sort them and name each once")
 
@@ -146,6 +157,14 @@ class RatesEntry(Entry):
     acceleration_dps2: Finite = DEFAULTS.acceleration / RADIAN_PER_DEGREE  # Of the table, deg/s2
 
 
+class TurnsEntry(Entry):
+    """[turns]."""
+
+    angle_deg: Finite = 360.0  # Of each turn; what the operator then states is recorded
+    axes: list[Axis] = Field(default_factory=lambda: list(AXES), min_length=1)  # Axes to turn about
+    rest_s: Finite = DEFAULTS.turn_rest_s  # Rest before and after each, s
+
+
 class TemperaturesEntry(Entry):
     """[temperatures]."""
 
@@ -159,6 +178,7 @@ class ProtocolFile(Entry):
     protocol: HeadEntry = HeadEntry()  # Name and filter
     faces: FacesEntry | None = None  # For the accelerometers
     rates: RatesEntry | None = None  # For the gyroscopes
+    turns: TurnsEntry | None = None  # For the gyroscopes, without a rate table
     temperatures: TemperaturesEntry | None = None  # For the drift tables
 
 
@@ -183,6 +203,9 @@ def read_protocol(path: str | Path) -> Protocol:
             "turn_rate_uncertainty": None if uncertainty_dps is None else uncertainty_dps * dps,
             "acceleration": rates.acceleration_dps2 * dps,
         }
+    if held.turns is not None:
+        turns = held.turns
+        fields |= {"turn_angle": turns.angle_deg * dps, "turn_axes": tuple(turns.axes), "turn_rest_s": turns.rest_s}
     try:
         if rates is not None:  # an error message in deg/s, as in the file
             rate_grid(rates.turn_rate_min_dps, rates.turn_rate_max_dps, rates.turn_rate_step_dps)
@@ -212,6 +235,9 @@ def write_protocol(protocol: Protocol, path: str | Path) -> None:
             lines.append(f"turn_rate_uncertainty_dps = {p.turn_rate_uncertainty / dps!r}")
         lines += [f"bracket_s = {p.bracket_s!r}", f"whole_turns = {json.dumps(p.whole_turns)}"]
         lines.append(f"acceleration_dps2 = {p.acceleration / dps!r}")
+    if p.turn_axes:
+        lines += ["", "[turns]", f"angle_deg = {p.turn_angle / dps!r}", f"axes = {json.dumps(list(p.turn_axes))}"]
+        lines.append(f"rest_s = {p.turn_rest_s!r}")
     if p.temperatures_c:
         lines += ["", "[temperatures]", f"set_points_c = {json.dumps(list(p.temperatures_c))}"]
         lines.append(f"soak_c_per_min = {p.soak_c_per_min!r}")
@@ -251,7 +277,8 @@ def whole_turns_time(turn_rate: float, least_s: float) -> float:
 
 # ---- programme
 
-Purpose = Literal["face", "bracket", "rate"]
+Purpose = Literal["face", "bracket", "rate", "turn"]
+TURN_S = 10.0  # how long an operator takes for a turn, s: only for the forecast
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,7 +320,7 @@ class Soak:
 class Dwell:
     """The device is read at a steady rate, or at rest."""
 
-    purpose: Purpose  # face (rest), bracket (rest before and after a block) or rate
+    purpose: Purpose  # face (rest), bracket (rest before and after a block), rate, or turn (by a known angle)
     up: Face  # Device axis that points up
     axis: Axis | None  # Device axis that the table turns about; None for a face
     turn_rate: float  # Nominal, rad/s about +axis; 0 at rest
@@ -301,6 +328,7 @@ class Dwell:
     settle_s: float  # Wait before reading, s
     dwell_s: float  # Reading, s
     temp_c: float | None = None  # Set-point, degC; None at room temperature
+    angle: float = 0.0  # Turned while it is read, between two rests, rad about +axis
 
     @property
     def duration_s(self) -> float:
@@ -314,6 +342,8 @@ class Dwell:
 
     def __str__(self) -> str:
         warm = "" if self.temp_c is None else f" at {self.temp_c:g} degC"
+        if self.purpose == "turn":
+            return f"turn by {self.angle / RADIAN_PER_DEGREE:+g} deg about {self.axis}{warm}"
         if self.purpose == "rate":
             return f"{self.turn_rate / RADIAN_PER_DEGREE:+g} deg/s about {self.axis}{warm}"
         return (
@@ -358,7 +388,7 @@ class Programme:
 
     @property
     def rig_s(self) -> float:
-        """Time in which the table and the device work, hands and chamber left out, s."""
+        """Time in which the table and the device work, mounting and chamber left out, s."""
         return sum(step.duration_s for step in self.dwells)
 
 
@@ -366,7 +396,8 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
     """Write a protocol out."""
     turning = protocol.axes if protocol.turn_rate_step > 0.0 else ()
     mountings: list[Face] = list(protocol.faces)
-    mountings += [up for axis in turning if (up := _plus(axis)) not in mountings]
+    for axis in (*turning, *protocol.turn_axes):
+        mountings += [up for up in (_plus(axis),) if up not in mountings]
     rng = np.random.default_rng(protocol.seed)
     steps: list[Step] = []
     before_c = settings.room_c
@@ -382,6 +413,13 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
             for axis in turning:
                 if up == _plus(axis):
                     steps += _block(axis, protocol, settings, temp_c, rng)
+            for axis in protocol.turn_axes:
+                if up == _plus(axis):
+                    rest = _rest("bracket", up, axis, protocol.turn_rest_s, protocol, temp_c)
+                    turn = replace(
+                        rest, purpose="turn", dwell_s=2.0 * protocol.turn_rest_s + TURN_S, angle=protocol.turn_angle
+                    )
+                    steps += (rest, turn, rest)
     return Programme(
         steps=tuple(step for step in steps if not isinstance(step, Dwell) or step.dwell_s > 0.0),
         acceleration=protocol.acceleration,
@@ -448,7 +486,13 @@ def _check_dwell(number: int, dwell: Dwell, up: Face | None, temp_c: float | Non
         raise InputError(f"{what}: wanted a rest at 0 rad/s, got {dwell.turn_rate:g}; a rest does not turn")
     if dwell.purpose == "rate" and (dwell.turn_rate == 0.0 or dwell.axis is None or dwell.up != _plus(dwell.axis)):
         raise InputError(
-            f"{what}: wanted a rate about the axis that is up, got {dwell.turn_rate:g} rad/s; mend the step"
+            f"{what}: wanted a rate about the axis that is up, got {dwell.turn_rate:g} rad/s; correct the step"
+        )
+    if (dwell.purpose == "turn") != (dwell.angle != 0.0) or (
+        dwell.angle and (not dwell.axis or dwell.up != _plus(dwell.axis))
+    ):
+        raise InputError(
+            f"{what}: wanted an angle about the axis that is up, got {dwell.angle:g} rad; correct the step"
         )
     if not (np.isfinite(dwell.dwell_s) and dwell.dwell_s > 0.0 and dwell.settle_s >= 0.0 and dwell.ramp_s >= 0.0):
-        raise InputError(f"{what}: wanted times above 0 s, got a dwell of {dwell.dwell_s:g} s; mend the step")
+        raise InputError(f"{what}: wanted times above 0 s, got a dwell of {dwell.dwell_s:g} s; correct the step")

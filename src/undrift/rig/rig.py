@@ -307,26 +307,27 @@ def check_programme(
     left = [(number, step) for number, step in enumerate(programme.steps) if isinstance(step, Dwell)]
     left = [(number, step) for number, step in left if number not in done]
     turning = [(number, step) for number, step in left if step.turn_rate != 0.0]
+    turns = [(number, step) for number, step in left if step.angle != 0.0]
     if by_hand:
-        _check_hands(turning)
+        if turning:
+            number, step = turning[0]
+            raise InputError(
+                f"manual rig: wanted rests and turns by known angles, got {len(turning)} dwells at a steady rate (step {number}: "
+                f"{step}), which no operator holds; replace [rates] by [turns] in the protocol"
+            )
         return
     _check(limits.check_acceleration, programme.acceleration, limits.acceleration, "", "acceleration", "deg/s2")
     angle = 0.0
+    for number, step in turns:
+        _check(
+            limits.check_travel, step.angle, limits.travel, f"step {number} ({step}): ", "travel", "deg from the start"
+        )
     for number, step in turning:
         what = f"step {number} ({step}): "
         _check(limits.check_turn_rate, step.turn_rate, limits.turn_rate, what, "turn rate", "deg/s")
         reached = angle + TRAVEL_MARGIN * step.travel
         _check(limits.check_travel, reached, limits.travel, what, "travel", "deg from the start")
         angle += step.travel
-
-
-def _check_hands(turning: list[tuple[int, Dwell]]) -> None:
-    if turning:
-        number, step = turning[0]
-        raise InputError(
-            f"manual rig: wanted rests on faces only, got {len(turning)} dwells at a steady rate (step {number}: {step}), which no "
-            "hand holds; leave [rates] out of the protocol, and record a session of turns through known angles for the gyroscopes"
-        )
 
 
 def _check(check: Callable[[float], None], value: float, most: float | None, what: str, name: str, unit: str) -> None:

@@ -20,7 +20,7 @@ is refused unless
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from undrift.rig.folder import Head, Piece, RunFolder
 from undrift.rig.guard import Guard, StopWatch, uninterrupted
 from undrift.rig.link import Clock
 from undrift.rig.manual import ManualRig
-from undrift.rig.programme import Dwell, Mount, Programme, Soak, Step
+from undrift.rig.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
 from undrift.rig.rig import Achieved, Position, Rig, achieved_turn_rate, check_programme
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -141,7 +141,9 @@ def check_board(record: Record, tolerance_c: float, where: str) -> None:
 
 # ---- run
 
-Phase = Literal["enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "resting", "writing", "closing"]
+Phase = Literal[
+    "enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "turning", "resting", "writing", "closing"
+]
 POLLS = 20  # positions in a short dwell
 POLL_S = 0.1  # between two positions of a long one, s of the host
 READS = 3  # of a dwell whose positions or readings come too late
@@ -156,7 +158,7 @@ class Bench:
 
     rig: Rig  # Open
     readings: Readings  # Of the device
-    mounting: Mounting  # Hands
+    mounting: Mounting  # The operator
     chamber: Chamber | None = None  # Needed where the programme soaks
     clock: Clock = field(default_factory=Clock)  # The rig's
 
@@ -304,9 +306,31 @@ class _Run:
             clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
             self._say("soaking", f"{chamber.read():.2f} degC{board}")
 
+    def _turn(self, step: Dwell) -> None:
+        """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
+        rig, readings, clock = self._bench.rig, self._bench.readings, self._bench.clock
+        rest_s = 0.5 * (step.dwell_s - TURN_S)
+        self._say("resting")
+        clock.wait(step.settle_s)
+        chamber_c = self._look_at_air(step)
+        readings.start()
+        clock.wait(rest_s)
+        self._say("turning")
+        angle = rig.move_by(step.angle)
+        self._say("resting")
+        clock.wait(rest_s)
+        record = readings.stop()
+        self._check_fault()
+        self._look_at_air(step)
+        missing = check_readings(record, 0.0, self._settings, f"step {self._number} ({step})")
+        self._keep(step, record, missing=missing, chamber_c=chamber_c, angle=angle)
+
     def _dwell(self, step: Dwell) -> None:
         rig = self._bench.rig
         self._enable()
+        if step.purpose == "turn":
+            self._turn(step)
+            return
         held = 0.0
         if step.turn_rate != 0.0:
             self._say("ramping")
@@ -325,28 +349,33 @@ class _Run:
         missing = check_readings(record, step.dwell_s, self._settings, where)
         if step.temp_c is not None and self._bench.chamber is not None:
             check_board(record, self._bench.chamber.criterion.tolerance_c, where)
-        self._say("writing")
-        step_s = float(np.median(np.diff(record.time)))
-        self._folder.keep(
+        self._keep(
+            step,
             record,
-            Piece(
-                step=self._number,
-                purpose=step.purpose,
-                up=step.up,
-                axis=step.axis,
-                samples=len(record),
-                start_s=float(record.time[0]),
-                stop_s=float(record.time[-1]) + step_s,
-                nominal_turn_rate=step.turn_rate,
-                set_turn_rate=held,
-                turn_rate=achieved.turn_rate,
-                turn_rate_uncertainty=achieved.uncertainty,
-                temp_c=step.temp_c,
-                chamber_c=chamber_c,
-                device_c=mean_temp(record),
-                missing=missing,
-            ),
+            missing=missing,
+            chamber_c=chamber_c,
+            set_turn_rate=held,
+            turn_rate=achieved.turn_rate,
+            turn_rate_uncertainty=achieved.uncertainty,
         )
+
+    def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
+        """Bring a dwell to the disk, with what was found beside the readings: fields of a Piece."""
+        self._say("writing")
+        piece = Piece(
+            step=self._number,
+            purpose=step.purpose,
+            up=step.up,
+            axis=step.axis,
+            samples=len(record),
+            start_s=float(record.time[0]),
+            stop_s=float(record.time[-1]) + float(np.median(np.diff(record.time))),
+            nominal_turn_rate=step.turn_rate,
+            temp_c=step.temp_c,
+            device_c=mean_temp(record),
+            **found,
+        )
+        self._folder.keep(record, piece)
 
     def _read_seen(self, step: Dwell) -> tuple[Record, Achieved]:
         """Read until the encoder tells how fast the table turned, and the readings span the dwell; a rest needs no times."""
@@ -413,7 +442,7 @@ class _Run:
             self._bench.readings.start()  # a backlog is waited out at rest, not while the table turns
 
     def _disable(self) -> None:
-        """Hands and long waits: the motor is off."""
+        """Switch the motor off, for mounting and long waits."""
         if self._enabled:
             self._enabled = False
             self._bench.rig.enable(False)
@@ -457,4 +486,4 @@ class Watch:
             if self._guard is not None:
                 self._guard.check()
         if self._guard is not None:
-            self._guard.expect(None if progress.phase in ("mounting", "closing") else self._within_s)
+            self._guard.expect(None if progress.phase in ("mounting", "turning", "closing") else self._within_s)
