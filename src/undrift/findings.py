@@ -380,9 +380,348 @@ CATALOGUE: dict[str, Entry] = {
         "record raw readings on a bench without vibration",
     ),
     # ---- drift: sessions and temperature
+    "calibration.nominal": Entry(
+        3,
+        "No calibration given",
+        "scale and axes of the gyroscopes are nominal; rests do not show them",
+        "calibrate with turns at known rates or angles",
+    ),
+    "drift.set_points_only": Entry(
+        1,
+        "No temperature column",
+        "tables are over the chamber's set-points; the device's own thermometer has an offset and self-heating",
+        "map the temperature column, also in recordings to correct",
+    ),
+    "drift.temperature_set_points": Entry(
+        2,
+        "Recording {recording}: temperature from stated set-points",
+        "the chamber's set-points in {pieces} pieces; the sensors reach them only once settled",
+        "map the temperature column",
+    ),
+    "drift.temperature_spikes": Entry(
+        4,
+        "Recording {recording}: {count} temperature spikes left out",
+        "the first at {first_s:.6g} s, up to {largest_c:.3g} K",
+    ),
+    "drift.temperature_stale": Entry(
+        4,
+        "Recording {recording}: stale temperature left out",
+        "{temp_c:.2f} degC for {duration_s:.0f} s from {start_s:.6g} s, then a jump of {jump_c:.2f} K ({count} such)",
+        "check the thermometer",
+    ),
+    "drift.temperature_steps": Entry(
+        4, "Recording {recording}: coarse temperature steps", "{step_c:g} K, smoothed over time"
+    ),
+    "drift.temperature_jumps": Entry(
+        1,
+        "Recording {recording}: the temperature jumps",
+        "by up to {largest_c:.2f} K, faster than a board changes, first at {first_s:.6g} s ({count} such)",
+        "check the thermometer",
+    ),
+    "drift.temperature_hot": Entry(
+        1,
+        "Recording {recording}: implausible unless in a chamber",
+        "{low_c:.1f} to {high_c:.1f} degC throughout: self-heating of a chip, or a wrong scale",
+        "check units.temp and scale.temp",
+    ),
+    "drift.temperature_off_set_point": Entry(
+        1,
+        "Recording {recording}: temperature differs from the set-point",
+        "the column reads {read_c:.1f} degC at {set_point_c:.1f} degC ({count} of {pieces} pieces over {limit_c:g} K apart)",
+        "check units.temp and scale.temp",
+    ),
+    "drift.temperature_gaps": Entry(
+        4,
+        "Recording {recording}: {missing} temperature readings missing",
+        "{interpolated} interpolated in gaps of up to {longest_s:g} s, {left_out} left out",
+    ),
+    "drift.lag_subtracted": Entry(4, "Thermometer lag subtracted", "{lag_s:.3g} +- {uncertainty_s:.2g} s"),
+    "drift.lag_few_blocks": Entry(
+        3,
+        "Thermometer lag not observable",
+        "{count} blocks of rest change by over {least_c_per_min:g} degC/min; wanted {wanted}",
+        "record ramps up and down at two speeds, for example 0.5 and 3 degC/min",
+    ),
+    "drift.lag_one_way": Entry(
+        3,
+        "Thermometer lag not observable",
+        "each temperature was passed at one speed only: temperature explains {percent:.0f} % of the slopes",
+        "also cool through the same temperatures",
+    ),
+    "drift.lag_unbounded": Entry(
+        3,
+        "Thermometer lag not observable",
+        "any lag up to {longest_s:g} s fits",
+        "record ramps up and down at two speeds, for example 0.5 and 3 degC/min",
+    ),
+    "drift.lag_or_hysteresis": Entry(
+        3,
+        "Thermometer lag and hysteresis not separable",
+        "ramps at one speed only: a lag of {lag_s:.3g} s explains the same loop",
+        "record a second ramp, three times as fast or slow",
+    ),
     # ---- drift: offsets over temperature
+    "drift.g_unknown": Entry(
+        3,
+        "g-sensitivity not estimated; assumed zero",
+        "gyroscope offsets include it for the recorded pose",
+        "calibrate it with turns at known rates or angles",
+    ),
+    "drift.g_sensitivity": Entry(
+        4,
+        "g-sensitivity estimated",
+        "up to {largest_dps_per_g:.2g} (deg/s)/g from rests in {poses} poses; now part of the calibration",
+    ),
+    "drift.poses_g": Entry(
+        2,
+        "Gyroscope offset depends on the pose (g-sensitivity)",
+        "{deviation:.2g} {unit} on x, y, z between {poses} poses (standard deviation); noise explains {known:.2g}",
+        "rest on all six faces at one set-point or more",
+    ),
+    "drift.poses_g_no_accel": Entry(
+        2,
+        "Gyroscope offset depends on the pose (g-sensitivity)",
+        "{deviation:.2g} {unit} on x, y, z between {poses} poses (standard deviation); noise explains {known:.2g}",
+        "calibrate the accelerometers on six faces",
+    ),
+    "drift.poses_disagree": Entry(
+        2,
+        "Gyroscope offset depends on the pose",
+        "{deviation:.2g} {unit} on x, y, z between {poses} poses with g-sensitivity subtracted; noise explains {known:.2g}",
+        "visit each pose several times at each set-point",
+    ),
+    "drift.rests_disagree": Entry(
+        2,
+        "Rests at one set-point disagree",
+        "{deviation:.2g} {unit} on x, y, z over {rests} rests (standard deviation); noise explains {known:.2g}; "
+        "hysteresis or warm-up are likely",
+        "record more rests at each set-point",
+    ),
+    "drift.few_set_points": Entry(
+        2,
+        "{count} set-points cannot exclude higher-order curvature",
+        "{set_points_c:.1f} degC; standard uncertainty {at:.2g} {unit} at them, up to {between:.2g} {unit} between",
+        "soak at {also_c:.0f} degC as well",
+    ),
+    "drift.nodes_extrapolated": Entry(
+        2,
+        "{sensor}: {count} of {nodes} nodes extrapolated",
+        "no data near them; seen {low_c:.1f} to {high_c:.1f} degC",
+        "record at the other temperatures",
+    ),
+    "drift.hysteresis": Entry(
+        2,
+        "{sensor}: hysteresis counts as uncertainty",
+        "half-width {half_width:.3g} +- {uncertainty:.2g} raw units on x, y, z; the table is the mean of warming and cooling",
+    ),
+    "drift.no_hysteresis": Entry(
+        4,
+        "{sensor}: no significant hysteresis",
+        "half-width {half_width:.3g} +- {uncertainty:.2g} raw units on x, y, z",
+    ),
+    "drift.hysteresis_no_sweep": Entry(
+        2,
+        "Hysteresis unknown",
+        "each session rested at one or two temperatures; its half-width is not in the uncertainty",
+        "record a warming and a cooling ramp",
+    ),
+    "drift.hysteresis_no_overlap": Entry(
+        2,
+        "Hysteresis unknown",
+        "warming and cooling share no {overlap_c:g} degC; its half-width is not in the uncertainty",
+        "record both ramps over the same temperatures",
+    ),
+    "drift.hysteresis_one_way": Entry(
+        2,
+        "Hysteresis unknown",
+        "the temperature went one way only; the half-width is not in the uncertainty",
+        "also record a cooling ramp, or a warming one after cooling",
+    ),
+    "drift.lag_and_hysteresis_excluded": Entry(
+        2,
+        "Uncertainty excludes thermometer lag and hysteresis",
+        "{shift:.2g} {unit} on x, y, z per {lag_s:g} s of lag at {ramp_c_per_min:.2g} degC/min",
+        "also record a cooling ramp",
+    ),
+    "drift.power_on_transient": Entry(
+        1,
+        "The table may include the power-on transient",
+        "",
+        "hold one temperature for 30 min after power-on, or warm up from two, with --warm-up",
+    ),
+    "drift.warm_up_not_observable": Entry(
+        3,
+        "Warm-up not observable",
+        "temperature explains {percent:.1f} % of the transient since power-on",
+        "hold one temperature for 30 min after power-on, or warm up from two temperatures",
+    ),
+    "drift.one_session": Entry(
+        3, "Turn-on bias repeatability unknown", "one session only", "record one session more on another day"
+    ),
+    "drift.sessions_apart": Entry(
+        3,
+        "Turn-on bias repeatability not observable",
+        "none of {sessions} sessions share a temperature; it is not in the uncertainty",
+        "record them over shared temperatures",
+    ),
+    "drift.turn_on_bound": Entry(
+        4,
+        "No shift between sessions on {axes}",
+        "the stated turn-on repeatability is an upper bound from {sessions} sessions",
+        "record more sessions",
+    ),
+    "drift.offset_differs": Entry(
+        1,
+        "Offset differs from the calibration",
+        "{offset_dps:+.3g} deg/s (+- {uncertainty_dps:.2g}) on x, y, z at {temp_c:.1f} degC; a switch-on shifts it by "
+        "{turn_on_dps:g} deg/s at most",
+        "check which device was recorded, or calibrate again",
+    ),
+    "drift.offset_unclear": Entry(
+        2,
+        "Offset differs from the calibration, within uncertainty",
+        "{offset_dps:+.3g} deg/s (+- {uncertainty_dps:.2g}) on x, y, z at {temp_c:.1f} degC, below {least_uncertainties:g} "
+        "standard uncertainties",
+        "rest longer, at more temperatures or nearer the calibration's",
+    ),
     # ---- drift: scale and dynamic drift
+    "drift.no_gyroscopes": Entry(
+        3, "Scale and dynamic drift not observable", "no gyroscopes in calibration or sessions"
+    ),
+    "drift.no_turns": Entry(
+        3,
+        "Gyroscope scale over temperature not observable from rests",
+        "",
+        "turn the device at known rates at two temperatures",
+    ),
+    "drift.tables_not_observable": Entry(3, "Scale and dynamic drift not observable", "{problem}"),
+    "drift.tables_best": Entry(
+        4,
+        "Tables selected: {tables}",
+        "cross-validated error {error_dps:.4f} deg/s rms ({held_out} of {soaks} soaks at {set_points} set-points, and rates, "
+        "held out)",
+    ),
+    "drift.tables_simplest": Entry(
+        4,
+        "Tables selected: {tables}",
+        "cross-validated error {error_dps:.4f} deg/s rms ({held_out} of {soaks} soaks at {set_points} set-points, and rates, "
+        "held out); within one standard error or 5 % of {best} ({best_dps:.4f} deg/s)",
+    ),
+    "drift.tables_requested": Entry(4, "Tables requested: {tables}", "cross-validation selects {automatic}"),
+    "drift.tables_by_rates": Entry(
+        2,
+        "Tables selected by held-out rates alone",
+        "soaks at {set_points} set-points: none between others",
+        "add a soak at a third set-point",
+    ),
+    "drift.steps_left_out": Entry(3, "{count} of {steps} rate steps left out", "gaps in rate, reading or temperature"),
+    "drift.scale": Entry(
+        4, "Scale factor {axis} over temperature", "{percent_per_k:+.4f} +- {expanded_percent_per_k:.2g} %/K (95 %)"
+    ),
+    "drift.scale_not_observable": Entry(
+        3,
+        "Scale factor {axis} over temperature not observable",
+        "turned about {axis} at {soaks} soaks; the calibration's constant column is used",
+        "turn about {axis} at three temperatures or more",
+    ),
+    "drift.scale_two_temperatures": Entry(
+        2,
+        "Scale factor {axes}: curvature not observable",
+        "two temperatures determine a line",
+        "add a soak between them",
+    ),
+    "drift.scale_differs": Entry(
+        1,
+        "Scale factors differ from the calibration",
+        "turns: {percent:.3g} % on x, y, z at the reference temperature (wanted {limit_percent:g} %)",
+        "check turn_rate_dps, the range setting and the device",
+    ),
+    "drift.asymmetry": Entry(4, "Scale factor asymmetry {axis}", "{percent:+.3f} +- {expanded_percent:.2g} % (95 %)"),
+    "drift.asymmetry_not_observable": Entry(
+        3, "Scale factor asymmetry {axes} not observable", "", "turn both ways at two rates each"
+    ),
+    "drift.dynamic_not_observable": Entry(
+        3,
+        "Dynamic drift {axis} not observable",
+        "not turned at two rates and two temperatures; its table holds zeros",
+        "turn about {axis} both ways at three soaks or more",
+    ),
+    "drift.dynamic_one_way": Entry(
+        2,
+        "Dynamic drift {axis}: turned only about {way}",
+        "the other sign is extrapolated; an offset is not separable",
+        "turn about {other} as well",
+    ),
+    "drift.dynamic_two_temperatures": Entry(
+        2, "Dynamic drift {axes}: curvature not observable", "two temperatures determine a line", "add a soak"
+    ),
     # ---- drift: accelerometers
+    "drift.accel_no_readings": Entry(
+        3, "Accelerometer offset over temperature not observable", "no readings", "map the accel columns"
+    ),
+    "drift.accel_not_observable": Entry(3, "Accelerometer offset over temperature not observable", "{problem}"),
+    "drift.accel_gravity": Entry(1, "Accelerometer offset over temperature left out", "{problem}"),
+    "drift.accel_uncalibrated": Entry(
+        3,
+        "Accelerometer offset unknown",
+        "no calibration in physical units; only the change over temperature is known",
+        "calibrate six faces",
+    ),
+    "drift.accel_no_reference": Entry(
+        3,
+        "Accelerometer offset unknown",
+        "the calibration has no reference temperature; only the change over temperature is known",
+        "calibrate with a temperature column",
+    ),
+    "drift.accel_one_pose": Entry(
+        2,
+        "Accelerometer offset over temperature from one pose",
+        "one of {poses} poses, over {span_c:.1f} degC; scale not separable: {percent_per_c:g} % per degC of gravity counts as "
+        "uncertainty",
+        "rest on all six faces at three temperatures",
+    ),
+    "drift.accel_matrix_differs": Entry(
+        1,
+        "Accelerometer matrix differs from the calibration",
+        "{percent:.3g} % on x, y, z at {temp_c:.1f} degC; {largest_percent:+.3g} +- {uncertainty_percent:.2g} % in {element} "
+        "(wanted {limit_percent:g} %)",
+        "check the range setting and the device, or calibrate again",
+    ),
+    "drift.accel_offset_differs": Entry(
+        1,
+        "Accelerometer offset differs from the calibration",
+        "{offset_mg:+.3g} mg (+- {uncertainty_mg:.2g}) on x, y, z at {temp_c:.1f} degC (wanted {limit_mg:g} mg)",
+        "check which device was recorded, or calibrate again",
+    ),
+    "drift.accel_left_out": Entry(
+        3, "{count} of {blocks} blocks of rest left out", "gaps in accelerometer or temperature"
+    ),
+    "drift.accel_scale": Entry(
+        4,
+        "Accelerometer sensitivity {axis} over temperature",
+        "{percent_per_k:+.4f} +- {expanded_percent_per_k:.2g} %/K (95 %)",
+    ),
+    "drift.accel_two_temperatures": Entry(
+        2, "Accelerometers: curvature not observable", "two temperatures determine a line", "add a third temperature"
+    ),
+    "drift.accel_faces_only": Entry(
+        3,
+        "Accelerometer cross-axis terms held at the calibration's",
+        "the poses show offset and sensitivity only",
+        "add poses on edges and corners at each temperature",
+    ),
+    "drift.accel_joint": Entry(
+        2,
+        "Accelerometers: all poses fitted together",
+        "no two temperatures have six poses each; {parameters} parameters, linear in temperature",
+        "rest on all six faces at three temperatures",
+    ),
+    "drift.accel_misses_gravity": Entry(
+        1,
+        "Poses miss gravity by {rms_mg:.2g} mg rms",
+        "wanted {limit_mg:g} mg; the device moved, or is not linear in temperature",
+        "repeat the poses at rest",
+    ),
     # ---- correction
     "correct.no_temperature": Entry(
         1,
@@ -422,7 +761,7 @@ CATALOGUE: dict[str, Entry] = {
     ),
     "correct.beyond_range": Entry(
         1,
-        "{sensor}: {percent:.3g} % of the samples exceed the calibrated range",
+        "{sensor}: {percent:.3g} % of samples exceed the calibrated range",
         "by more than a tenth: range {low:.3g} to {high:.3g} {unit}, worst {worst:.4g} {unit}; the model is extrapolated",
         "calibrate over a wider range",
     ),

@@ -61,7 +61,7 @@ def test_gaps_and_noise_at_the_end_of_the_span_do_not_count():
     found = find_beyond(replace(done, gyro=gyro), calibration)[0]
     assert (found.samples, found.worst) == (1, -0.551)
     assert found.text == (
-        "gyroscope: 0.2 % of the samples exceed the calibrated range: by more than a tenth: range -28.6 to 28.6 deg/s, "
+        "gyroscope: 0.2 % of samples exceed the calibrated range: by more than a tenth: range -28.6 to 28.6 deg/s, "
         f"worst {-0.551 / RADIAN_PER_DEGREE:.4g} deg/s; the model is extrapolated; calibrate over a wider range"
     )
 

@@ -63,28 +63,29 @@ def test_turns_the_other_way_round_or_about_other_axes_are_refused(session):
         fit_drift([ring], CALIBRATION, settings=TABLES)
 
 
-def test_a_scale_that_the_calibration_does_not_have_is_told_with_its_figure(session):
+def test_a_scale_that_the_calibration_does_not_have_is_reported_with_its_figure(session):
     fit = fit_drift([session], CALIBRATION, settings=TABLES)
-    assert not any("off the calibration's" in reason for reason in fit.verdict.reasons)
+    assert not any("differ" in item.code for item in fit.verdict.findings)
     for share, status, figure in ((0.9, "bad", "10."), (0.97, "marginal", "2.")):
         slow = turned(session, lambda t, share=share: replace(t, turn_rate=share * t.turn_rate))
         fit = fit_drift([slow], CALIBRATION, settings=TABLES)
-        said = [reason for reason in fit.verdict.reasons if "scale factors at the reference temperature" in reason]
-        assert len(said) == 1
-        assert f"temperature {figure}" in said[0]
+        differs = [item for item in fit.verdict.findings if item.code == "drift.scale_differs"]
+        assert len(differs) == 1
+        assert f"turns: {figure}" in differs[0].detail
         assert fit.verdict.status == status
 
 
-def test_an_offset_that_is_not_the_calibration_s_is_told_in_deg_per_s():
+def test_an_offset_that_is_not_the_calibration_s_is_reported_in_deg_per_s():
     session = warmed(4, (0.0, 0.0, 0.0))
     assert not any(
-        "constant" in r for r in fit_drift([session], shifted((1.0, 0.0, 0.0)), settings=TABLES).verdict.reasons
+        item.code.startswith("drift.offset_")
+        for item in fit_drift([session], shifted((1.0, 0.0, 0.0)), settings=TABLES).verdict.findings
     )
     for dps, status in ((186.0, "bad"), (6.0, "marginal")):
         fit = fit_drift([session], shifted((dps, 0.0, 0.0)), settings=TABLES)
-        said = [reason for reason in fit.verdict.reasons if "off the calibration's constant" in reason]
-        assert len(said) == 1
-        assert float(re.search(r"degC is (\S+) \+-", said[0])[1]) == pytest.approx(-dps, abs=0.5)
+        differs = [item for item in fit.verdict.findings if item.code == "drift.offset_differs"]
+        assert len(differs) == 1
+        assert differs[0].values["offset_dps"][0] == pytest.approx(-dps, abs=0.5)
         assert fit.verdict.status == status
 
 
@@ -96,24 +97,22 @@ def with_table_uncertainty(static, dps):
 
 
 @pytest.mark.parametrize(
-    ("off", "known_to", "status", "words"),
+    ("off", "known_to", "status", "code"),
     [
-        (6.0, 1.5, "marginal", "a switch-on moves it by 2 deg/s at most"),  # four standard uncertainties
-        (15.0, 3.0, "marginal", "a switch-on moves it by 2 deg/s at most"),  # five: too few for bad
-        (15.0, 1.0, "bad", "a switch-on moves it by 2 deg/s at most"),
-        (6.0, 3.0, "good", "this session is too poor to tell whether it belongs to the calibration"),
+        (6.0, 1.5, "marginal", "drift.offset_differs"),  # four standard uncertainties
+        (15.0, 3.0, "marginal", "drift.offset_differs"),  # five: too few for bad
+        (15.0, 1.0, "bad", "drift.offset_differs"),
+        (6.0, 3.0, "good", "drift.offset_unclear"),
         (1.0, 0.1, "good", ""),  # ten, and no more than a switch-on makes
         (1.0, 3.0, "good", ""),
     ],
 )
-def test_an_offset_is_told_from_three_standard_uncertainties_and_below_that_a_poor_table_is(
-    off, known_to, status, words
-):
+def test_an_offset_differs_from_three_standard_uncertainties_and_below_that_is_unclear(off, known_to, status, code):
     static = fit_drift([warmed(4, (0.0, 0.0, 0.0))], CALIBRATION, settings=TABLES).static
     verdict = offsets_verdict(with_table_uncertainty(static, known_to), shifted((off, 0.0, 0.0)))
     assert verdict.status == status
-    assert [words in reason for reason in verdict.reasons] == ([True] if words else [])
-    if words:
+    assert [item.code for item in verdict.findings] == ([code] if code else [])
+    if code:
         assert f"+- {known_to:.2g}, " in verdict.reasons[0]
 
 
@@ -142,20 +141,25 @@ def six_faces(scale, shift_mg):
     [
         (1.0, 0.0, "good", ""),
         (1.005, 30.0, "good", ""),
-        (1.02, 0.0, "marginal", r"matrix at \S+ degC differ from the calibration's by -1\.9\S*, .* in xx \(wanted 1\)"),
-        (1.10, 0.0, "bad", r"matrix at \S+ degC differ from the calibration's by -9\.\S*, "),
-        (1.0, 80.0, "marginal", r"offset at \S+ degC \+(79|80|81)\S* \+- \S+, .* mg on x, y, z off the calibration's"),
-        (1.0, 400.0, "bad", r"mg on x, y, z off the calibration's \(wanted 50\)"),
+        (1.02, 0.0, "marginal", r"matrix differs from the calibration: -1\.9\S*, .* % in xx \(wanted 1 %\)"),
+        (1.10, 0.0, "bad", r"matrix differs from the calibration: -9\.\S*, "),
+        (
+            1.0,
+            80.0,
+            "marginal",
+            r"offset differs from the calibration: \+(79|80|81)\S*, .* mg \(\+- \S+, .*\) on x, y, z",
+        ),
+        (1.0, 400.0, "bad", r"on x, y, z at \S+ degC \(wanted 50 mg\)"),
     ],
 )
-def test_accelerometers_of_poses_are_held_against_the_calibration(scale, shift_mg, status, words):
+def test_accelerometers_from_poses_are_compared_with_the_calibration(scale, shift_mg, status, words):
     verdict = poses_verdict(*six_faces(scale, shift_mg))
     assert verdict.status == status
     assert len(verdict.reasons) == bool(words)
     assert all(re.search(words, reason) for reason in verdict.reasons)
 
 
-def test_accelerometers_without_poses_or_of_a_nominal_calibration_are_held_against_nothing():
+def test_accelerometers_without_poses_or_with_a_nominal_calibration_are_compared_with_nothing():
     found, calibration = six_faces(1.10, 400.0)
     assert not poses_verdict(None, calibration).reasons
     assert not poses_verdict(found, replace(calibration, accel=None)).reasons

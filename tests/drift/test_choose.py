@@ -47,35 +47,36 @@ def test_a_device_gets_the_tables_that_it_needs(name, changes):
         table = choice.alternatives
         show(f"{name}: left out, deg/s rms of {', '.join(ALTERNATIVES)}", np.round(table.left_out_rms_dps, 4))
         assert table.chosen == name
-        assert table.reason.startswith(
-            f"{name}: it foretells 5 of 7 soaks (not the coldest and hottest) and the rates, left out in turn, "
-        )
+        counts = ("tables", "held_out", "soaks", "set_points")
+        assert [table.why.values[value] for value in counts] == [name, 5, 7, 7]
         assert table.reason in choice.verdict.reasons
         assert (choice.scale_drift is not None) == ("scale" in name)
         assert (choice.dynamic_drift is not None) == ("dynamic" in name)
-        # The noise of the means is 0.008 deg/s, and no table foretells less; six soaks of 18 rates tell
+        # The noise of the means is 0.008 deg/s, and no table predicts better; six soaks of 18 rates give
         # the surface of the seventh to half of that: hypot(1, 0.5) = 1.12, and 1.25 with room for the draw.
         assert table.left_out_rms_dps[ALTERNATIVES.index(name)] < 1.25 * 0.008
         assert np.isfinite(table.soak_rms_dps).all()
         assert np.isfinite(table.rate_rms_dps).all()
 
 
-def test_two_soaks_are_judged_by_rates_alone_and_say_so():
+def test_two_soaks_are_selected_by_rates_alone_with_a_finding():
     choice = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0]))
     assert np.isnan(choice.alternatives.soak_rms_dps).all()
     assert choice.alternatives.chosen == "scale"
-    assert any("the choice rests on the rates alone" in reason for reason in choice.verdict.reasons)
-    assert "it foretells the rates left out in turn (2 soaks, none between others)" in choice.alternatives.reason
+    assert "drift.tables_by_rates" in {item.code for item in choice.verdict.findings}
+    counts = ("held_out", "soaks", "set_points")
+    assert [choice.alternatives.why.values[name] for name in counts] == [0, 2, 2]
 
 
 def test_soaks_of_one_set_point_are_counted_once_as_set_points():
     # Each set-point twice, as axis by axis or on the way back: of three the middle one alone lies between others.
     choice = chosen(device(0, rate_drift=None), temps=np.array([25.0, 35.0, 45.0, 45.3, 34.8, 25.1]))
-    assert "3 soaks" not in choice.alternatives.reason
-    assert "it foretells 2 of 6 soaks at 3 set-points (not the coldest and hottest)" in choice.alternatives.reason
+    counts = ("held_out", "soaks", "set_points")
+    assert [choice.alternatives.why.values[name] for name in counts] == [2, 6, 3]
+    assert "(2 of 6 soaks at 3 set-points, and rates, held out)" in choice.alternatives.reason
     two = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0, 45.3, 25.1]))
-    assert "the rates left out in turn (4 soaks at 2 set-points, none between others)" in two.alternatives.reason
-    assert any("soaks at two set-points" in reason for reason in two.verdict.reasons)
+    assert [two.alternatives.why.values[name] for name in counts] == [0, 4, 2]
+    assert any("soaks at 2 set-points" in reason for reason in two.verdict.reasons)
 
 
 def test_one_soak_is_refused_with_its_temperature():
@@ -96,7 +97,9 @@ def test_rates_of_one_sign_and_a_missing_axis_still_give_a_choice():
     steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW, noise_dps=0.008, axes=(0, 2))
     choice = chosen(made, steps=steps.taken(steps.rate_b.sum(axis=1) > 0.0))
     assert choice.alternatives.chosen == "scale"
-    assert any("turns about y over temperature were not observable" in reason for reason in choice.verdict.reasons)
+    assert any(
+        item.code == "drift.scale_not_observable" and item.values["axis"] == "y" for item in choice.verdict.findings
+    )
 
 
 def test_the_dynamic_table_spans_what_the_matrix_table_spans():

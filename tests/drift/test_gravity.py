@@ -10,7 +10,7 @@ from testkit.data import show
 from testkit.full_calibration import device
 from undrift.correction.correct import correct
 from undrift.drift.checks import rests_verdict
-from undrift.drift.static import fit_static, with_felt_gravity
+from undrift.drift.static import fit_static, with_g_sensitivity
 from undrift.model import G_NAMES, DriftTables
 from undrift.record import Record
 
@@ -46,7 +46,7 @@ def test_six_faces_tell_it_and_its_intervals_hold(by_pose):
     # Fifty devices, nine elements each; with by_pose the offset differs by 0.011 deg/s from pose to pose for other reasons.
     inside, error, kept = [], [], 0
     for seed in range(50):
-        found, _ = with_felt_gravity(rests(np.random.default_rng(seed), by_pose=by_pose), NAIVE)
+        found, _ = with_g_sensitivity(rests(np.random.default_rng(seed), by_pose=by_pose), NAIVE)
         if found.gyro.g_sensitivity is None:
             continue
         kept += 1
@@ -64,12 +64,13 @@ def test_six_faces_tell_it_and_its_intervals_hold(by_pose):
 
 def test_the_table_is_without_it_and_correct_takes_it_off_once():
     made = rests(np.random.default_rng(1))
-    found, told = with_felt_gravity(made, NAIVE)
-    (reason,) = told.reasons
-    assert reason.startswith("the gyroscopes feel gravity, by up to 0.1 (deg/s)/g: told by rests in 6 poses")
+    found, verdict = with_g_sensitivity(made, NAIVE)
+    (estimate,) = verdict.findings
+    assert estimate.code == "drift.g_sensitivity"
+    assert "up to 0.1 (deg/s)/g from rests in 6 poses" in estimate.text
     before, after = (fit_static(made, nodes=np.arange(20.0, 40.5, 1.0), calibration=c) for c in (NAIVE, found))
     assert (after.table.gyro_uncertainty[0] < 0.2 * before.table.gyro_uncertainty[0]).all()
-    assert any("from pose to pose" in said for said in rests_verdict(before, NAIVE).reasons)
+    assert [item.code for item in rests_verdict(before, NAIVE).findings] == ["drift.poses_g"]
     assert rests_verdict(after, found).reasons == ()
     np.testing.assert_allclose(after.table.gyro_offset[10], 0.0, atol=5 * NOISE)
     use = replace(found, drift=DriftTables(static=after.table), adc=None)
@@ -84,14 +85,14 @@ def test_the_table_is_without_it_and_correct_takes_it_off_once():
 
 def test_what_is_known_is_kept():
     made = rests(np.random.default_rng(2), felt=KNOWN)
-    found, told = with_felt_gravity(made, CALIBRATION)
+    found, verdict = with_g_sensitivity(made, CALIBRATION)
     assert found is CALIBRATION
-    assert told.reasons == ()
+    assert verdict.reasons == ()
 
 
 def test_nothing_is_felt_where_nothing_is():
     felt = [
-        with_felt_gravity(rests(np.random.default_rng(seed), felt=np.zeros((3, 3)), by_pose=by_pose), NAIVE)[0]
+        with_g_sensitivity(rests(np.random.default_rng(seed), felt=np.zeros((3, 3)), by_pose=by_pose), NAIVE)[0]
         for seed in range(100)
         for by_pose in (0.0, 2e-4)
     ]
@@ -102,15 +103,15 @@ def test_nothing_is_felt_where_nothing_is():
 
 @pytest.mark.parametrize("faces", [FACES[:1], FACES[::2], FACES[:4], FACES[[0, 1, 2, 4]]])
 def test_too_few_poses_or_poses_in_a_plane_tell_nothing(faces):
-    found, told = with_felt_gravity(rests(np.random.default_rng(3), faces), NAIVE)
+    found, verdict = with_g_sensitivity(rests(np.random.default_rng(3), faces), NAIVE)
     assert found is NAIVE
-    assert told.reasons == ()
+    assert verdict.reasons == ()
 
 
 def test_without_accelerometers_nothing_tells_gravity():
     made = rests(np.random.default_rng(4))
-    assert with_felt_gravity(made, replace(NAIVE, accel=None))[1].reasons == ()
-    assert with_felt_gravity(replace(made, accel=np.full(made.accel.shape, np.nan)), NAIVE)[1].reasons == ()
+    assert with_g_sensitivity(made, replace(NAIVE, accel=None))[1].reasons == ()
+    assert with_g_sensitivity(replace(made, accel=np.full(made.accel.shape, np.nan)), NAIVE)[1].reasons == ()
 
 
 def test_the_uncertainty_of_a_known_one_enters_the_table_of_one_pose():

@@ -102,7 +102,7 @@ def test_the_smoothing_balances_noise_and_the_lag_left():
     [
         ({"lag_s": -1.0}, "wanted lag_s and smooth_s of 0 s or more, got -1 and 4"),
         ({"smooth_s": float("nan")}, "wanted lag_s and smooth_s of 0 s or more, got 40 and nan"),
-        ({"smooth_s": 0.0}, "wanted smooth_s above 0 s to take off 40 s, got 0"),
+        ({"smooth_s": 0.0}, "wanted smooth_s above 0 s to subtract 40 s, got 0"),
         ({"time": np.arange(3.0)}, r"wanted a time for each temperature, got \(3,\) for \(4,\)"),
         ({"state": LagState(time=2.0)}, "wanted readings from after 2 s, got 0 s; push chunks in order"),
     ],

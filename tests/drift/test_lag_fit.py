@@ -1,4 +1,4 @@
-"""The lag is found from blocks that ran both ways at two speeds, and said to be unknown where nothing tells it."""
+"""The lag is found from blocks that ran both ways at two speeds, and reported as not observable otherwise."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ STEP_S = 10.0
 
 
 def blocks(temp, *, lag_s=30.0, noise=0.005, loop=0.0, seed=0, sessions=None):
-    """Return blocks of a board at ``temp``, read by a thermometer that trails, of a gyro with offset 0.07 T + 0.002 T^2."""
+    """Return blocks of a board at ``temp``, read by a thermometer that lags, of a gyro with offset 0.07 T + 0.002 T^2."""
     read = np.empty_like(temp)
     read[0] = temp[0]
     for k in range(1, len(temp)):
@@ -46,7 +46,7 @@ def two_ramps(**kwargs):
 def test_a_loop_that_does_not_depend_on_speed_is_not_taken_for_lag(loop):
     found = estimate_lag(two_ramps(loop=loop))
     assert found.observable
-    assert found.notes == ()
+    assert found.findings == ()
     assert abs(found.lag_s - 30.0) < 4.0 * found.uncertainty_s
     assert found.uncertainty_s < 2.0
     assert found.misfit[found.lags_s.searchsorted(found.lag_s)] < 2.0
@@ -64,36 +64,41 @@ def test_without_lag_none_is_found():
     assert found.lag_s < 4.0 * found.uncertainty_s
 
 
-def test_soaks_say_nothing():
+def test_soaks_show_no_lag():
     found = estimate_lag(blocks(np.repeat(np.arange(20.0, 60.0, 5.0), 40), lag_s=3.0))
     assert not found.observable
     assert found.lag_s == 0.0
     assert np.isinf(found.uncertainty_s)
-    assert found.notes[0].startswith(
-        "the thermometer's lag is not observable from soaks: the temperature moves by over 0.1"
-    )
+    (why,) = found.findings
+    assert why.code == "drift.lag_few_blocks"
+    assert why.values["count"] < why.values["wanted"] == 24
+    assert "blocks of rest change by over 0.1 degC/min" in why.text
 
 
-def test_a_warm_up_alone_says_nothing():
+def test_a_warm_up_alone_shows_no_lag():
     time = STEP_S * np.arange(200)
     found = estimate_lag(blocks(10.0 + 18.0 * (1.0 - np.exp(-time / 500.0))))
     assert not found.observable
-    assert "each temperature was passed at one speed only" in found.notes[0]
-    assert found.notes[0].endswith("cool the device again through the same temperatures")
+    (why,) = found.findings
+    assert why.code == "drift.lag_one_way"
+    assert why.text.endswith("also cool through the same temperatures")
 
 
-def test_one_speed_both_ways_names_the_doubt():
+def test_one_speed_both_ways_does_not_separate_lag_from_hysteresis():
     found = estimate_lag(blocks(there_and_back(1.0)))
     assert not found.observable
     assert found.lag_s == pytest.approx(30.0, abs=3.0)
-    assert "at one speed only: a lag of" in found.notes[0]
+    assert [why.code for why in found.findings] == ["drift.lag_or_hysteresis"]
+    assert found.findings[0].values["lag_s"] == found.lag_s
 
 
 def test_a_lag_beyond_the_search_is_not_observable():
     found = estimate_lag(two_ramps(), settings=LagSettings(longest_s=20.0))
     assert not found.observable
-    assert "any up to 20 s fits" in found.notes[0]
+    assert [why.code for why in found.findings] == ["drift.lag_unbounded"]
+    assert found.findings[0].values["longest_s"] == 20.0
 
 
-def test_a_few_blocks_say_nothing():
-    assert "wanted 24 blocks of rest" in estimate_lag(blocks(np.linspace(20.0, 30.0, 10))).notes[0]
+def test_a_few_blocks_show_no_lag():
+    (why,) = estimate_lag(blocks(np.linspace(20.0, 30.0, 10))).findings
+    assert (why.code, why.values["wanted"]) == ("drift.lag_few_blocks", 24)

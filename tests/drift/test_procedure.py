@@ -8,16 +8,16 @@ import pytest
 from testkit.data import show
 from undrift.correction.correct import correct, correct_checked
 from undrift.drift import fit as procedure_module
-from undrift.drift.checks import static_verdict
+from undrift.drift.checks import static_verdict, verdict_before
 from undrift.drift.fit import DriftSettings, fit_drift
 from undrift.drift.static import CurveSettings, StaticSettings
 from undrift.errors import InputError, NotObservable
+from undrift.findings import finding
+from undrift.model import Verdict
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
-
-pytestmark = pytest.mark.usefixtures("computed_once")
 
 RATES = tuple(np.radians((30.0, 60.0, 90.0)))
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=300.0)
@@ -57,7 +57,7 @@ def fit(session):
 
 def test_soaks_up_and_down_are_good_and_every_table_covers_what_the_offsets_cover(fit):
     assert fit.choice.verdict.status == "good", fit.choice.verdict.reasons
-    assert static_verdict(replace(fit.static, accel=None), None, 1).status == "good"
+    assert static_verdict(replace(fit.static, accel=None), None).status == "good"
     assert fit.verdict.status == "marginal"  # the accelerometers alone: of one pose, over 57 degC
     assert fit.static.accel.mostly_unknown_scale
     drift = fit.calibration.drift
@@ -105,18 +105,20 @@ def test_a_session_in_a_record_for_each_soak_gives_the_same_tables(fit):
     assert (np.abs(a - b) < u).all()
 
 
-def test_set_points_alone_make_tables_and_say_that_a_column_is_needed_in_use(session):
+def test_set_points_alone_make_tables_with_the_finding_that_a_column_is_needed(session):
     stated = made(settings=replace(SOAKS, drop_temperature=True))
-    told = fit_drift([stated], CALIBRATION)
-    assert told.verdict.status == "marginal"
-    said = [reason for reason in told.verdict.reasons if "chamber's set-points" in reason]
-    assert len(said) == 1
-    assert "what is to be corrected needs a temperature column" in said[0]
-    assert not any("lag" in reason for reason in told.verdict.reasons)
+    points = fit_drift([stated], CALIBRATION)
+    assert points.verdict.status == "marginal"
+    codes = [item.code for item in points.verdict.findings]
+    assert codes.count("drift.set_points_only") == 1
+    assert "also in recordings to correct" in next(
+        f.text for f in points.verdict.findings if f.code == "drift.set_points_only"
+    )
+    assert not any("lag" in reason for reason in points.verdict.reasons)
     with pytest.raises(InputError, match="temperature"):
-        correct(stated.records[0], told.calibration)
+        correct(stated.records[0], points.calibration)
     inside = session.records[0].temp_c < 74.0
-    assert np.isfinite(correct_checked(session.records[0], told.calibration, policy="hold").record.gyro[inside]).all()
+    assert np.isfinite(correct_checked(session.records[0], points.calibration, policy="hold").record.gyro[inside]).all()
 
 
 def test_sessions_over_days_state_how_far_the_offset_moves_between_switch_ons():
@@ -133,8 +135,8 @@ def test_sessions_over_days_state_how_far_the_offset_moves_between_switch_ons():
     assert (stated > turn_on).all()
     assert (stated < 2.0 * turn_on).all()
     assert (stated > 5.0 * np.degrees(one.gyro_summary.usual_uncertainty)).all()
-    assert any("one session" in reason for reason in one.verdict.reasons)
-    assert not any("one session" in reason for reason in six.verdict.reasons)
+    assert "drift.one_session" in {item.code for item in one.verdict.findings}
+    assert "drift.one_session" not in {item.code for item in six.verdict.findings}
 
 
 def test_a_warm_up_is_fitted_where_it_is_asked_for():
@@ -156,25 +158,27 @@ def test_a_lag_that_is_stated_comes_with_the_smoothing_that_it_needs(session):
         assert fitted.lag is None
 
 
-def test_tables_that_are_asked_for_are_taken_and_the_choice_is_told(session):
+def test_tables_that_are_requested_are_taken_and_the_choice_is_reported(session):
     taken = fit_drift([session], CALIBRATION, settings=DriftSettings(tables="dynamic"))
     drift = taken.calibration.drift
     assert drift.dynamic is not None
     assert (drift.dynamic.temp_c[0], drift.dynamic.temp_c[-1]) == (drift.static.temp_c[0], drift.static.temp_c[-1])
     assert drift.dynamic.extrapolated[0].all()
     assert taken.calibration.drift.scale is None or taken.calibration.drift.scale.gyro_matrix is None
-    assert any(reason.startswith("dynamic was asked for; the choice would be") for reason in taken.verdict.reasons)
+    assert any(
+        reason.startswith("Tables requested: dynamic: cross-validation selects") for reason in taken.verdict.reasons
+    )
     none = fit_drift([session], CALIBRATION, settings=DriftSettings(tables="none"))
     assert none.calibration.drift.dynamic is None
     assert none.choice.alternatives.chosen == "none"
-    with pytest.raises(NotObservable, match="wanted scale, got sessions that do not tell: gyroscope scale over"):
+    with pytest.raises(NotObservable, match="wanted scale, got sessions that do not show them: Gyroscope scale over"):
         fit_drift([warmed(40)], CALIBRATION, settings=DriftSettings(tables="scale"))
 
 
 def test_a_table_that_cannot_be_fitted_is_not_passed_over(session, fit, monkeypatch):
     partial = replace(fit.choice, scale=None)
     monkeypatch.setattr(procedure_module, "choose_tables", lambda *_, **__: partial)
-    message = "wanted scale, got sessions that do not tell: scale cannot be fitted to these steps; turn about each axis"
+    message = "wanted scale, got sessions that do not show them: .*scale cannot be fitted to these steps; turn about each axis"
     with pytest.raises(NotObservable, match=message):
         fit_drift([session], CALIBRATION, settings=DriftSettings(tables="scale"))
 
@@ -188,14 +192,26 @@ def test_a_second_thermal_fit_takes_the_place_of_the_first(session, fit):
     np.testing.assert_array_equal(again.calibration.drift.static.gyro_offset, fit.calibration.drift.static.gyro_offset)
 
 
-def test_six_faces_at_each_soak_speak_for_the_accelerometers_and_one_pose_keeps_silent():
+def test_the_verdict_before_a_thermal_fit_is_found_again_in_files_with_and_without_codes(fit):
+    assert verdict_before(fit.calibration).reasons == CALIBRATION.verdict.reasons
+    assert verdict_before(fit.calibration).status == CALIBRATION.verdict.status
+    of_old = replace(fit.calibration.provenance, settings=(("drift_reasons_before", "marginal 2"),))
+    texts = ("six faces: a", "reference: b", "hysteresis is not observable: c")
+    earlier = tuple(finding("earlier.text", "info", text=text) for text in texts)
+    for verdict in (Verdict(status="bad", remarks=texts), Verdict(status="bad", findings=earlier)):
+        before = verdict_before(replace(fit.calibration, verdict=verdict, provenance=of_old))
+        assert (before.status, before.reasons) == ("marginal", texts[:2])
+    assert verdict_before(CALIBRATION) is CALIBRATION.verdict
+
+
+def test_six_faces_at_each_soak_determine_the_accelerometers_and_one_pose_is_not_mentioned():
     six = fit_drift([made(settings=replace(SOAKS, faces="six"))], CALIBRATION)
     one = fit_drift([made()], CALIBRATION)
     assert six.accel is not None
     assert one.accel is None
     assert six.accel_summary.in_table
-    assert sum("accelerometer" in reason for reason in one.verdict.reasons) == 1
-    assert not any("is of one" in reason for reason in six.verdict.reasons)
+    assert sum("Accelerometer" in reason for reason in one.verdict.reasons) == 1
+    assert "drift.accel_one_pose" not in {item.code for item in six.verdict.findings}
 
 
 def test_without_a_calibration_physical_units_keep_their_scale():
@@ -204,8 +220,8 @@ def test_without_a_calibration_physical_units_keep_their_scale():
     found = fit_drift([physical])
     assert found.verdict.status == "marginal"
     assert found.calibration.gyro.method == "nominal"
-    assert any("no calibration was given" in reason for reason in found.verdict.reasons)
-    assert any("scale over temperature is not observable from rests" in reason for reason in found.verdict.reasons)
+    assert "calibration.nominal" in {item.code for item in found.verdict.findings}
+    assert "drift.no_turns" in {item.code for item in found.verdict.findings}
     with pytest.raises(
         NotObservable, match="wanted a calibration, or gyroscope readings in a physical unit, got count"
     ):
@@ -222,11 +238,11 @@ def test_the_nodes_are_those_asked_for_or_what_was_seen(session):
         fit_drift([session], CALIBRATION, settings=DriftSettings(range_c=(20.0, 70.0), step_c=3.0))
 
 
-def test_progress_is_told_in_order(session):
-    told = []
-    fit_drift([session], CALIBRATION, told=lambda what, share: told.append((what, share)))
-    shares = [share for _, share in told]
-    assert len(told) >= 4
+def test_progress_is_reported_in_order(session):
+    stages = []
+    fit_drift([session], CALIBRATION, progress=lambda what, share: stages.append((what, share)))
+    shares = [share for _, share in stages]
+    assert len(stages) >= 4
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] < shares[-1] < 1.0
 
@@ -277,7 +293,7 @@ def test_a_range_asked_for_cuts_the_tables_and_changes_neither_their_values_nor_
         wanted = [np.interp(cut.temp_c, whole.temp_c, column) for column in held.reshape(len(whole.temp_c), -1).T]
         # nodes are summed from another end, and linear between: rounding alone
         np.testing.assert_allclose(found, np.array(wanted).T, rtol=1e-9, atol=1e-12)
-    assert not any("no data near" in reason for reason in asked.static.verdict.reasons)
+    assert not any(item.code == "drift.nodes_extrapolated" for item in asked.static.verdict.findings)
     np.testing.assert_array_equal(asked.gyro_summary.temp_c, asked.calibration.drift.static.temp_c)
 
 
@@ -287,19 +303,18 @@ def test_a_session_given_twice_is_refused(session):
         fit_drift([session, again], CALIBRATION)
 
 
-def test_a_log_that_went_one_way_says_what_lag_and_power_on_would_make(fit):
-    told = fit_drift([warmed(80)], CALIBRATION)
-    said = [reason for reason in told.verdict.reasons if "not in the stated +-" in reason]
-    ramp = np.quantile(np.abs(told.rests.ramp_c_per_min), 0.95)
-    shift = np.degrees(np.abs(told.gyro_summary.slope)) * ramp / 60.0 * 10.0
-    assert len(said) == 1
-    assert (
-        f"each 10 s by which the thermometer trails makes {shift[0]:.2g}, {shift[1]:.2g}, {shift[2]:.2g} deg/s"
-        in said[0]
-    )
-    assert "the loop is unknown" in said[0]
-    assert sum("after power-on may be in the table" in reason for reason in told.verdict.reasons) == 1
-    assert not any("not in the stated" in reason or "may be in the table" in reason for reason in fit.verdict.reasons)
+def test_a_log_that_went_one_way_reports_the_size_of_lag_and_the_power_on_transient(fit):
+    single = fit_drift([warmed(80)], CALIBRATION)
+    (excluded,) = [item for item in single.verdict.findings if item.code == "drift.lag_and_hysteresis_excluded"]
+    ramp = np.quantile(np.abs(single.rests.ramp_c_per_min), 0.95)
+    shift = np.degrees(np.abs(single.gyro_summary.slope)) * ramp / 60.0 * 10.0
+    np.testing.assert_allclose(excluded.values["shift"], shift, rtol=1e-12)
+    assert f"{shift[0]:.2g}, {shift[1]:.2g}, {shift[2]:.2g} deg/s on x, y, z per 10 s of lag" in excluded.text
+    assert excluded.text.endswith("also record a cooling ramp")
+    assert sum(item.code == "drift.power_on_transient" for item in single.verdict.findings) == 1
+    assert not {"drift.lag_and_hysteresis_excluded", "drift.power_on_transient"} & {
+        f.code for f in fit.verdict.findings
+    }
 
 
 def test_gravity_that_six_faces_show_becomes_part_of_a_calibration_that_does_not_know_it_and_counts_once():
@@ -315,8 +330,8 @@ def test_gravity_that_six_faces_show_becomes_part_of_a_calibration_that_does_not
     show("g-sensitivity from rests: error, stated, (deg/s)/g", np.round(np.degrees([off.max(), doubt.max()]) * 9.81, 4))
     assert (off < 4.0 * doubt).all()
     assert np.degrees(doubt.max()) * 9.81 < 0.01
-    assert sum("the gyroscopes feel gravity, by up to 0.05" in reason for reason in fit.verdict.reasons) == 1
-    assert not any("from pose to pose" in reason for reason in fit.verdict.reasons)
+    assert sum("g-sensitivity estimated: up to 0.05" in reason for reason in fit.verdict.reasons) == 1
+    assert not any(item.code.startswith("drift.poses_") for item in fit.verdict.findings)
     again = fit_drift([session], fit.calibration)
     np.testing.assert_array_equal(again.calibration.gyro.g_sensitivity, fit.calibration.gyro.g_sensitivity)
     np.testing.assert_array_equal(again.static.table.gyro_offset, fit.static.table.gyro_offset)

@@ -9,7 +9,7 @@ from drift.test_static import blocks
 from testkit.data import show
 from testkit.full_calibration import device
 from undrift.drift.checks import rests_verdict, set_points_of, set_points_verdict, with_set_points
-from undrift.drift.rests import wander
+from undrift.drift.rests import instability_of
 from undrift.drift.static import fit_static
 
 POINTS = np.array([20.0, 30.0, 40.0, 50.0, 60.0])
@@ -70,12 +70,12 @@ def test_poses_that_agree_cost_next_to_nothing():
     assert np.median(three) < 1.3 * np.median(one)
 
 
-def test_a_jump_to_the_next_set_point_is_no_wander():
+def test_a_jump_to_the_next_set_point_is_no_instability():
     # As a fast chamber makes them: blocks at an even pace through three set-points, a slope of 1 unit a degree.
     temp = np.repeat([20.0, 30.0, 40.0, 50.0], 4)
     value = temp[:, None] + NOISE * np.random.default_rng(0).normal(size=(16, 3))
     made = blocks(temp, value)
-    scatter = wander(made, value, made.gyro_variance)
+    scatter = instability_of(made, value, made.gyro_variance)
     assert scatter is not None
     assert (np.sqrt(scatter) < 5.0 * NOISE).all()  # eight triples; 4 units where the jumps count
 
@@ -86,37 +86,39 @@ def test_three_set_points_are_uncertain_between_and_not_at_the_soaks():
     stated = fit.table.gyro_uncertainty
     assert (stated[[0, 10, 20]] < 3.0 * NOISE).all()  # twelve blocks each, that scatter by NOISE
     assert (stated[5] > 2.0 * stated[10]).all()
-    (reason,) = set_points_verdict(fit, soaks(rng, points=points), device(unit="rad/s")).reasons
-    assert reason.startswith("3 set-points (20.0, 30.0, 40.0 degC): the +- of the gyroscopes' table is ")
-    assert "soak at 25, 35 degC as well, six set-points or more tell what lies between" in reason
+    (few,) = set_points_verdict(fit, soaks(rng, points=points), device(unit="rad/s")).findings
+    assert few.code == "drift.few_set_points"
+    assert few.text.startswith("3 set-points cannot exclude higher-order curvature: 20.0, 30.0, 40.0 degC; ")
+    assert few.text.endswith("soak at 25, 35 degC as well")
 
 
-def test_two_set_points_are_a_line_and_many_or_a_sweep_are_silent():
+def test_two_set_points_are_a_line_and_many_or_a_sweep_give_no_finding():
     rng, model = np.random.default_rng(5), device(unit="rad/s")
     two, twelve = soaks(rng, points=POINTS[:2]), soaks(rng, points=np.linspace(20.0, 60.0, 12))
-    told = set_points_verdict(fit_static(two, nodes=np.arange(20.0, 30.5, 0.5)), two, model)
-    assert "as two cannot tell a curve from a line; soak at 25 degC as well" in told.reasons[0]
+    verdict = set_points_verdict(fit_static(two, nodes=np.arange(20.0, 30.5, 0.5)), two, model)
+    assert verdict.findings[0].values["count"] == 2
+    assert verdict.reasons[0].endswith("soak at 25 degC as well")
     assert set_points_verdict(fit_static(twelve, nodes=POINTS), twelve, model).reasons == ()
     np.testing.assert_allclose(set_points_of(np.array([20.1, 40.0, 19.9])), [20.0, 40.0])
     assert len(set_points_of(np.linspace(20.0, 40.0, 100))) == 0
 
 
-def test_poses_that_disagree_are_told_with_their_size_and_the_likely_reason():
+def test_poses_that_disagree_are_reported_with_their_size_and_the_likely_reason():
     model = replace(device(unit="rad/s"), accel=None)
     model = replace(model, gyro=replace(model.gyro, g_sensitivity=None))
     made = soaks(np.random.default_rng(6), by_pose=0.05)
     fit = fit_static(made, nodes=POINTS, calibration=model)
-    told = with_set_points(fit.verdict, fit, made, model)
-    (reason,) = [reason for reason in told.reasons if "gravity" in reason]
-    assert reason.startswith("the gyroscopes' offset differs from pose to pose by ")
-    assert "standard deviation of 3 poses" in reason
-    assert "at every temperature alike, as gyroscopes that feel gravity do (g-sensitivity)" in reason
+    verdict = with_set_points(fit.verdict, fit, made, model)
+    (pose,) = [item for item in verdict.findings if "g-sensitivity" in item.text]
+    assert pose.code == "drift.poses_g_no_accel"
+    assert pose.values["poses"] == 3
+    assert pose.text.startswith("Gyroscope offset depends on the pose (g-sensitivity): ")
     assert rests_verdict(fit_static(soaks(np.random.default_rng(7)), nodes=POINTS), model).reasons == ()
 
 
-def test_rests_that_disagree_whatever_their_pose_are_told():
+def test_rests_that_disagree_whatever_their_pose_are_reported():
     made = soaks(np.random.default_rng(8), by_rest=0.03)
     model = device(unit="rad/s")
-    (reason,) = rests_verdict(fit_static(made, nodes=POINTS), model).reasons
-    assert reason.startswith("rests of one set-point differ by ")
-    assert "hysteresis" in reason
+    (rest,) = rests_verdict(fit_static(made, nodes=POINTS), model).findings
+    assert rest.code == "drift.rests_disagree"
+    assert "hysteresis" in rest.text

@@ -84,7 +84,8 @@ def test_an_axis_that_was_never_turned_keeps_its_column_without_uncertainty():
     # The other columns come back up to the product of two cross-axis terms, 1e-4, and the missing sensitivity, 10 %.
     assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix)[:, [0, 2], [0, 2]].max() < 1e-4 * scale.max()
     assert any(
-        "turns about y over temperature were not observable: it was turned never" in r for r in fit.verdict.reasons
+        item.code == "drift.scale_not_observable" and item.values == {"axis": "y", "soaks": 0}
+        for item in fit.verdict.findings
     )
     assert fit.verdict.status == "marginal"
 
@@ -101,7 +102,7 @@ def test_nodes_beyond_the_soaks_are_marked_and_less_certain():
 
 def test_two_soaks_draw_a_line_and_say_so():
     fit, _ = fitted(device(), temps=np.array([25.0, 45.0]))
-    assert any("two temperatures draw a line" in reason for reason in fit.verdict.reasons)
+    assert "drift.scale_two_temperatures" in {item.code for item in fit.verdict.findings}
     assert fit.verdict.status == "marginal"
 
 
@@ -116,7 +117,7 @@ def test_rows_with_gaps_are_left_out_and_counted():
     gyro = steps.gyro.copy()
     gyro[[3, 80], 1] = np.nan
     plain, truth = fitted(made, steps=replace(steps, gyro=gyro))
-    assert any("2 of 390 rate steps have gaps" in reason for reason in plain.verdict.reasons)
+    assert any("2 of 390 rate steps left out: gaps" in reason for reason in plain.verdict.reasons)
     assert (
         np.abs(plain.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * np.abs(truth.scale.gyro_matrix).max()
     )

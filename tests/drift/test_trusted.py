@@ -1,4 +1,4 @@
-"""A temperature is smoothed as a board warms, doubted with numbers, and refused where no thermal fit could use it."""
+"""A temperature is smoothed as a board warms, checked with numbers, and refused where no thermal fit could use it."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_steps_and_noise_of_a_warm_up_are_smoothed_away(step, noise, limit):
     assert worst < limit  # one and a half times the worst of 20 seeds, rounded up
     assert worst < 1.5 * found.uncertainty_c
     assert found.step_c == pytest.approx(step)
-    assert any("quantised, it comes in steps" in note for note in found.notes) == (step >= 0.5)
+    assert [seen.code for seen in found.findings] == ["drift.temperature_steps"] * (step >= 0.5)
 
 
 def test_a_soak_between_ramps_keeps_its_level_within_half_a_step():
@@ -83,23 +83,26 @@ def test_the_step_of_a_column_is_found():
     assert step_of(np.full(10, 25.0)) == 0.0
 
 
-# ---- doubts ---------------------------------------------------------------------------------------------------------------
+# ---- plausibility ---------------------------------------------------------------------------------------------------------------
 
 
-def noted(raw, words, **kwargs):
+def seen_in(raw, code, words, **kwargs):
     found = trusted_temperature(session(raw, **kwargs), 0)
-    assert any(words in note for note in found.notes), found.notes
+    assert any(seen.code == code and words in seen.text for seen in found.findings), found.findings
     return found
 
 
-def test_a_good_column_is_not_doubted():
-    assert trusted_temperature(session(WARM_UP + np.random.default_rng(0).normal(0.0, 0.02, len(TIME))), 0).notes == ()
+def test_a_good_column_gives_no_finding():
+    assert (
+        trusted_temperature(session(WARM_UP + np.random.default_rng(0).normal(0.0, 0.02, len(TIME))), 0).findings == ()
+    )
 
 
 def test_a_column_that_stays_and_then_jumps_is_stale_there():
     raw = np.round(WARM_UP * 8.0) / 8.0
     raw[3000:9000] = raw[3000]
-    found = noted(raw, f"stale, it stays at {raw[3000]:.2f} degC for 605 s from 295.3 s on and then jumps by 5.25 K")
+    words = f"{raw[3000]:.2f} degC for 605 s from 295.3 s, then a jump of 5.25 K"
+    found = seen_in(raw, "drift.temperature_stale", words)
     assert np.isnan(found.temp_c[4000:8000]).all()
     assert np.abs(found.temp_c[9100:] - WARM_UP[9100:]).max() < 0.1
 
@@ -107,25 +110,27 @@ def test_a_column_that_stays_and_then_jumps_is_stale_there():
 def test_a_noisy_column_that_freezes_is_stale_without_a_jump():
     raw = WARM_UP + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
     raw[-2000:] = raw[-2000]
-    noted(raw, "for 200 s")
+    seen_in(raw, "drift.temperature_stale", "for 200 s")
 
 
 def test_a_board_does_not_jump():
     raw = WARM_UP + np.where(TIME > 1000.0, 4.0, 0.0) + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
-    noted(raw, "jumps by 3.97 K, faster than a board changes, first at 1000.1 s (1 such)")
+    words = "by up to 3.97 K, faster than a board changes, first at 1000.1 s (1 such)"
+    seen_in(raw, "drift.temperature_jumps", words)
 
 
 def test_single_wild_readings_are_left_out():
     raw = WARM_UP + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
     raw[[500, 9000]] += 30.0
-    found = noted(raw, "2 readings stand alone, the first at 50 s")
+    found = seen_in(raw, "drift.temperature_spikes", "2 temperature spikes left out: the first at 50 s")
     assert np.abs(found.temp_c - WARM_UP).max() < 0.1
 
 
 def test_short_gaps_are_bridged_and_long_ones_stay():
     raw = WARM_UP.copy()
     raw[1000:1050] = raw[5000:7000] = raw[-5:] = np.nan
-    found = noted(raw, "2055 readings missing, 50 in gaps of up to 10 s bridged, 2005 in longer ones left out")
+    words = "2055 temperature readings missing: 50 interpolated in gaps of up to 10 s, 2005 left out"
+    found = seen_in(raw, "drift.temperature_gaps", words)
     assert np.abs(found.temp_c[1000:1050] - WARM_UP[1000:1050]).max() < 0.01
     assert np.isnan(found.temp_c[5000:7000]).all()
     assert np.isnan(found.temp_c[-5:]).all()
@@ -133,7 +138,7 @@ def test_short_gaps_are_bridged_and_long_ones_stay():
 
 def test_a_column_that_denies_its_set_point_is_implausible():
     still = (Still(start=20000, stop=24000, temp_c=20.0),)
-    noted(WARM_UP, "implausible, the column reads 28.", stills=still)
+    seen_in(WARM_UP, "drift.temperature_off_set_point", "the column reads 28.", stills=still)
 
 
 def test_set_points_stand_in_for_a_column():
@@ -142,7 +147,7 @@ def test_set_points_stand_in_for_a_column():
     assert (found.source, found.uncertainty_c, found.step_c, found.noise_c) == ("set-points", 0.5, 0.0, 0.0)
     assert (found.temp_c[:100] == 20.0).all()
     assert np.isnan(found.temp_c[100:200]).all()
-    assert "set-point in 2 pieces" in found.notes[0]
+    assert (found.findings[0].code, found.findings[0].values["pieces"]) == ("drift.temperature_set_points", 2)
 
 
 # ---- refusals -------------------------------------------------------------------------------------------------------------
@@ -229,14 +234,14 @@ def test_a_real_warm_up_keeps_its_shape_and_comes_back_from_whole_degrees(column
     assert 7.0 < rise < 8.0
     assert back < 0.1
     assert early < 0.2
-    assert fine.notes == ()
+    assert fine.findings == ()
 
 
 def test_a_chip_that_reads_54_degrees_on_a_table_is_called_implausible():
     record = read_actigraph(data_path("wearable_formats", "agread_gt9x_example-IMU.csv.gz"))
     found = trusted_temperature(of(record), 0)
-    show("GT9X", found.notes)
-    assert any("implausible unless a chamber held it, 51.6 to 54.7 degC throughout" in note for note in found.notes)
+    show("GT9X", [seen.text for seen in found.findings])
+    assert any("implausible unless in a chamber: 51.6 to 54.7 degC throughout" in seen.text for seen in found.findings)
 
 
 def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
@@ -255,7 +260,8 @@ def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
     )
     assert check_span(found) == pytest.approx(wanted, abs=0.1)
     assert any(
-        "jumps by 2.0" in note and "first at 0." in note for note in found[0].notes
+        seen.code == "drift.temperature_jumps" and "by up to 2.0" in seen.text and "first at 0." in seen.text
+        for seen in found[0].findings
     )  # its first ten rows are 2 K warmer
     with pytest.raises(NotObservable, match=r"wanted a span of 2 degC or more, got 0\.\d+ \(13\.0"):
         trusted_temperature(of(cold), 0)
@@ -272,7 +278,7 @@ def test_eleven_recordings_on_a_bicycle_span_two_degrees_together():
     assert all(f.uncertainty_c < 0.02 for f in found)
 
 
-def test_a_worn_sensor_without_a_thermometer_says_so():
+def test_a_worn_sensor_without_a_thermometer_is_refused():
     columns = ColumnMap(accel=("acc_x", "acc_y", "acc_z"), gyro=("gyr_x", "gyr_y", "gyr_z"), accel_unit="g", gyro_unit="dps",
                         sample_rate_hz=100.0)  # fmt: skip
     record = read_csv(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record

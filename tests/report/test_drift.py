@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from undrift.drift.checks import ScaleSummary, TriadSummary
 from undrift.drift.select import Alternatives
+from undrift.drift.summary import ScaleSummary, TriadSummary
+from undrift.findings import finding
 from undrift.model import DynamicDrift
 from undrift.report.drift import (
     choice_rows,
@@ -93,7 +94,7 @@ def alternatives():
         left_out_rms_dps=np.array([1.6, 0.01, np.nan, 0.009]),
         standard_error_dps=np.array([0.1, 0.001, np.nan, 0.0]),
         chosen="scale",
-        reason="it is simpler",
+        why=finding("drift.tables_requested", "info", tables="none", automatic="none"),
     )
 
 

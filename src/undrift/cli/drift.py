@@ -143,7 +143,7 @@ def _fit(
             _by_power_on(sessions, held),
             model,
             settings=settings,
-            told=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
+            progress=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
         )
 
 

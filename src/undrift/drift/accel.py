@@ -5,18 +5,13 @@ The constant calibration makes v = M0 (u - o0) of a reading. At temperature T th
     |P (v_k - d)| = g        M(T) = P(T) M0        offset(T) = o0 + M0^-1 d(T)
 
 P is symmetric: a common turn of all three sensors shows in no length, and the case's axes stay those of the calibration. Where two
-temperatures or more have poses enough, each is fitted by itself (``calibration/multi_position.py``: nine parameters, or six where
-the poses lie on the faces) and the parameters go through a smoothing spline. Else all poses of all temperatures are fitted at
-once, with d and a diagonal P linear in T.
-
-Poses at rest at several temperatures, and the fit of all of them at once.
-
-::
+temperatures or more have poses enough, each is fitted by itself (calibration/multi_position.py: nine parameters, or six where the
+poses lie on the faces) and the parameters go through a smoothing spline. Else all poses of all temperatures are fitted together::
 
     |(1 + s0 + s1 D) (v - d0 - d1 D)| = g          per axis, D = T - T_0, T_0 the mean temperature of the poses
 
-Twelve parameters by Gauss-Newton steps from none of it, weighted by the variances of the lengths; what the residuals show beyond
-them is added.
+Twelve parameters by Gauss-Newton steps from zero, weighted by the variances of the lengths; what the residuals show beyond them is
+added.
 """
 
 from dataclasses import dataclass, replace
@@ -29,12 +24,11 @@ from undrift.drift.observe import RestBlocks
 from undrift.drift.scale import NodeSettings
 from undrift.drift.static import near_data
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
+from undrift.findings import finding
 from undrift.fit.least_squares import excess_variance
 from undrift.fit.smooth import fit_smooth
 from undrift.model import AXES, Calibration, DriftTables, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
-
-# ---- Poses at rest at several temperatures, and the fit of all of them at once.
 
 JOINT_NAMES = (
     *(f"sensitivity {axis}" for axis in AXES),
@@ -42,9 +36,28 @@ JOINT_NAMES = (
     *(f"sensitivity {axis} per K" for axis in AXES),
     *(f"offset {axis} per K" for axis in AXES),
 )
+_SYMMETRIC = (np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2]))  # rows and columns of P's six elements
+_FULL, _DIAGONAL = 9, 6
+_MISSES_G = (3e-3, 2e-2)  # rms residual length from which a joint fit is marginal, and bad
 _MOST_STEPS = 50
 _SETTLED = 1e-3  # of the standard deviation of a length: no step moves a length by more
 _GROUP_C = 1.5  # poses within this of each other are at one temperature
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AccelDriftFit:
+    """Accelerometer offset and matrix over temperature, n nodes."""
+
+    temp_c: FloatArray  # (n,), degC
+    offset: FloatArray  # (n, 3), absolute, raw unit
+    offset_uncertainty: FloatArray  # (n, 3), raw unit
+    matrix: FloatArray  # (n, 3, 3), the model's unit_out per raw unit
+    matrix_uncertainty: FloatArray  # (n, 3, 3)
+    extrapolated: BoolArray  # (n,), true where no poses were near
+    percent_per_k: FloatArray  # (3,), slope of each axis' sensitivity over the span seen, %/K
+    percent_per_k_uncertainty: FloatArray  # (3,)
+    method: str  # by temperature, or joint
+    verdict: Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,138 +67,19 @@ class WarmPoses:
     temp_c: FloatArray  # (K,), degC
     group: IntArray  # (K,), poses of one number were at one temperature
     pose: IntArray  # (K,), which orientation
-    v: FloatArray  # (K, 3), what the constant model makes of them, m/s2
+    v: FloatArray  # (K, 3), corrected by the constant model, m/s2
     variance: FloatArray  # (K, 3), of v, (m/s2)^2
-    verdict: Verdict  # What was left out
+    verdict: Verdict  # what was left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointFit:
-    """All poses fitted at once."""
+    """All poses fitted together."""
 
     p: FloatArray  # (12,), 1 + s0 (3), d0 (3, m/s2), s1 (3, 1/K), d1 (3, m/s2/K)
     covariance: FloatArray  # (12, 12), of p
     origin_c: float  # T_0, degC
     rms: float  # Residual length, m/s2
-
-
-def warm_poses(rests: RestBlocks, model: TriadModel) -> WarmPoses:
-    """Gather blocks of rest into one row for each pose and temperature."""
-    rows = np.flatnonzero(np.isfinite(rests.accel).all(axis=1) & np.isfinite(rests.temp_c))
-    if not len(rows):
-        raise InputError(
-            f"accelerometers over temperature: wanted rests with readings and temperature, got {len(rests)} blocks and none of "
-            "them usable; check the temperature column and the gaps"
-        )
-    used = rests.taken(rows[np.argsort(rests.temp_c[rows], kind="stable")])
-    temps, group, start = used.temp_c, np.zeros(len(used), dtype=np.int64), float(used.temp_c[0])
-    for k in range(1, len(temps)):
-        begins = temps[k] - start > _GROUP_C
-        start = float(temps[k]) if begins else start
-        group[k] = group[k - 1] + begins
-    which, inside = np.unique(np.column_stack((group, used.pose)), axis=0, return_inverse=True)
-    count = np.bincount(inside.reshape(-1))[:, None]
-
-    def mean(x: FloatArray) -> FloatArray:
-        return np.stack([np.bincount(inside.reshape(-1), column) for column in x.T], axis=1) / count
-
-    unit = si_factor(model.unit_out, "accel")
-    told = np.isfinite(used.accel_variance) & (used.accel_variance > 0.0)
-    variance = np.where(told, used.accel_variance, np.median(used.accel_variance[told]) if told.any() else 0.0)
-    lost = len(rests) - len(rows)
-    reason = f"{lost} of {len(rests)} blocks of rest have gaps in accelerometer or temperature and were left out"
-    return WarmPoses(
-        temp_c=mean(temps[:, None])[:, 0],
-        group=which[:, 0],
-        pose=which[:, 1],
-        v=(mean(used.accel) - model.offset) @ model.matrix.T * unit,
-        variance=mean(variance) / count @ (model.matrix.T * unit) ** 2,
-        verdict=Verdict(status="marginal", remarks=(reason,)) if lost else Verdict(),
-    )
-
-
-def fit_joint(poses: WarmPoses, gravity: float) -> JointFit:
-    """Fit offset and sensitivity, both linear in temperature, to all poses at once."""
-    origin = float(poses.temp_c.mean())
-    warm = poses.temp_c - origin
-    _check_seen(poses, warm, gravity)
-    p = np.concatenate((np.ones(3), np.zeros(9)))
-    variance = np.full(len(warm), 1.0)
-    for _ in range(_MOST_STEPS):
-        design, residual = _linearised(poses.v, warm, p, gravity)
-        weighted = design / np.sqrt(variance)[:, None]
-        step = np.linalg.lstsq(weighted, -residual / np.sqrt(variance), rcond=1e-12)[0]
-        p = p + step
-        stated = (design[:, 3:6] ** 2 * poses.variance).sum(axis=1)
-        residual = _linearised(poses.v, warm, p, gravity)[1]
-        variance = np.maximum(stated + excess_variance(residual, stated, len(warm) - 12), (1e-9 * gravity) ** 2)
-        if float(np.abs(weighted @ step).max()) < _SETTLED:
-            break
-    else:
-        raise PoorFit(
-            f"accelerometers over temperature: wanted {len(warm)} poses of length {gravity:g} m/s2, got none that a device whose "
-            "offset and sensitivity are linear in temperature could give; check that it lay still"
-        )
-    design = _linearised(poses.v, warm, p, gravity)[0] / np.sqrt(variance)[:, None]
-    rms = float(np.sqrt(np.mean(residual**2)))
-    return JointFit(p=p, covariance=np.linalg.inv(design.T @ design), origin_c=origin, rms=rms)
-
-
-def _linearised(v: FloatArray, warm: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
-    """Return design (K, 12) and residual length (K,) at p."""
-    gain = p[0:3] + warm[:, None] * p[6:9]
-    centred = v - p[3:6] - warm[:, None] * p[9:12]
-    a = gain * centred
-    length = np.linalg.norm(a, axis=1)
-    n = a / length[:, None]
-    by_gain, by_offset = n * centred, -n * gain
-    return np.column_stack((by_gain, by_offset, by_gain * warm[:, None], by_offset * warm[:, None])), length - gravity
-
-
-def _check_seen(poses: WarmPoses, warm: FloatArray, gravity: float) -> None:
-    """Raise where a combination of parameters changes no length."""
-    start = np.concatenate((np.ones(3), np.zeros(9)))
-    spread = float(np.std(warm))
-    size = np.array([1.0 / gravity] * 3 + [1.0] * 3 + [1.0 / gravity / spread] * 3 + [1.0 / spread] * 3)
-    design = _linearised(poses.v, warm, start, gravity)[0] * size
-    _, singular, right = np.linalg.svd(design, full_matrices=True)
-    strength = np.zeros(12)
-    strength[: len(singular)] = singular / np.sqrt(len(warm))
-    weak = np.flatnonzero(strength < WEAKEST)
-    if not len(weak):
-        return
-    share = np.linalg.norm(right[weak], axis=0)
-    unseen = tuple(JOINT_NAMES[i] for i in np.flatnonzero(share > 0.3 * share.max()))
-    count = len(np.unique(poses.pose))
-    raise NotObservable(
-        f"accelerometers over temperature: wanted poses that show all twelve parameters, got {count} poses and {len(warm)} means "
-        f"that leave {', '.join(unseen)} open; rest on all six faces at two temperatures or more",
-        parameters=unseen,
-        poses=count,
-    )
-
-
-# ---- accel
-
-_SYMMETRIC = (np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2]))  # rows and columns of P's six elements
-_FULL, _DIAGONAL = 9, 6
-_MISSES_G = (3e-3, 2e-2)  # rms residual length from which a joint fit is marginal, and bad
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AccelDriftFit:
-    """Accelerometer offset and matrix over temperature, n nodes."""
-
-    temp_c: FloatArray  # (n,), nodes, degC
-    offset: FloatArray  # (n, 3), absolute, raw unit
-    offset_uncertainty: FloatArray  # (n, 3), absolute, raw unit
-    matrix: FloatArray  # (n, 3, 3), the model's unit_out per raw unit
-    matrix_uncertainty: FloatArray  # (n, 3, 3), the model's unit_out per raw unit
-    extrapolated: BoolArray  # (n,), true where no poses were near
-    percent_per_k: FloatArray  # (3,), slope of each axis' sensitivity over the span seen, %/K
-    percent_per_k_uncertainty: FloatArray  # (3,), slope of each axis' sensitivity over the span seen, %/K
-    method: str  # by temperature, or joint
-    verdict: Verdict  # In words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -205,10 +99,7 @@ def fit_accel_drift(
     temp_c: FloatArray,
     settings: NodeSettings = NodeSettings(),
 ) -> AccelDriftFit:
-    """Fit the accelerometers' offset and matrix over temperature.
-
-    Arrays: temp_c (n,) degC.
-    """
+    """Fit the accelerometers' offset and matrix over temperature, at nodes (n,), degC."""
     model = calibration.accel
     if model is None:
         raise InputError(
@@ -272,19 +163,16 @@ def _by_temperature(poses: WarmPoses, gravity: float, at: FloatArray) -> _Curves
     found = fit_smooth(np.array(temps), np.array(values)[:, free], np.array(variances)[:, free]).at(at)
     value, uncertainty = np.zeros((len(at), 9)), np.zeros((len(at), 9))
     value[:, free], uncertainty[:, free] = found.value, found.uncertainty
-    reasons = (
-        [] if len(temps) > 2 else ["accelerometers: two temperatures draw a line and cannot show a bend; add a third"]
-    )
+    notes = []
+    if len(temps) == 2:
+        notes.append(finding("drift.accel_two_temperatures", "warn"))
     if count == _DIAGONAL:
-        reasons.append(
-            "accelerometers: the poses show offset and sensitivity over temperature; cross-axis terms are held at the "
-            "calibration's, add poses on edges and corners at each temperature to see them change"
-        )
+        notes.append(finding("drift.accel_faces_only", "info"))
     return _Curves(
         value=value,
         uncertainty=uncertainty,
         method="by temperature",
-        verdict=Verdict(status="good" if len(temps) > 2 else "marginal", remarks=tuple(reasons)),
+        verdict=Verdict(status="good" if len(temps) > 2 else "marginal", findings=tuple(notes)),
     )
 
 
@@ -323,27 +211,21 @@ def _joint(poses: WarmPoses, gravity: float, at: FloatArray) -> _Curves:
         value[:, place] = fit.p[constant] + fit.p[slope] * warm
         c = fit.covariance
         variance[:, place] = c[constant, constant] + 2.0 * warm * c[constant, slope] + warm**2 * c[slope, slope]
-    reason = (
-        f"accelerometers: no two temperatures have six poses each, so that {len(JOINT_NAMES)} parameters, offset and sensitivity "
-        "linear in temperature, were fitted to all poses at once; rest on all six faces at three temperatures to see bends"
-    )
+    verdict = Verdict(status="marginal", findings=(finding("drift.accel_joint", "warn", parameters=len(JOINT_NAMES)),))
+    if fit.rms / gravity >= _MISSES_G[0]:
+        bad = fit.rms / gravity > _MISSES_G[1]
+        missing = finding(
+            "drift.accel_misses_gravity",
+            "fail" if bad else "warn",
+            rms_mg=1e3 * fit.rms / gravity,
+            limit_mg=1e3 * _MISSES_G[0],
+        )
+        verdict = verdict.also(Verdict(status="bad" if bad else "marginal", findings=(missing,)))
     return _Curves(
         value=value,
         uncertainty=np.sqrt(np.maximum(variance, 0.0)),
         method="joint",
-        verdict=Verdict(status="marginal", remarks=(reason,)).also(_missing_gravity(fit.rms / gravity)),
-    )
-
-
-def _missing_gravity(rms_g: float) -> Verdict:
-    if rms_g < _MISSES_G[0]:
-        return Verdict()
-    return Verdict(
-        status="bad" if rms_g > _MISSES_G[1] else "marginal",
-        remarks=(
-            f"accelerometers over temperature: poses miss gravity by {1e3 * rms_g:.2g} mg rms (wanted {1e3 * _MISSES_G[0]:g}): the "
-            "device moved in some of them, or is not linear in temperature",
-        ),
+        verdict=verdict,
     )
 
 
@@ -357,14 +239,14 @@ def _made(
         spread[:, i, j] = spread[:, j, i] = curves.uncertainty[:, k]
     own = model.standard_uncertainty[:9].reshape(3, 3).copy()
     if (spread[:, 0, 1] == 0.0).all():
-        np.fill_diagonal(own, 0.0)  # measured anew; what lies off the diagonal is the calibration's
+        np.fill_diagonal(own, 0.0)  # measured here; off the diagonal it is the calibration's
     else:
         own[:] = 0.0
     back = model.forward_matrix / unit
     slope = 100.0 * (symmetric[n + 1] - symmetric[n]).diagonal() / (poses.temp_c.max() - poses.temp_c.min())
     doubt = 100.0 * np.hypot(spread[n + 1].diagonal(), spread[n].diagonal()) / np.ptp(poses.temp_c)
-    reasons = tuple(
-        f"accelerometer {axis}: sensitivity {-s:+.4f} +- {2.0 * u:.2g} %/K (95 %)"
+    scale = tuple(
+        finding("drift.accel_scale", "info", axis=axis, percent_per_k=-s, expanded_percent_per_k=2.0 * u)
         for axis, s, u in zip(AXES, slope, doubt, strict=True)
     )
     return AccelDriftFit(
@@ -377,5 +259,104 @@ def _made(
         percent_per_k=-slope,
         percent_per_k_uncertainty=doubt,
         method=curves.method,
-        verdict=curves.verdict.also(Verdict(remarks=reasons)).also(poses.verdict),
+        verdict=curves.verdict.also(Verdict(findings=scale)).also(poses.verdict),
+    )
+
+
+# ---- poses at rest, and the fit of all of them together
+
+
+def warm_poses(rests: RestBlocks, model: TriadModel) -> WarmPoses:
+    """Gather blocks of rest into one row for each pose and temperature."""
+    rows = np.flatnonzero(np.isfinite(rests.accel).all(axis=1) & np.isfinite(rests.temp_c))
+    if not len(rows):
+        raise InputError(
+            f"accelerometers over temperature: wanted rests with readings and temperature, got {len(rests)} blocks and none of "
+            "them usable; check the temperature column and the gaps"
+        )
+    used = rests.taken(rows[np.argsort(rests.temp_c[rows], kind="stable")])
+    temps, group, start = used.temp_c, np.zeros(len(used), dtype=np.int64), float(used.temp_c[0])
+    for k in range(1, len(temps)):
+        begins = temps[k] - start > _GROUP_C
+        start = float(temps[k]) if begins else start
+        group[k] = group[k - 1] + begins
+    which, inside = np.unique(np.column_stack((group, used.pose)), axis=0, return_inverse=True)
+    count = np.bincount(inside.reshape(-1))[:, None]
+
+    def mean(x: FloatArray) -> FloatArray:
+        return np.stack([np.bincount(inside.reshape(-1), column) for column in x.T], axis=1) / count
+
+    unit = si_factor(model.unit_out, "accel")
+    known = np.isfinite(used.accel_variance) & (used.accel_variance > 0.0)
+    variance = np.where(known, used.accel_variance, np.median(used.accel_variance[known]) if known.any() else 0.0)
+    lost = len(rests) - len(rows)
+    gaps = finding("drift.accel_left_out", "warn", count=lost, blocks=len(rests))
+    return WarmPoses(
+        temp_c=mean(temps[:, None])[:, 0],
+        group=which[:, 0],
+        pose=which[:, 1],
+        v=(mean(used.accel) - model.offset) @ model.matrix.T * unit,
+        variance=mean(variance) / count @ (model.matrix.T * unit) ** 2,
+        verdict=Verdict(status="marginal", findings=(gaps,)) if lost else Verdict(),
+    )
+
+
+def fit_joint(poses: WarmPoses, gravity: float) -> JointFit:
+    """Fit offset and sensitivity, both linear in temperature, to all poses at once."""
+    origin = float(poses.temp_c.mean())
+    warm = poses.temp_c - origin
+    _check_seen(poses, warm, gravity)
+    p = np.concatenate((np.ones(3), np.zeros(9)))
+    variance = np.full(len(warm), 1.0)
+    for _ in range(_MOST_STEPS):
+        design, residual = _linearised(poses.v, warm, p, gravity)
+        weighted = design / np.sqrt(variance)[:, None]
+        step = np.linalg.lstsq(weighted, -residual / np.sqrt(variance), rcond=1e-12)[0]
+        p = p + step
+        stated = (design[:, 3:6] ** 2 * poses.variance).sum(axis=1)
+        residual = _linearised(poses.v, warm, p, gravity)[1]
+        variance = np.maximum(stated + excess_variance(residual, stated, len(warm) - 12), (1e-9 * gravity) ** 2)
+        if float(np.abs(weighted @ step).max()) < _SETTLED:
+            break
+    else:
+        raise PoorFit(
+            f"accelerometers over temperature: wanted {len(warm)} poses of length {gravity:g} m/s2, got none that a device whose "
+            "offset and sensitivity are linear in temperature could give; check that it lay still"
+        )
+    design = _linearised(poses.v, warm, p, gravity)[0] / np.sqrt(variance)[:, None]
+    rms = float(np.sqrt(np.mean(residual**2)))
+    return JointFit(p=p, covariance=np.linalg.inv(design.T @ design), origin_c=origin, rms=rms)
+
+
+def _linearised(v: FloatArray, warm: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
+    """Return design (K, 12) and residual length (K,) at p."""
+    gain = p[0:3] + warm[:, None] * p[6:9]
+    centred = v - p[3:6] - warm[:, None] * p[9:12]
+    a = gain * centred
+    length = np.linalg.norm(a, axis=1)
+    n = a / length[:, None]
+    by_gain, by_offset = n * centred, -n * gain
+    return np.column_stack((by_gain, by_offset, by_gain * warm[:, None], by_offset * warm[:, None])), length - gravity
+
+
+def _check_seen(poses: WarmPoses, warm: FloatArray, gravity: float) -> None:
+    """Raise where a combination of parameters changes no length."""
+    start = np.concatenate((np.ones(3), np.zeros(9)))
+    spread = float(np.std(warm))
+    size = np.array([1.0 / gravity] * 3 + [1.0] * 3 + [1.0 / gravity / spread] * 3 + [1.0 / spread] * 3)
+    design = _linearised(poses.v, warm, start, gravity)[0] * size
+    _, singular, right = np.linalg.svd(design, full_matrices=True)
+    strength = np.zeros(12)
+    strength[: len(singular)] = singular / np.sqrt(len(warm))
+    weak = np.flatnonzero(strength < WEAKEST)
+    if not len(weak):
+        return
+    share = np.linalg.norm(right[weak], axis=0)
+    unseen = tuple(JOINT_NAMES[i] for i in np.flatnonzero(share > 0.3 * share.max()))
+    count = len(np.unique(poses.pose))
+    raise NotObservable(
+        f"accelerometers over temperature: wanted poses that show all twelve parameters, got {count} poses and {len(warm)} means "
+        f"that leave {', '.join(unseen)} open; rest on all six faces at two temperatures or more",
+        parameters=unseen,
+        poses=count,
     )

@@ -1,25 +1,17 @@
-"""Dynamic drift: what the rate does to the error after offset(T) and matrix, per axis, as a table over measured rate and T.
+"""Dynamic drift: the rate-dependent error after offset(T) and matrix, per axis, as a table over measured rate and temperature.
 
-``e(w, T) = w - true rate`` for w the measured rate of the axis' own turns: a smooth surface through the steps of all soaks
-(``drift/dynamic.py``). Over the measured rate, so that the lookup needs no inversion. Rests that lay as the device turned
-stand at rate
-zero. The table knows the axis' own rate alone: what turns about another axis do is left to the matrix.
-
-Default nodes: the rates that were imposed, zero, and the ends of what was measured; every 5 degC over the soaks.
-
-A smooth surface e(w, T) with e(0, T) = 0 through scattered rate steps: a tensor product of cubic splines.
-
-::
+``e(w, T) = w - true rate`` for w the measured rate of the axis' own turns, so that the lookup needs no inversion; what turns about
+another axis do is left to the matrix. Rests that lay as the device turned stand at rate zero. A smooth surface, a tensor product of
+cubic splines with e(0, T) = 0, goes through the scattered steps of all soaks::
 
     r_k = e(w_k, T_k) + d_g(k) + noise          e(w, T) = sum_ij c_ij B_i(w) B_j(T)
     minimise  sum (r_k - e_k - d_g)^2 / v_k + l_w integral (d2e/dw2)^2 + l_T integral (d2e/dT2)^2
 
-d_g is what a soak and mounting leave of the offset: it is the static table's affair, not the rate's, and is fitted along and
-forgotten. So is e(0, T) = 0: rate zero belongs to the static table, and nothing is counted twice. The two stiffnesses l are
-those that foretell best what was left out: whole soaks between the first and the last, and whole rates. A group g that is left
-out of a linear smoother with hat matrix H misses by (1 - H_gg)^-1 r_g, so nothing is fitted anew [1]_. Rate, temperature and
-residual are scaled to one beforehand. The covariance is that of the smoothness prior [2]_, and the variances v hold
-the excess that the residuals show beyond what the dwells stated.
+d_g is what a soak and mounting leave of the offset: it belongs to the static table, as rate zero does, so that nothing counts
+twice. The two stiffnesses l have the least cross-validated error: whole soaks between the first and the last, and whole rates, are
+held out. A group g that is held out of a linear smoother with hat matrix H misses by (1 - H_gg)^-1 r_g, so nothing is fitted anew
+[1]_. Rate, temperature and residual are scaled to one beforehand. The covariance is that of the smoothness prior [2]_, and the
+variances v hold the excess that the residuals show beyond those stated.
 
 References
 ----------
@@ -36,15 +28,30 @@ from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.scale import NodeSettings, Steps, measured_rate, rests_of, steps_of
 from undrift.drift.static import near_data
 from undrift.errors import InputError, NotObservable
+from undrift.findings import finding
 from undrift.fit.least_squares import excess_variance
 from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
 
-# ---- A smooth surface e(w, T) with e(0, T) = 0 through scattered rate steps: a tensor product of cubic splines.
-
+DEFAULT_STEP_C = 5.0
+_OWN = 0.5  # share of the turning rate from which a row counts for an axis
+_SAME_RATE = 0.01  # of the greatest: imposed rates nearer to each other are one node
+_NEAR_RATE = 0.02  # of the greatest: how far beyond the measured rates a node still counts as seen
 _LOOSE = 1e2  # variance of d_g about the mean of its rows, in units of the residuals' own: it is free
 _SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # prior size of a second derivative, in spans and in residuals; stiff first
 _MOST_INTERVALS = 6  # of 30 deg/s over the note's rates
 _NEGLIGIBLE = 1e-2  # weight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DynamicSettings:
+    """Nodes of the table, and how stiff its surface is."""
+
+    # (k,), nodes of the measured rate, rad/s; None takes the imposed rates, zero, and the ends of what was measured
+    turn_rate: FloatArray | None = None
+    temp_c: FloatArray | None = None  # (m,), nodes of the temperature, degC; None takes every 5 degC over the soaks
+    # Of each axis' surface over rate and temperature, as an earlier fit found it; None finds it by cross-validation
+    softness: tuple[tuple[float, float], ...] | None = None
+    nodes: NodeSettings = field(default_factory=NodeSettings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +63,7 @@ class SurfacePoints:
     value: FloatArray  # (n,), measured less imposed rate, rad/s
     variance: FloatArray  # (n,), of the value, (rad/s)^2, above 0
     soak: IntArray  # (n,), which soak, from 0
-    mounting: IntArray  # (n,), which soak and mounting, from 0: rows of one number share what is left of the offset
+    mounting: IntArray  # (n,), which soak and mounting, from 0: rows of one number share d
     level: IntArray  # (n,), which rate, whatever its sign; 0 for rests
 
     def __len__(self) -> int:
@@ -67,9 +74,9 @@ class SurfacePoints:
 class Cubics:
     """Cubic B-splines on even knots."""
 
-    low: float  # Where they begin and end
-    high: float  # Where they begin and end
-    intervals: int  # Between the knots
+    low: float
+    high: float
+    intervals: int  # between the knots
 
     @property
     def knots(self) -> FloatArray:
@@ -77,20 +84,14 @@ class Cubics:
         return np.concatenate((np.zeros(3), np.linspace(0.0, 1.0, self.intervals + 1), np.ones(3)))
 
     def at(self, x: FloatArray) -> FloatArray:
-        """Return the splines at some points.
-
-        Arrays: x (n,) -> (n, intervals + 3).
-        """
+        """Return the splines at points, (n,) -> (n, intervals + 3)."""
         from scipy.interpolate import BSpline
 
         z = np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
         return np.asarray(BSpline.design_matrix(z, self.knots, 3).toarray())
 
     def products(self, derivative: int) -> FloatArray:
-        """Return the integrals of the products of all pairs, or of their derivatives, over the span.
-
-        Arrays:  -> (intervals + 3, intervals + 3).
-        """
+        """Return the integrals over the span of the products of all pairs, or of their derivatives."""
         from scipy.interpolate import BSpline
 
         at, weight = np.polynomial.legendre.leggauss(4)
@@ -106,32 +107,237 @@ class Cubics:
 class Surface:
     """A fitted surface."""
 
-    rate: Cubics  # Its splines
-    temp: Cubics  # Its splines
+    rate: Cubics
+    temp: Cubics
     coefficients: FloatArray  # (P,), c in the splines that vanish at rate zero
     covariance: FloatArray  # (P, P), of c, (rad/s)^2
     # Size of second derivatives over rate and temperature, in spans and residuals: mean of the logarithms
     softness: tuple[float, float]
     excess: float  # Standard deviation that the residuals show beyond the variances stated, rad/s
-    residuals: FloatArray  # (n,), what is left, rad/s
+    residuals: FloatArray  # (n,), rad/s
     offsets: FloatArray  # (G,), d of each mounting, rad/s
 
     def at(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
-        """Return e at some points.
-
-        Arrays: turn_rate (n,) degC, temp_c (n,) degC -> (n,) rad/s.
-        """
+        """Return e at points (n,), rad/s."""
         e: FloatArray = _design(self.rate, self.temp, turn_rate, temp_c) @ self.coefficients
         return e
 
     def uncertainty(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
-        """Return the standard uncertainty of e at some points.
-
-        Arrays: turn_rate (n,) degC, temp_c (n,) degC -> (n,) rad/s.
-        """
+        """Return the standard uncertainty of e at points (n,), rad/s."""
         x = _design(self.rate, self.temp, turn_rate, temp_c)
         deviation: FloatArray = np.sqrt(np.maximum(np.einsum("np,np->n", x @ self.covariance, x), 0.0))
         return deviation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DynamicFit:
+    """The table of rate-dependent drift."""
+
+    drift: DynamicDrift  # an axis that was not turned has zeros with uncertainty NaN
+    surfaces: tuple[Surface | None, Surface | None, Surface | None]  # one an axis; None where it was not turned
+    before: FloatArray  # (3,), residual rms of each axis about the offset of its mountings before the fit, rad/s
+    after: FloatArray  # (3,), and after it
+    excess: FloatArray  # (3,), scatter of the steps beyond the noise they stated, rad/s
+    verdict: Verdict
+
+
+def fit_dynamic(
+    steps: RateSteps | Steps,
+    calibration: Calibration,
+    *,
+    static: StaticDrift | None,
+    scale: ScaleDrift | None,
+    rests: RestBlocks | None = None,
+    settings: DynamicSettings = DynamicSettings(),
+) -> DynamicFit:
+    """Fit the dynamic drift of the gyroscopes."""
+    clean = steps_of(steps)
+    rate = measured_rate(clean.gyro, clean.temp_c, calibration, static=static, scale=scale)
+    at_rest = _rest_rows(clean, rests, calibration, static, scale)
+    model_variance = _variances(clean, calibration)
+    points = tuple(_points(clean, rate, at_rest, model_variance, axis) for axis in range(3))
+    turn_rate, temp_c = _nodes(clean, points, settings)
+    surfaces: list[Surface | None] = []
+    for axis in range(3):
+        own = points[axis]
+        softness = None if settings.softness is None else settings.softness[axis]
+        surfaces.append(
+            None
+            if own is None
+            else fit_surface(
+                own,
+                rate_span=(float(turn_rate[0]), float(turn_rate[-1])),
+                temp_span=(float(temp_c[0]), float(temp_c[-1])),
+                softness=softness,
+            )
+        )
+    drift = _table(points, surfaces, turn_rate, temp_c, settings)
+    before, after, excess = (np.full(3, np.nan) for _ in range(3))
+    for axis, (own, surface) in enumerate(zip(points, surfaces, strict=True)):
+        if own is not None and surface is not None:
+            before[axis], after[axis] = _rms_about_mountings(own), float(np.sqrt(np.mean(surface.residuals**2)))
+            excess[axis] = surface.excess
+    return DynamicFit(
+        drift=drift,
+        surfaces=(surfaces[0], surfaces[1], surfaces[2]),
+        before=before,
+        after=after,
+        excess=excess,
+        verdict=_verdict(points).also(clean.verdict),
+    )
+
+
+def softness_of(fit: DynamicFit) -> tuple[tuple[float, float], ...]:
+    """Return how soft each axis' surface was found to be, to fit parts of the same data alike."""
+    return tuple((1e-2, 1e-2) if surface is None else surface.softness for surface in fit.surfaces)
+
+
+def _variances(steps: Steps, calibration: Calibration) -> FloatArray:
+    """Return the variance of each row's rate, (rad/s)^2, shape (n, 3)."""
+    eye = np.zeros((4, 3))
+    eye[1:] = np.eye(3)
+    made = measured_rate(eye, np.zeros(4), calibration, static=None, scale=None)
+    matrix = (made[1:] - made[0]).T
+    return np.asarray(steps.variance @ (matrix**2).T)
+
+
+def _rest_rows(
+    steps: Steps,
+    rests: RestBlocks | None,
+    calibration: Calibration,
+    static: StaticDrift | None,
+    scale: ScaleDrift | None,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return rate, temperature and step row of the rests that lay as the device turned."""
+    block, of = rests_of(steps, rests)
+    if rests is None or not len(block):
+        return np.empty((0, 3)), np.empty(0), of
+    found = rests.taken(block)
+    rate = measured_rate(found.gyro, found.temp_c, calibration, static=static, scale=scale)
+    return rate, found.temp_c, of
+
+
+def _points(
+    steps: Steps,
+    rate: FloatArray,
+    at_rest: tuple[FloatArray, FloatArray, IntArray],
+    variances: FloatArray,
+    axis: int,
+) -> SurfacePoints | None:
+    """Return the rows of one axis' own rate; None where it was not turned at two soaks and two rates."""
+    own = np.flatnonzero(np.abs(steps.rate_b[:, axis]) > _OWN * np.linalg.norm(steps.rate_b, axis=1))
+    if len(np.unique(steps.soak[own])) < 2 or len(np.unique(steps.rate_b[own, axis])) < 2:
+        return None
+    of = at_rest[2]
+    still = np.flatnonzero(np.isin(steps.mounting[of], steps.mounting[own]))
+    rows = np.concatenate((own, of[still]))
+    imposed = np.abs(steps.rate_b[own, axis])
+    level = np.round(imposed / (_SAME_RATE * imposed.max())).astype(np.int64)
+    return SurfacePoints(
+        turn_rate=np.concatenate((rate[own, axis], np.zeros(len(still)))),
+        temp_c=np.concatenate((steps.temp_c[own], at_rest[1][still])),
+        value=np.concatenate((rate[own, axis] - steps.rate_b[own, axis], at_rest[0][still, axis])),
+        variance=variances[rows, axis],
+        soak=np.unique(steps.soak[rows], return_inverse=True)[1].reshape(-1),
+        mounting=np.unique(steps.mounting[rows], return_inverse=True)[1].reshape(-1),
+        level=np.concatenate((level, np.zeros(len(still), dtype=np.int64))),
+    )
+
+
+def _nodes(
+    steps: Steps, points: tuple[SurfacePoints | None, ...], settings: DynamicSettings
+) -> tuple[FloatArray, FloatArray]:
+    have = [p for p in points if p is not None]
+    soaks = len(np.unique(steps.soak))
+    if not have:
+        raise NotObservable(
+            f"dynamic drift: wanted an axis turned at two rates and two soaks or more, got {len(steps)} steps at {soaks} soaks, "
+            f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC; repeat the steps at another temperature",
+            soaks=soaks,
+        )
+    temps = np.concatenate([p.temp_c for p in have])
+    temp_c, turn_rate = settings.temp_c, settings.turn_rate
+    if temp_c is None:
+        low = DEFAULT_STEP_C * float(np.floor(round(float(temps.min() / DEFAULT_STEP_C), 2)))
+        high = DEFAULT_STEP_C * float(np.ceil(round(float(temps.max() / DEFAULT_STEP_C), 2)))
+        temp_c = np.linspace(low, high, round((high - low) / DEFAULT_STEP_C) + 1)
+    if turn_rate is None:
+        turn_rate = _rate_nodes(np.concatenate([p.turn_rate for p in have]), steps.along)
+    if (np.diff(turn_rate) <= 0.0).any() or (np.diff(temp_c) <= 0.0).any():
+        raise InputError("dynamic drift: wanted nodes that increase, got some that do not; sort and merge them")
+    return turn_rate, temp_c
+
+
+def _rate_nodes(measured: FloatArray, imposed: FloatArray) -> FloatArray:
+    """Return the imposed rates, zero, and the ends of what was measured where they lie beyond."""
+    tolerance = _SAME_RATE * float(np.abs(imposed).max())
+    wanted = np.sort(np.concatenate((imposed, [0.0])))
+    first = np.concatenate(([True], np.diff(wanted) > tolerance))
+    groups = np.split(wanted, np.flatnonzero(first)[1:])
+    nodes = np.array([0.0 if (g == 0.0).any() else g.mean() for g in groups])
+    low, high = float(measured.min()), float(measured.max())
+    below = [low] if low < nodes[0] - tolerance else []
+    above = [high] if high > nodes[-1] + tolerance else []
+    return np.concatenate((below, nodes, above))
+
+
+def _table(
+    points: tuple[SurfacePoints | None, ...],
+    surfaces: list[Surface | None],
+    turn_rate: FloatArray,
+    temp_c: FloatArray,
+    settings: DynamicSettings,
+) -> DynamicDrift:
+    shape = (len(temp_c), len(turn_rate), 3)
+    error, uncertainty = np.zeros(shape), np.full(shape, np.nan)
+    marks = np.zeros(shape[:2], dtype=bool)
+    w, t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
+    for axis, (own, surface) in enumerate(zip(points, surfaces, strict=True)):
+        if own is None or surface is None:
+            continue
+        error[:, :, axis] = surface.at(w, t).reshape(shape[:2])
+        uncertainty[:, :, axis] = surface.uncertainty(w, t).reshape(shape[:2])
+        marks |= _unseen(own, turn_rate, temp_c, settings)
+    return DynamicDrift(temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=marks)
+
+
+def _unseen(own: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray, settings: DynamicSettings) -> BoolArray:
+    """Mark nodes beyond the temperatures, or beyond the rates that were measured around their temperature."""
+    soaks = np.unique(own.soak)
+    at = np.array([own.temp_c[own.soak == s].mean() for s in soaks])
+    order = np.argsort(at)
+    ends = [np.array([f(np.append(own.turn_rate[own.soak == s], 0.0)) for s in soaks])[order] for f in (np.min, np.max)]
+    slack = _NEAR_RATE * float(np.abs(own.turn_rate).max())
+    low, high = (np.interp(temp_c, at[order], end)[:, None] for end in ends)
+    outside = (turn_rate < low - slack) | (turn_rate > high + slack)
+    near = near_data(temp_c, at, edge_c=settings.nodes.edge_c, gap_c=settings.nodes.gap_c)
+    return np.asarray(outside | ~near[:, None])
+
+
+def _rms_about_mountings(own: SurfacePoints) -> float:
+    means = np.bincount(own.mounting, own.value) / np.bincount(own.mounting)
+    return float(np.sqrt(np.mean((own.value - means[own.mounting]) ** 2)))
+
+
+def _verdict(points: tuple[SurfacePoints | None, ...]) -> Verdict:
+    found = []
+    for axis, own in zip(AXES, points, strict=True):
+        if own is None:
+            found.append(finding("drift.dynamic_not_observable", "warn", axis=axis))
+            continue
+        steady = own.turn_rate[own.level > 0]
+        if (steady > 0.0).all() or (steady < 0.0).all():
+            way, other = ("+", "-") if (steady > 0.0).all() else ("-", "+")
+            found.append(finding("drift.dynamic_one_way", "warn", axis=axis, way=way + axis, other=other + axis))
+    two = tuple(
+        axis for axis, own in zip(AXES, points, strict=True) if own is not None and len(np.unique(own.soak)) == 2
+    )
+    if two:
+        found.append(finding("drift.dynamic_two_temperatures", "warn", axes=two))
+    return Verdict(status="marginal" if found else "good", findings=tuple(found))
+
+
+# ---- the surface e(w, T) with e(0, T) = 0 through scattered points
 
 
 def fit_surface(
@@ -158,7 +364,7 @@ def fit_surface(
 
 
 def _settled(points: SurfacePoints, rate: Cubics, temp: Cubics, softness: tuple[float, float] | None) -> Surface:
-    """Fit, find the excess, fit again with it, and mix the surfaces that foretell about as well."""
+    """Fit, find the excess, fit again with it, and mix the surfaces that predict about as well."""
     groups = int(points.mounting.max()) + 1
     means = np.bincount(points.mounting, points.value, groups) / np.maximum(np.bincount(points.mounting), 1)
     points = replace(points, value=points.value - means[points.mounting])
@@ -198,10 +404,10 @@ def _settled(points: SurfacePoints, rate: Cubics, temp: Cubics, softness: tuple[
 def _softnesses(
     points: SurfacePoints, x: FloatArray, v: FloatArray, size: float, bends: tuple[FloatArray, FloatArray]
 ) -> tuple[list[tuple[float, float]], FloatArray]:
-    """Return the pairs that foretell what was left out well enough to count, and their weights."""
+    """Return the pairs whose cross-validated error is small enough to count, and their weights."""
     groups, few = int(points.mounting.max()) + 1, len(np.unique(points.soak)) < 3
     pairs = [(of_rate, of_temp) for of_temp in _SOFTNESS[: 1 if few else None] for of_rate in _SOFTNESS]
-    scores = np.array([_left_out(points, x, v, _penalty(pair, size, bends, groups)) for pair in pairs])
+    scores = np.array([_held_out_square(points, x, v, _penalty(pair, size, bends, groups)) for pair in pairs])
     if not scores.any():  # nothing could be left out: as stiff as may be
         return pairs[:1], np.ones(1)
     weights = (scores / scores.min()) ** (-0.5 * len(points))
@@ -209,8 +415,8 @@ def _softnesses(
     return [pair for pair, keep in zip(pairs, kept, strict=True) if keep], weights[kept] / weights[kept].sum()
 
 
-def _left_out(points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray) -> float:
-    """Return the weighted sum of squares of all rows when their soak, or their rate, is left out."""
+def _held_out_square(points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray) -> float:
+    """Return the weighted sum of squares of all rows when their soak, or their rate, is held out."""
     z = np.linalg.inv(np.linalg.cholesky(x.T @ (x / v[:, None]) + penalty)) @ x.T
     r = points.value - z.T @ (z @ (points.value / v))
     total = 0.0
@@ -280,242 +486,3 @@ def _vanishing(rate: Cubics) -> FloatArray:
     """Return combinations of the splines, one a column, that are zero at rate zero."""
     at_zero = rate.at(np.zeros(1))
     return np.asarray(np.linalg.svd(at_zero)[2][1:].T)
-
-
-# ---- dynamic
-
-DEFAULT_STEP_C = 5.0
-_OWN = 0.5  # share of the turning rate from which a row speaks of an axis
-_SAME_RATE = 0.01  # of the greatest: imposed rates nearer to each other are one node
-_NEAR_RATE = 0.02  # of the greatest: how far beyond the measured rates a node still counts as seen
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DynamicFit:
-    """The table of rate-dependent drift."""
-
-    # e at the nodes, with uncertainty and marks. An axis that was not turned has zeros with uncertainty NaN
-    drift: DynamicDrift
-    surfaces: tuple[Surface | None, Surface | None, Surface | None]  # One an axis; None where it was not turned
-    # (3,), root-mean-square residual of each axis about the offset of its mountings before and after, rad/s
-    before: FloatArray
-    # (3,), root-mean-square residual of each axis about the offset of its mountings before and after, rad/s
-    after: FloatArray
-    excess: FloatArray  # (3,), scatter of the steps beyond the noise they stated, rad/s
-    verdict: Verdict  # In words
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DynamicSettings:
-    """Nodes of the table, and how stiff its surface is."""
-
-    # (k,), nodes of the measured rate, rad/s; None takes the imposed rates, zero, and the ends of what was measured
-    turn_rate: FloatArray | None = None
-    temp_c: FloatArray | None = None  # (m,), nodes of the temperature, degC; None takes every 5 degC over the soaks
-    # Of each axis' surface over rate and temperature, as an earlier fit found it; None finds it by leaving out
-    softness: tuple[tuple[float, float], ...] | None = None
-    nodes: NodeSettings = field(default_factory=NodeSettings)  # Marks of extrapolation
-
-
-def fit_dynamic(
-    steps: RateSteps | Steps,
-    calibration: Calibration,
-    *,
-    static: StaticDrift | None,
-    scale: ScaleDrift | None,
-    rests: RestBlocks | None = None,
-    settings: DynamicSettings = DynamicSettings(),
-) -> DynamicFit:
-    """Fit the dynamic drift of the gyroscopes."""
-    clean = steps_of(steps)
-    rate = measured_rate(clean.gyro, clean.temp_c, calibration, static=static, scale=scale)
-    at_rest = _rest_rows(clean, rests, calibration, static, scale)
-    points = tuple(_points(clean, rate, at_rest, _variances(clean, calibration), axis) for axis in range(3))
-    turn_rate, temp_c = _nodes(clean, points, settings)
-    surfaces: list[Surface | None] = []
-    for axis in range(3):
-        own = points[axis]
-        softness = None if settings.softness is None else settings.softness[axis]
-        surfaces.append(
-            None
-            if own is None
-            else fit_surface(own, rate_span=_ends(turn_rate), temp_span=_ends(temp_c), softness=softness)
-        )
-    drift = _table(points, surfaces, turn_rate, temp_c, settings)
-    before, after, excess = (np.full(3, np.nan) for _ in range(3))
-    for axis, (own, surface) in enumerate(zip(points, surfaces, strict=True)):
-        if own is not None and surface is not None:
-            before[axis], after[axis] = _rms_about_mountings(own), float(np.sqrt(np.mean(surface.residuals**2)))
-            excess[axis] = surface.excess
-    return DynamicFit(
-        drift=drift,
-        surfaces=(surfaces[0], surfaces[1], surfaces[2]),
-        before=before,
-        after=after,
-        excess=excess,
-        verdict=_verdict(clean, points).also(clean.verdict),
-    )
-
-
-def softness_of(fit: DynamicFit) -> tuple[tuple[float, float], ...]:
-    """Return how soft each axis' surface was found to be, to fit parts of the same data alike."""
-    return tuple((1e-2, 1e-2) if surface is None else surface.softness for surface in fit.surfaces)
-
-
-def _variances(steps: Steps, calibration: Calibration) -> FloatArray:
-    """Return the variance of each row's rate, (rad/s)^2, shape (n, 3)."""
-    eye = np.zeros((4, 3))
-    eye[1:] = np.eye(3)
-    made = measured_rate(eye, np.zeros(4), calibration, static=None, scale=None)
-    matrix = (made[1:] - made[0]).T
-    return np.asarray(steps.variance @ (matrix**2).T)
-
-
-def _rest_rows(
-    steps: Steps,
-    rests: RestBlocks | None,
-    calibration: Calibration,
-    static: StaticDrift | None,
-    scale: ScaleDrift | None,
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return rate, temperature and step row of the rests that lay as the device turned."""
-    block, of = rests_of(steps, rests)
-    if rests is None or not len(block):
-        return np.empty((0, 3)), np.empty(0), of
-    found = rests.taken(block)
-    rate = measured_rate(found.gyro, found.temp_c, calibration, static=static, scale=scale)
-    return rate, found.temp_c, of
-
-
-def _points(
-    steps: Steps,
-    rate: FloatArray,
-    at_rest: tuple[FloatArray, FloatArray, IntArray],
-    variances: FloatArray,
-    axis: int,
-) -> SurfacePoints | None:
-    """Return what speaks of one axis' own rate; None where it was not turned at two soaks and two rates."""
-    own = np.flatnonzero(np.abs(steps.rate_b[:, axis]) > _OWN * np.linalg.norm(steps.rate_b, axis=1))
-    if len(np.unique(steps.soak[own])) < 2 or len(np.unique(steps.rate_b[own, axis])) < 2:
-        return None
-    of = at_rest[2]
-    still = np.flatnonzero(np.isin(steps.mounting[of], steps.mounting[own]))
-    rows = np.concatenate((own, of[still]))
-    imposed = np.abs(steps.rate_b[own, axis])
-    level = np.round(imposed / (_SAME_RATE * imposed.max())).astype(np.int64)
-    return SurfacePoints(
-        turn_rate=np.concatenate((rate[own, axis], np.zeros(len(still)))),
-        temp_c=np.concatenate((steps.temp_c[own], at_rest[1][still])),
-        value=np.concatenate((rate[own, axis] - steps.rate_b[own, axis], at_rest[0][still, axis])),
-        variance=variances[rows, axis],
-        soak=np.unique(steps.soak[rows], return_inverse=True)[1].reshape(-1),
-        mounting=np.unique(steps.mounting[rows], return_inverse=True)[1].reshape(-1),
-        level=np.concatenate((level, np.zeros(len(still), dtype=np.int64))),
-    )
-
-
-def _nodes(
-    steps: Steps, points: tuple[SurfacePoints | None, ...], settings: DynamicSettings
-) -> tuple[FloatArray, FloatArray]:
-    have = [p for p in points if p is not None]
-    soaks = len(np.unique(steps.soak))
-    if not have:
-        raise NotObservable(
-            f"dynamic drift: wanted an axis turned at two rates and two soaks or more, got {len(steps)} steps at {soaks} soaks, "
-            f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC; repeat the steps at another temperature",
-            soaks=soaks,
-        )
-    temps = np.concatenate([p.temp_c for p in have])
-    temp_c, turn_rate = settings.temp_c, settings.turn_rate
-    if temp_c is None:
-        low, high = (f(temps / DEFAULT_STEP_C) * DEFAULT_STEP_C for f in (_floor, _ceil))
-        temp_c = np.linspace(low, high, round((high - low) / DEFAULT_STEP_C) + 1)
-    if turn_rate is None:
-        turn_rate = _rate_nodes(np.concatenate([p.turn_rate for p in have]), steps.along)
-    if (np.diff(turn_rate) <= 0.0).any() or (np.diff(temp_c) <= 0.0).any():
-        raise InputError("dynamic drift: wanted nodes that increase, got some that do not; sort and merge them")
-    return turn_rate, temp_c
-
-
-def _floor(x: FloatArray) -> float:
-    return float(np.floor(round(float(x.min()), 2)))
-
-
-def _ceil(x: FloatArray) -> float:
-    return float(np.ceil(round(float(x.max()), 2)))
-
-
-def _rate_nodes(measured: FloatArray, imposed: FloatArray) -> FloatArray:
-    """Return the imposed rates, zero, and the ends of what was measured where they lie beyond."""
-    tolerance = _SAME_RATE * float(np.abs(imposed).max())
-    wanted = np.sort(np.concatenate((imposed, [0.0])))
-    first = np.concatenate(([True], np.diff(wanted) > tolerance))
-    groups = np.split(wanted, np.flatnonzero(first)[1:])
-    nodes = np.array([0.0 if (g == 0.0).any() else g.mean() for g in groups])
-    low, high = float(measured.min()), float(measured.max())
-    below = [low] if low < nodes[0] - tolerance else []
-    above = [high] if high > nodes[-1] + tolerance else []
-    return np.concatenate((below, nodes, above))
-
-
-def _table(
-    points: tuple[SurfacePoints | None, ...],
-    surfaces: list[Surface | None],
-    turn_rate: FloatArray,
-    temp_c: FloatArray,
-    settings: DynamicSettings,
-) -> DynamicDrift:
-    shape = (len(temp_c), len(turn_rate), 3)
-    error, uncertainty = np.zeros(shape), np.full(shape, np.nan)
-    marks = np.zeros(shape[:2], dtype=bool)
-    w, t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
-    for axis, (own, surface) in enumerate(zip(points, surfaces, strict=True)):
-        if own is None or surface is None:
-            continue
-        error[:, :, axis] = surface.at(w, t).reshape(shape[:2])
-        uncertainty[:, :, axis] = surface.uncertainty(w, t).reshape(shape[:2])
-        marks |= _unseen(own, turn_rate, temp_c, settings)
-    return DynamicDrift(temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=marks)
-
-
-def _unseen(own: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray, settings: DynamicSettings) -> BoolArray:
-    """Mark nodes beyond the temperatures, or beyond the rates that were measured around their temperature."""
-    soaks = np.unique(own.soak)
-    at = np.array([own.temp_c[own.soak == s].mean() for s in soaks])
-    order = np.argsort(at)
-    ends = [np.array([f(np.append(own.turn_rate[own.soak == s], 0.0)) for s in soaks])[order] for f in (np.min, np.max)]
-    slack = _NEAR_RATE * float(np.abs(own.turn_rate).max())
-    low, high = (np.interp(temp_c, at[order], end)[:, None] for end in ends)
-    outside = (turn_rate < low - slack) | (turn_rate > high + slack)
-    near = near_data(temp_c, at, edge_c=settings.nodes.edge_c, gap_c=settings.nodes.gap_c)
-    return np.asarray(outside | ~near[:, None])
-
-
-def _rms_about_mountings(own: SurfacePoints) -> float:
-    means = np.bincount(own.mounting, own.value) / np.bincount(own.mounting)
-    return float(np.sqrt(np.mean((own.value - means[own.mounting]) ** 2)))
-
-
-def _ends(nodes: FloatArray) -> tuple[float, float]:
-    return float(nodes[0]), float(nodes[-1])
-
-
-def _verdict(steps: Steps, points: tuple[SurfacePoints | None, ...]) -> Verdict:
-    reasons = []
-    for axis, own in zip(AXES, points, strict=True):
-        if own is None:
-            reasons.append(
-                f"dynamic drift of {axis} was not observable: it was not turned at two rates and two temperatures, and its table "
-                f"holds zeros; turn about {axis} both ways at three soaks or more"
-            )
-            continue
-        steady = own.turn_rate[own.level > 0]
-        if (steady > 0.0).all() or (steady < 0.0).all():
-            way, other = ("+", "-") if (steady > 0.0).all() else ("-", "+")
-            reasons.append(
-                f"dynamic drift of {axis}: turned only about {way}{axis}; nodes of the other sign are extrapolated and an offset "
-                f"that the rests do not show cannot be told from it: turn about {other}{axis} as well"
-            )
-        if len(np.unique(own.soak)) == 2:
-            reasons.append(f"dynamic drift of {axis}: two temperatures show no bend between them; add a soak")
-    return Verdict(status="marginal" if reasons else "good", remarks=tuple(reasons))

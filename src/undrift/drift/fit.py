@@ -1,14 +1,14 @@
-"""Procedure: from thermal sessions and a calibration to tuning tables, the note's Figure 2.
+"""From thermal sessions and a calibration to tuning tables, the note's Figure 2.
 
-    temperature     trusted, smoothed; its lag estimated from ramps and taken off
+    temperature     checked, smoothed; its lag estimated from ramps and subtracted
     static drift    offset(T) from rests, absolute, raw unit                       blocks 2 to 5
     matrix          M(T) from rate steps at two soaks or more
     dynamic drift   e(w, T) of what is left                                        blocks 6 to 9
     accelerometers  offset(T) and M(T) from poses at several temperatures, else offset(T) from rests
 
-Matrix and dynamic table are chosen by what they foretell of steps that were left out. Codes that the calibration knows to be
-truncated get their half step back first, as ``correct`` does, so that a table is over the same numbers that it is taken off. What
-the sessions cannot tell is a reason in the verdict, with the recording that would.
+Matrix and dynamic table are selected by their cross-validated error. Codes that the calibration knows to be truncated get their
+half step back first, as in ``correct``, so that a table is over the same numbers that it is subtracted from. What was not
+observable is a finding of the verdict, with the recording that would show it.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,21 +24,16 @@ from undrift.arrays import FloatArray
 from undrift.calibration.observe import in_one_unit
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.checks import (
-    ScaleSummary,
-    TriadSummary,
+    STATUS_BEFORE,
     accel_verdict,
     check_sessions,
     check_turns,
     choice_verdict,
     lag_verdict,
-    mark_before,
     offsets_verdict,
-    one_way_verdict,
     poses_verdict,
+    single_sweep_verdict,
     static_verdict,
-    summarise_accel,
-    summarise_gyro,
-    summarise_scale,
     temperature_verdict,
     verdict_before,
     with_set_points,
@@ -55,51 +50,23 @@ from undrift.drift.sessions import (
     nominal_models,
     since_power_on,
 )
-from undrift.drift.static import StaticFit, StaticSettings, fit_static, with_felt_gravity
+from undrift.drift.static import StaticFit, StaticSettings, fit_static, with_g_sensitivity
+from undrift.drift.summary import ScaleSummary, TriadSummary, summarise_accel, summarise_gyro, summarise_scale
 from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
 from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
 from undrift.errors import InputError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.model import Calibration, DriftTables, Provenance, Verdict
 from undrift.record import Session
-
-# ---- Where tuning tables came from: files, choices, versions; those of an earlier thermal fit go with its tables.
-
-_INPUTS = "drift_inputs_before"
-
-
-def drift_provenance(
-    device: Calibration, sessions: Sequence[Session], *, spline: str, lag_s: float, tables: str
-) -> Provenance:
-    """Return the provenance of a calibration with tuning tables."""
-    held = device.provenance
-    known = dict(held.settings).get(_INPUTS, "")
-    before = held.inputs[: int(known)] if known.isdigit() else held.inputs
-    inputs = dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))
-    return Provenance(
-        inputs=tuple(inputs),
-        settings=(
-            *(entry for entry in held.settings if not entry[0].startswith("drift_")),
-            ("drift_spline", spline),
-            ("drift_lag_s", f"{lag_s:.4g}"),
-            ("drift_tables", "static" if tables == "none" else f"static, {tables}"),
-            ("drift_sessions", f"{len(sessions)}"),
-            (_INPUTS, f"{len(before)}"),
-            mark_before(device.verdict),
-        ),
-        versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-    )
-
-
-# ---- fit
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 _WIDE = 0.8  # of the note's range: sessions that saw less have tables over what they saw
 _SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
+_INPUTS = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
 
 TableChoice = Literal["auto"] | Alternative
-Told = Callable[[str, float], None]  # what is being done now, and which share of the work lies behind
+Progress = Callable[[str, float], None]  # what is done next, and which share of the work is done
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,17 +75,21 @@ class DriftSettings:
 
     Parameters
     ----------
-    range_c : (float, float) or None
-        First and last node, degC; None takes 18 to 75, widened to what was seen, or, where less than 80 % of that was seen, the
+    range_c : tuple of float, optional
+        First and last node, degC. Default: 18 to 75, widened to what was seen, or, where less than 80 % of that was seen, the
         span seen.
     step_c : float
         From node to node, K.
-    lag_s : float or None
+    lag_s : float, optional
         Lag of the thermometer, s; None estimates it from ramps, 0 leaves it in.
     tables : str
-        Which of scale and dynamic tables: auto chooses, none, scale, dynamic, scale + dynamic.
-    temperature, observe, static : TemperatureSettings, ObserveSettings, StaticSettings
-        Of the stages.
+        Which of scale and dynamic tables: auto selects, or none, scale, dynamic, scale + dynamic.
+    temperature : TemperatureSettings
+        How temperatures are checked and smoothed.
+    observe : ObserveSettings
+        How sessions are cut into rests and turns.
+    static : StaticSettings
+        How offset over temperature is fitted.
     """
 
     range_c: tuple[float, float] | None = None
@@ -149,9 +120,9 @@ class DriftFit:
     lag : LagFit or None
         Of the thermometer; None where it was stated.
     rests : RestBlocks
-        What the static tables rest on.
+        What the static tables were fitted to.
     steps : RateSteps
-        What the others rest on; may have no rows.
+        What the others were fitted to; may have no rows.
     temperatures : tuple of Temperature
         Of each recording, session after session.
     gyro_summary, accel_summary : TriadSummary or None
@@ -182,7 +153,7 @@ def fit_drift(
     calibration: Calibration | None = None,
     *,
     settings: DriftSettings = DriftSettings(),
-    told: Told | None = None,
+    progress: Progress | None = None,
 ) -> DriftFit:
     """Fit the tuning tables of a device.
 
@@ -194,13 +165,13 @@ def fit_drift(
         Of the same device. Without one, readings in a physical unit keep their nominal scale; counts are refused.
     settings : DriftSettings
         Nodes, lag, tables.
-    told : callable, optional
+    progress : callable, optional
         Called with what is done next and the share of the work that is done, 0 to 1.
 
     Returns
     -------
     DriftFit
-        The calibration with its tables, and what they rest on.
+        The calibration with its tables, and what they were fitted to.
 
     Raises
     ------
@@ -209,47 +180,69 @@ def fit_drift(
         do not agree.
     NotObservable
         A temperature that is constant or spans too little; no rests; counts without a calibration; a table that was asked for
-        and that the sessions do not tell.
+        and that the sessions do not show.
     Implausible
         Turns about other axes than the calibration's or the other way round; sessions further apart than one device's.
     """
-    say = told or _silent
+    report = progress or (lambda what, share: None)
     _check(sessions, calibration, settings)
-    sessions, device, settings = _made_ready(sessions, calibration, settings)
-    say("smoothing the temperature", 0.0)
+    sessions = [in_one_unit(session) for session in sessions]
+    device = nominal_models(sessions) if calibration is None else calibration
+    device = replace(device, verdict=verdict_before(device))
+    before = device.verdict.status
+    sessions = [in_units_of(session, device) for session in sessions]
+    static_settings = replace(settings.static, accel_unit=accel_unit_of(sessions, device))
+    report("smoothing the temperature", 0.0)
     trusted, together = _trusted(sessions, settings.temperature)
-    say("gathering rests and turns", 0.15)
+    report("gathering rests and turns", 0.15)
     lag, lag_s, rests, course = _without_lag(sessions, trusted, settings)
-    device, felt = _rested(rests, device)
+    check_at_rest(rests, device)
+    device, g_estimated = with_g_sensitivity(rests, device)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
-    say("fitting offsets over temperature", 0.4)
+    report("fitting offsets over temperature", 0.4)
     smooth_s = _smooth_s(lag_s, sessions, together)
     seen = np.concatenate([rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, lag_s, smooth_s)])
     nodes = table_nodes(seen, settings)
-    wider = widened(nodes, _whole_range(seen, settings.step_c))  # the judgement hangs on no range asked for
-    wide = fit_static(rests, nodes=wider, calibration=device, settings=settings.static)
-    agrees = _agrees(steps, device, wide)
-    say("judging scale and dynamic tables on soaks left out", 0.5)
-    choice, not_chosen = _chosen(steps, device, wide, rests, settings)
+    wider = widened(nodes, _whole_range(seen, settings.step_c))  # the verdict does not depend on the range asked for
+    wide = fit_static(rests, nodes=wider, calibration=device, settings=static_settings)
+    check_sessions(wide, device)
+    agrees = check_turns(steps, device, wide).also(offsets_verdict(wide, device))
+    report("cross-validating scale and dynamic tables", 0.5)
+    choice, why_not = _chosen(steps, device, wide, rests, settings)
     static, choice = cropped_static(wide, nodes), choice and cropped_choice(choice, nodes)
-    say("fitting accelerometers over temperature", 0.95)
+    report("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
-    told_of_tables = choice_verdict(choice, not_chosen), _of_offsets((static, wide), accel, rests, device), felt
-    gyro = summarise_gyro(static, rests, device, settings.static)
-    of_poses = poses_verdict(accel, device), accel_verdict(accel)
-    told_of_rest = _of_way(gyro, rests, static), *of_poses, lag_verdict(lag, lag_s)
-    verdict = reduce(Verdict.also, (agrees, temperature_verdict(together), *told_of_tables, *told_of_rest))
+    gyro = summarise_gyro(static, rests, device, static_settings)
+    verdict = reduce(
+        Verdict.also,
+        (
+            agrees,
+            temperature_verdict(together),
+            choice_verdict(choice, why_not),
+            with_set_points(static_verdict(static, accel), wide, rests, device),
+            g_estimated,
+            single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None),
+            poses_verdict(accel, device),
+            accel_verdict(accel),
+            lag_verdict(lag, lag_s),
+        ),
+    )
+    chosen = "" if choice is None or choice.alternatives.chosen == "none" else choice.alternatives.chosen
     return DriftFit(
         calibration=replace(
             device,
             drift=_tables(static, choice, accel, (lag_s, smooth_s)),
             verdict=device.verdict.also(verdict),
-            provenance=drift_provenance(
+            provenance=_provenance(
                 device,
                 sessions,
-                spline="not-a-knot" if settings.static.not_a_knot else "smoothing",
-                lag_s=lag_s,
-                tables="none" if choice is None else choice.alternatives.chosen,
+                (
+                    ("drift_spline", "not-a-knot" if settings.static.not_a_knot else "smoothing"),
+                    ("drift_lag_s", f"{lag_s:.4g}"),
+                    ("drift_tables", "static" if not chosen else f"static, {chosen}"),
+                    ("drift_sessions", f"{len(sessions)}"),
+                    (STATUS_BEFORE, before),
+                ),
             ),
         ),
         static=static,
@@ -261,35 +254,10 @@ def fit_drift(
         steps=steps,
         temperatures=together,
         gyro_summary=gyro,
-        accel_summary=summarise_accel(static, accel, rests, device, settings.static),
+        accel_summary=summarise_accel(static, accel, rests, device, static_settings),
         scale_summary=None if choice is None or choice.scale is None else summarise_scale(choice.scale, device),
         verdict=verdict if calibration is not None else device.verdict.also(verdict),
     )
-
-
-def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
-    """Return the temperatures of the tables.
-
-    Arrays: seen_c (k,) degC -> (n,) degC.
-    """
-    step = settings.step_c
-    low, high = settings.range_c or _whole_range(seen_c, step)
-    count = (high - low) / step if step > 0.0 else 0.0
-    if count < 1.0 or abs(count - round(count)) > 1e-6:
-        raise InputError(
-            f"drift tables: wanted a range that the step divides, got {low:g} to {high:g} degC by {step:g}; "
-            "for example 18 to 75 by 0.5"
-        )
-    return np.linspace(low, high, round(count) + 1)
-
-
-def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
-    """Return the range where none was asked for: all that was seen is in it."""
-    least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
-    outward = (float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step))
-    if greatest - least < _WIDE * (RANGE_C[1] - RANGE_C[0]):
-        return outward
-    return min(outward[0], RANGE_C[0]), max(outward[1], RANGE_C[1])
 
 
 def _check(sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings) -> None:
@@ -306,17 +274,6 @@ def _check(sessions: Sequence[Session], calibration: Calibration | None, setting
     check_once(sessions)
 
 
-def _made_ready(
-    sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings
-) -> tuple[list[Session], Calibration, DriftSettings]:
-    """Return sessions in the units of the device's constant model, that model, and the settings that go with both."""
-    sessions = [in_one_unit(session) for session in sessions]
-    device = nominal_models(sessions) if calibration is None else calibration
-    device = replace(device, verdict=verdict_before(device))
-    ready = [in_units_of(session, device) for session in sessions]
-    return ready, device, replace(settings, static=replace(settings.static, accel_unit=accel_unit_of(ready, device)))
-
-
 def _trusted(
     sessions: Sequence[Session], settings: TemperatureSettings
 ) -> tuple[list[list[Temperature]], tuple[Temperature, ...]]:
@@ -325,32 +282,6 @@ def _trusted(
     together = tuple(temperature for of_session in trusted for temperature in of_session)
     check_span(together, settings=settings)
     return trusted, together
-
-
-def _agrees(steps: RateSteps, device: Calibration, static: StaticFit) -> Verdict:
-    check_sessions(static, device)
-    return check_turns(steps, device, static).also(offsets_verdict(static, device))
-
-
-def _rested(rests: RestBlocks, device: Calibration) -> tuple[Calibration, Verdict]:
-    """Return the device with the g-sensitivity that its rests show, where it has none yet."""
-    check_at_rest(rests, device)
-    return with_felt_gravity(rests, device)
-
-
-def _of_offsets(
-    fits: tuple[StaticFit, StaticFit], accel: AccelDriftFit | None, rests: RestBlocks, device: Calibration
-) -> Verdict:
-    """Return what is to be said of the tables asked for, and of all that was seen."""
-    return with_set_points(static_verdict(fits[0], accel, len(np.unique(rests.pose))), fits[1], rests, device)
-
-
-def _of_way(gyro: TriadSummary | None, rests: RestBlocks, static: StaticFit) -> Verdict:
-    return one_way_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
-
-
-def _silent(what: str, share: float) -> None:
-    """Tell nobody."""
 
 
 def _without_lag(
@@ -380,38 +311,70 @@ def _without_lag(
     return lag, lag_s, rests, led
 
 
+def _smooth_s(lag_s: float, sessions: Sequence[Session], temperatures: tuple[Temperature, ...]) -> float:
+    """Smoothing that taking the lag off needs in use, for the noisiest of the columns."""
+    if lag_s == 0.0:
+        return 0.0
+    records = [record for session in sessions for record in session.records]
+    return max(
+        default_smooth_s(
+            lag_s, noise_c=seen.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=seen.step_c
+        )
+        for record, seen in zip(records, temperatures, strict=True)
+    )
+
+
+def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
+    """Return the temperatures of the tables, (n,), degC; seen_c (k,)."""
+    step = settings.step_c
+    low, high = settings.range_c or _whole_range(seen_c, step)
+    count = (high - low) / step if step > 0.0 else 0.0
+    if count < 1.0 or abs(count - round(count)) > 1e-6:
+        raise InputError(
+            f"drift tables: wanted a range that the step divides, got {low:g} to {high:g} degC by {step:g}; "
+            "for example 18 to 75 by 0.5"
+        )
+    return np.linspace(low, high, round(count) + 1)
+
+
+def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
+    """Return the range where none was asked for: all that was seen is in it."""
+    least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
+    outward = (float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step))
+    if greatest - least < _WIDE * (RANGE_C[1] - RANGE_C[0]):
+        return outward
+    return min(outward[0], RANGE_C[0]), max(outward[1], RANGE_C[1])
+
+
 def _chosen(
     steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
-) -> tuple[Choice | None, str]:
+) -> tuple[Choice | None, Finding | None]:
     """Return the choice of tables, or why there is none."""
-    told = ""
     if device.gyro is None or static.table.gyro_offset is None:
-        told = "scale and dynamic drift of the gyroscopes are not observable: no gyroscopes in calibration or sessions"
+        why = finding("drift.no_gyroscopes", "warn")
     elif not len(steps):
-        told = "gyroscope scale over temperature is not observable from rests; turn the device at known rates at two temperatures"
+        why = finding("drift.no_turns", "warn")
     else:
         try:
             choice = choose_tables(steps, device, static=static.table, temp_c=static.table.temp_c, rests=rests)
-            return (choice if settings.tables == "auto" else _asked_for(choice, settings.tables)), ""
+            return (choice if settings.tables == "auto" else _requested(choice, settings.tables)), None
         except NotObservable as error:
-            told = str(error)
+            why = finding("drift.tables_not_observable", "warn", problem=str(error))
     if settings.tables not in ("auto", "none"):
-        raise NotObservable(f"tables: wanted {settings.tables}, got sessions that do not tell: {told}")
-    return None, told if settings.tables == "auto" else ""
+        raise NotObservable(f"tables: wanted {settings.tables}, got sessions that do not show them: {why.text}")
+    return None, why if settings.tables == "auto" else None
 
 
-def _asked_for(choice: Choice, tables: Alternative) -> Choice:
-    """Return the choice with the tables that were asked for, whatever was foretold best."""
-    before = choice.alternatives
-    reason = f"{tables} was asked for; " + (
-        "so it would have been chosen" if before.chosen == tables else f"the choice would be {before.reason}"
-    )
-    taken = replace(choice, alternatives=replace(before, chosen=tables, reason=reason))
+def _requested(choice: Choice, tables: Alternative) -> Choice:
+    """Return the choice with the tables that were asked for, whatever cross-validation says."""
+    automatic = choice.alternatives
+    why = finding("drift.tables_requested", "info", tables=tables, automatic=automatic.chosen)
+    taken = replace(choice, alternatives=replace(automatic, chosen=tables, why=why))
     if ("scale" in tables and taken.scale_drift is None) or ("dynamic" in tables and taken.dynamic_drift is None):
         raise NotObservable(
             f"{tables} cannot be fitted to these steps; turn about each axis at three rates at each soak"
         )
-    verdict = Verdict(remarks=(reason,))
+    verdict = Verdict(findings=(why,))
     if "scale" in tables and choice.scale is not None:
         verdict = verdict.also(choice.scale.verdict)
     dynamic = {"dynamic": choice.dynamic, "scale + dynamic": choice.both}.get(tables)
@@ -419,7 +382,7 @@ def _asked_for(choice: Choice, tables: Alternative) -> Choice:
 
 
 def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> AccelDriftFit | None:
-    """Return the accelerometers' fit to poses; None where the poses do not tell, and those of one pose stand in."""
+    """Return the accelerometers' fit to poses; None where the poses do not show it."""
     if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
         return None
     try:
@@ -441,14 +404,18 @@ def _tables(
     return tables if accel is None else with_accel(tables, accel)
 
 
-def _smooth_s(lag_s: float, sessions: Sequence[Session], temperatures: tuple[Temperature, ...]) -> float:
-    """Smoothing that taking the lag off needs in use, for the noisiest of the columns."""
-    if lag_s == 0.0:
-        return 0.0
-    records = [record for session in sessions for record in session.records]
-    return max(
-        default_smooth_s(
-            lag_s, noise_c=seen.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=seen.step_c
-        )
-        for record, seen in zip(records, temperatures, strict=True)
+def _provenance(
+    device: Calibration, sessions: Sequence[Session], drift_settings: tuple[tuple[str, str], ...]
+) -> Provenance:
+    """Where tuning tables came from; files and settings of an earlier thermal fit go with its tables."""
+    held = device.provenance
+    known = dict(held.settings).get(_INPUTS, "")
+    before = held.inputs[: int(known)] if known.isdigit() else held.inputs
+    inputs = dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))
+    kept = (entry for entry in held.settings if not entry[0].startswith("drift_"))
+    return Provenance(
+        inputs=tuple(inputs),
+        settings=(*kept, *drift_settings, (_INPUTS, f"{len(before)}")),
+        versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
     )

@@ -1,58 +1,43 @@
-"""Temperature cells: blocks of rest gathered so that every degree counts alike.
+"""Offset readings at rest, gathered into temperature cells, with what rests and sessions of one temperature do not agree on.
 
-A warm-up spends most of its blocks at the hot end. Blocks of one session and one direction of sweep within a narrow range of
-temperature make one cell: mean value, variance of that mean from the noise inside the blocks. What wanders from block to block
-(bias instability) does not average out inside a cell. Its correlation over time is taken as that of flicker noise, a sum of
-first-order processes of equal variance with time constants tau_j half a decade apart::
+Readings::
 
-    rho(t) = mean over j of exp(-t / tau_j)        C = mean of rho over the pairs of blocks of two cells, 0 across sessions
-
-and its size s2, before the curve is fitted, comes from second differences of neighbouring blocks, which no smooth ramp moves::
-
-    mean (y_(k+1) - 2 y_k + y_(k-1))^2 = 6 v + s2 (6 - 8 rho(h) + 2 rho(2 h))
-
-where the temperature is smooth as well: a jump to the next set-point between two blocks is no wander. Where too few blocks follow
-each other, s2 comes from pairs of blocks of one rest, else of one cell and pose, the usual slope taken off:
-mean (y_j - y_i)^2 = 2 v + 2 s2 (1 - rho(t)).
-Poses and rests of one set-point that disagree by more than that are in ``drift/rests.py``.
-
-Rests of one set-point that disagree: by their pose at every temperature alike, or each by itself.
-
-Blocks of one cell and one pose that follow each other make a rest. Means of rests, the usual slope within a cell taken off, are ::
-
-    y_r = m_cell + P_pose + E_r + noise and wander          var P = p2, var E = r2
-
-p2 and r2 are what makes the squares of the pose effects, and of what is left, equal their expectation under what is known of noise
-and wander; below zero counts as zero. P averages out over poses alone and E over rests alone, however many samples they have, so
-that the covariance of two cells gets ::
-
-    p2 k_P sum over poses of s_cell s_cell'          and each cell  r2 k_E sum over its rests of s^2        s the share of blocks
-
-Few poses know p2 badly: it is drawn towards the mean of the three axes, of weight 2, and k = (t / z)^2 with the 97.5 % points of
-Student's distribution for that many degrees of freedom and of the normal.
-
-What the blocks of rest say about offset, before temperature is looked at.
-
-::
-
-    gyroscopes       y = u - K (G a + Earth rate)      K = M^-1, a = M_a (u_a - o_a): what specific force feigns is no offset
+    gyroscopes       y = u - K (G a + Earth rate)      K = M^-1, a = M_a (u_a - o_a): g-sensitivity is no offset
     accelerometers   y = u, of the one pose that has seen the widest range of temperature
 
 Of the Earth rate only the part along the vertical is known without a heading, 7.29e-5 rad/s * sin(latitude); the rest,
 cos(latitude) in an unknown direction, goes into the uncertainty.
 
-Several sessions of one device in one table: how much the offset moves from one switch-on to the next.
+Cells: a warm-up spends most of its blocks at the hot end, and every degree counts alike. Blocks of one session and one direction of
+sweep within a narrow range of temperature make one cell: mean, and variance of that mean by the noise inside the blocks. Bias
+instability does not average out inside a cell. Its correlation over time is that of flicker noise, a sum of first-order processes
+of equal variance with time constants tau_j half a decade apart::
 
-::
+    rho(t) = mean over j of exp(-t / tau_j)        C = mean of rho over the pairs of blocks of two cells, 0 across sessions
 
-    y = f(T) + d_s + e        d_s the shift of session s, variance tau2
+Its size s2 comes from second differences of neighbouring blocks, which no smooth ramp moves, where the temperature is smooth too::
 
-The shifts are told first with no prior, their sum held at zero; tau2 is what makes their weighted scatter equal its expectation
-(Paule and Mandel, ``fit/least_squares.py``), but no less than the shifts are known to: sessions that agree by chance do not
-prove that nothing moves. Shifts are told among sessions that share temperatures, within 1 degC; between others a shift looks like
-drift. Then the curve is fitted with tau2 in the covariance of the rows, and each node
-gets tau2 k besides: a session to come has a shift of its own. Few sessions know tau2 badly, so k = (t / z)^2 with the 97.5 %
-points of Student's distribution for one session less than there are, and of the normal.
+    mean (y_(k+1) - 2 y_k + y_(k-1))^2 = 6 v + s2 (6 - 8 rho(h) + 2 rho(2 h))
+
+Where too few blocks follow each other, s2 comes from pairs of blocks of one rest, else of one cell and pose, the usual slope
+subtracted: mean (y_j - y_i)^2 = 2 v + 2 s2 (1 - rho(t)).
+
+Rests: blocks of one cell and one pose that follow each other. Their means, the usual slope within a cell subtracted, are ::
+
+    y_r = m_cell + P_pose + E_r + noise and instability          var P = p2, var E = r2
+
+p2 and r2 make the squares of the pose effects, and of what is left, equal their expectation; below zero counts as zero. P averages
+out over poses alone and E over rests alone, so that the covariance of two cells gets ::
+
+    p2 k_P sum over poses of s_cell s_cell'          and each cell  r2 k_E sum over its rests of s^2        s the share of blocks
+
+Sessions: y = f(T) + d_s + e, d_s the shift of session s with variance tau2. The shifts are fitted with no prior, their sum zero,
+among sessions that share temperatures within 1 degC. tau2 makes their weighted scatter equal its expectation (Paule and Mandel,
+fit/least_squares.py), but is no less than the variance of the shifts: sessions that agree by chance do not prove that nothing
+moves. Each node gets tau2 k: a session to come has a shift of its own.
+
+Few poses, rests or sessions know a variance badly: k = (t / z)^2 with the 97.5 % points of Student's distribution for that many
+degrees of freedom and of the normal; p2 and r2 are drawn towards the mean of the three axes, with weight 2.
 """
 
 from dataclasses import dataclass
@@ -63,184 +48,61 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.checks import check_gravity
 from undrift.drift.observe import RestBlocks
 from undrift.errors import Implausible, InputError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.fit.least_squares import excess_variance
-from undrift.fit.smooth import SmoothSettings, Wander, fit_smooth, widening_of
-from undrift.model import G_NAMES, Calibration, TriadModel
+from undrift.fit.smooth import Scatter, SmoothSettings, fit_smooth, widening_of
+from undrift.model import G_NAMES, Calibration
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-# ---- Rests of one set-point that disagree: by their pose at every temperature alike, or each by itself.
-
-_APART_S = 60.0  # in one cell and pose: a later block is of another rest
+UNKNOWN_SCALE_PER_K = 2e-4  # of an accelerometer that was seen in one pose: a capacitive one shifts by +-1 % in 50 K
+_TIME_CONSTANTS_S = 10.0 ** np.arange(1.0, 4.1, 0.5)
+_FAR = 6.0  # robust standard deviations: a block further from its cell is left out
+_ROBUST = 1.4826
+_MOST_PAIRED = 30  # blocks of a cell that its correlation is taken from
+_LEAST_TRIPLES = 8
+_LEAST_PAIRS = 4
+_LEAST_JUDGED = 5  # blocks of a cell and pose: fewer do not show which one is wrong
+_SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point lies between blocks
+_STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
+_APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
 _NONE = 1e-6  # singular value of shares: poses that no cell compares
 _ALIKE = 2.0  # degrees of freedom by which the axes of a triad are taken to be alike
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestScatter:
-    """How rests of one set-point disagree, n cells."""
-
-    poses: int  # How many there are
-    rests: int  # How many there are
-    pose: FloatArray  # (3,), standard deviation from pose to pose, the same at every temperature, raw unit
-    rest: FloatArray  # (3,), from rest to rest besides, beyond noise and wander, raw unit
-    known: FloatArray  # (3,), to what one rest is known, by noise and wander, raw unit
-    shared: FloatArray  # (3, n, n), covariance that poses give the cells, raw unit squared
-    own: FloatArray  # (n, 3), variance that rests give each cell, raw unit squared
-    members: "RestMembers"  # Which blocks make which rest, N rests
-    mean: FloatArray  # (N, 3), of each rest, the slope within its cell taken off, raw unit
-    covariance: FloatArray  # (3, N, N), of these means by noise and wander, raw unit squared
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestMembers:
-    """Which blocks make which rest: N rests."""
-
-    rows: tuple[IntArray, ...]  # Blocks of each
-    cell: IntArray  # (N,), of each
-    pose: IntArray  # (N,), of each
-
-
-def rests_of(blocks: RestBlocks, cells: list[IntArray]) -> RestMembers:
-    """Return the rests that cells are made of."""
-    rows: list[IntArray] = []
-    cell: list[int] = []
-    for k, members in enumerate(cells):
-        for pose in np.unique(blocks.pose[members]):
-            own = members[blocks.pose[members] == pose]
-            own = own[np.argsort(blocks.time[own], kind="stable")]
-            runs = np.split(own, np.flatnonzero(np.diff(blocks.time[own]) > _APART_S) + 1)
-            rows.extend(runs)
-            cell.extend([k] * len(runs))
-    return RestMembers(
-        rows=tuple(rows), cell=np.array(cell, np.int64), pose=np.array([blocks.pose[r[0]] for r in rows], np.int64)
-    )
-
-
-def rest_scatter(members: RestMembers, mean: FloatArray, covariance: FloatArray) -> RestScatter | None:
-    """Tell how rests of one set-point disagree beyond what is known of them.
-
-    Arrays: mean (N, 3), covariance (3, N, N).
-    """
-    count = len(members.rows)
-    in_cell, in_pose = _columns(members.cell), in_poses(members)
-    about = about_cells(members)
-    poses = about @ in_pose
-    told = int(np.linalg.matrix_rank(poses, tol=_NONE))
-    left = about - (poses @ np.linalg.pinv(poses, rcond=_NONE) if told else 0.0)
-    freedom = count - in_cell.shape[1] - told
-    if told + freedom < 1:
-        return None
-    rest: FloatArray = np.zeros(3)
-    if freedom > 0:
-        rest = pooled(excess(left, None, mean, covariance, freedom), freedom)
-    pose: FloatArray = np.zeros(3)
-    if told > 0:
-        taken = np.linalg.pinv(poses, rcond=_NONE) @ about
-        with_rests = covariance + rest[:, None, None] * np.eye(count)
-        pose = pooled(excess(taken, taken @ in_pose, mean, with_rests), told)
-    size = np.array([len(rows) for rows in members.rows], float)
-    share = size[:, None] * in_cell
-    share /= share.sum(axis=0)
-    by_pose = share.T @ in_pose
-    return RestScatter(
-        poses=in_pose.shape[1],
-        rests=count,
-        pose=np.sqrt(pose),
-        rest=np.sqrt(rest),
-        known=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=1)),
-        shared=(pose * widening_of(told + _ALIKE))[:, None, None] * (by_pose @ by_pose.T),
-        own=(share**2).sum(axis=0)[:, None] * rest * widening_of(freedom + _ALIKE),
-        members=members,
-        mean=mean,
-        covariance=covariance,
-    )
-
-
-def about_cells(members: RestMembers) -> FloatArray:
-    """Return what takes the mean of its cell from each rest.
-
-    Arrays:  -> (N, N).
-    """
-    in_cell = _columns(members.cell)
-    about: FloatArray = np.eye(len(in_cell)) - in_cell @ (in_cell / in_cell.sum(axis=0)).T
-    return about
-
-
-def in_poses(members: RestMembers) -> FloatArray:
-    """Return which rest is in which pose.
-
-    Arrays:  -> (N, p).
-    """
-    return _columns(members.pose)
-
-
-def excess(
-    taken: FloatArray,
-    effect: FloatArray | None,
-    mean: FloatArray,
-    covariance: FloatArray,
-    freedom: int = 1,
-) -> FloatArray:
-    """Return the variance of an effect: the squares of what is taken of the means, less what their covariance makes of them.
-
-    Arrays: taken (q, N), effect (q, p), mean (N, 3), covariance (3, N, N) -> (3,).
-    """
-    square = ((taken @ mean) ** 2).sum(axis=0)
-    expected = np.einsum("ij,kjl,il->k", taken, covariance, taken)
-    size = float(freedom) if effect is None else float((effect**2).sum())
-    return np.asarray(np.maximum(square - expected, 0.0) / size)
-
-
-def pooled(variance: FloatArray, freedom: int) -> FloatArray:
-    """Return variances of the three axes, drawn towards their mean: sensors of one triad are alike.
-
-    Arrays: variance (3,) -> (3,).
-    """
-    drawn: FloatArray = (freedom * variance + _ALIKE * variance.mean()) / (freedom + _ALIKE)
-    return drawn
-
-
-def _columns(number: IntArray) -> FloatArray:
-    columns: FloatArray = (number[:, None] == np.unique(number)[None, :]).astype(float)
-    return columns
-
-
-# ---- What the blocks of rest say about offset, before temperature is looked at.
+_SHARED_C = 1.0  # cells of two sessions nearer than this share a temperature
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Offsets:
-    """Offset readings of one triad."""
+    """Offset readings of one triad, n blocks."""
 
-    blocks: RestBlocks  # The n blocks that they are of
-    value: FloatArray  # (n, 3), offset and the variance of its noise, raw unit and its square
-    variance: FloatArray  # (n, 3), offset and the variance of its noise, raw unit and its square
+    blocks: RestBlocks
+    value: FloatArray  # (n, 3), raw unit
+    variance: FloatArray  # (n, 3), of its noise, raw unit squared
     step_error: FloatArray | None  # (n, 3), what the converter's steps leave in each, raw unit
     common_variance: FloatArray  # (3,), of what all of them have in common, raw unit squared
-    reasons: tuple[str, ...] = ()  # What is in them that is no offset, one sentence each
+    findings: tuple[Finding, ...] = ()  # what is in them that is no offset
 
 
 def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_deg: float | None) -> Offsets | None:
-    """Return the gyroscopes' readings at rest, less what specific force and Earth put into them."""
+    """Return the gyroscopes' readings at rest, without g-sensitivity and Earth rate."""
     seen = np.flatnonzero(np.isfinite(blocks.gyro).all(axis=1))
     if not len(seen):
         return None
     blocks = blocks.taken(seen)
     model = None if calibration is None else calibration.gyro
     force = specific_force(blocks, calibration)
-    value, common, reasons = np.array(blocks.gyro), np.zeros(3), []
+    value, common, found = np.array(blocks.gyro), np.zeros(3), list[Finding]()
     if latitude_deg is not None and (model is None or force is None):
         raise InputError(
             "Earth rate: wanted a calibration of both triads, got one of fewer; calibrate them, or give no latitude"
         )
     if model is not None and model.g_sensitivity is not None and force is not None:
         value -= force @ (model.forward_matrix @ model.g_sensitivity).T
-        common += _of_gravity(model, force.mean(axis=0))
+        if G_NAMES[0] in model.parameters:  # the g-sensitivity's own uncertainty, at the mean specific force
+            start, k, mean = model.parameters.index(G_NAMES[0]), model.forward_matrix, force.mean(axis=0)
+            own = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
+            common += np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, own)
     else:
-        reasons.append(
-            "gyroscope offsets hold what gravity feigns in the pose recorded: no g-sensitivity is known; calibrate it with turns "
-            "by known rates or angles"
-        )
+        found.append(finding("drift.g_unknown", "info"))
     if latitude_deg is not None and model is not None and force is not None:
         up = force / np.linalg.norm(force, axis=1, keepdims=True)
         latitude = latitude_deg * RADIAN_PER_DEGREE
@@ -252,64 +114,53 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
         variance=known_variance(blocks.gyro_variance),
         step_error=blocks.gyro_step_error,
         common_variance=common,
-        reasons=tuple(reasons),
+        findings=tuple(found),
     )
 
 
-def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets | str:
+def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets | Finding:
     """Return the accelerometers' readings in the pose with the widest range of temperature."""
     seen = np.flatnonzero(np.isfinite(blocks.accel).all(axis=1))
     if not len(seen):
-        return "accelerometer offset over temperature: no readings; map the accel columns"
+        return finding("drift.accel_no_readings", "info")
     blocks = blocks.taken(seen)
     poses = np.unique(blocks.pose)
     spans = [float(np.ptp(blocks.temp_c[blocks.pose == pose])) for pose in poses]
-    told = _wrong_gravity(blocks, calibration, accel_unit)
-    if told:
-        return told
+    force = specific_force(blocks, calibration)
+    if force is None and is_physical(accel_unit):
+        force = blocks.accel * si_factor(accel_unit, "accel")
+    if force is not None:
+        try:
+            check_gravity(force, STANDARD_GRAVITY if calibration is None else calibration.gravity_m_s2)
+        except Implausible as error:
+            return finding("drift.accel_gravity", "warn", problem=str(error))
     chosen = blocks.taken(np.flatnonzero(blocks.pose == poses[int(np.argmax(spans))]))
-    reasons = [
-        "accelerometer offset over temperature is of one pose: a change of scale along gravity cannot be told from it"
-    ]
-    if len(poses) > 1:
-        reasons.append(
-            f"of {len(poses)} poses the one over {max(spans):.1f} degC served; six faces at several temperatures tell scale and "
-            "offset apart"
-        )
     return Offsets(
         blocks=chosen,
         value=np.array(chosen.accel),
         variance=known_variance(chosen.accel_variance),
         step_error=chosen.accel_step_error,
         common_variance=np.zeros(3),
-        reasons=tuple(reasons),
+        findings=(
+            finding(
+                "drift.accel_one_pose",
+                "info",
+                poses=len(poses),
+                span_c=max(spans),
+                percent_per_c=100.0 * UNKNOWN_SCALE_PER_K,
+            ),
+        ),
     )
 
 
-def _of_gravity(model: TriadModel, force: FloatArray) -> FloatArray:
-    """Return the variance that the g-sensitivity's own makes of a mean specific force, shape (3,), raw unit squared."""
-    if G_NAMES[0] not in model.parameters:
-        return np.zeros(3)
-    start = model.parameters.index(G_NAMES[0])
-    own = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
-    k = model.forward_matrix
-    return np.asarray(np.einsum("ka,kb,i,j,aibj->k", k, k, force, force, own))
-
-
 def known_variance(variance: FloatArray) -> FloatArray:
-    """Return variances with the usual one where none is known.
-
-    Arrays: variance (n, 3) -> (n, 3).
-    """
+    """Return variances, (n, 3), with the usual one where none is known."""
     usual = np.nanmean(variance, axis=0) if np.isfinite(variance).any() else np.zeros(3)
     return np.where(np.isfinite(variance), variance, usual)
 
 
 def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> FloatArray | None:
-    """Return the corrected specific force of blocks.
-
-    Arrays:  -> (n, 3) m/s2.
-    """
+    """Return the corrected specific force of blocks, (n, 3), m/s2."""
     model = None if calibration is None else calibration.accel
     if model is None or not np.isfinite(blocks.accel).all():
         return None
@@ -317,41 +168,43 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
     return force
 
 
-def _wrong_gravity(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> str:
-    force = specific_force(blocks, calibration)
-    if force is None:
-        if not is_physical(accel_unit):
-            return ""
-        force = blocks.accel * si_factor(accel_unit, "accel")
-    try:
-        check_gravity(force, STANDARD_GRAVITY if calibration is None else calibration.gravity_m_s2)
-    except Implausible as error:
-        return f"accelerometer offset over temperature is left out: {error}"
-    return ""
-
-
-# ---- rests
-
-_TIME_CONSTANTS_S = 10.0 ** np.arange(1.0, 4.1, 0.5)
-_FAR = 6.0  # robust standard deviations: a block further from its cell is left out
-_ROBUST = 1.4826
-_MOST_PAIRED = 30  # blocks of a cell that its correlation is taken from
-_LEAST_TRIPLES = 8
-_LEAST_PAIRS = 4
-_LEAST_JUDGED = 5  # blocks of a cell and pose: fewer do not tell which one is wrong
-_SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point lies between blocks
-_STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
+# ---- temperature cells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellSettings:
     """How blocks are gathered."""
 
-    least_width_c: float = 0.5  # Narrowest cell, degC
-    most_cells: int = 100  # Cells are widened until there are about as many; the fit takes the cube of their number
-    most_groups: int = 20  # Groups of neighbouring cells that are left out in turn
+    least_width_c: float = 0.5  # narrowest cell, degC
+    most_cells: int = 100  # cells are widened until there are about as many; the fit takes the cube of their number
+    most_groups: int = 20  # groups of neighbouring cells that are left out in turn
     # Cells are cut where the time since power-on passes this, twice this, four times, ...; infinite for no cut
     chunk_s: float = np.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestMembers:
+    """Which blocks make which rest, N rests."""
+
+    rows: tuple[IntArray, ...]  # blocks of each
+    cell: IntArray  # (N,)
+    pose: IntArray  # (N,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestScatter:
+    """How rests of one set-point disagree, n cells, N rests."""
+
+    poses: int
+    rests: int
+    pose: FloatArray  # (3,), standard deviation from pose to pose, the same at every temperature, raw unit
+    rest: FloatArray  # (3,), from rest to rest, beyond noise and instability, raw unit
+    known: FloatArray  # (3,), uncertainty of one rest by noise and instability, raw unit
+    shared: FloatArray  # (3, n, n), covariance that poses give the cells, raw unit squared
+    own: FloatArray  # (n, 3), variance that rests give each cell, raw unit squared
+    members: RestMembers
+    mean: FloatArray  # (N, 3), of each rest, the slope within its cell subtracted, raw unit
+    covariance: FloatArray  # (3, N, N), of these means by noise and instability, raw unit squared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -360,17 +213,15 @@ class Cells:
 
     session: IntArray  # (n,), which session
     temp_c: FloatArray  # (n,), mean temperature, degC
-    value: FloatArray  # (n, 3), mean and its variance from the noise inside the blocks, raw unit and its square
-    variance: FloatArray  # (n, 3), mean and its variance from the noise inside the blocks, raw unit and its square
+    value: FloatArray  # (n, 3), mean, raw unit
+    variance: FloatArray  # (n, 3), of it, from the noise inside the blocks, raw unit squared
     regressors: FloatArray  # (n, p), means of what was given for each block
     correlation: FloatArray  # (n, n), C
     groups: IntArray  # (n,), neighbours in temperature
     # (3,), s2, raw unit squared; None where too few blocks follow each other or share a cell and a pose
-    scatter: FloatArray | None
-    # Of blocks of one cell and pose that s2 rests on; 0 where it comes from blocks that follow each other, or is None
-    pairs: int = 0
-    # How rests of one cell disagree; part of ``variance`` and of ``shared``. None where no cell has two
-    between: RestScatter | None = None
+    instability: FloatArray | None
+    pairs: int = 0  # blocks of one cell and pose that s2 comes from; 0 where blocks follow each other, or it is None
+    between: RestScatter | None = None  # part of variance; None where no cell has two rests
 
 
 def gather(
@@ -383,10 +234,7 @@ def gather(
     step_error: FloatArray | None = None,
     settings: CellSettings = CellSettings(),
 ) -> Cells:
-    """Gather blocks into temperature cells.
-
-    Arrays: value (n, 3), variance (n, 3), direction (n,), regressors (n, p), step_error (n, 3).
-    """
+    """Gather blocks into temperature cells; value, variance, step_error (n, 3), direction (n,), regressors (n, p)."""
     key = _keys(blocks, direction, settings.chunk_s)
     width = max(
         settings.least_width_c,
@@ -396,24 +244,24 @@ def gather(
     for k in range(key.max() + 1):
         rows = np.flatnonzero(key == k)
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
-        bins = walk(blocks.temp_c[rows], width)
+        bins = bins_of(blocks.temp_c[rows], width)
         members.extend(rows[bins == b] for b in range(bins.max() + 1))
     members = [rows[_good(value[rows], blocks.pose[rows])] for rows in members]
     temp_c = np.array([blocks.temp_c[rows].mean() for rows in members])
     group_width = max(1.5 * width, float(np.ptp(temp_c)) / settings.most_groups)
     order = np.argsort(temp_c, kind="stable")
     groups = np.empty(len(members), np.int64)
-    groups[order] = walk(temp_c[order], group_width)
+    groups[order] = bins_of(temp_c[order], group_width)
     found = np.array(
         [_variance(value[rows], variance[rows], None if step_error is None else step_error[rows]) for rows in members]
     )
     middle = np.array([value[rows].mean(axis=0) for rows in members])
     level = value - _slope(temp_c, middle) * blocks.temp_c[:, None]
     rests = rests_of(blocks, members)
-    scatter, pairs = wander(blocks, value, variance), 0
-    if scatter is None:
-        scatter, pairs = _from_pairs(blocks, rests, level, variance)
-    between = rest_scatter(rests, *_rest_means(blocks, rests, level, variance, scatter))
+    instability, pairs = instability_of(blocks, value, variance), 0
+    if instability is None:
+        instability, pairs = _from_pairs(blocks, rests, level, variance)
+    between = rest_scatter(rests, *_rest_means(blocks, rests, level, variance, instability))
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
         temp_c=temp_c,
@@ -422,17 +270,14 @@ def gather(
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         correlation=_correlation(blocks, members),
         groups=groups,
-        scatter=scatter,
+        instability=instability,
         pairs=pairs,
         between=between,
     )
 
 
-def walk(temp_c: FloatArray, width: float) -> IntArray:
-    """Return numbers of bins: each begins at a value and holds what lies within a width above it.
-
-    Arrays: temp_c (n,) degC -> (n,).
-    """
+def bins_of(temp_c: FloatArray, width: float) -> IntArray:
+    """Return numbers of bins, (n,): each begins at a value and holds what lies within a width above it."""
     bins = np.zeros(len(temp_c), np.int64)
     begin = temp_c[0]
     for k in range(1, len(temp_c)):
@@ -442,11 +287,8 @@ def walk(temp_c: FloatArray, width: float) -> IntArray:
     return bins
 
 
-def wander(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> FloatArray | None:
-    """Return the variance of what wanders from block to block, as flicker noise would have it.
-
-    Arrays: value (n, 3), variance (n, 3) -> (3,) s2.
-    """
+def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> FloatArray | None:
+    """Return s2, (3,): the variance of the bias instability from block to block, as flicker noise has it."""
     step = np.diff(blocks.time)
     usual = float(np.median(step)) if len(step) else 0.0
     follows = (np.abs(step - usual) < 0.2 * usual) & (np.diff(blocks.session) == 0) & (np.diff(blocks.pose) == 0)
@@ -455,18 +297,12 @@ def wander(blocks: RestBlocks, value: FloatArray, variance: FloatArray) -> Float
     if len(middle) < _LEAST_TRIPLES:
         return None
     second = (value[middle + 1] - 2.0 * value[middle] + value[middle - 1]) ** 2
-    usual_second = np.median(second, axis=0) / 0.455  # median of chi-square with one degree of freedom
-    second = np.minimum(second, _FAR**2 * usual_second)
+    typical = np.median(second, axis=0) / 0.455  # median of chi-square with one degree of freedom
+    second = np.minimum(second, _FAR**2 * typical)
     noise = 6.0 * variance[middle].mean(axis=0)
     error = noise * np.sqrt(4.0 / len(middle))  # neighbouring differences share blocks
     share = 6.0 - 8.0 * _rho(np.array(usual)) + 2.0 * _rho(np.array(2.0 * usual))
     return np.asarray(np.maximum(second.mean(axis=0) - noise, error) / share)
-
-
-def _slope(temp_c: FloatArray, value: FloatArray) -> FloatArray:
-    """Return the usual slope over temperature, shape (k,); 0 for one temperature."""
-    x = temp_c - temp_c.mean()
-    return np.asarray(x @ value / max(float(x @ x), 1e-9))
 
 
 def _from_pairs(
@@ -474,7 +310,7 @@ def _from_pairs(
 ) -> tuple[FloatArray | None, int]:
     """Return s2 from neighbouring blocks of one cell and pose, and how many pairs there are."""
     one, two = _pairs(list(rests.rows))
-    if len(one) < _LEAST_PAIRS:  # what differs from rest to rest is taken for wander then
+    if len(one) < _LEAST_PAIRS:  # what differs from rest to rest counts as instability then
         of_pose: dict[tuple[int, int], list[IntArray]] = {}
         for rows, cell, pose in zip(rests.rows, rests.cell.tolist(), rests.pose.tolist(), strict=True):
             of_pose.setdefault((cell, pose), []).append(rows)
@@ -492,15 +328,21 @@ def _pairs(rests: list[IntArray]) -> tuple[IntArray, IntArray]:
 
 
 def _rest_means(
-    blocks: RestBlocks, rests: RestMembers, level: FloatArray, variance: FloatArray, scatter: FloatArray | None
+    blocks: RestBlocks, rests: RestMembers, level: FloatArray, variance: FloatArray, instability: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of each rest and the covariance of these means by noise and wander."""
+    """Return the mean of each rest and the covariance of these means by noise and instability."""
     mean = np.array([level[rows].mean(axis=0) for rows in rests.rows])
     own = np.array([variance[rows].mean(axis=0) / len(rows) for rows in rests.rows])
     covariance = own.T[:, :, None] * np.eye(len(mean))
-    if scatter is not None:
-        covariance = covariance + scatter[:, None, None] * _correlation(blocks, list(rests.rows))
+    if instability is not None:
+        covariance = covariance + instability[:, None, None] * _correlation(blocks, list(rests.rows))
     return mean, covariance
+
+
+def _slope(temp_c: FloatArray, value: FloatArray) -> FloatArray:
+    """Return the usual slope over temperature, shape (k,); 0 for one temperature."""
+    x = temp_c - temp_c.mean()
+    return np.asarray(x @ value / max(float(x @ x), 1e-9))
 
 
 def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
@@ -551,47 +393,124 @@ def _correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:
     return 0.5 * (correlation + correlation.T)
 
 
-# ---- Several sessions of one device in one table: how much the offset moves from one switch-on to the next.
+# ---- rests of one set-point that disagree
 
-_SHARED_C = 1.0  # cells of two sessions nearer than this are of one temperature
+
+def rests_of(blocks: RestBlocks, cells: list[IntArray]) -> RestMembers:
+    """Return the rests that cells are made of."""
+    rows: list[IntArray] = []
+    cell: list[int] = []
+    for k, members in enumerate(cells):
+        for pose in np.unique(blocks.pose[members]):
+            own = members[blocks.pose[members] == pose]
+            own = own[np.argsort(blocks.time[own], kind="stable")]
+            runs = np.split(own, np.flatnonzero(np.diff(blocks.time[own]) > _APART_S) + 1)
+            rows.extend(runs)
+            cell.extend([k] * len(runs))
+    return RestMembers(
+        rows=tuple(rows), cell=np.array(cell, np.int64), pose=np.array([blocks.pose[r[0]] for r in rows], np.int64)
+    )
+
+
+def rest_scatter(members: RestMembers, mean: FloatArray, covariance: FloatArray) -> RestScatter | None:
+    """Find how rests of one set-point disagree beyond their covariance; mean (N, 3), covariance (3, N, N)."""
+    count = len(members.rows)
+    in_cell, in_pose = indicators(members.cell), indicators(members.pose)
+    centred = centred_on_cells(members)
+    poses = centred @ in_pose
+    compared = int(np.linalg.matrix_rank(poses, tol=_NONE))
+    left = centred - (poses @ np.linalg.pinv(poses, rcond=_NONE) if compared else 0.0)
+    freedom = count - in_cell.shape[1] - compared
+    if compared + freedom < 1:
+        return None
+    rest: FloatArray = np.zeros(3)
+    if freedom > 0:
+        rest = pooled(excess(left, None, mean, covariance, freedom), freedom)
+    pose: FloatArray = np.zeros(3)
+    if compared > 0:
+        taken = np.linalg.pinv(poses, rcond=_NONE) @ centred
+        with_rests = covariance + rest[:, None, None] * np.eye(count)
+        pose = pooled(excess(taken, taken @ in_pose, mean, with_rests), compared)
+    size = np.array([len(rows) for rows in members.rows], float)
+    share = size[:, None] * in_cell
+    share /= share.sum(axis=0)
+    by_pose = share.T @ in_pose
+    return RestScatter(
+        poses=in_pose.shape[1],
+        rests=count,
+        pose=np.sqrt(pose),
+        rest=np.sqrt(rest),
+        known=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=1)),
+        shared=(pose * widening_of(compared + _ALIKE))[:, None, None] * (by_pose @ by_pose.T),
+        own=(share**2).sum(axis=0)[:, None] * rest * widening_of(freedom + _ALIKE),
+        members=members,
+        mean=mean,
+        covariance=covariance,
+    )
+
+
+def centred_on_cells(members: RestMembers) -> FloatArray:
+    """Return what subtracts the mean of its cell from each rest, (N, N)."""
+    in_cell = indicators(members.cell)
+    centred: FloatArray = np.eye(len(in_cell)) - in_cell @ (in_cell / in_cell.sum(axis=0)).T
+    return centred
+
+
+def excess(
+    taken: FloatArray, effect: FloatArray | None, mean: FloatArray, covariance: FloatArray, freedom: int = 1
+) -> FloatArray:
+    """Return the variance of an effect, (3,): squares of combinations of the means, less what their covariance explains.
+
+    Arrays: taken (q, N), effect (q, p), mean (N, 3), covariance (3, N, N).
+    """
+    square = ((taken @ mean) ** 2).sum(axis=0)
+    expected = np.einsum("ij,kjl,il->k", taken, covariance, taken)
+    size = float(freedom) if effect is None else float((effect**2).sum())
+    return np.asarray(np.maximum(square - expected, 0.0) / size)
+
+
+def pooled(variance: FloatArray, freedom: int) -> FloatArray:
+    """Return variances of the three axes, (3,), drawn towards their mean: sensors of one triad are alike."""
+    drawn: FloatArray = (freedom * variance + _ALIKE * variance.mean()) / (freedom + _ALIKE)
+    return drawn
+
+
+def indicators(number: IntArray) -> FloatArray:
+    """Return a column of zeros and ones for each number that occurs."""
+    columns: FloatArray = (number[:, None] == np.unique(number)[None, :]).astype(float)
+    return columns
+
+
+# ---- sessions of one device: how much the offset moves from one switch-on to the next
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnOn:
     """Scatter between sessions."""
 
-    sessions: int  # How many there are
+    sessions: int
     # (s, 3), of each session against the mean of those that share its temperatures, raw unit; NaN where none does
     shift: FloatArray
-    # (3,), tau2, or the square of what the shifts are known to where that is more, raw unit squared; NaN where it is
-    # not observable
+    # (3,), tau2, or the variance of the shifts where that is more, raw unit squared; NaN where not observable
     variance: FloatArray
-    # (3,), what a node's variance gets for a session to come, raw unit squared; 0 where tau2 is not observable
+    # (3,), added to a node's variance for a session to come, raw unit squared; 0 where not observable
     variance_to_come: FloatArray
-    bounded: BoolArray  # (3,), whether ``variance`` is only what the shifts are known to
+    bounded: BoolArray  # (3,), whether ``variance`` is only that of the shifts
 
     @property
     def observable(self) -> bool:
-        """Whether sessions share temperatures, so that their shifts can be told."""
+        """Whether sessions share temperatures, so that their shifts show."""
         return bool(np.isfinite(self.variance).all())
 
     def shared(self, session: IntArray) -> FloatArray:
-        """Return the covariance that rows of one session have in common.
-
-        Arrays: session (n,) -> (3, n, n).
-        """
+        """Return the covariance that rows of one session have in common, (n,) -> (3, n, n)."""
         same = session[:, None] == session[None, :]
         shared: FloatArray = np.nan_to_num(self.variance)[:, None, None] * same
         return shared
 
 
 def between_sessions(cells: Cells, regressors: FloatArray, settings: SmoothSettings = SmoothSettings()) -> TurnOn:
-    """Tell how much the offset moves between sessions.
-
-    Arrays: regressors (n, p).
-    """
-    from scipy.stats import norm, t
-
+    """Find how much the offset moves between sessions; regressors (n, p)."""
     numbers = np.unique(cells.session)
     of_group = _together(cells, numbers)
     held = _held(cells.session[:, None] == numbers[None, :], of_group)
@@ -605,10 +524,7 @@ def between_sessions(cells: Cells, regressors: FloatArray, settings: SmoothSetti
             cells.variance,
             regressors=np.column_stack((held, regressors)),
             groups=cells.groups,
-            wander=Wander(
-                correlation=cells.correlation,
-                scatter=cells.scatter,
-            ),
+            scatter=Scatter(correlation=cells.correlation, variance=cells.instability),
             settings=settings,
         )
     except NotObservable:
@@ -616,12 +532,15 @@ def between_sessions(cells: Cells, regressors: FloatArray, settings: SmoothSetti
     shift = _shifts(made.coefficient[:free], of_group)
     own = _shifts(made.coefficient_uncertainty[:free] ** 2, of_group, last_is_mean=True)
     seen = np.isfinite(shift[:, 0])
-    told = np.array([excess_variance(shift[seen, axis], own[seen, axis], free) for axis in range(3)])
+    found = np.array([excess_variance(shift[seen, axis], own[seen, axis], free) for axis in range(3)])
     known = own[seen].mean(axis=0)
-    variance = np.maximum(told, known)
-    factor = float((t.ppf(0.975, free) / norm.ppf(0.975)) ** 2)
+    variance = np.maximum(found, known)
     return TurnOn(
-        sessions=len(numbers), shift=shift, variance=variance, variance_to_come=factor * variance, bounded=told < known
+        sessions=len(numbers),
+        shift=shift,
+        variance=variance,
+        variance_to_come=widening_of(free) * variance,
+        bounded=found < known,
     )
 
 

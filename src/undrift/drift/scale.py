@@ -1,24 +1,18 @@
-"""Matrix over temperature: thermal scale factor and cross-axis, from rate steps at several soaks.
+"""Matrix over temperature: thermal scale factor, cross-axis and asymmetry, from rate steps at several soaks.
 
-At one soak, after the offset table is taken off, each sensor i reads ::
+At one soak, after the offset table is subtracted, each sensor i reads ::
 
     u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        j the axes that were turned, m the mounting
 
-d is what the soak and the mounting leave of the offset (hysteresis, warm-up, g-sensitivity); it is fitted along where a mounting
-has two rates or more. An axis that no soak turned keeps its column of K from the calibration and has no uncertainty: nothing is
-known of it. Each K_ij(T) goes through a smoothing spline (``spline.py``), and ``M(T) = K(T)^-1`` with dM = -M dK M.
+A mounting is a stretch of one soak in which the device turned about one direction of its case. d is what soak and mounting leave of
+the offset (hysteresis, warm-up, g-sensitivity); it is fitted where a mounting has two rates or more. An axis that no soak turned
+keeps its column of K from the calibration and has no uncertainty: nothing is known of it. Each K_ij(T) goes through a smoothing
+spline (fit/smooth.py), and ``M(T) = K(T)^-1`` with dM = -M dK M.
 
-K is the best straight line over the rates that were imposed. What bends beside it is the dynamic table's; so the noise is told by
-what a line, a parabola and a cubic leave.
+K is the best straight line over the imposed rates. What bends belongs to the dynamic table; so the noise is what a line, a
+parabola and a cubic leave.
 
-Rate steps made ready for the fits: usable rows, soaks and mountings by number, noise where it was not told.
-
-A mounting is a stretch of one soak in which the device turned about one direction of its case: its rows share what the offset
-table leaves (hysteresis, g-sensitivity of that pose).
-
-Scale factor asymmetry over temperature: how far the two ways round differ (IEEE Std 528).
-
-At each soak and axis, o the offset of the mounting::
+Scale factor asymmetry (IEEE Std 528): at each soak and axis, o the offset of the mounting::
 
     u = o + S+ max(w, 0) + S- min(w, 0)        asymmetry = 2 (S+ - S-) / (S+ + S-)
 """
@@ -31,32 +25,41 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.static import near_data
 from undrift.errors import InputError, NotObservable
+from undrift.findings import finding
 from undrift.fit.least_squares import excess_variance, inverse_jacobian
 from undrift.fit.smooth import fit_smooth
 from undrift.model import AXES, Calibration, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
 
-# ---- Rate steps made ready for the fits: usable rows, soaks and mountings by number, noise where it was not told.
-
+_BENT = 8  # rows of a mounting from which a parabola and a cubic differ from noise
+_OWN = 0.9  # share of the turning rate from which a row counts for one axis alone
 _SAME_DIRECTION = 0.98  # cosine
 _SAME_POSE = 0.2  # of the largest difference between two poses
 _SAME_TEMPERATURE_C = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeSettings:
+    """Which nodes count as extrapolated."""
+
+    edge_c: float = 0.5  # further than this beyond the first and last soak, degC
+    gap_c: float = 10.0  # between soaks and further than this from both, degC; matrices change more evenly than offsets
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Steps:
     """Usable rate steps, n rows."""
 
-    session: IntArray  # (n,), numbers from 0: session as given, soak over all sessions, mounting over all soaks
-    soak: IntArray  # (n,), numbers from 0: session as given, soak over all sessions, mounting over all soaks
-    mounting: IntArray  # (n,), numbers from 0: session as given, soak over all sessions, mounting over all soaks
+    session: IntArray  # (n,), as given
+    soak: IntArray  # (n,), numbered from 0 over all sessions
+    mounting: IntArray  # (n,), numbered from 0 over all soaks
     temp_c: FloatArray  # (n,), degC
     rate_b: FloatArray  # (n, 3), imposed rate, rad/s
     along: FloatArray  # (n,), the same along the direction of its mounting, rad/s
-    gyro: FloatArray  # (n, 3), mean reading, raw unit; accel may be NaN
-    accel: FloatArray  # (n, 3), mean reading, raw unit; accel may be NaN
-    variance: FloatArray  # (n, 3), of the gyro means, raw unit squared; the median where it was not told
-    verdict: Verdict  # What was left out
+    gyro: FloatArray  # (n, 3), mean reading, raw unit
+    accel: FloatArray  # (n, 3), mean reading, raw unit; may be NaN
+    variance: FloatArray  # (n, 3), of the gyro means, raw unit squared; the median where it is not known
+    verdict: Verdict  # what was left out
 
     def __len__(self) -> int:
         return len(self.temp_c)
@@ -67,245 +70,6 @@ class Steps:
         return Steps(**{name: getattr(self, name)[rows] for name in names}, verdict=self.verdict)
 
 
-def steps_of(steps: RateSteps | Steps) -> Steps:
-    """Return the usable rows of rate steps."""
-    if isinstance(steps, Steps):
-        return steps
-    told = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
-    rows = np.flatnonzero(told & (np.abs(steps.rate_b).max(axis=1, initial=0.0) > 0.0))
-    if not len(rows):
-        raise InputError(
-            f"rate steps: wanted dwells with rate, reading and temperature, got {len(steps)} rows and none of them usable; "
-            "check turn_rate_dps, temp_c and gaps in the recording"
-        )
-    kept = steps.taken(rows)
-    soak = np.unique(np.column_stack((kept.session, kept.soak)), axis=0, return_inverse=True)[1].reshape(-1)
-    direction, along = _directions(kept.rate_b)
-    mounting = np.unique(np.column_stack((soak, direction)), axis=0, return_inverse=True)[1].reshape(-1)
-    lost = len(steps) - int(told.sum())
-    reason = f"{lost} of {len(steps)} rate steps have gaps in rate, reading or temperature and were left out"
-    return Steps(
-        session=kept.session,
-        soak=soak,
-        mounting=mounting,
-        temp_c=kept.temp_c,
-        rate_b=kept.rate_b,
-        along=along,
-        gyro=kept.gyro,
-        accel=kept.accel,
-        variance=_variance(kept.gyro_variance, kept.gyro),
-        verdict=Verdict(status="marginal", remarks=(reason,)) if lost else Verdict(),
-    )
-
-
-def gyro_model(calibration: Calibration) -> TriadModel:
-    """Return the gyroscopes' constant model."""
-    if calibration.gyro is None:
-        raise InputError(
-            "rate steps: wanted a calibration with gyroscopes, got one without; calibrate on a rate table first"
-        )
-    return calibration.gyro
-
-
-def offset_at(temp_c: FloatArray, calibration: Calibration, static: StaticDrift | None) -> FloatArray:
-    """Return the gyroscopes' offset at some temperatures: from the table, else the constant.
-
-    Arrays: temp_c (n,) degC -> (n, 3).
-    """
-    if static is None or static.gyro_offset is None:
-        return np.tile(gyro_model(calibration).offset, (len(temp_c), 1))
-    return np.column_stack([np.interp(temp_c, static.temp_c, column) for column in static.gyro_offset.T])
-
-
-def measured_rate(
-    gyro: FloatArray,
-    temp_c: FloatArray,
-    calibration: Calibration,
-    *,
-    static: StaticDrift | None,
-    scale: ScaleDrift | None,
-) -> FloatArray:
-    """Return the rate that offset(T) and M(T) make of mean readings: M(T) (u - offset(T)).
-
-    Arrays: gyro (n, 3), temp_c (n,) degC -> (n, 3) rad/s.
-    """
-    model = gyro_model(calibration)
-    matrix = np.tile(model.matrix, (len(temp_c), 1, 1))
-    if scale is not None and scale.gyro_matrix is not None:
-        flat = scale.gyro_matrix.reshape(-1, 9)
-        matrix = np.column_stack([np.interp(temp_c, scale.temp_c, column) for column in flat.T]).reshape(-1, 3, 3)
-    rate: FloatArray = np.einsum("nij,nj->ni", matrix, gyro - offset_at(temp_c, calibration, static))
-    return rate * si_factor(model.unit_out, "rate")
-
-
-def rests_of(steps: Steps, blocks: RestBlocks | None) -> tuple[IntArray, IntArray]:
-    """Find the blocks of rest that lay as the device turned: same session, temperature and pose as a mounting.
-
-    Arrays:  -> (k,), (k,).
-    """
-    nothing = np.empty(0, dtype=np.int64)
-    if blocks is None or not len(blocks):
-        return nothing, nothing
-    firsts = np.unique(steps.mounting, return_index=True)[1]
-    means = np.array([steps.accel[steps.mounting == steps.mounting[k]].mean(axis=0) for k in firsts])
-    temps = np.array([steps.temp_c[steps.mounting == steps.mounting[k]].mean() for k in firsts])
-    span = np.linalg.norm(means[:, None] - means[None], axis=2).max()
-    if not np.isfinite(span) or span == 0.0:
-        return nothing, nothing
-    found, of = [], []
-    usable = np.isfinite(blocks.gyro).all(axis=1) & np.isfinite(blocks.accel).all(axis=1) & np.isfinite(blocks.temp_c)
-    for b in np.flatnonzero(usable):
-        off = np.linalg.norm(means - blocks.accel[b], axis=1) / span
-        apart = np.abs(temps - blocks.temp_c[b])
-        fits = (off < _SAME_POSE) & (apart < _SAME_TEMPERATURE_C) & (steps.session[firsts] == blocks.session[b])
-        if fits.any():
-            found.append(b)
-            of.append(firsts[np.flatnonzero(fits)[apart[fits].argmin()]])
-    return np.array(found, dtype=np.int64), np.array(of, dtype=np.int64)
-
-
-def _directions(rate_b: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return which direction each row turns about, up to its sign, and the rate along it."""
-    length = np.linalg.norm(rate_b, axis=1)
-    unit = rate_b / length[:, None]
-    found: list[FloatArray] = []
-    number, sign = np.empty(len(rate_b), dtype=np.int64), np.empty(len(rate_b))
-    for k, direction in enumerate(unit):
-        cosine = np.array([direction @ other for other in found])
-        near = np.flatnonzero(np.abs(cosine) > _SAME_DIRECTION)
-        if not len(near):
-            axis = int(np.abs(direction).argmax())
-            found.append(direction * np.sign(direction[axis]))
-            near, cosine = np.array([len(found) - 1]), np.append(cosine, np.sign(direction[axis]))
-        number[k], sign[k] = near[0], np.sign(cosine[near[0]])
-    return number, length * sign
-
-
-def _variance(variance: FloatArray, reading: FloatArray) -> FloatArray:
-    """Return variances that are told and above zero; the median of the others, or the last digit, where they are not."""
-    told = np.isfinite(variance) & (variance > 0.0)
-    least = (1e-9 * np.maximum(np.abs(reading).max(axis=0), 1e-30)) ** 2
-    middle = np.array([np.median(v[ok]) if ok.any() else 0.0 for v, ok in zip(variance.T, told.T, strict=True)])
-    filled: FloatArray = np.maximum(np.where(told, variance, middle), least)
-    return filled
-
-
-# ---- Scale factor asymmetry over temperature: how far the two ways round differ (IEEE Std 528).
-
-_OWN = 0.9  # share of the turning rate from which a row speaks of one axis alone
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Asymmetry:
-    """Scale factor asymmetry of three gyroscopes at S soaks."""
-
-    temp_c: FloatArray  # (S,), degC, increasing
-    # (S, 3), dimensionless, with standard uncertainty; NaN where an axis did not turn both ways at two rates each
-    value: FloatArray
-    # (S, 3), dimensionless, with standard uncertainty; NaN where an axis did not turn both ways at two rates each
-    uncertainty: FloatArray
-    mean: FloatArray  # (3,), over the soaks, weighted; their scatter beyond the stated noise counts
-    mean_uncertainty: FloatArray  # (3,), over the soaks, weighted; their scatter beyond the stated noise counts
-    per_k: FloatArray  # (3,), slope over temperature, per K; NaN with fewer than three soaks
-    per_k_uncertainty: FloatArray  # (3,), slope over temperature, per K; NaN with fewer than three soaks
-    verdict: Verdict  # In words
-
-
-def scale_asymmetry(
-    steps: RateSteps | Steps, calibration: Calibration, *, static: StaticDrift | None = None
-) -> Asymmetry:
-    """Compare the scale factors of the two ways round at each soak."""
-    clean = steps_of(steps)
-    reading = clean.gyro - offset_at(clean.temp_c, calibration, static)
-    numbers = np.unique(clean.soak)
-    temps = np.array([clean.temp_c[clean.soak == s].mean() for s in numbers])
-    order = np.argsort(temps, kind="stable")
-    value, doubt = np.full((len(numbers), 3), np.nan), np.full((len(numbers), 3), np.nan)
-    for k, s in enumerate(numbers[order]):
-        for axis in range(3):
-            main = np.abs(clean.rate_b[:, axis]) > _OWN * np.linalg.norm(clean.rate_b, axis=1)
-            rows = np.flatnonzero((clean.soak == s) & main)
-            value[k, axis], doubt[k, axis] = _one(
-                clean.rate_b[rows, axis], reading[rows, axis], clean.variance[rows, axis]
-            )
-    mean, mean_doubt, slope, slope_doubt = _over_soaks(temps[order], value, doubt)
-    return Asymmetry(
-        temp_c=temps[order],
-        value=value,
-        uncertainty=doubt,
-        mean=mean,
-        mean_uncertainty=mean_doubt,
-        per_k=slope,
-        per_k_uncertainty=slope_doubt,
-        verdict=_verdict_asymmetry(mean, mean_doubt).also(clean.verdict),
-    )
-
-
-def _one(rate: FloatArray, reading: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Return the asymmetry of one axis at one soak and its standard uncertainty; NaN where it does not show."""
-    if len(np.unique(rate[rate > 0.0])) < 2 or len(np.unique(rate[rate < 0.0])) < 2:
-        return float("nan"), float("nan")
-    z = rate / np.abs(rate).max()
-    design = np.column_stack((np.ones_like(z), np.maximum(z, 0.0), np.minimum(z, 0.0)))
-    full = np.column_stack((design, z**2, z**3)) if len(z) > 7 else design  # what bends is no noise
-    noise = reading - full @ np.linalg.lstsq(full, reading, rcond=None)[0]
-    v = variance + excess_variance(noise, variance, len(z) - np.linalg.matrix_rank(full))
-    inverse = np.linalg.inv(design.T @ (design / v[:, None]))
-    _, plus, minus = inverse @ (design.T @ (reading / v))
-    total = plus + minus
-    slope = np.array([0.0, 4.0 * minus, -4.0 * plus]) / total**2
-    return float(2.0 * (plus - minus) / total), float(np.sqrt(slope @ inverse @ slope))
-
-
-def _over_soaks(
-    temp_c: FloatArray, value: FloatArray, doubt: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    mean, mean_doubt, slope, slope_doubt = (np.full(3, np.nan) for _ in range(4))
-    for axis in range(3):
-        have = np.isfinite(value[:, axis])
-        t, y, v = temp_c[have], value[have, axis], doubt[have, axis] ** 2
-        if not len(y):
-            continue
-        spread = v + excess_variance(y - np.average(y, weights=1.0 / v), v, len(y) - 1)
-        mean[axis] = np.average(y, weights=1.0 / spread)
-        mean_doubt[axis] = np.sqrt(1.0 / (1.0 / spread).sum())
-        if len(y) < 3 or np.ptp(t) == 0.0:
-            continue
-        x = np.column_stack((np.ones(len(t)), t - t.mean()))
-        left = y - x @ np.linalg.lstsq(x / np.sqrt(v)[:, None], y / np.sqrt(v), rcond=None)[0]
-        v = v + excess_variance(left, v, len(y) - 2)
-        inverse = np.linalg.inv(x.T @ (x / v[:, None]))
-        slope[axis], slope_doubt[axis] = (inverse @ (x.T @ (y / v)))[1], np.sqrt(inverse[1, 1])
-    return mean, mean_doubt, slope, slope_doubt
-
-
-def _verdict_asymmetry(mean: FloatArray, doubt: FloatArray) -> Verdict:
-    reasons, short = [], False
-    for axis, a, u in zip(AXES, mean, doubt, strict=True):
-        if np.isnan(a):
-            short = True
-            reasons.append(
-                f"scale factor asymmetry of {axis} was not observable: turn about {axis} both ways at two rates each"
-            )
-        elif abs(a) > 3.0 * u:
-            reasons.append(f"scale factor asymmetry of {axis}: {100.0 * a:+.3f} +- {200.0 * u:.2g} % (95 %)")
-    return Verdict(status="marginal" if short else "good", remarks=tuple(reasons))
-
-
-# ---- scale
-
-_BENT = 8  # rows of a mounting from which a parabola and a cubic can be told from noise
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeSettings:
-    """Which nodes count as extrapolated."""
-
-    edge_c: float = 0.5  # Further than this beyond the first and last soak, degC
-    # Between soaks and further than this from both, degC. Matrices change more evenly than offsets
-    gap_c: float = 10.0
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SoakMatrices:
     """The forward matrix at each of S soaks."""
@@ -313,7 +77,7 @@ class SoakMatrices:
     temp_c: FloatArray  # (S,), mean temperature of the soak's steps, degC, increasing
     forward: FloatArray  # (S, 3, 3), K, raw unit per rad/s: sensor, axis; NaN for an axis that the soak did not turn
     variance: FloatArray  # (S, 3, 3), of each element, that unit squared
-    offset_left: FloatArray  # (S, 3), d, mean over the mountings, raw unit: what the offset table left
+    offset_left: FloatArray  # (S, 3), d, mean over the mountings, raw unit
     rms: FloatArray  # (S, 3), residual of each sensor about its line, raw unit
 
     @property
@@ -326,13 +90,26 @@ class SoakMatrices:
 class ScaleFit:
     """The matrix over temperature."""
 
-    drift: ScaleDrift  # Gyroscope matrices at the nodes
-    soaks: SoakMatrices  # What they were drawn through
-    # (3,), thermal sensitivity of each axis' scale factor, %/K of its value at the reference temperature; NaN where
-    # not seen
+    drift: ScaleDrift  # gyroscope matrices at the nodes
+    soaks: SoakMatrices
+    # (3,), thermal sensitivity of each scale factor, %/K of its value at the reference temperature; NaN where not seen
     percent_per_k: FloatArray
     percent_per_k_uncertainty: FloatArray  # (3,), standard uncertainty of that
-    verdict: Verdict  # In words
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Asymmetry:
+    """Scale factor asymmetry of three gyroscopes at S soaks."""
+
+    temp_c: FloatArray  # (S,), degC, increasing
+    value: FloatArray  # (S, 3), 1; NaN where an axis did not turn both ways at two rates each
+    uncertainty: FloatArray  # (S, 3), standard uncertainty
+    mean: FloatArray  # (3,), over the soaks, weighted; their scatter beyond the stated noise counts
+    mean_uncertainty: FloatArray  # (3,)
+    per_k: FloatArray  # (3,), slope over temperature, per K; NaN with fewer than three soaks
+    per_k_uncertainty: FloatArray  # (3,)
+    verdict: Verdict
 
 
 def fit_scale(
@@ -343,10 +120,7 @@ def fit_scale(
     temp_c: FloatArray,
     settings: NodeSettings = NodeSettings(),
 ) -> ScaleFit:
-    """Fit the gyroscopes' matrix over temperature.
-
-    Arrays: temp_c (n,) degC.
-    """
+    """Fit the gyroscopes' matrix over temperature, at nodes (n,), degC."""
     clean = steps_of(steps)
     soaks = soak_matrices(clean, calibration, static=static)
     forward, variance = _over_temperature(soaks, calibration, temp_c)
@@ -355,7 +129,7 @@ def fit_scale(
     jacobian = np.stack([inverse_jacobian(m) for m in matrix])
     unknown = np.isnan(variance)
     spread = np.sqrt(np.einsum("nij,nj->ni", jacobian**2, np.where(unknown, 0.0, variance).reshape(-1, 9)))
-    uncertainty = np.where(unknown, np.nan, spread.reshape(-1, 3, 3))  # column j of M leans on column j of K
+    uncertainty = np.where(unknown, np.nan, spread.reshape(-1, 3, 3))  # column j of M needs column j of K
     to_out = 1.0 / si_factor(model.unit_out, "rate")
     slope, doubt = _sensitivity(soaks, calibration.reference_temp_c)
     drift = ScaleDrift(
@@ -401,7 +175,7 @@ def _one_soak(
     design = np.column_stack((rate[:, turned] / main, offsets))
     if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
         raise NotObservable(
-            f"scale over temperature: wanted turns that tell the axes apart at {steps.temp_c[rows].mean():.1f} degC, got "
+            f"scale over temperature: wanted turns that separate the axes at {steps.temp_c[rows].mean():.1f} degC, got "
             f"{len(rows)} that do not; turn about each axis at two rates or more"
         )
     forward, spread = np.full((3, 3), np.nan), np.full((3, 3), np.nan)
@@ -420,7 +194,7 @@ def _one_soak(
 
 
 def _mountings(steps: Steps, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return a column of ones for each mounting with two rates or more, and its parabola and cubic where they can be told."""
+    """Return a column of ones for each mounting with two rates or more, and its parabola and cubic where they differ from noise."""
     offsets, bends = [], []
     for m in np.unique(steps.mounting[rows]):
         inside = steps.mounting[rows] == m
@@ -478,20 +252,214 @@ def _sensitivity(soaks: SoakMatrices, reference_temp_c: float) -> tuple[FloatArr
 
 
 def _verdict(soaks: SoakMatrices, slope: FloatArray, doubt: FloatArray) -> Verdict:
-    reasons, status = [], Verdict()
+    found, count = [], soaks.seen.sum(axis=0)
     for j, axis in enumerate(AXES):
-        at = soaks.temp_c[soaks.seen[:, j]]
-        if len(at) < 2:
-            got = "never" if not len(at) else f"at {at[0]:.0f} degC only"
-            reasons.append(
-                f"scale and cross-axis of turns about {axis} over temperature were not observable: it was turned {got}, and the "
-                f"calibration's constant column stands in; turn about {axis} at three temperatures or more"
+        if count[j] < 2:
+            found.append(finding("drift.scale_not_observable", "warn", axis=axis, soaks=int(count[j])))
+        else:
+            found.append(
+                finding("drift.scale", "info", axis=axis, percent_per_k=slope[j], expanded_percent_per_k=2.0 * doubt[j])
             )
+    two = tuple(axis for axis, n in zip(AXES, count, strict=True) if n == 2)
+    if two:
+        found.append(finding("drift.scale_two_temperatures", "warn", axes=two))
+    return Verdict(status="marginal" if (count < 3).any() else "good", findings=tuple(found))
+
+
+# ---- scale factor asymmetry
+
+
+def scale_asymmetry(
+    steps: RateSteps | Steps, calibration: Calibration, *, static: StaticDrift | None = None
+) -> Asymmetry:
+    """Compare the scale factors of the two ways round at each soak."""
+    clean = steps_of(steps)
+    reading = clean.gyro - offset_at(clean.temp_c, calibration, static)
+    numbers = np.unique(clean.soak)
+    temps = np.array([clean.temp_c[clean.soak == s].mean() for s in numbers])
+    order = np.argsort(temps, kind="stable")
+    value, doubt = np.full((len(numbers), 3), np.nan), np.full((len(numbers), 3), np.nan)
+    for k, s in enumerate(numbers[order]):
+        for axis in range(3):
+            main = np.abs(clean.rate_b[:, axis]) > _OWN * np.linalg.norm(clean.rate_b, axis=1)
+            rows = np.flatnonzero((clean.soak == s) & main)
+            value[k, axis], doubt[k, axis] = _asymmetry_of(
+                clean.rate_b[rows, axis], reading[rows, axis], clean.variance[rows, axis]
+            )
+    mean, mean_doubt, slope, slope_doubt = _over_soaks(temps[order], value, doubt)
+    return Asymmetry(
+        temp_c=temps[order],
+        value=value,
+        uncertainty=doubt,
+        mean=mean,
+        mean_uncertainty=mean_doubt,
+        per_k=slope,
+        per_k_uncertainty=slope_doubt,
+        verdict=_asymmetry_verdict(mean, mean_doubt).also(clean.verdict),
+    )
+
+
+def _asymmetry_of(rate: FloatArray, reading: FloatArray, variance: FloatArray) -> tuple[float, float]:
+    """Return the asymmetry of one axis at one soak and its standard uncertainty; NaN where it does not show."""
+    if len(np.unique(rate[rate > 0.0])) < 2 or len(np.unique(rate[rate < 0.0])) < 2:
+        return float("nan"), float("nan")
+    z = rate / np.abs(rate).max()
+    design = np.column_stack((np.ones_like(z), np.maximum(z, 0.0), np.minimum(z, 0.0)))
+    full = np.column_stack((design, z**2, z**3)) if len(z) > 7 else design  # curvature is no noise
+    noise = reading - full @ np.linalg.lstsq(full, reading, rcond=None)[0]
+    v = variance + excess_variance(noise, variance, len(z) - np.linalg.matrix_rank(full))
+    inverse = np.linalg.inv(design.T @ (design / v[:, None]))
+    _, plus, minus = inverse @ (design.T @ (reading / v))
+    total = plus + minus
+    slope = np.array([0.0, 4.0 * minus, -4.0 * plus]) / total**2
+    return float(2.0 * (plus - minus) / total), float(np.sqrt(slope @ inverse @ slope))
+
+
+def _over_soaks(
+    temp_c: FloatArray, value: FloatArray, doubt: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    mean, mean_doubt, slope, slope_doubt = (np.full(3, np.nan) for _ in range(4))
+    for axis in range(3):
+        have = np.isfinite(value[:, axis])
+        t, y, v = temp_c[have], value[have, axis], doubt[have, axis] ** 2
+        if not len(y):
             continue
-        reasons.append(f"scale factor {axis}: {slope[j]:+.4f} +- {2.0 * doubt[j]:.2g} %/K (95 %)")
-        if len(at) == 2:
-            reasons.append(
-                f"scale factor {axis}: two temperatures draw a line and cannot show whether it bends; add a soak between them"
-            )
-    short = any(int(soaks.seen[:, j].sum()) < 3 for j in range(3))
-    return Verdict(status="marginal" if short else "good", remarks=tuple(reasons)).also(status)
+        spread = v + excess_variance(y - np.average(y, weights=1.0 / v), v, len(y) - 1)
+        mean[axis] = np.average(y, weights=1.0 / spread)
+        mean_doubt[axis] = np.sqrt(1.0 / (1.0 / spread).sum())
+        if len(y) < 3 or np.ptp(t) == 0.0:
+            continue
+        x = np.column_stack((np.ones(len(t)), t - t.mean()))
+        left = y - x @ np.linalg.lstsq(x / np.sqrt(v)[:, None], y / np.sqrt(v), rcond=None)[0]
+        v = v + excess_variance(left, v, len(y) - 2)
+        inverse = np.linalg.inv(x.T @ (x / v[:, None]))
+        slope[axis], slope_doubt[axis] = (inverse @ (x.T @ (y / v)))[1], np.sqrt(inverse[1, 1])
+    return mean, mean_doubt, slope, slope_doubt
+
+
+def _asymmetry_verdict(mean: FloatArray, doubt: FloatArray) -> Verdict:
+    unseen = tuple(axis for axis, a in zip(AXES, mean, strict=True) if np.isnan(a))
+    found = [finding("drift.asymmetry_not_observable", "warn", axes=unseen)] if unseen else []
+    found += [
+        finding("drift.asymmetry", "info", axis=axis, percent=100.0 * a, expanded_percent=200.0 * u)
+        for axis, a, u in zip(AXES, mean, doubt, strict=True)
+        if abs(a) > 3.0 * u
+    ]
+    return Verdict(status="marginal" if unseen else "good", findings=tuple(found))
+
+
+# ---- rate steps made ready: usable rows, soaks and mountings by number
+
+
+def steps_of(steps: RateSteps | Steps) -> Steps:
+    """Return the usable rows of rate steps."""
+    if isinstance(steps, Steps):
+        return steps
+    known = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
+    rows = np.flatnonzero(known & (np.abs(steps.rate_b).max(axis=1, initial=0.0) > 0.0))
+    if not len(rows):
+        raise InputError(
+            f"rate steps: wanted dwells with rate, reading and temperature, got {len(steps)} rows and none of them usable; "
+            "check turn_rate_dps, temp_c and gaps in the recording"
+        )
+    kept = steps.taken(rows)
+    soak = np.unique(np.column_stack((kept.session, kept.soak)), axis=0, return_inverse=True)[1].reshape(-1)
+    direction, along = _directions(kept.rate_b)
+    mounting = np.unique(np.column_stack((soak, direction)), axis=0, return_inverse=True)[1].reshape(-1)
+    lost = len(steps) - int(known.sum())
+    gaps = finding("drift.steps_left_out", "warn", count=lost, steps=len(steps))
+    return Steps(
+        session=kept.session,
+        soak=soak,
+        mounting=mounting,
+        temp_c=kept.temp_c,
+        rate_b=kept.rate_b,
+        along=along,
+        gyro=kept.gyro,
+        accel=kept.accel,
+        variance=_variance(kept.gyro_variance, kept.gyro),
+        verdict=Verdict(status="marginal", findings=(gaps,)) if lost else Verdict(),
+    )
+
+
+def _directions(rate_b: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return which direction each row turns about, up to its sign, and the rate along it."""
+    length = np.linalg.norm(rate_b, axis=1)
+    unit = rate_b / length[:, None]
+    found: list[FloatArray] = []
+    number, sign = np.empty(len(rate_b), dtype=np.int64), np.empty(len(rate_b))
+    for k, direction in enumerate(unit):
+        cosine = np.array([direction @ other for other in found])
+        near = np.flatnonzero(np.abs(cosine) > _SAME_DIRECTION)
+        if not len(near):
+            axis = int(np.abs(direction).argmax())
+            found.append(direction * np.sign(direction[axis]))
+            near, cosine = np.array([len(found) - 1]), np.append(cosine, np.sign(direction[axis]))
+        number[k], sign[k] = near[0], np.sign(cosine[near[0]])
+    return number, length * sign
+
+
+def _variance(variance: FloatArray, reading: FloatArray) -> FloatArray:
+    """Return variances that are known and above zero; elsewhere the median of the others, or the last digit."""
+    known = np.isfinite(variance) & (variance > 0.0)
+    least = (1e-9 * np.maximum(np.abs(reading).max(axis=0), 1e-30)) ** 2
+    middle = np.array([np.median(v[ok]) if ok.any() else 0.0 for v, ok in zip(variance.T, known.T, strict=True)])
+    filled: FloatArray = np.maximum(np.where(known, variance, middle), least)
+    return filled
+
+
+def gyro_model(calibration: Calibration) -> TriadModel:
+    """Return the gyroscopes' constant model."""
+    if calibration.gyro is None:
+        raise InputError(
+            "rate steps: wanted a calibration with gyroscopes, got one without; calibrate on a rate table first"
+        )
+    return calibration.gyro
+
+
+def offset_at(temp_c: FloatArray, calibration: Calibration, static: StaticDrift | None) -> FloatArray:
+    """Return the gyroscopes' offset at temperatures (n,), (n, 3): from the table, else the constant."""
+    if static is None or static.gyro_offset is None:
+        return np.tile(gyro_model(calibration).offset, (len(temp_c), 1))
+    return np.column_stack([np.interp(temp_c, static.temp_c, column) for column in static.gyro_offset.T])
+
+
+def measured_rate(
+    gyro: FloatArray,
+    temp_c: FloatArray,
+    calibration: Calibration,
+    *,
+    static: StaticDrift | None,
+    scale: ScaleDrift | None,
+) -> FloatArray:
+    """Return the rate of mean readings (n, 3), rad/s: M(T) (u - offset(T))."""
+    model = gyro_model(calibration)
+    matrix = np.tile(model.matrix, (len(temp_c), 1, 1))
+    if scale is not None and scale.gyro_matrix is not None:
+        flat = scale.gyro_matrix.reshape(-1, 9)
+        matrix = np.column_stack([np.interp(temp_c, scale.temp_c, column) for column in flat.T]).reshape(-1, 3, 3)
+    rate: FloatArray = np.einsum("nij,nj->ni", matrix, gyro - offset_at(temp_c, calibration, static))
+    return rate * si_factor(model.unit_out, "rate")
+
+
+def rests_of(steps: Steps, blocks: RestBlocks | None) -> tuple[IntArray, IntArray]:
+    """Find the blocks of rest that lay as the device turned: same session, temperature and pose as a mounting."""
+    nothing = np.empty(0, dtype=np.int64)
+    if blocks is None or not len(blocks):
+        return nothing, nothing
+    firsts = np.unique(steps.mounting, return_index=True)[1]
+    means = np.array([steps.accel[steps.mounting == steps.mounting[k]].mean(axis=0) for k in firsts])
+    temps = np.array([steps.temp_c[steps.mounting == steps.mounting[k]].mean() for k in firsts])
+    span = np.linalg.norm(means[:, None] - means[None], axis=2).max()
+    if not np.isfinite(span) or span == 0.0:
+        return nothing, nothing
+    found, of = [], []
+    usable = np.isfinite(blocks.gyro).all(axis=1) & np.isfinite(blocks.accel).all(axis=1) & np.isfinite(blocks.temp_c)
+    for b in np.flatnonzero(usable):
+        off = np.linalg.norm(means - blocks.accel[b], axis=1) / span
+        apart = np.abs(temps - blocks.temp_c[b])
+        fits = (off < _SAME_POSE) & (apart < _SAME_TEMPERATURE_C) & (steps.session[firsts] == blocks.session[b])
+        if fits.any():
+            found.append(b)
+            of.append(firsts[np.flatnonzero(fits)[apart[fits].argmin()]])
+    return np.array(found, dtype=np.int64), np.array(of, dtype=np.int64)

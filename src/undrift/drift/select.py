@@ -1,24 +1,23 @@
-"""Which tables a device needs: none, scale over temperature, dynamic drift, or both, judged on what was left out.
+"""Which tables a device needs: none, scale over temperature, dynamic drift, or both, by cross-validation.
 
-Each of the four is fitted without a soak (those between the first and the last) and without some of the rates, and foretells the
-steps that were left out: ``M(T) (u - offset(T)) - e`` less the imposed rate, all three axes, about the offset that the mounting
-was left with. The one with the least mean square is best; the simplest whose mean square lies within one standard error of
-it, over what was left out in turn, is taken [1]_; so is one whose rms is within 5 %, which no table is worth.
+Each of the four is fitted without a soak (those between the first and the last) and without some of the rates, and predicts the
+steps that were held out: ``M(T) (u - offset(T)) - e`` less the imposed rate, all three axes, about the offset of their mounting.
+The one with the least mean square is best; the simplest whose mean square lies within one standard error of it is taken [1]_; so
+is one whose rms is within 5 %, which no table is worth.
+
+Tables are cut to the temperatures asked for only after they were fitted and selected over all that was seen: a table holds its ends
+beyond them, and the selection would depend on the range. They are linear between nodes, so that cutting changes no value inside.
 
 References
 ----------
 .. [1] L. Breiman, J. H. Friedman, R. A. Olshen, C. J. Stone, "Classification and Regression Trees", 1984, section 3.4.3.
-
-Tables cut to the temperatures asked for, after they were fitted and judged over all that was seen.
-
-A table holds its ends beyond them. Were it fitted to the range asked for, the soaks outside would be judged by held ends, and the
-choice of tables would hang on the range. Tables are linear between nodes, so that cutting changes no value inside.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.drift.dynamic import DEFAULT_STEP_C, DynamicFit, DynamicSettings, fit_dynamic, softness_of
@@ -26,41 +25,46 @@ from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.scale import ScaleFit, Steps, fit_scale, measured_rate, steps_of
 from undrift.drift.static import StaticFit, TriadDrift, far_from_data
 from undrift.errors import CalibrationError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.model import Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
 from undrift.units import RADIAN_PER_DEGREE
 
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
 ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first
+T = TypeVar("T", bound=np.generic)
 _RATE_FOLDS = 4
 _SAME_C = 1.0  # between soaks, in the order of their temperature: further apart is another set-point
-_WORTH = 1.05  # a table more has to earn this factor of rms at least, however well it is known
+_WORTH = 1.05  # a table more has to reduce the rms by this factor at least
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alternatives:
-    """What each choice of tables foretells, and which was taken."""
+    """Cross-validated error of each choice of tables, and which was taken."""
 
-    name: tuple[Alternative, ...]  # none, scale, dynamic, scale + dynamic
-    # (4,), root-mean-square residual of the fit to all steps, deg/s; NaN where it could not be fitted
-    fitted_rms_dps: FloatArray
-    soak_rms_dps: FloatArray  # (4,), of the soaks that were left out; NaN with fewer than three set-points
-    rate_rms_dps: FloatArray  # (4,), of the rates that were left out; NaN with fewer than three rates
-    left_out_rms_dps: FloatArray  # (4,), of both together: what the choice rests on
+    name: tuple[Alternative, ...]
+    fitted_rms_dps: FloatArray  # (4,), residual of the fit to all steps, deg/s; NaN where it could not be fitted
+    soak_rms_dps: FloatArray  # (4,), of the soaks that were held out; NaN with fewer than three set-points
+    rate_rms_dps: FloatArray  # (4,), of the rates that were held out; NaN with fewer than three rates
+    left_out_rms_dps: FloatArray  # (4,), of both together: the choice is made by it
     standard_error_dps: FloatArray  # (4,), standard error of ``left_out_rms_dps``
-    chosen: Alternative  # One of the names
-    reason: str  # Why, in words
+    chosen: Alternative
+    why: Finding
+
+    @property
+    def reason(self) -> str:
+        """Why, as a text."""
+        return self.why.text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
     """The tables that were taken, and those that were not."""
 
-    alternatives: Alternatives  # The table of figures
-    # Matrix over temperature fitted to all steps, whether taken or not; None where not observable
-    scale: ScaleFit | None
-    dynamic: DynamicFit | None  # Dynamic drift with the constant matrix, likewise
-    both: DynamicFit | None  # Dynamic drift on top of ``scale``, likewise
-    verdict: Verdict  # Of what was taken
+    alternatives: Alternatives
+    scale: ScaleFit | None  # fitted to all steps, whether taken or not; None where not observable
+    dynamic: DynamicFit | None  # with the constant matrix, likewise
+    both: DynamicFit | None  # on top of ``scale``, likewise
+    verdict: Verdict  # of what was taken
 
     @property
     def scale_drift(self) -> ScaleDrift | None:
@@ -73,6 +77,48 @@ class Choice:
         """The dynamic table to use."""
         fit = {"dynamic": self.dynamic, "scale + dynamic": self.both}.get(self.alternatives.chosen)
         return None if fit is None else fit.drift
+
+
+def choose_tables(
+    steps: RateSteps,
+    calibration: Calibration,
+    *,
+    static: StaticDrift | None,
+    temp_c: FloatArray,
+    rests: RestBlocks | None = None,
+    settings: DynamicSettings = DynamicSettings(),
+) -> Choice:
+    """Fit all alternatives, select one by cross-validation; nodes temp_c (n,), degC."""
+    if settings.temp_c is None:  # multiples of 5 degC inside the span, and its ends
+        low, high = float(temp_c[0]), float(temp_c[-1])
+        between = DEFAULT_STEP_C * np.arange(np.ceil(low / DEFAULT_STEP_C), np.floor(high / DEFAULT_STEP_C) + 1.0)
+        inside = between[(between > low + 1e-9) & (between < high - 1e-9)]
+        settings = replace(settings, temp_c=np.concatenate(([low], inside, [high])))
+    data = _Data(
+        steps=steps_of(steps), calibration=calibration, static=static, rests=rests, temp_c=temp_c, settings=settings
+    )
+    soaks = len(np.unique(data.steps.soak))
+    if soaks < 2:
+        raise NotObservable(
+            f"scale and dynamic drift: wanted rate steps at two soaks or more, got one at {data.steps.temp_c.mean():.1f} degC; "
+            "repeat the steps at another temperature, or keep the constant matrix",
+            soaks=soaks,
+        )
+    fits = _fit_all(data, data.steps)
+    if fits.scale is None and fits.dynamic is None:
+        raise NotObservable(
+            f"scale and dynamic drift: wanted an axis turned at two rates at two soaks, got {len(data.steps)} steps at {soaks} "
+            "soaks without; repeat the same turns at another temperature",
+            soaks=soaks,
+        )
+    table = _cross_validated(data, fits)
+    return Choice(
+        alternatives=table,
+        scale=fits.scale,
+        dynamic=fits.dynamic,
+        both=fits.both,
+        verdict=_verdict(table, fits, int(_set_points(data.steps)[1].max()) + 1).also(data.steps.verdict),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,55 +157,6 @@ class _Fits:
         return np.asarray(w - steps.rate_b)
 
 
-def choose_tables(
-    steps: RateSteps,
-    calibration: Calibration,
-    *,
-    static: StaticDrift | None,
-    temp_c: FloatArray,
-    rests: RestBlocks | None = None,
-    settings: DynamicSettings = DynamicSettings(),
-) -> Choice:
-    """Fit all alternatives, judge them by what they foretell, and take one.
-
-    Arrays: temp_c (n,) degC.
-    """
-    settings = settings if settings.temp_c is not None else replace(settings, temp_c=_spanning(temp_c))
-    data = _Data(
-        steps=steps_of(steps), calibration=calibration, static=static, rests=rests, temp_c=temp_c, settings=settings
-    )
-    soaks = len(np.unique(data.steps.soak))
-    if soaks < 2:
-        raise NotObservable(
-            f"scale and dynamic drift: wanted rate steps at two soaks or more, got one at {data.steps.temp_c.mean():.1f} degC; "
-            "repeat the steps at another temperature, or keep the constant matrix",
-            soaks=soaks,
-        )
-    fits = _fit_all(data, data.steps)
-    if fits.scale is None and fits.dynamic is None:
-        raise NotObservable(
-            f"scale and dynamic drift: wanted an axis turned at two rates at two soaks, got {len(data.steps)} steps at {soaks} "
-            "soaks without; repeat the same turns at another temperature",
-            soaks=soaks,
-        )
-    table = _judged(data, fits)
-    return Choice(
-        alternatives=table,
-        scale=fits.scale,
-        dynamic=fits.dynamic,
-        both=fits.both,
-        verdict=_verdict(table, fits, int(_set_points(data.steps)[1].max()) + 1).also(data.steps.verdict),
-    )
-
-
-def _spanning(temp_c: FloatArray) -> FloatArray:
-    """Return the multiples of 5 degC inside a span, and its ends."""
-    low, high = float(temp_c[0]), float(temp_c[-1])
-    between = DEFAULT_STEP_C * np.arange(np.ceil(low / DEFAULT_STEP_C), np.floor(high / DEFAULT_STEP_C) + 1.0)
-    inside = between[(between > low + 1e-9) & (between < high - 1e-9)]
-    return np.concatenate(([low], inside, [high]))
-
-
 def _fit_all(data: _Data, steps: Steps, like: _Fits | None = None) -> _Fits:
     """Fit every alternative to some steps; as soft as earlier fits where these are given."""
     scale = dynamic = both = None
@@ -167,25 +164,22 @@ def _fit_all(data: _Data, steps: Steps, like: _Fits | None = None) -> _Fits:
         scale = fit_scale(steps, data.calibration, static=data.static, temp_c=data.temp_c)
     except CalibrationError:
         scale = None  # the others may still be had
-    alone = data.settings if like is None or like.dynamic is None else _as_soft(data.settings, like.dynamic)
-    on_top = data.settings if like is None or like.both is None else _as_soft(data.settings, like.both)
+
+    def fitted(matrix: ScaleDrift | None, earlier: DynamicFit | None) -> DynamicFit:
+        settings = data.settings if earlier is None else replace(data.settings, softness=softness_of(earlier))
+        return fit_dynamic(
+            steps, data.calibration, static=data.static, scale=matrix, rests=data.rests, settings=settings
+        )
+
     try:
-        dynamic = _dynamic(data, steps, None, alone)
-        both = None if scale is None else _dynamic(data, steps, scale.drift, on_top)
+        dynamic = fitted(None, like.dynamic if like else None)
+        both = None if scale is None else fitted(scale.drift, like.both if like else None)
     except CalibrationError:
         dynamic = both = None
     return _Fits(scale=scale, dynamic=dynamic, both=both)
 
 
-def _dynamic(data: _Data, steps: Steps, scale: ScaleDrift | None, settings: DynamicSettings) -> DynamicFit:
-    return fit_dynamic(steps, data.calibration, static=data.static, scale=scale, rests=data.rests, settings=settings)
-
-
-def _as_soft(settings: DynamicSettings, fit: DynamicFit) -> DynamicSettings:
-    return replace(settings, softness=softness_of(fit))
-
-
-def _judged(data: _Data, fits: _Fits) -> Alternatives:
+def _cross_validated(data: _Data, fits: _Fits) -> Alternatives:
     steps = data.steps
     by_soak, by_rate = _soak_folds(steps), _rate_folds(steps)
     squares = np.full((len(by_soak) + len(by_rate), len(ALTERNATIVES)), np.nan)
@@ -201,10 +195,12 @@ def _judged(data: _Data, fits: _Fits) -> Alternatives:
     )
     missing = np.isnan(fitted)
     soak, rate = squares[: len(by_soak)], squares[len(by_soak) :]
-    judged = np.where(missing, np.nan, _mean(squares) if len(squares) else fitted)
-    error = _standard_error(squares)
-    chosen, reason = _one_standard_error(judged, error, _left_out(steps))
-    rms = np.sqrt(judged)
+    square = np.where(missing, np.nan, _mean(squares) if len(squares) else fitted)
+    error = np.zeros(len(ALTERNATIVES))
+    if len(squares) > 1:
+        error = squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
+    rms = np.sqrt(square)
+    why = _selected(square, error, steps, len(by_soak))
     return Alternatives(
         name=ALTERNATIVES,
         fitted_rms_dps=np.sqrt(fitted) / RADIAN_PER_DEGREE,
@@ -212,13 +208,44 @@ def _judged(data: _Data, fits: _Fits) -> Alternatives:
         rate_rms_dps=np.sqrt(_mean(rate)) / RADIAN_PER_DEGREE,
         left_out_rms_dps=rms / RADIAN_PER_DEGREE,
         standard_error_dps=0.5 * error / rms / RADIAN_PER_DEGREE,
-        chosen=chosen,
-        reason=reason,
+        chosen=why.values["tables"],  # type: ignore[arg-type]
+        why=why,
+    )
+
+
+def _selected(square: FloatArray, error: FloatArray, steps: Steps, held_out: int) -> Finding:
+    """Take the simplest within one standard error, or 5 % of rms, of the best."""
+    best = int(np.nanargmin(square))
+    limit = max(square[best] + error[best], square[best] * _WORTH**2)
+    chosen = int(np.flatnonzero(square <= limit)[0])
+    dps = np.sqrt(square) / RADIAN_PER_DEGREE
+    numbers, point = _set_points(steps)
+    soaks, points = len(numbers), int(point.max()) + 1
+    if chosen == best:
+        return finding(
+            "drift.tables_best",
+            "info",
+            tables=ALTERNATIVES[chosen],
+            error_dps=dps[chosen],
+            held_out=held_out,
+            soaks=soaks,
+            set_points=points,
+        )
+    return finding(
+        "drift.tables_simplest",
+        "info",
+        tables=ALTERNATIVES[chosen],
+        error_dps=dps[chosen],
+        held_out=held_out,
+        soaks=soaks,
+        set_points=points,
+        best=ALTERNATIVES[best],
+        best_dps=dps[best],
     )
 
 
 def _soak_folds(steps: Steps) -> list[BoolArray]:
-    """Return the rows of each soak but those at the coldest and hottest set-point: what lies beyond nobody can foretell."""
+    """Return the rows of each soak but those at the coldest and hottest set-point: nothing predicts beyond them."""
     numbers, point = _set_points(steps)
     return [steps.soak == s for s in numbers[(point > 0) & (point < point.max())]]
 
@@ -231,17 +258,6 @@ def _set_points(steps: Steps) -> tuple[IntArray, IntArray]:
     point = np.zeros(len(numbers), np.int64)
     point[order[1:]] = np.cumsum(np.diff(middle[order]) > _SAME_C)
     return numbers, point
-
-
-def _left_out(steps: Steps) -> str:
-    """Return what was left out in turn, with how many soaks and set-points there were."""
-    soaks = len(_soak_folds(steps))
-    numbers, point = _set_points(steps)
-    points = int(point.max()) + 1
-    there = f"{len(numbers)} soaks" if points == len(numbers) else f"{len(numbers)} soaks at {points} set-points"
-    if not soaks:
-        return f"the rates left out in turn ({there}, none between others)"
-    return f"{soaks} of {there} (not the coldest and hottest) and the rates, left out in turn,"
 
 
 def _rate_folds(steps: Steps) -> list[BoolArray]:
@@ -269,52 +285,24 @@ def _mean(squares: FloatArray) -> FloatArray:
     return np.asarray(squares.mean(axis=0))
 
 
-def _standard_error(squares: FloatArray) -> FloatArray:
-    if len(squares) < 2:
-        return np.full(len(ALTERNATIVES), 0.0)
-    return np.asarray(squares.std(axis=0, ddof=1) / np.sqrt(len(squares)))
-
-
-def _one_standard_error(judged: FloatArray, error: FloatArray, told: str) -> tuple[Alternative, str]:
-    best = int(np.nanargmin(judged))
-    limit = max(judged[best] + error[best], judged[best] * _WORTH**2)
-    chosen = int(np.flatnonzero(judged <= limit)[0])
-    dps = np.sqrt(judged) / RADIAN_PER_DEGREE
-    if chosen == best:
-        return ALTERNATIVES[chosen], (
-            f"{ALTERNATIVES[chosen]}: it foretells {told} best, to {dps[best]:.4f} deg/s rms, and nothing simpler comes within one "
-            "standard error or 5 %"
-        )
-    return ALTERNATIVES[chosen], (
-        f"{ALTERNATIVES[chosen]}: it foretells {told} to {dps[chosen]:.4f} deg/s rms, within one standard error or 5 % of the best "
-        f"({ALTERNATIVES[best]}, {dps[best]:.4f} deg/s), and is simpler"
-    )
-
-
 def _verdict(table: Alternatives, fits: _Fits, points: int) -> Verdict:
-    verdict = Verdict(remarks=(table.reason,))
+    verdict = Verdict(findings=(table.why,))
     if table.chosen in ("scale", "scale + dynamic") and fits.scale is not None:
         verdict = verdict.also(fits.scale.verdict)
     dynamic = {"dynamic": fits.dynamic, "scale + dynamic": fits.both}.get(table.chosen)
     if dynamic is not None:
         verdict = verdict.also(dynamic.verdict)
     if points < 3:
-        reason = (
-            "soaks at two set-points: none between others could be left out, and the choice rests on the rates alone; add a soak "
-            "at a third"
-        )
-        verdict = verdict.also(Verdict(status="marginal", remarks=(reason,)))
+        alone = finding("drift.tables_by_rates", "warn", set_points=points)
+        verdict = verdict.also(Verdict(status="marginal", findings=(alone,)))
     return verdict
 
 
-# ---- Tables cut to the temperatures asked for, after they were fitted and judged over all that was seen.
+# ---- tables cut to the temperatures asked for
 
 
 def widened(nodes: FloatArray, span_c: tuple[float, float]) -> FloatArray:
-    """Return nodes that go on at the same step until they span a range.
-
-    Arrays: nodes (n,) degC -> (m,) degC.
-    """
+    """Return nodes continued at the same step until they span a range, degC."""
     step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
     below = max(int(np.ceil((nodes[0] - span_c[0]) / step - 1e-9)), 0)
     above = max(int(np.ceil((span_c[1] - nodes[-1]) / step - 1e-9)), 0)
@@ -324,82 +312,68 @@ def widened(nodes: FloatArray, span_c: tuple[float, float]) -> FloatArray:
 
 
 def cropped_static(fit: StaticFit, nodes: FloatArray) -> StaticFit:
-    """Return the offsets at some of their nodes.
-
-    Arrays: nodes (n,) degC.
-    """
-    keep = _rows(fit.table.temp_c, nodes)
-    gyro, accel = _triad(fit.gyro, keep), _triad(fit.accel, keep)
+    """Return the offsets at some of their nodes (n,), degC."""
+    keep = _nodes_of(fit.table.temp_c, nodes)
+    gyro, accel = (found and _cropped_triad(found, keep) for found in (fit.gyro, fit.accel))
     table = replace(
         fit.table,
         temp_c=fit.table.temp_c[keep],
-        gyro_offset=_some(fit.table.gyro_offset, keep),
-        gyro_uncertainty=_some(fit.table.gyro_uncertainty, keep),
-        gyro_extrapolated=_marks(fit.table.gyro_extrapolated, keep),
-        accel_offset=_some(fit.table.accel_offset, keep),
-        accel_uncertainty=_some(fit.table.accel_uncertainty, keep),
-        accel_extrapolated=_marks(fit.table.accel_extrapolated, keep),
+        gyro_offset=_rows_of(fit.table.gyro_offset, keep),
+        gyro_uncertainty=_rows_of(fit.table.gyro_uncertainty, keep),
+        gyro_extrapolated=_rows_of(fit.table.gyro_extrapolated, keep),
+        accel_offset=_rows_of(fit.table.accel_offset, keep),
+        accel_uncertainty=_rows_of(fit.table.accel_uncertainty, keep),
+        accel_extrapolated=_rows_of(fit.table.accel_extrapolated, keep),
     )
-    reasons = [reason for reason in fit.verdict.reasons if "are marked extrapolated" not in reason]
-    reasons += [] if gyro is None else far_from_data("gyroscope", gyro)
-    reasons += [] if accel is None or accel.offset is None else far_from_data("accelerometer", accel)
-    return replace(fit, table=table, gyro=gyro, accel=accel, verdict=replace(fit.verdict, remarks=tuple(reasons)))
+    kept = [item for item in fit.verdict.findings if item.code != "drift.nodes_extrapolated"]
+    kept += [] if gyro is None else far_from_data("gyroscope", gyro)
+    kept += [] if accel is None or accel.offset is None else far_from_data("accelerometer", accel)
+    return replace(fit, table=table, gyro=gyro, accel=accel, verdict=replace(fit.verdict, findings=tuple(kept)))
 
 
 def cropped_choice(choice: Choice, nodes: FloatArray) -> Choice:
-    """Return what was chosen with all its tables cut.
-
-    Arrays: nodes (n,) degC.
-    """
+    """Return what was chosen with all its tables cut to nodes (n,), degC."""
     scale = choice.scale
     return replace(
         choice,
-        scale=None if scale is None else replace(scale, drift=_scale(scale.drift, nodes)),
-        dynamic=_dynamic_crop(choice.dynamic, nodes),
-        both=_dynamic_crop(choice.both, nodes),
+        scale=None if scale is None else replace(scale, drift=_cropped_scale(scale.drift, nodes)),
+        dynamic=choice.dynamic and _cropped_dynamic(choice.dynamic, nodes),
+        both=choice.both and _cropped_dynamic(choice.both, nodes),
     )
 
 
-def _rows(temp_c: FloatArray, nodes: FloatArray) -> slice:
+def _nodes_of(temp_c: FloatArray, nodes: FloatArray) -> slice:
     first = int(np.argmin(np.abs(temp_c - nodes[0])))
     return slice(first, first + len(nodes))
 
 
-def _some(values: FloatArray | None, keep: slice) -> FloatArray | None:
+def _rows_of(values: NDArray[T] | None, keep: slice) -> NDArray[T] | None:
     return None if values is None else values[keep]
 
 
-def _marks(values: BoolArray | None, keep: slice) -> BoolArray | None:
-    return None if values is None else values[keep]
-
-
-def _triad(found: TriadDrift | None, keep: slice) -> TriadDrift | None:
-    if found is None:
-        return None
+def _cropped_triad(found: TriadDrift, keep: slice) -> TriadDrift:
     return replace(
         found,
-        offset=_some(found.offset, keep),
+        offset=_rows_of(found.offset, keep),
         uncertainty=found.uncertainty[keep],
         extrapolated=found.extrapolated[keep],
-        unknown_scale=_some(found.unknown_scale, keep),
+        unknown_scale=_rows_of(found.unknown_scale, keep),
     )
 
 
-def _scale(drift: ScaleDrift, nodes: FloatArray) -> ScaleDrift:
-    keep = _rows(drift.temp_c, nodes)
+def _cropped_scale(drift: ScaleDrift, nodes: FloatArray) -> ScaleDrift:
+    keep = _nodes_of(drift.temp_c, nodes)
     return replace(
         drift,
         temp_c=drift.temp_c[keep],
-        gyro_matrix=_some(drift.gyro_matrix, keep),
-        gyro_uncertainty=_some(drift.gyro_uncertainty, keep),
-        gyro_extrapolated=_marks(drift.gyro_extrapolated, keep),
+        gyro_matrix=_rows_of(drift.gyro_matrix, keep),
+        gyro_uncertainty=_rows_of(drift.gyro_uncertainty, keep),
+        gyro_extrapolated=_rows_of(drift.gyro_extrapolated, keep),
     )
 
 
-def _dynamic_crop(fit: DynamicFit | None, nodes: FloatArray) -> DynamicFit | None:
+def _cropped_dynamic(fit: DynamicFit, nodes: FloatArray) -> DynamicFit:
     """Its nodes lie further apart: the ends asked for become nodes, linear between their neighbours."""
-    if fit is None:
-        return None
     old, low, high = fit.drift.temp_c, nodes[0], nodes[-1]
     at = np.concatenate(([low], old[(old > low + 1e-9) & (old < high - 1e-9)], [high]))
     right = np.clip(np.searchsorted(old, at - 1e-9), 1, len(old) - 1)

@@ -1,11 +1,9 @@
-"""Sessions made ready for the drift fits: in the calibration's units, codes restored; and nominal models without one.
+"""Sessions made ready for the drift fits: each reading once, in the calibration's units, codes restored, one switch-on a session.
 
 A session in several recordings whose clock runs on from one to the next was switched on once, when the first began; a clock that
 begins anew is another switch-on.
 
-Every reading counts once: data given twice are refused, and recordings cut from one switch-on are put together.
-
-The fit takes sessions as independent. A copy of one would halve the variance and feign a second switch-on; so would one log whose
+The fit takes sessions as independent. A copy of one would halve the variance and add a second switch-on; so would one log whose
 rows were dealt out to two files. Those are known by their readings: between two rows of the one, the other lies in the middle but
 for noise, in every channel, stretch by stretch. Two switch-ons differ in temperature, pose or offset by more than that.
 """
@@ -21,175 +19,57 @@ from undrift.drift.observe import RestBlocks
 from undrift.drift.temperature import Temperature
 from undrift.drift.thermometer_lag import without_lag
 from undrift.errors import InputError, NotObservable
-from undrift.model import AdcModel, Calibration, TriadModel, Verdict
+from undrift.findings import finding
+from undrift.model import Calibration, TriadModel, Verdict
 from undrift.record import Record, Session
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
-
-# ---- Every reading counts once: data given twice are refused, and recordings cut from one switch-on are put together.
-
-_RUN = 16  # equal rows one after another: noise does not make them
-_DISTINCT = 8  # of them: a stuck or coarse sensor repeats itself
-_STRETCH = 64  # rows, over whose mean noise is small beside what two switch-ons differ by
-_HOLE = 8.0  # steps: rows beyond are not between two of the other
-_LIKE_NOISE = 2.0  # mean square of the stretches' means over what noise makes it
-_TELLING = 5.0  # standard deviations of the mean over all
-_GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
-
-
-def check_once(sessions: Sequence[Session]) -> None:
-    """Refuse data that were given twice."""
-    first: dict[str, str] = {}
-    for number, session in enumerate(sessions):
-        names = _files(session)
-        for name, digest in names:
-            here = _called(number, name)
-            if digest in first:
-                raise _twice(first[digest], here, "the same file")
-        first.update({digest: _called(number, name) for name, digest in names})
-    for b in range(1, len(sessions)):
-        for a in range(b):
-            _check_pair(sessions, a, b)
-
-
-def one_power_on(sessions: Sequence[Session]) -> list[Session]:
-    """Put recordings together whose clock runs on from one to the next: the device was not switched off between them."""
-    chains: list[list[int]] = []
-    for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
-        before = [chain for chain in chains if _goes_on(sessions[chain[-1]], sessions[k])]
-        if before:
-            max(before, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
-        else:
-            chains.append([k])
-    return [_joined([sessions[k] for k in chain]) for chain in sorted(chains, key=min)]
-
-
-def _goes_on(earlier: Session, later: Session) -> bool:
-    pause = later.records[0].time[0] - earlier.records[-1].time[-1]
-    return bool(0.0 < pause <= _GAP_S and earlier.serial == later.serial)
-
-
-def _joined(parts: list[Session]) -> Session:
-    if len(parts) == 1:
-        return parts[0]
-    return replace(
-        parts[0],
-        records=tuple(record for part in parts for record in part.records),
-        inputs=tuple(named for part in parts for named in part.inputs),
-    )
-
-
-def _check_pair(sessions: Sequence[Session], a: int, b: int) -> None:
-    for i, one in enumerate(sessions[a].records):
-        for j, other in enumerate(sessions[b].records):
-            names = _called(a, _name(sessions[a], i)), _called(b, _name(sessions[b], j))
-            if told := _same_readings(one, other):
-                raise _twice(*names, told)
-            if _dealt_out(one, other):
-                raise InputError(
-                    f"drift: wanted one recording for each switch-on, got rows of one log in turn in {names[0]} and {names[1]}: "
-                    "between the times of one lie those of the other, with the same course; put them into one file by time, or "
-                    "leave one out"
-                )
-
-
-def _same_readings(one: Record, other: Record) -> str:
-    """Return what is equal in two records; nothing where they differ."""
-    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
-        return ""
-    ours, theirs = _rows(one), _rows(other)
-    if len(ours) == len(theirs) >= _RUN and np.array_equal(ours, theirs, equal_nan=True) and _varies(ours):
-        return f"all {len(ours)} readings are equal"
-    if one.time[0] > other.time[-1] or other.time[0] > one.time[-1]:
-        return ""
-    _, at, there = np.intersect1d(one.time, other.time, assume_unique=True, return_indices=True)
-    equal: BoolArray = (ours[at] == theirs[there]).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], equal, [False])).astype(np.int8)))
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if stop - start >= _RUN and _varies(ours[at[start:stop]]):
-            return f"{stop - start} readings one after another are equal, from {one.time[at[start]]:g} s on"
-    return ""
-
-
-def _dealt_out(one: Record, other: Record) -> bool:
-    """Tell whether two records are rows of one log: their times interleave, and each goes where the other goes."""
-    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
-        return False
-    ours, theirs = _channels(one), _channels(other)
-    here = np.flatnonzero((other.time > one.time[0]) & (other.time < one.time[-1]))
-    if len(here) < 2 * _STRETCH or ours.shape[1] != theirs.shape[1]:
-        return False
-    after = np.searchsorted(one.time, other.time[here])
-    step = one.time[after] - one.time[after - 1]
-    usual = float(np.median(np.diff(other.time)))
-    between = (one.time[after] > other.time[here]) & (step <= _HOLE * usual)
-    if between.mean() < 0.9:  # the same times, or holes
-        return False
-    here, after = here[between], after[between]
-    share = ((other.time[here] - one.time[after - 1]) / step[between])[:, None]
-    off = theirs[here] - (1.0 - share) * ours[after - 1] - share * ours[after]
-    known = np.isfinite(off).all(axis=1)
-    off, after = off[known], after[known]
-    count = len(off) // _STRETCH
-    varies = np.ptp(off, axis=0) > 0.0 if len(off) else np.zeros(0, bool)
-    if count < 2 or not varies.any():
-        return False
-    means = off[: count * _STRETCH].reshape(count, _STRETCH, -1).mean(axis=1)
-    rows = np.array([len(np.unique(part)) for part in np.split(after[: count * _STRETCH], count)])
-    # White noise s2 in both: s2 (1 + 2/3) in a difference, s2 / n + s2 / m in the mean over n rows of one and m of the other.
-    noise = off.var(axis=0) / (1.0 + 2.0 / 3.0)
-    expected = noise * (1.0 / _STRETCH + 1.0 / rows)[:, None]
-    like = (means**2).mean(axis=0) <= _LIKE_NOISE * expected.mean(axis=0)
-    even = np.abs(means.mean(axis=0)) <= _TELLING * np.sqrt(expected.mean(axis=0) / count)
-    return bool((like & even).all())
-
-
-def _channels(record: Record) -> FloatArray:
-    """Return the readings and the temperature where it is a column."""
-    parts = [_rows(record)] if record.temp_c is None else [_rows(record), record.temp_c[:, None]]
-    return np.column_stack(parts)
-
-
-def _varies(rows: FloatArray) -> bool:
-    """Tell whether 16 rows one after another hold 8 different ones, somewhere; looked at from 8 rows to 8 rows."""
-    starts = range(0, len(rows) - _RUN + 1, _DISTINCT)
-    return any(len(np.unique(rows[k : k + _RUN], axis=0)) >= _DISTINCT for k in starts)
-
-
-def _rows(record: Record) -> FloatArray:
-    return np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
-
-
-def _files(session: Session) -> list[tuple[str, str]]:
-    """Return name and sha256 of the recordings; what describes a session may well be equal in two."""
-    return [(name, digest) for name, digest in session.inputs if not name.endswith(".toml")]
-
-
-def _name(session: Session, recording: int) -> str:
-    files = _files(session)
-    return files[recording][0] if len(files) == len(session.records) else f"recording {recording}"
-
-
-def _called(session: int, name: str) -> str:
-    return f"session {session + 1} ({name})"
-
-
-def _twice(one: str, other: str, told: str) -> InputError:
-    return InputError(
-        f"drift: wanted every reading once, got the same data in {one} and {other}: {told}; leave one out, as twice the same "
-        "would only make the uncertainty too small"
-    )
-
-
-# ---- sessions
 
 _STRAY = 6.0  # standard deviations of a reading: further from the smooth course is a stray
 _LEAST_NOISE_C = 0.05
 _RESTLESS = 0.5 * RADIAN_PER_DEGREE  # rad/s, standard uncertainty of the mean of a block
+_RUN = 16  # equal rows one after another: noise does not make them
+_DISTINCT = 8  # of them: a stuck or coarse sensor repeats itself
+_STRETCH = 64  # rows, over whose mean noise is small beside what two switch-ons differ by
+_HOLE = 8.0  # steps: rows beyond are not between two of the other
+_LIKE_NOISE = 2.0  # mean square of the stretches' means over that of noise
+_SIGNIFICANT = 5.0  # standard deviations of the mean over all
+_GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
 
 
 def in_units_of(session: Session, calibration: Calibration) -> Session:
     """Return a session in the units that a calibration reads, with the half steps of truncated codes put back."""
-    return replace(session, records=tuple(_ready(record, k, calibration) for k, record in enumerate(session.records)))
+    return replace(
+        session, records=tuple(_prepared(record, k, calibration) for k, record in enumerate(session.records))
+    )
+
+
+def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
+    if record.state == "corrected":
+        raise InputError(
+            f"recording {number}: wanted raw readings, got a corrected record; a table is subtracted from the device's own readings"
+        )
+    gyro_unit = _unit(record.gyro is not None, record.gyro_unit, calibration.gyro, "rate", number)
+    accel_unit = _unit(record.accel is not None, record.accel_unit, calibration.accel, "accel", number)
+    if (gyro_unit, accel_unit) != (record.gyro_unit, record.accel_unit):
+        record = replace(record.in_units(gyro_unit, accel_unit), gyro_unit=gyro_unit, accel_unit=accel_unit)
+    adc, gyro, accel = calibration.adc, record.gyro, record.accel
+    if adc is not None and gyro is not None and adc.gyro_lsb is not None:
+        gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
+    if adc is not None and accel is not None and adc.accel_lsb is not None:
+        accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
+    return record if adc is None else replace(record, gyro=gyro, accel=accel)
+
+
+def _unit(there: bool, unit: str, model: TriadModel | None, quantity: Quantity, number: int) -> str:
+    if not there or model is None or unit == model.unit_in:
+        return unit
+    if not (is_physical(unit) and is_physical(model.unit_in)):
+        what = "gyro" if quantity == "rate" else "accel"
+        raise InputError(
+            f"recording {number}: wanted {what} readings in {model.unit_in}, the unit of the calibration, got {unit}; record as "
+            "for the calibration, or calibrate in this unit"
+        )
+    return model.unit_in
 
 
 def nominal_models(sessions: Sequence[Session]) -> Calibration:
@@ -221,10 +101,7 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
         gyro=gyro,
         verdict=Verdict(
             status="marginal",
-            remarks=(
-                "no calibration was given: scale and axes of the gyroscopes are the nominal ones, which rests do not tell; turn "
-                "the device by known rates or angles and calibrate",
-            ),
+            findings=(finding("calibration.nominal", "warn"),),
         ),
     )
 
@@ -246,6 +123,16 @@ def since_power_on(rests: RestBlocks, sessions: Sequence[Session]) -> RestBlocks
         recording = np.searchsorted(begins, rests.time[rows], side="right") - 1
         power_on_s[rows] += _ages(session.records)[recording]
     return replace(rests, power_on_s=power_on_s)
+
+
+def _ages(records: Sequence[Record]) -> FloatArray:
+    """Return how long before each record its device was switched on, s."""
+    ages, first = np.zeros(len(records)), records[0].time[0]
+    for k in range(1, len(records)):
+        if records[k].time[0] <= records[k - 1].time[-1]:
+            first = records[k].time[0]
+        ages[k] = records[k].time[0] - first
+    return ages
 
 
 def check_at_rest(rests: RestBlocks, device: Calibration) -> None:
@@ -270,10 +157,7 @@ def met_in_use(
     lag_s: float,
     smooth_s: float,
 ) -> list[FloatArray]:
-    """Return the extremes of what ``correct`` would look up for these sessions: readings are noisier than their smooth course.
-
-    Arrays: course (N,) degC -> (2,) degC.
-    """
+    """Return the extremes, (2,) degC each, that ``correct`` would look up: readings are noisier than their smooth course."""
     ends: list[FloatArray] = []
     for session, own, smooth in zip(sessions, trusted, course, strict=True):
         for record, found, settled in zip(session.records, own, smooth, strict=True):
@@ -289,44 +173,151 @@ def met_in_use(
     return ends
 
 
-def _ages(records: Sequence[Record]) -> FloatArray:
-    """Return how long before each record its device was switched on, s."""
-    ages, first = np.zeros(len(records)), records[0].time[0]
-    for k in range(1, len(records)):
-        if records[k].time[0] <= records[k - 1].time[-1]:
-            first = records[k].time[0]
-        ages[k] = records[k].time[0] - first
-    return ages
+# ---- recordings cut from one switch-on are put together
 
 
-def _ready(record: Record, number: int, calibration: Calibration) -> Record:
-    if record.state == "corrected":
-        raise InputError(
-            f"recording {number}: wanted raw readings, got a corrected record; a table is taken off the device's own readings"
-        )
-    gyro_unit = _unit(record.gyro is not None, record.gyro_unit, calibration.gyro, "rate", number)
-    accel_unit = _unit(record.accel is not None, record.accel_unit, calibration.accel, "accel", number)
-    if (gyro_unit, accel_unit) != (record.gyro_unit, record.accel_unit):
-        record = replace(record.in_units(gyro_unit, accel_unit), gyro_unit=gyro_unit, accel_unit=accel_unit)
-    return record if calibration.adc is None else _restored(record, calibration.adc)
+def one_power_on(sessions: Sequence[Session]) -> list[Session]:
+    """Put recordings together whose clock runs on from one to the next: the device was not switched off between them."""
+    chains: list[list[int]] = []
+    for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
+        before = [chain for chain in chains if _continues(sessions[chain[-1]], sessions[k])]
+        if before:
+            max(before, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
+        else:
+            chains.append([k])
+    return [_joined([sessions[k] for k in chain]) for chain in sorted(chains, key=min)]
 
 
-def _unit(there: bool, unit: str, model: TriadModel | None, quantity: Quantity, number: int) -> str:
-    if not there or model is None or unit == model.unit_in:
-        return unit
-    if not (is_physical(unit) and is_physical(model.unit_in)):
-        what = "gyro" if quantity == "rate" else "accel"
-        raise InputError(
-            f"recording {number}: wanted {what} readings in {model.unit_in}, the unit of the calibration, got {unit}; record as "
-            "for the calibration, or calibrate in this unit"
-        )
-    return model.unit_in
+def _continues(earlier: Session, later: Session) -> bool:
+    pause = later.records[0].time[0] - earlier.records[-1].time[-1]
+    return bool(0.0 < pause <= _GAP_S and earlier.serial == later.serial)
 
 
-def _restored(record: Record, adc: AdcModel) -> Record:
-    gyro, accel = record.gyro, record.accel
-    if gyro is not None and adc.gyro_lsb is not None:
-        gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
-    if accel is not None and adc.accel_lsb is not None:
-        accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
-    return replace(record, gyro=gyro, accel=accel)
+def _joined(parts: list[Session]) -> Session:
+    if len(parts) == 1:
+        return parts[0]
+    return replace(
+        parts[0],
+        records=tuple(record for part in parts for record in part.records),
+        inputs=tuple(named for part in parts for named in part.inputs),
+    )
+
+
+# ---- data given twice are refused
+
+
+def check_once(sessions: Sequence[Session]) -> None:
+    """Refuse data that were given twice."""
+    first: dict[str, str] = {}
+    for number, session in enumerate(sessions):
+        names = _files(session)
+        for name, digest in names:
+            here = _called(number, name)
+            if digest in first:
+                raise _twice(first[digest], here, "the same file")
+        first.update({digest: _called(number, name) for name, digest in names})
+    for b in range(1, len(sessions)):
+        for a in range(b):
+            _check_pair(sessions, a, b)
+
+
+def _check_pair(sessions: Sequence[Session], a: int, b: int) -> None:
+    for i, one in enumerate(sessions[a].records):
+        for j, other in enumerate(sessions[b].records):
+            names = _called(a, _name(sessions[a], i)), _called(b, _name(sessions[b], j))
+            if equal := _same_readings(one, other):
+                raise _twice(*names, equal)
+            if _dealt_out(one, other):
+                raise InputError(
+                    f"drift: wanted one recording for each switch-on, got rows of one log in turn in {names[0]} and {names[1]}: "
+                    "between the times of one lie those of the other, with the same course; put them into one file by time, or "
+                    "leave one out"
+                )
+
+
+def _same_readings(one: Record, other: Record) -> str:
+    """Return what is equal in two records; nothing where they differ."""
+    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
+        return ""
+    ours, theirs = _rows(one), _rows(other)
+    if len(ours) == len(theirs) >= _RUN and np.array_equal(ours, theirs, equal_nan=True) and _varies(ours):
+        return f"all {len(ours)} readings are equal"
+    if one.time[0] > other.time[-1] or other.time[0] > one.time[-1]:
+        return ""
+    _, at, there = np.intersect1d(one.time, other.time, assume_unique=True, return_indices=True)
+    equal: BoolArray = (ours[at] == theirs[there]).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], equal, [False])).astype(np.int8)))
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if stop - start >= _RUN and _varies(ours[at[start:stop]]):
+            return f"{stop - start} readings one after another are equal, from {one.time[at[start]]:g} s on"
+    return ""
+
+
+def _dealt_out(one: Record, other: Record) -> bool:
+    """Whether two records are rows of one log: their times interleave, and each goes where the other goes."""
+    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
+        return False
+    ours, theirs = _channels(one), _channels(other)
+    here = np.flatnonzero((other.time > one.time[0]) & (other.time < one.time[-1]))
+    if len(here) < 2 * _STRETCH or ours.shape[1] != theirs.shape[1]:
+        return False
+    after = np.searchsorted(one.time, other.time[here])
+    step = one.time[after] - one.time[after - 1]
+    usual = float(np.median(np.diff(other.time)))
+    between = (one.time[after] > other.time[here]) & (step <= _HOLE * usual)
+    if between.mean() < 0.9:  # the same times, or holes
+        return False
+    here, after = here[between], after[between]
+    share = ((other.time[here] - one.time[after - 1]) / step[between])[:, None]
+    off = theirs[here] - (1.0 - share) * ours[after - 1] - share * ours[after]
+    known = np.isfinite(off).all(axis=1)
+    off, after = off[known], after[known]
+    count = len(off) // _STRETCH
+    varies = np.ptp(off, axis=0) > 0.0 if len(off) else np.zeros(0, bool)
+    if count < 2 or not varies.any():
+        return False
+    means = off[: count * _STRETCH].reshape(count, _STRETCH, -1).mean(axis=1)
+    rows = np.array([len(np.unique(part)) for part in np.split(after[: count * _STRETCH], count)])
+    # White noise s2 in both: s2 (1 + 2/3) in a difference, s2 / n + s2 / m in the mean over n rows of one and m of the other.
+    noise = off.var(axis=0) / (1.0 + 2.0 / 3.0)
+    expected = noise * (1.0 / _STRETCH + 1.0 / rows)[:, None]
+    like = (means**2).mean(axis=0) <= _LIKE_NOISE * expected.mean(axis=0)
+    even = np.abs(means.mean(axis=0)) <= _SIGNIFICANT * np.sqrt(expected.mean(axis=0) / count)
+    return bool((like & even).all())
+
+
+def _channels(record: Record) -> FloatArray:
+    """Return the readings and the temperature where it is a column."""
+    parts = [_rows(record)] if record.temp_c is None else [_rows(record), record.temp_c[:, None]]
+    return np.column_stack(parts)
+
+
+def _varies(rows: FloatArray) -> bool:
+    """Whether 16 rows one after another hold 8 different ones, somewhere; looked at from 8 rows to 8 rows."""
+    starts = range(0, len(rows) - _RUN + 1, _DISTINCT)
+    return any(len(np.unique(rows[k : k + _RUN], axis=0)) >= _DISTINCT for k in starts)
+
+
+def _rows(record: Record) -> FloatArray:
+    return np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
+
+
+def _files(session: Session) -> list[tuple[str, str]]:
+    """Return name and sha256 of the recordings; what describes a session may well be equal in two."""
+    return [(name, digest) for name, digest in session.inputs if not name.endswith(".toml")]
+
+
+def _name(session: Session, recording: int) -> str:
+    files = _files(session)
+    return files[recording][0] if len(files) == len(session.records) else f"recording {recording}"
+
+
+def _called(session: int, name: str) -> str:
+    return f"session {session + 1} ({name})"
+
+
+def _twice(one: str, other: str, what: str) -> InputError:
+    return InputError(
+        f"drift: wanted every reading once, got the same data in {one} and {other}: {what}; leave one out, as twice the same "
+        "would only make the uncertainty too small"
+    )

@@ -1,10 +1,7 @@
-"""Temperature: what a recording says of the sensors' temperature, how far it is to be trusted, and its smooth course.
+"""Temperature of a recording: checked, cleaned and smoothed over time; the thermometer's lag stays in.
 
 A board thermometer comes noisy, in steps of up to 1 degC, with gaps, stale or on the wrong scale. What a fit cannot use raises;
-what it can use with care is named in the notes; the rest is smoothed over time (``course.py``). Its lag stays in
-(``lag.py`` takes it off).
-
-Course: the temperature of a board is a smooth function of time, found from readings that are noisy or come in steps.
+what needs care is a finding; the rest is smoothed.
 
 Noise that blurs the steps is smoothed: block means y_i with variance s^2 / n_i of a curve g whose second derivative is white noise
 of density q, so that g is the natural cubic smoothing spline with stiffness l = s^2 / q [1]_::
@@ -12,10 +9,8 @@ of density q, so that g is the natural cubic smoothing spline with stiffness l =
     g = y - l W^-1 Q c,   (R + l Q^T W^-1 Q) c = Q^T y        Q second divided differences, R their tent functions
 
 The stiffness is the likeliest one: Q^T y has the covariance q R + s^2 Q^T W^-1 Q whatever level and slope are, and one banded
-factor gives its likelihood. Time may be uneven.
-
-Steps that no noise blurs hold no more than the moments at which they change: there the temperature is midway between two steps.
-A monotone cubic joins those moments.
+factor gives its likelihood. Time may be uneven. Steps that no noise blurs hold no more than the moments at which they change:
+there the temperature is midway between two steps, and a monotone cubic joins those moments.
 
 References
 ----------
@@ -32,18 +27,55 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError, NotObservable
+from undrift.findings import Finding, finding
 from undrift.record import Session, Still, Turn
 
-# ---- Course: the temperature of a board is a smooth function of time, found from readings that are noisy or come in steps.
-
+BOARD_C = (-40.0, 125.0)  # where parts of a board work
+OFF_SET_POINT_C = 5.0  # between the column and a stated set-point: another scale
+STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
+JUMP_C = 1.0  # K within a second: more than a board changes
+JUMP_SIDE = 5  # readings on either side of a jump
+HOT_C = 45.0  # above it all along: no room, and no body
+COARSE_C = 0.5
+SPIKE = 8.0  # times the scatter about the running median
+LEAST_SPIKE_C = 0.5
 MOST_BLOCKS = 4000
 BLOCK_S = 1.0  # a board does not warm and cool within a second
 FEWEST_BLOCKS = 200
 STIFFNESS = np.geomspace(1e-3, 1e13, 49)  # s^3, in means of one reading: from no smoothing to a straight line over days
-BLURRED = 0.35  # of a step: where the scatter of readings, steps included, is larger, their mean tells no step
+BLURRED = 0.35  # of a step: where the scatter of readings, steps included, is larger, their mean shows no step
 MOVING = 0.35  # uncertainty where steps follow each other, over that of one step by itself
 CHATTER = 0.25  # of the time to the next step: crossings closer than that are noise
 SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
+
+Source = Literal["column", "set-points"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureSettings:
+    """How a temperature is taken."""
+
+    # Span of all recordings of the session together, K; 0 for none, where check_span looks at several sessions
+    least_span_c: float = 2.0
+    longest_gap_s: float = 10.0  # gaps up to this are interpolated; longer ones stay NaN
+    most_missing: float = 0.5  # share of the readings that may be missing, 0 to 1
+    set_point_uncertainty_c: float = 0.5  # standard uncertainty of a stated set-point, K
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Temperature:
+    """The temperature of one recording, N samples."""
+
+    temp_c: FloatArray  # (N,), smooth course, degC; NaN where it is not known
+    # Standard uncertainty of the course, root-mean-square, K; the thermometer's own offset and lag are not in it
+    uncertainty_c: float
+    noise_c: float  # standard deviation of one reading, K; 0 for set-points
+    step_c: float  # step in which the readings come, K; 0 where there is none
+    source: Source
+    findings: tuple[Finding, ...]  # what looks wrong
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "temp_c", frozen(self.temp_c, (None,), "temp_c"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,11 +87,273 @@ class Course:
     noise_c: float  # Standard deviation of one reading, K
 
 
-def step_of(temp_c: FloatArray) -> float:
-    """Return the step in which readings come.
+def trusted_temperature(
+    session: Session, index: int, *, settings: TemperatureSettings = TemperatureSettings()
+) -> Temperature:
+    """Return the temperature of one recording, smoothed, with what looks wrong about it."""
+    if not 0 <= index < len(session.records):
+        raise InputError(f"temperature: wanted recording 0 to {len(session.records) - 1}, got {index}")
+    record, pieces = session.records[index], _pieces(session, index)
+    if record.temp_c is not None:
+        found = _from_column(record.temp_c, record.time, pieces, index, settings)
+    else:
+        found = _from_set_points(len(record), record.time, pieces, index, settings)
+    if settings.least_span_c > 0.0:
+        _check_spans([_ends(session, k, found if k == index else None) for k in range(len(session.records))], settings)
+    return found
 
-    Arrays: temp_c (N,) degC.
-    """
+
+def check_span(temperatures: Sequence[Temperature], *, settings: TemperatureSettings = TemperatureSettings()) -> float:
+    """Return the span of temperatures together; raise where it is too small for a thermal fit."""
+    return _check_spans([_extremes(temperature.temp_c) for temperature in temperatures], settings)
+
+
+def _pieces(session: Session, index: int) -> list[Still | Turn]:
+    every: list[Still | Turn] = [*session.stills, *session.turns]
+    return [piece for piece in every if piece.recording == index]
+
+
+def _from_column(
+    raw: FloatArray, time: FloatArray, pieces: list[Still | Turn], index: int, settings: TemperatureSettings
+) -> Temperature:
+    known = np.isfinite(raw)
+    missing = 1.0 - float(known.mean())
+    if missing > settings.most_missing or known.sum() < 2:
+        raise InputError(
+            f"temperature of recording {index}: wanted readings in {100 * (1 - settings.most_missing):g} % of the rows or more, "
+            f"got {int(known.sum())} of {len(raw)} (the others NaN); map another column or leave it out and state set-points",
+            missing=missing,
+        )
+    _check_board(raw, time, index)
+    step = step_of(raw[known])
+    spikes = _spikes(raw, step)
+    stale, found = _stale(np.where(spikes, np.nan, raw), time, step, index)
+    if spikes.any():
+        size = float(np.ptp(raw[spikes | np.roll(spikes, 1)]))
+        first, count = time[spikes][0], int(spikes.sum())
+        found.insert(
+            0,
+            finding("drift.temperature_spikes", "info", recording=index, count=count, first_s=first, largest_c=size),
+        )
+    used = known & ~spikes & ~stale
+    course = find_course(raw[used], time[used], step)
+    found += _suspicious(raw[used], time[used], step, course.noise_c, index)
+    found += _off_set_points(raw, pieces, index)
+    temp_c = np.full(len(time), np.nan)
+    temp_c[used] = course.temp_c
+    gone, at = np.flatnonzero(~used), np.flatnonzero(used)
+    if len(gone):
+        after = np.searchsorted(at, gone)
+        inside = (after > 0) & (after < len(at))
+        length = np.full(len(gone), np.inf)
+        length[inside] = time[at[after[inside]]] - time[at[after[inside] - 1]]
+        short = gone[length <= settings.longest_gap_s]
+        temp_c[short] = np.interp(time[short], time[at], course.temp_c)
+        found.append(
+            finding(
+                "drift.temperature_gaps",
+                "info",
+                recording=index,
+                missing=len(gone),
+                interpolated=len(short),
+                longest_s=settings.longest_gap_s,
+                left_out=len(gone) - len(short),
+            )
+        )
+    return Temperature(
+        temp_c=temp_c,
+        uncertainty_c=course.uncertainty_c,
+        noise_c=course.noise_c,
+        step_c=step,
+        source="column",
+        findings=tuple(found),
+    )
+
+
+def _from_set_points(
+    size: int, time: FloatArray, pieces: list[Still | Turn], index: int, settings: TemperatureSettings
+) -> Temperature:
+    stated = [(piece, piece.temp_c) for piece in pieces if piece.temp_c is not None]
+    if not stated:
+        raise InputError(
+            f"temperature of recording {index}: wanted a column (columns.temp) or set-points (temp_c of its stills and turns), got "
+            "neither; map the thermometer's column or state temp_c"
+        )
+    temp_c = np.full(size, np.nan)
+    for piece, set_point in stated:
+        temp_c[piece.start : piece.stop] = set_point
+    _check_board(temp_c, time, index)
+    return Temperature(
+        temp_c=temp_c,
+        uncertainty_c=settings.set_point_uncertainty_c,
+        noise_c=0.0,
+        step_c=0.0,
+        source="set-points",
+        findings=(finding("drift.temperature_set_points", "warn", recording=index, pieces=len(stated)),),
+    )
+
+
+def _check_board(temp_c: FloatArray, time: FloatArray, index: int) -> None:
+    bad = np.flatnonzero((temp_c < BOARD_C[0]) | (temp_c > BOARD_C[1]))
+    if len(bad):
+        raise InputError(
+            f"temperature of recording {index}: wanted {BOARD_C[0]:g} to {BOARD_C[1]:g} degC of a board, got "
+            f"{temp_c[bad[0]]:g} degC at {time[bad[0]]:.6g} s ({len(bad)} such); check units.temp and scale.temp",
+            temp_c=float(temp_c[bad[0]]),
+        )
+
+
+# ---- plausibility
+
+
+def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
+    """Mark readings that lie apart from those before and after, (N,)."""
+    from scipy.ndimage import median_filter
+
+    known = np.flatnonzero(np.isfinite(temp_c))
+    spikes = np.zeros(len(temp_c), dtype=bool)
+    if len(known) < 5:
+        return spikes
+    values = temp_c[known]
+    off = np.abs(values - median_filter(values, size=5, mode="nearest"))
+    usual = 1.4826 * float(np.median(off))
+    spikes[known] = off > max(SPIKE * usual, 2.5 * step_c, LEAST_SPIKE_C)
+    return spikes
+
+
+def _stale(temp_c: FloatArray, time: FloatArray, step_c: float, index: int) -> tuple[BoolArray, list[Finding]]:
+    """Mark readings that repeat an old one, (N,)."""
+    known = np.flatnonzero(np.isfinite(temp_c))
+    values, at = temp_c[known], time[known]
+    first = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0.0)))
+    last = np.append(first[1:], len(values)) - 1
+    stay = at[last] - at[first]
+    jump = np.append(np.abs(np.diff(values[first])), 0.0)
+    wait = np.append(at[first[1:]] - at[last[:-1]], 0.0)  # a gap between may have hidden the way
+    sudden = (jump > max(1.5 * step_c, 0.2)) & (wait < 5.0 * float(np.median(np.diff(at))))
+    lively = len(first) > 0.3 * len(values)  # noise changes most readings
+    long = (stay >= STALE_S) & (sudden | lively)
+    stale = np.zeros(len(temp_c), dtype=bool)
+    for run in np.flatnonzero(long):
+        stale[known[first[run] + 1 : last[run] + 1]] = True
+    if not long.any():
+        return stale, []
+    worst = int(np.flatnonzero(long)[np.argmax(stay[long])])
+    return stale, [
+        finding(
+            "drift.temperature_stale",
+            "info",
+            recording=index,
+            temp_c=values[first[worst]],
+            duration_s=stay[worst],
+            start_s=at[first[worst]],
+            jump_c=jump[worst],
+            count=int(long.sum()),
+        )
+    ]
+
+
+def _suspicious(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: float, index: int) -> list[Finding]:
+    """Look for coarse steps, jumps, and a temperature of no room."""
+    found: list[Finding] = []
+    if step_c >= COARSE_C:
+        found.append(finding("drift.temperature_steps", "info", recording=index, step_c=step_c))
+    if len(temp_c) >= 2 * JUMP_SIDE:  # medians of five readings that differ from the next five
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(temp_c, JUMP_SIDE), axis=1)
+        change = np.abs(middle[JUMP_SIDE:] - middle[:-JUMP_SIDE])
+        lasts = time[2 * JUMP_SIDE - 1 :] - time[: 1 - 2 * JUMP_SIDE]
+        jumps = np.flatnonzero(change > np.maximum(JUMP_C * np.maximum(lasts, 1.0), max(1.5 * step_c, 6.0 * noise_c)))
+        if len(jumps):
+            groups = np.split(jumps, np.flatnonzero(np.diff(jumps) > JUMP_SIDE) + 1)
+            first = groups[0][len(groups[0]) // 2] + JUMP_SIDE  # medians differ while most of one side is past the jump
+            found.append(
+                finding(
+                    "drift.temperature_jumps",
+                    "info",
+                    recording=index,
+                    largest_c=change[jumps].max(),
+                    first_s=time[first],
+                    count=len(groups),
+                )
+            )
+    if temp_c.min() > HOT_C:
+        low, high = temp_c.min(), temp_c.max()
+        found.append(finding("drift.temperature_hot", "warn", recording=index, low_c=low, high_c=high))
+    return found
+
+
+def _off_set_points(raw: FloatArray, pieces: list[Still | Turn], index: int) -> list[Finding]:
+    apart = [
+        (float(np.nanmedian(raw[p.start : p.stop])) - p.temp_c, p.temp_c)
+        for p in pieces
+        if p.temp_c is not None and np.isfinite(raw[p.start : p.stop]).any()
+    ]
+    far = [pair for pair in apart if abs(pair[0]) > OFF_SET_POINT_C]
+    if not far:
+        return []
+    worst, stated = max(far, key=lambda pair: abs(pair[0]))
+    return [
+        finding(
+            "drift.temperature_off_set_point",
+            "warn",
+            recording=index,
+            read_c=stated + worst,
+            set_point_c=stated,
+            count=len(far),
+            pieces=len(apart),
+            limit_c=OFF_SET_POINT_C,
+        )
+    ]
+
+
+# ---- span
+
+
+def _ends(session: Session, index: int, found: Temperature | None) -> tuple[float, float]:
+    """Return the lowest and highest temperature of a recording, noise averaged out; NaN where it is not known."""
+    if found is not None:
+        return _extremes(found.temp_c)
+    record = session.records[index]
+    if record.temp_c is None:
+        stated = [p.temp_c for p in _pieces(session, index) if p.temp_c is not None]
+        return (min(stated), max(stated)) if stated else (np.nan, np.nan)
+    known = np.isfinite(record.temp_c)
+    if known.sum() < 2:
+        return np.nan, np.nan
+    return _extremes(block_means(record.time[known], record.temp_c[known])[1])
+
+
+def _extremes(temp_c: FloatArray) -> tuple[float, float]:
+    known = temp_c[np.isfinite(temp_c)]
+    return (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+
+
+def _check_spans(ends: list[tuple[float, float]], settings: TemperatureSettings) -> float:
+    known = [pair for pair in ends if pair[0] == pair[0]]
+    if not known:
+        raise NotObservable("thermal drift: wanted a recording with a known temperature, got none; map its column")
+    low, high = min(pair[0] for pair in known), max(pair[1] for pair in known)
+    span = high - low
+    if span == 0.0:
+        raise NotObservable(
+            f"thermal drift: wanted temperatures that differ, got {low:.2f} degC throughout (constant); check that the column is "
+            "the thermometer's, and record while the device warms",
+            span_c=span,
+        )
+    if span < settings.least_span_c:
+        raise NotObservable(
+            f"thermal drift: wanted a span of {settings.least_span_c:g} degC or more, got {span:.2g} ({low:.2f} to {high:.2f}); "
+            "record while the device warms or cools further",
+            span_c=span,
+        )
+    return span
+
+
+# ---- the smooth course behind readings; temp_c (N,) degC, time (N,) s
+
+
+def step_of(temp_c: FloatArray) -> float:
+    """Return the step in which readings come."""
     values = np.unique(temp_c)
     if len(values) < 2 or len(values) > max(2, len(temp_c) // 4):
         return 0.0
@@ -71,10 +365,7 @@ def step_of(temp_c: FloatArray) -> float:
 
 
 def noise_of(temp_c: FloatArray, step_c: float) -> float:
-    """Return the standard deviation of one reading, from the differences of neighbours.
-
-    Arrays: temp_c (N,) degC.
-    """
+    """Return the standard deviation of one reading, from the differences of neighbours."""
     if len(temp_c) < 3:
         return 0.0
     bend = np.diff(temp_c, 2)
@@ -84,10 +375,7 @@ def noise_of(temp_c: FloatArray, step_c: float) -> float:
 
 
 def find_course(temp_c: FloatArray, time: FloatArray, step_c: float) -> Course:
-    """Return the smooth course behind readings.
-
-    Arrays: temp_c (N,) degC, time (N,) s.
-    """
+    """Return the smooth course behind readings."""
     noise = noise_of(temp_c, step_c)
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
         return Course(temp_c=temp_c, uncertainty_c=math.hypot(noise, step_c / math.sqrt(12.0)), noise_c=noise)
@@ -113,10 +401,7 @@ def _smoothed(temp_c: FloatArray, time: FloatArray, noise: float, step: float) -
 
 
 def block_means(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return means over blocks of a second or so; an empty stretch makes no block.
-
-    Arrays: time (N,) s, values (N,) -> (n,).
-    """
+    """Return means over blocks of a second or so; an empty stretch makes no block."""
     span = float(time[-1] - time[0])
     width = max(min(BLOCK_S, span / FEWEST_BLOCKS), span / MOST_BLOCKS)
     number = np.floor((time - time[0]) / width).astype(np.int64)
@@ -126,10 +411,7 @@ def block_means(time: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
 
 
 def smoothing_spline(t: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
-    """Return the values of the likeliest natural cubic smoothing spline at its knots.
-
-    Arrays: t (n,) s, y (n,), weight (n,) -> (n,).
-    """
+    """Return the values of the likeliest natural cubic smoothing spline at its knots."""
     h = np.diff(t)
     bend, second = _bands(h, weight)
     z = np.diff(np.diff(y) / h)
@@ -184,6 +466,9 @@ def _freedom(tents: FloatArray, differences: FloatArray, stiffness: float) -> fl
     return float(tents.shape[1] + 2 - slope)
 
 
+# ---- steps that no noise blurs
+
+
 def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> Course:
     from scipy.interpolate import PchipInterpolator
 
@@ -198,10 +483,10 @@ def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, noise: flo
         if len(t) > 1:
             course[:] = PchipInterpolator(t, y)(np.clip(time, t[0], t[-1]))
         before, after = time < t[0], time > t[-1]
-        course[before] = _fading(t[0] - time[before], t, y, height[0] - half[0])
-        course[after] = _fading(time[after] - t[-1], t[::-1], y[::-1], height[-1] + half[-1])
+        course[before] = _extrapolated_end(t[0] - time[before], t, y, height[0] - half[0])
+        course[after] = _extrapolated_end(time[after] - t[-1], t[::-1], y[::-1], height[-1] + half[-1])
         course[(time == t[0]) & (len(t) == 1)] = y[0]
-    return Course(temp_c=temp_c.min() + step * course, uncertainty_c=_doubt(at, time) * step, noise_c=noise)
+    return Course(temp_c=temp_c.min() + step * course, uncertainty_c=_step_uncertainty(at, time) * step, noise_c=noise)
 
 
 def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -246,9 +531,7 @@ def _without_chatter(
             if len(group) % 2 == 1:
                 times.append(float(at[group].mean()))
                 first.append(int(group[0]))
-            elif (
-                at[group[-1]] > at[group[0]]
-            ):  # it touched the height and went back: both ends stay, or a slow end of the record would lose it
+            elif at[group[-1]] > at[group[0]]:  # touched and went back: a slow end of the record would lose it
                 times += [float(at[group[0]]), float(at[group[-1]])]
                 first += [int(group[0]), int(group[-1])]
     return np.array(times), height[first], up[first]
@@ -282,8 +565,8 @@ def _with_turns(at: FloatArray, height: FloatArray, half: FloatArray) -> tuple[F
     return np.array(t), np.array(y)
 
 
-def _fading(away: FloatArray, t: FloatArray, y: FloatArray, code: float) -> FloatArray:
-    """Return the way on from the last crossing: the slope there, fading toward the middle of the step."""
+def _extrapolated_end(away: FloatArray, t: FloatArray, y: FloatArray, code: float) -> FloatArray:
+    """Return the way on from the last crossing: the slope there, decaying toward the middle of the step."""
     if len(away) == 0:
         return away
     room = code - y[0]
@@ -297,309 +580,9 @@ def _slope(t: FloatArray, y: FloatArray) -> float:
     return float(abs((y[other[0]] - y[0]) / (t[other[0]] - t[0]))) if len(other) else 0.0
 
 
-def _doubt(at: FloatArray, time: FloatArray) -> float:
-    """Return the standard uncertainty of a temperature told by steps alone, in steps, root-mean-square over time."""
+def _step_uncertainty(at: FloatArray, time: FloatArray) -> float:
+    """Return the standard uncertainty of a temperature known by steps alone, in steps, root-mean-square over time."""
     stays = np.diff(np.concatenate((time[:1], at, time[-1:])))
     usual = 3.0 * float(np.median(stays))
     long = float(stays[stays > usual].sum()) / float(stays.sum())
     return math.sqrt((long + (1.0 - long) * MOVING**2) / 12.0)
-
-
-# ---- Doubts about a temperature column: what looks stale, sudden, coarse or too hot, each with its numbers.
-
-STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
-JUMP_C = 1.0  # K within a second: more than a board changes
-BESIDE = 5  # readings on either side of a jump
-HOT_C = 45.0  # above it all along: no room, and no body
-COARSE_C = 0.5
-ALONE = 8.0  # times the scatter about the running median
-LEAST_ALONE_C = 0.5
-
-
-def standing_alone(temp_c: FloatArray, step_c: float) -> BoolArray:
-    """Return the readings that lie apart from those before and after.
-
-    Arrays: temp_c (N,) degC -> (N,).
-    """
-    from scipy.ndimage import median_filter
-
-    known = np.flatnonzero(np.isfinite(temp_c))
-    alone = np.zeros(len(temp_c), dtype=bool)
-    if len(known) < 5:
-        return alone
-    values = temp_c[known]
-    off = np.abs(values - median_filter(values, size=5, mode="nearest"))
-    usual = 1.4826 * float(np.median(off))
-    alone[known] = off > max(ALONE * usual, 2.5 * step_c, LEAST_ALONE_C)
-    return alone
-
-
-def find_stale(temp_c: FloatArray, time: FloatArray, step_c: float) -> tuple[BoolArray, list[str]]:
-    """Return the readings that repeat an old one, and a sentence on them.
-
-    Arrays: temp_c (N,) degC, time (N,) s -> (N,).
-    """
-    known = np.flatnonzero(np.isfinite(temp_c))
-    values, at = temp_c[known], time[known]
-    first = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0.0)))
-    last = np.append(first[1:], len(values)) - 1
-    stay = at[last] - at[first]
-    jump = np.append(np.abs(np.diff(values[first])), 0.0)
-    wait = np.append(at[first[1:]] - at[last[:-1]], 0.0)  # a gap between may have hidden the way
-    sudden = (jump > max(1.5 * step_c, 0.2)) & (wait < 5.0 * float(np.median(np.diff(at))))
-    lively = len(first) > 0.3 * len(values)  # noise changes most readings
-    long = (stay >= STALE_S) & (sudden | lively)
-    stale = np.zeros(len(temp_c), dtype=bool)
-    for run in np.flatnonzero(long):
-        stale[known[first[run] + 1 : last[run] + 1]] = True
-    if not long.any():
-        return stale, []
-    worst = int(np.flatnonzero(long)[np.argmax(stay[long])])
-    text = (
-        f"stale, it stays at {values[first[worst]]:.2f} degC for {stay[worst]:.0f} s from {at[first[worst]]:.6g} s on"
-    )
-    text += f" and then jumps by {jump[worst]:.2f} K" if jump[worst] else ""
-    return stale, [text + f" ({int(long.sum())} such): left out"]
-
-
-def find_doubts(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: float) -> list[str]:
-    """Return what else looks wrong: coarse steps, jumps, a temperature of no room.
-
-    Arrays: temp_c (N,) degC, time (N,) s.
-    """
-    said: list[str] = []
-    if step_c >= COARSE_C:
-        said.append(f"quantised, it comes in steps of {step_c:g} K; smoothed over time")
-    said += _jumps(temp_c, time, step_c, noise_c)
-    if temp_c.min() > HOT_C:
-        said.append(
-            f"implausible unless a chamber held it, {temp_c.min():.1f} to {temp_c.max():.1f} degC throughout: the warmth of a "
-            "chip, or a wrong scale; a table counts in the degrees of this column"
-        )
-    return said
-
-
-def _jumps(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: float) -> list[str]:
-    """Return a sentence on medians of five readings that differ from the next five by more than a board changes."""
-    if len(temp_c) < 2 * BESIDE:
-        return []
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(temp_c, BESIDE), axis=1)
-    change = np.abs(middle[BESIDE:] - middle[:-BESIDE])
-    lasts = time[2 * BESIDE - 1 :] - time[: 1 - 2 * BESIDE]
-    jumps = np.flatnonzero(change > np.maximum(JUMP_C * np.maximum(lasts, 1.0), max(1.5 * step_c, 6.0 * noise_c)))
-    if len(jumps) == 0:
-        return []
-    groups = np.split(jumps, np.flatnonzero(np.diff(jumps) > BESIDE) + 1)
-    first = groups[0][len(groups[0]) // 2] + BESIDE  # the medians differ while most of one side is beyond the jump
-    return [
-        f"jumps by {change[jumps].max():.2f} K, faster than a board changes, first at {time[first]:.6g} s ({len(groups)} such)"
-    ]
-
-
-# ---- temperature
-
-BOARD_C = (-40.0, 125.0)  # where parts of a board work
-
-Source = Literal["column", "set-points"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TemperatureSettings:
-    """How a temperature is taken."""
-
-    # Span that all recordings of the session together must have, K; 0 asks for none, where :func:`check_span` judges
-    # several sessions together
-    least_span_c: float = 2.0
-    longest_gap_s: float = 10.0  # Gaps up to this are bridged, s; longer ones stay NaN
-    most_missing: float = 0.5  # Share of the readings that may be missing, 0 to 1
-    set_point_uncertainty_c: float = 0.5  # Standard uncertainty of a stated set-point, K
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Temperature:
-    """The temperature of one recording, N samples."""
-
-    temp_c: FloatArray  # (N,), smooth course, degC; NaN where it is not known
-    # Standard uncertainty of the course, root-mean-square, K; the thermometer's own trim and lag are not in it
-    uncertainty_c: float
-    noise_c: float  # Standard deviation of one reading, K; 0 for set-points
-    step_c: float  # Step in which the readings come, K; 0 where there is none
-    source: Source  # "column" or "set-points"
-    notes: tuple[str, ...]  # What looks wrong, a sentence each
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "temp_c", frozen(self.temp_c, (None,), "temp_c"))
-
-
-def trusted_temperature(
-    session: Session, index: int, *, settings: TemperatureSettings = TemperatureSettings()
-) -> Temperature:
-    """Return the temperature of one recording, smoothed, with what looks wrong about it."""
-    if not 0 <= index < len(session.records):
-        raise InputError(f"temperature: wanted recording 0 to {len(session.records) - 1}, got {index}")
-    found = _found(session, index, settings)
-    if settings.least_span_c > 0.0:
-        _check_spans([_ends(session, k, found if k == index else None) for k in range(len(session.records))], settings)
-    return found
-
-
-def check_span(temperatures: Sequence[Temperature], *, settings: TemperatureSettings = TemperatureSettings()) -> float:
-    """Return the span of temperatures together; raise where it is too small for a thermal fit."""
-    return _check_spans([_extremes(temperature.temp_c) for temperature in temperatures], settings)
-
-
-def _found(session: Session, index: int, settings: TemperatureSettings) -> Temperature:
-    record = session.records[index]
-    pieces = _pieces(session, index)
-    if record.temp_c is not None:
-        return _from_column(record.temp_c, record.time, pieces, f"temperature of recording {index}", settings)
-    stated = [(piece, piece.temp_c) for piece in pieces if piece.temp_c is not None]
-    if not stated:
-        raise InputError(
-            f"temperature of recording {index}: wanted a column (columns.temp) or set-points (temp_c of its stills and turns), got "
-            "neither; map the thermometer's column or state temp_c"
-        )
-    temp_c = np.full(len(record), np.nan)
-    for piece, set_point in stated:
-        temp_c[piece.start : piece.stop] = set_point
-    _check_board(temp_c, record.time, f"temperature of recording {index}")
-    return Temperature(
-        temp_c=temp_c,
-        uncertainty_c=settings.set_point_uncertainty_c,
-        noise_c=0.0,
-        step_c=0.0,
-        source="set-points",
-        notes=(
-            f"temperature of recording {index} is the chamber's set-point in {len(stated)} pieces: the sensors have it only "
-            "once they have settled",
-        ),
-    )
-
-
-def _pieces(session: Session, index: int) -> list[Still | Turn]:
-    every: list[Still | Turn] = [*session.stills, *session.turns]
-    return [piece for piece in every if piece.recording == index]
-
-
-def _from_column(
-    raw: FloatArray, time: FloatArray, pieces: list[Still | Turn], name: str, settings: TemperatureSettings
-) -> Temperature:
-    known = np.isfinite(raw)
-    missing = 1.0 - float(known.mean())
-    if missing > settings.most_missing or known.sum() < 2:
-        raise InputError(
-            f"{name}: wanted readings in {100 * (1 - settings.most_missing):g} % of the rows or more, got "
-            f"{int(known.sum())} of {len(raw)} (the others NaN); map another column or leave it out and state set-points",
-            missing=missing,
-        )
-    _check_board(raw, time, name)
-    notes: list[str] = []
-    step = step_of(raw[known])
-    alone = standing_alone(raw, step)
-    if alone.any():
-        worst = float(np.ptp(raw[alone | np.roll(alone, 1)]))
-        notes.append(
-            f"{name}: {int(alone.sum())} readings stand alone, the first at {time[alone][0]:.6g} s, up to {worst:.3g} K apart: "
-            "left out"
-        )
-    stale, said = find_stale(np.where(alone, np.nan, raw), time, step)
-    notes += [f"{name}: {text}" for text in said]
-    used = known & ~alone & ~stale
-    course = find_course(raw[used], time[used], step)
-    notes += [f"{name}: {text}" for text in find_doubts(raw[used], time[used], step, course.noise_c)]
-    notes += _against_set_points(raw, pieces, name)
-    temp_c, gaps = _bridged(course, used, time, settings.longest_gap_s)
-    notes += [f"{name}: {text}" for text in gaps]
-    return Temperature(
-        temp_c=temp_c,
-        uncertainty_c=course.uncertainty_c,
-        noise_c=course.noise_c,
-        step_c=step,
-        source="column",
-        notes=tuple(notes),
-    )
-
-
-def _check_board(temp_c: FloatArray, time: FloatArray, name: str) -> None:
-    bad = np.flatnonzero((temp_c < BOARD_C[0]) | (temp_c > BOARD_C[1]))
-    if len(bad):
-        raise InputError(
-            f"{name}: wanted {BOARD_C[0]:g} to {BOARD_C[1]:g} degC of a board, got {temp_c[bad[0]]:g} degC at {time[bad[0]]:.6g} s "
-            f"({len(bad)} such); check units.temp and scale.temp",
-            temp_c=float(temp_c[bad[0]]),
-        )
-
-
-def _against_set_points(raw: FloatArray, pieces: list[Still | Turn], name: str) -> list[str]:
-    apart = [
-        (float(np.nanmedian(raw[p.start : p.stop])) - p.temp_c, p.temp_c)
-        for p in pieces
-        if p.temp_c is not None and np.isfinite(raw[p.start : p.stop]).any()
-    ]
-    far = [(difference, stated) for difference, stated in apart if abs(difference) > 5.0]
-    if not far:
-        return []
-    worst, stated = max(far, key=lambda pair: abs(pair[0]))
-    return [
-        f"{name}: implausible, the column reads {stated + worst:.1f} degC at a set-point of {stated:.1f} ({len(far)} of "
-        f"{len(apart)} pieces over 5 K apart)"
-    ]
-
-
-def _bridged(course: Course, used: BoolArray, time: FloatArray, longest_s: float) -> tuple[FloatArray, list[str]]:
-    """Return the course at every sample: gaps up to a length bridged, longer ones NaN."""
-    temp_c = np.full(len(time), np.nan)
-    temp_c[used] = course.temp_c
-    gone = np.flatnonzero(~used)
-    if len(gone) == 0:
-        return temp_c, []
-    at = np.flatnonzero(used)
-    after = np.searchsorted(at, gone)
-    inside = (after > 0) & (after < len(at))
-    length = np.full(len(gone), np.inf)
-    length[inside] = time[at[after[inside]]] - time[at[after[inside] - 1]]
-    short = gone[length <= longest_s]
-    temp_c[short] = np.interp(time[short], time[at], course.temp_c)
-    left = len(gone) - len(short)
-    said = f"{len(gone)} readings missing, {len(short)} in gaps of up to {longest_s:g} s bridged"
-    return temp_c, [said + (f", {left} in longer ones left out" if left else "")]
-
-
-def _ends(session: Session, index: int, found: Temperature | None) -> tuple[float, float]:
-    """Return the lowest and highest temperature of a recording, noise averaged out; NaN where it says nothing."""
-    if found is not None:
-        return _extremes(found.temp_c)
-    record = session.records[index]
-    if record.temp_c is None:
-        stated = [p.temp_c for p in _pieces(session, index) if p.temp_c is not None]
-        return (min(stated), max(stated)) if stated else (np.nan, np.nan)
-    known = np.isfinite(record.temp_c)
-    if known.sum() < 2:
-        return np.nan, np.nan
-    return _extremes(block_means(record.time[known], record.temp_c[known])[1])
-
-
-def _extremes(temp_c: FloatArray) -> tuple[float, float]:
-    known = temp_c[np.isfinite(temp_c)]
-    return (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
-
-
-def _check_spans(ends: list[tuple[float, float]], settings: TemperatureSettings) -> float:
-    known = [pair for pair in ends if pair[0] == pair[0]]
-    if not known:
-        raise NotObservable("thermal drift: wanted a recording with a known temperature, got none; map its column")
-    low, high = min(pair[0] for pair in known), max(pair[1] for pair in known)
-    span = high - low
-    if span == 0.0:
-        raise NotObservable(
-            f"thermal drift: wanted temperatures that differ, got {low:.2f} degC throughout (constant); check that the column is "
-            "the thermometer's, and record while the device warms",
-            span_c=span,
-        )
-    if span < settings.least_span_c:
-        raise NotObservable(
-            f"thermal drift: wanted a span of {settings.least_span_c:g} degC or more, got {span:.2g} ({low:.2f} to {high:.2f}); "
-            "record while the device warms or cools further",
-            span_c=span,
-        )
-    return span

@@ -1,4 +1,4 @@
-"""Lag: a board thermometer trails the sensors, T_m' = (T - T_m) / tau, and how that is taken off.
+"""Lag of a board thermometer behind the sensors, T_m' = (T - T_m) / tau: estimated from rests, and subtracted.
 
 ::
 
@@ -7,14 +7,13 @@
 
 The lead makes the noise of one reading tau / tau_f times as large; its slow part, which alone turns into angle, stays as it was.
 
-The thermometer's time constant, from what the sensors themselves say of the temperature.
-
-A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'. Per axis::
+The time constant comes from the sensors themselves. A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'.
+Per axis::
 
     y = f(T_m + tau T_m') + m_pose + h d + w exp(-t / t_w)      f a cubic spline; d = +1 cooling, -1 warming; t since power-on
 
-The tau is taken at which least is left: the profile of n_eff sum over axes of log(residual), f, m, h, w fitted anew at each. A true
-hysteresis h does not depend on the speed of the ramp and a lag does, so that two speeds tell them apart and one does not.
+tau has the least residual: the profile of n_eff sum over axes of log(residual), f, m, h, w fitted anew at each. A hysteresis h does
+not depend on the speed of the ramp and a lag does, so that ramps of two speeds separate them and one does not.
 """
 
 import math
@@ -26,39 +25,119 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.drift.observe import RestBlocks
 from undrift.errors import InputError
+from undrift.findings import Finding, finding
 
-# ---- The thermometer's time constant, from what the sensors themselves say of the temperature.
-
+RAMP_C_PER_MIN = 1.0  # at which noise and the lag left are balanced
+AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there
+DITHERED = 0.35  # of a step: more noise than this averages the steps away
 NODE_C = 5.0  # between the spline's knots
 MOST_KNOTS = 16
 FEWEST = 24  # blocks
 MOVING_C_PER_MIN = 0.1
 TWO_SPEEDS = 1.5  # fast over slow
 TURN_C = 4.0  # way after a turn over which a hysteresis is still changing
-BOTH_WAYS = 0.1  # of the slopes' spread that the temperature must leave open
+BOTH_WAYS = 0.1  # of the variance of the slopes that the temperature must leave open
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LagSettings:
     """How the lag is searched."""
 
-    longest_s: float = 300.0  # Longest time constant looked for, s
-    warm_up_s: float = 600.0  # Time constant of the offset that dies away after power-on, s; it is fitted along
-    # Blocks within this way after a turn of the temperature are left out where others remain, K
-    turn_c: float = TURN_C
+    longest_s: float = 300.0  # longest time constant looked for, s
+    warm_up_s: float = 600.0  # time constant of the power-on transient that is fitted with it, s
+    turn_c: float = TURN_C  # blocks within this way after a turn of the temperature are excluded where others remain, K
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LagFit:
     """A thermometer's lag."""
 
-    lag_s: float  # Time constant, s; 0 where nothing tells it
-    uncertainty_s: float  # Standard uncertainty, s; infinite where it is not observable
-    observable: bool  # False where the recording does not tell a lag from something else
-    two_speeds: bool  # Whether ramps of two speeds were seen: then hysteresis is not taken for lag
+    lag_s: float  # time constant, s; 0 where it is not known
+    uncertainty_s: float  # standard uncertainty, s; infinite where it is not observable
+    observable: bool  # False where the recording does not separate a lag from something else
+    two_speeds: bool  # whether ramps of two speeds were seen: then hysteresis is not taken for lag
     lags_s: FloatArray  # (k,), time constants tried, s; empty where none was
     misfit: FloatArray  # (k,), twice the loss of log-likelihood against the best of them, 1
-    notes: tuple[str, ...]  # What it rests on, and which recording would tell more
+    findings: tuple[Finding, ...]  # why it is not observable
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LagState:
+    """What the lead carries from chunk to chunk."""
+
+    time: float = math.nan  # Of the last reading, s; NaN before the first
+    temp_c: float = math.nan  # The last reading, degC
+    smooth_c: float = math.nan  # The reading behind the low-pass tau_f, degC
+    output_c: float = math.nan  # The last temperature given out, degC; held where readings are NaN
+
+
+# ---- subtract a lag
+
+
+def without_lag(
+    temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: LagState | None = None
+) -> tuple[FloatArray, LagState]:
+    """Subtract the thermometer's lag, looking back only: a filter with state; (N,) degC over (N,) s."""
+    from undrift.kernels.calibrate import lead
+
+    _check_times(lag_s, smooth_s)
+    x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
+    if x.shape != t.shape or x.ndim != 1:
+        raise InputError(
+            f"lag: wanted a time for each temperature, got {t.shape} for {x.shape}; pass both of one record"
+        )
+    held = state or LagState()
+    if len(t) and t[0] <= held.time:
+        raise InputError(f"lag: wanted readings from after {held.time:.6g} s, got {t[0]:.6g} s; push chunks in order")
+    carried = np.array([held.time, held.temp_c, held.smooth_c, held.output_c])
+    y = np.empty_like(x)
+    lead(x, t, y, lag_s, smooth_s or AT_ONCE, carried)
+    at, last, low, output = (float(v) for v in carried)
+    return y, LagState(time=at, temp_c=last, smooth_c=low, output_c=output)
+
+
+def without_lag_smooth(temp_c: FloatArray, time: FloatArray, *, lag_s: float) -> FloatArray:
+    """Subtract the lag from a temperature that is smooth over time, for a fit: ``T = T_m + tau dT_m/dt``."""
+    _check_times(lag_s, 1.0)
+    out = np.array(temp_c, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(out))
+    if lag_s == 0.0 or len(known) < 2:
+        return out
+    for piece in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        if len(piece) >= 2:
+            out[piece] += lag_s * np.gradient(out[piece], time[piece])
+    return out
+
+
+def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float, step_c: float = 0.0) -> float:
+    """Return how much of the lag to leave, so that noise made larger and lag left weigh the same at 1 degC/min.
+
+    The mean of a second has the noise n = noise sqrt(min(interval, 1 s) / 1 s); steps that no noise blurs add
+    step / sqrt(12). The lead makes n tau / tau_f of it and leaves tau_f dT/dt: equal at tau_f = sqrt(n tau / (dT/dt)), kept
+    between a twentieth and a half of tau and over one interval.
+    """
+    _check_times(lag_s, 1.0)
+    if min(noise_c, step_c) < 0.0 or interval_s <= 0.0:
+        raise InputError(
+            f"lag: wanted noise and step of 0 K or more and an interval above 0 s, got {noise_c:g}, {step_c:g}, {interval_s:g}"
+        )
+    if lag_s == 0.0:
+        return 0.0
+    blurred = noise_c >= DITHERED * step_c
+    white = math.hypot(noise_c, step_c / math.sqrt(12.0) if blurred else 0.0) * math.sqrt(min(interval_s, 1.0))
+    noise = white if blurred else math.hypot(white, step_c / math.sqrt(12.0))
+    balance = math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0))
+    return min(0.5 * lag_s, max(0.05 * lag_s, balance, interval_s))
+
+
+def _check_times(lag_s: float, smooth_s: float) -> None:
+    if not (0.0 <= lag_s < math.inf and 0.0 <= smooth_s < math.inf):
+        raise InputError(f"lag: wanted lag_s and smooth_s of 0 s or more, got {lag_s:g} and {smooth_s:g}")
+    if lag_s > 0.0 and smooth_s == 0.0:
+        raise InputError(f"lag: wanted smooth_s above 0 s to subtract {lag_s:g} s, got 0; default_smooth_s gives one")
+
+
+# ---- estimate it
 
 
 def estimate_lag(blocks: RestBlocks, *, settings: LagSettings = LagSettings()) -> LagFit:
@@ -70,22 +149,13 @@ def estimate_lag(blocks: RestBlocks, *, settings: LagSettings = LagSettings()) -
     if kept.sum() < FEWEST or len(np.unique(direction[kept])) < 2:
         kept = usable & (direction != 0.0)
     readings = _readings(blocks, kept)
-    if kept.sum() < FEWEST or readings.shape[1] == 0:
-        return _unknown(
-            f"the thermometer's lag is not observable: wanted {FEWEST} blocks of rest at changing temperature or more, got "
-            f"{int(kept.sum())}; record ramps up and down at two speeds, for example 0.5 and 3 degC/min"
-        )
     moving = np.abs(ramp[kept][np.abs(ramp[kept]) > MOVING_C_PER_MIN])
-    if len(moving) < FEWEST:
+    if kept.sum() < FEWEST or readings.shape[1] == 0 or len(moving) < FEWEST:
         return _unknown(
-            "the thermometer's lag is not observable from soaks: the temperature moves by over 0.1 degC/min in "
-            f"{len(moving)} blocks only; record ramps up and down at two speeds, for example 0.5 and 3 degC/min"
+            finding("drift.lag_few_blocks", "info", count=len(moving), least_c_per_min=MOVING_C_PER_MIN, wanted=FEWEST)
         )
     if (left := _left_open(blocks, kept)) < BOTH_WAYS:
-        return _unknown(
-            "the thermometer's lag is not observable: each temperature was passed at one speed only (the temperature itself "
-            f"tells {100 * (1 - left):.0f} % of the slopes); cool the device again through the same temperatures"
-        )
+        return _unknown(finding("drift.lag_one_way", "info", percent=100.0 * (1.0 - left)))
     slow, fast = np.quantile(moving, (0.1, 0.9))
     return _profiled(blocks, kept, direction, readings, bool(fast > TWO_SPEEDS * slow), settings)
 
@@ -135,18 +205,12 @@ def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool, 
     uncertainty = 1.0 / float(np.sqrt(curve)) if curve > 0.0 else float(np.ptp(lags[misfit <= 1.0]))
     if curve > 0.0:
         lag = float(np.clip(lag - 0.5 * tilt / curve, lags[i - 1], lags[i + 1]))
-    notes: tuple[str, ...] = ()
+    found: tuple[Finding, ...] = ()
     at_end = bool(misfit[-1] <= 4.0)  # within two standard deviations
     if at_end:
-        notes = (
-            f"the thermometer's lag is not observable: any up to {settings.longest_s:g} s fits; record ramps up and down at two "
-            "speeds, for example 0.5 and 3 degC/min",
-        )
+        found = (finding("drift.lag_unbounded", "info", longest_s=settings.longest_s),)
     elif not two_speeds:
-        notes = (
-            f"up and down at one speed only: a lag of {lag:.3g} s and a hysteresis explain the loop alike; record a second ramp, "
-            "three times as fast or slow",
-        )
+        found = (finding("drift.lag_or_hysteresis", "info", lag_s=lag),)
     return LagFit(
         lag_s=0.0 if at_end else lag,
         uncertainty_s=uncertainty if two_speeds and not at_end else float("inf"),
@@ -154,11 +218,11 @@ def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool, 
         two_speeds=two_speeds,
         lags_s=lags,
         misfit=misfit,
-        notes=notes,
+        findings=found,
     )
 
 
-def _unknown(note: str) -> LagFit:
+def _unknown(why: Finding) -> LagFit:
     return LagFit(
         lag_s=0.0,
         uncertainty_s=float("inf"),
@@ -166,12 +230,12 @@ def _unknown(note: str) -> LagFit:
         two_speeds=False,
         lags_s=np.empty(0),
         misfit=np.empty(0),
-        notes=(note,),
+        findings=(why,),
     )
 
 
 def _readings(blocks: RestBlocks, kept: BoolArray) -> FloatArray:
-    """Return the axes that tell a temperature, each with unit spread, shape (n, a)."""
+    """Return the axes that depend on temperature, each with unit spread, shape (n, a)."""
     one_pose = all(len(np.unique(blocks.pose[blocks.session == s])) == 1 for s in np.unique(blocks.session))
     columns = np.hstack((blocks.gyro, blocks.accel)) if one_pose else blocks.gyro
     columns = columns[kept]
@@ -220,7 +284,7 @@ def _turns(temp: FloatArray) -> tuple[list[int], list[float]]:
 
 
 def _left_open(blocks: RestBlocks, kept: BoolArray) -> float:
-    """Return the share of the slopes' variance that temperature and pose do not tell."""
+    """Return the share of the slopes' variance that temperature and pose do not explain."""
     slope = blocks.ramp_c_per_min[kept]
     q, _ = np.linalg.qr(np.hstack((_spline(blocks.temp_c[kept]), _poses(blocks.pose[kept]))))
     rest = slope - q @ (q.T @ slope)
@@ -249,89 +313,3 @@ def _independent(residual: FloatArray) -> float:
     rho = float((before * after).sum() / max(float((residual**2).sum()), 1e-300))
     rho = min(max(rho, 0.0), 0.99)
     return max(len(residual) * (1.0 - rho) / (1.0 + rho), 4.0)
-
-
-# ---- thermometer lag
-
-RAMP_C_PER_MIN = 1.0  # for which noise and lag left are balanced
-AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there
-DITHERED = 0.35  # of a step: more noise than this averages the steps away
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LagState:
-    """What the lead carries from chunk to chunk."""
-
-    time: float = math.nan  # Of the last reading, s; NaN before the first
-    temp_c: float = math.nan  # The last reading, degC
-    smooth_c: float = math.nan  # The reading behind the low-pass tau_f, degC
-    output_c: float = math.nan  # The last temperature given out, degC; held where readings are NaN
-
-
-def without_lag(
-    temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: LagState | None = None
-) -> tuple[FloatArray, LagState]:
-    """Take the thermometer's lag off, looking back only.
-
-    Arrays: temp_c (N,) degC, time (N,) s -> (N,) degC.
-    """
-    from undrift.kernels.calibrate import lead
-
-    _check_times(lag_s, smooth_s)
-    x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
-    if x.shape != t.shape or x.ndim != 1:
-        raise InputError(
-            f"lag: wanted a time for each temperature, got {t.shape} for {x.shape}; pass both of one record"
-        )
-    held = state or LagState()
-    if len(t) and t[0] <= held.time:
-        raise InputError(f"lag: wanted readings from after {held.time:.6g} s, got {t[0]:.6g} s; push chunks in order")
-    carried = np.array([held.time, held.temp_c, held.smooth_c, held.output_c])
-    y = np.empty_like(x)
-    lead(x, t, y, lag_s, smooth_s or AT_ONCE, carried)
-    at, last, low, output = (float(v) for v in carried)
-    return y, LagState(time=at, temp_c=last, smooth_c=low, output_c=output)
-
-
-def without_lag_smooth(temp_c: FloatArray, time: FloatArray, *, lag_s: float) -> FloatArray:
-    """Take the thermometer's lag off a temperature that is smooth over time, for a fit: ``T = T_m + tau dT_m/dt``.
-
-    Arrays: temp_c (N,) degC, time (N,) s -> (N,) degC.
-    """
-    _check_times(lag_s, 1.0)
-    out = np.array(temp_c, dtype=np.float64)
-    known = np.flatnonzero(np.isfinite(out))
-    if lag_s == 0.0 or len(known) < 2:
-        return out
-    for piece in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-        if len(piece) >= 2:
-            out[piece] += lag_s * np.gradient(out[piece], time[piece])
-    return out
-
-
-def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float, step_c: float = 0.0) -> float:
-    """Return how much of the lag to leave, so that noise made larger and lag left weigh the same at 1 degC/min.
-
-    The mean of a second has the noise n = noise sqrt(min(interval, 1 s) / 1 s); steps that no noise blurs add
-    step / sqrt(12). The lead makes n tau / tau_f of it and leaves tau_f dT/dt: equal at tau_f = sqrt(n tau / (dT/dt)), kept
-    between a twentieth and a half of tau and over one interval.
-    """
-    _check_times(lag_s, 1.0)
-    if min(noise_c, step_c) < 0.0 or interval_s <= 0.0:
-        raise InputError(
-            f"lag: wanted noise and step of 0 K or more and an interval above 0 s, got {noise_c:g}, {step_c:g}, {interval_s:g}"
-        )
-    if lag_s == 0.0:
-        return 0.0
-    blurred = noise_c >= DITHERED * step_c
-    white = math.hypot(noise_c, step_c / math.sqrt(12.0) if blurred else 0.0) * math.sqrt(min(interval_s, 1.0))
-    noise = white if blurred else math.hypot(white, step_c / math.sqrt(12.0))
-    balance = math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0))
-    return min(0.5 * lag_s, max(0.05 * lag_s, balance, interval_s))
-
-
-def _check_times(lag_s: float, smooth_s: float) -> None:
-    if not (0.0 <= lag_s < math.inf and 0.0 <= smooth_s < math.inf):
-        raise InputError(f"lag: wanted lag_s and smooth_s of 0 s or more, got {lag_s:g} and {smooth_s:g}")
-    if lag_s > 0.0 and smooth_s == 0.0:
-        raise InputError(f"lag: wanted smooth_s above 0 s to take off {lag_s:g} s, got 0; default_smooth_s gives one")
