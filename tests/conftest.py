@@ -23,22 +23,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def shared() -> list[tuple[Callable[..., object], Callable[..., object]]]:
-    """Functions whose results tests share, each with one that remembers: real trials and the devices of Figure 3."""
+    """Pure functions whose results tests share, each with one that remembers."""
     from testkit.remembered import remembered
     from undrift.calibration.reference import prepare
+    from undrift.drift.select import choose_tables
     from undrift.study.figure3 import calibrated
     from undrift.sync import find_lag, native_poses
     from undrift.twin.fit import fit_prepared
     from undrift.validation.agreement import validate_leave_one_out
     from undrift.validation.trial import validate_trial
 
-    functions = (native_poses, find_lag, prepare, validate_trial, validate_leave_one_out, fit_prepared, calibrated)
-    return [(function, remembered(function)) for function in functions]
+    poses = native_poses, find_lag, prepare
+    fits = choose_tables, fit_prepared, calibrated
+    return [(pure, remembered(pure)) for pure in (*poses, *fits, validate_trial, validate_leave_one_out)]
 
 
 @pytest.fixture(scope="module")
 def computed_once(shared: list[tuple[Callable[..., object], Callable[..., object]]]) -> Iterator[None]:
-    """Compute once in a process what modules with this fixture share; they are one group, ``shared``, of pytest-xdist."""
+    """Compute once in a process what modules with this fixture share; those that share with others are the group ``shared``."""
     from testkit.remembered import put_everywhere
 
     with pytest.MonkeyPatch.context() as patch:

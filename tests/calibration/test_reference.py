@@ -13,6 +13,8 @@ from undrift.errors import AlignmentError, Implausible, InputError, NotObservabl
 from undrift.model import AdcModel
 from undrift.record import Record, Reference
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
 REST = np.array([0.004, -0.003, 0.002])
 CHANGE = np.array([5e-4, -3e-4, 4e-4])

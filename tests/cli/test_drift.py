@@ -19,6 +19,8 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 DEVICE = preset("enc03j_3031")
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=300.0)
 BENCH = BenchSettings(
@@ -330,11 +332,6 @@ def test_a_log_given_twice_is_refused_and_a_log_in_two_files_is_one_switch_on(un
     head, *rows = gzip.decompress(log.read_bytes()).splitlines(keepends=True)
     (tmp_path / "a.csv").write_bytes(b"".join([head, *rows[: len(rows) // 2]]))
     (tmp_path / "b.csv").write_bytes(b"".join([head, *rows[len(rows) // 2 :]]))
-<<<<<<< HEAD
     answer = undrift.good("drift", tmp_path / "b.csv", tmp_path / "a.csv", *words, "--details")
-    assert "one session: how far the offset moves" in answer.out
-=======
-    answer = undrift.good("drift", tmp_path / "b.csv", tmp_path / "a.csv", *words)
     assert "Turn-on bias repeatability unknown: one session only" in answer.out
->>>>>>> 68671c3 (Give drift findings by code, order the drift files top-down)
     assert "between sessions" not in answer.out

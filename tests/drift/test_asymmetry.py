@@ -45,7 +45,7 @@ def test_rates_of_one_sign_show_no_asymmetry():
     assert np.isnan(found.mean).all()
     assert found.verdict.status == "marginal"
     assert any(
-        item.code == "drift.asymmetry_not_observable" and item.values["axes"] == ("z",)
+        item.code == "drift.asymmetry_not_observable" and item.values["axes"] == ("x", "y", "z")
         for item in found.verdict.findings
     )
 

@@ -19,6 +19,8 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 RATES = tuple(np.radians((30.0, 60.0, 90.0)))
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=300.0)
 BENCH = BenchSettings(sample_rate_hz=50.0, still_s=6.0, move_s=1.0, turn_rates=RATES, dwell_s=1.5)

@@ -135,18 +135,18 @@ def test_a_calibration_without_gyroscopes_is_refused():
         fit_scale(steps, replace(true_calibration(device()), gyro=None), static=None, temp_c=NODES)
 
 
-def test_turns_about_one_oblique_axis_do_not_tell_the_axes_apart():
+def test_turns_about_one_oblique_axis_do_not_separate_the_axes():
     steps = computed(device(), SOAKS, np.random.default_rng(1), rates=FEW, axes=(0,))
     oblique = replace(steps, rate_b=steps.rate_b[:, [0]] * np.array([0.8, 0.6, 0.0]))
-    with pytest.raises(NotObservable, match=r"wanted turns that tell the axes apart at 18\.0 degC"):
+    with pytest.raises(NotObservable, match=r"wanted turns that separate the axes at 18\.0 degC"):
         fitted(device(), steps=oblique)
 
 
-def test_variances_that_were_not_told_do_not_stop_the_fit():
+def test_variances_that_are_not_known_do_not_stop_the_fit():
     made = device()
     steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=0.01)
     fit, _ = fitted(made, steps=replace(steps, gyro_variance=np.full_like(steps.gyro_variance, np.nan)))
-    # The scatter about the lines tells the noise: 0.01 deg/s over a grid of 10 rates and 53 deg/s rms.
+    # The scatter about the lines gives the noise: 0.01 deg/s over a grid of 10 rates and 53 deg/s rms.
     relative = fit.drift.gyro_uncertainty[:, 0, 0] / fit.drift.gyro_matrix[:, 0, 0]
     assert 0.2 < np.median(relative) / (0.01 / 53.0 / np.sqrt(10.0)) < 2.0
 

@@ -11,6 +11,8 @@ from undrift.errors import AlignmentError
 from undrift.record import Record, Reference
 from undrift.validation.trial import align_rates
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 
 def test_any_mounting_is_found():
     mounting = Rotation.from_rotvec((1.1, -0.9, 1.9))

@@ -14,6 +14,8 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_trial
 from undrift.validation.trial import Track, TrialSettings, nominal_calibration, validate_trial
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
 
 

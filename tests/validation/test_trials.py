@@ -11,6 +11,8 @@ from undrift.errors import InputError
 from undrift.validation.agreement import validate_leave_one_out, validate_trials
 from undrift.validation.trial import TrialSettings, nominal_calibration
 
+pytestmark = pytest.mark.usefixtures("computed_once")
+
 FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
 DEVICE = Device(forward=FORWARD, offset=np.array([0.004, -0.003, 0.002]), lag_s=0.004, noise=1e-3)
 

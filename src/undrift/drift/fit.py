@@ -14,7 +14,6 @@ observable is a finding of the verdict, with the recording that would show it.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import reduce
 from importlib.metadata import version
 from typing import Literal
 
@@ -186,11 +185,7 @@ def fit_drift(
     """
     report = progress or (lambda what, share: None)
     _check(sessions, calibration, settings)
-    sessions = [in_one_unit(session) for session in sessions]
-    device = nominal_models(sessions) if calibration is None else calibration
-    device = replace(device, verdict=verdict_before(device))
-    before = device.verdict.status
-    sessions = [in_units_of(session, device) for session in sessions]
+    sessions, device = _prepared(sessions, calibration)
     static_settings = replace(settings.static, accel_unit=accel_unit_of(sessions, device))
     report("smoothing the temperature", 0.0)
     trusted, together = _trusted(sessions, settings.temperature)
@@ -213,37 +208,17 @@ def fit_drift(
     report("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
     gyro = summarise_gyro(static, rests, device, static_settings)
-    verdict = reduce(
-        Verdict.also,
-        (
-            agrees,
-            temperature_verdict(together),
-            choice_verdict(choice, why_not),
-            with_set_points(static_verdict(static, accel), wide, rests, device),
-            g_estimated,
-            single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None),
-            poses_verdict(accel, device),
-            accel_verdict(accel),
-            lag_verdict(lag, lag_s),
-        ),
-    )
-    chosen = "" if choice is None or choice.alternatives.chosen == "none" else choice.alternatives.chosen
+    of_offsets = with_set_points(static_verdict(static, accel), wide, rests, device)
+    of_sweep = single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
+    of_accel = poses_verdict(accel, device).also(accel_verdict(accel))
+    of_tables = choice_verdict(choice, why_not).also(of_offsets).also(g_estimated).also(of_sweep).also(of_accel)
+    verdict = agrees.also(temperature_verdict(together)).also(of_tables).also(lag_verdict(lag, lag_s))
     return DriftFit(
         calibration=replace(
             device,
             drift=_tables(static, choice, accel, (lag_s, smooth_s)),
             verdict=device.verdict.also(verdict),
-            provenance=_provenance(
-                device,
-                sessions,
-                (
-                    ("drift_spline", "not-a-knot" if settings.static.not_a_knot else "smoothing"),
-                    ("drift_lag_s", f"{lag_s:.4g}"),
-                    ("drift_tables", "static" if not chosen else f"static, {chosen}"),
-                    ("drift_sessions", f"{len(sessions)}"),
-                    (STATUS_BEFORE, before),
-                ),
-            ),
+            provenance=_provenance(device, sessions, settings, lag_s, choice),
         ),
         static=static,
         choice=choice,
@@ -258,6 +233,14 @@ def fit_drift(
         scale_summary=None if choice is None or choice.scale is None else summarise_scale(choice.scale, device),
         verdict=verdict if calibration is not None else device.verdict.also(verdict),
     )
+
+
+def _prepared(sessions: Sequence[Session], calibration: Calibration | None) -> tuple[list[Session], Calibration]:
+    """Return sessions in the units of the device's constant model, and that model without an earlier thermal fit's verdict."""
+    sessions = [in_one_unit(session) for session in sessions]
+    device = nominal_models(sessions) if calibration is None else calibration
+    device = replace(device, verdict=verdict_before(device))
+    return [in_units_of(session, device) for session in sessions], device
 
 
 def _check(sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings) -> None:
@@ -405,17 +388,25 @@ def _tables(
 
 
 def _provenance(
-    device: Calibration, sessions: Sequence[Session], drift_settings: tuple[tuple[str, str], ...]
+    device: Calibration, sessions: Sequence[Session], settings: DriftSettings, lag_s: float, choice: Choice | None
 ) -> Provenance:
     """Where tuning tables came from; files and settings of an earlier thermal fit go with its tables."""
     held = device.provenance
     known = dict(held.settings).get(_INPUTS, "")
     before = held.inputs[: int(known)] if known.isdigit() else held.inputs
     inputs = dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))
-    kept = (entry for entry in held.settings if not entry[0].startswith("drift_"))
+    chosen = "none" if choice is None else choice.alternatives.chosen
     return Provenance(
         inputs=tuple(inputs),
-        settings=(*kept, *drift_settings, (_INPUTS, f"{len(before)}")),
+        settings=(
+            *(entry for entry in held.settings if not entry[0].startswith("drift_")),
+            ("drift_spline", "not-a-knot" if settings.static.not_a_knot else "smoothing"),
+            ("drift_lag_s", f"{lag_s:.4g}"),
+            ("drift_tables", "static" if chosen == "none" else f"static, {chosen}"),
+            ("drift_sessions", f"{len(sessions)}"),
+            (_INPUTS, f"{len(before)}"),
+            (STATUS_BEFORE, device.verdict.status),
+        ),
         versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )

@@ -1,13 +1,11 @@
-"""Observations: what thermal sessions show, gathered into blocks of rest (``drift/observe.py``) and dwells at a steady rate.
+"""Observations of thermal sessions: blocks of rest, and dwells at a steady rate, one row each, with their temperatures.
 
-Blocks of rest: means over ten seconds or so, torn lines and spikes left out.
-
-A mean over a block leaves out samples that lie more than six robust standard deviations from the median of their block. Its
-variance comes from the differences of neighbouring half-second means, pooled over the rest::
+Blocks of rest are means over ten seconds or so. A mean leaves out samples that lie more than six robust standard deviations from
+the median of their block. Its variance comes from the differences of neighbouring half-second means, pooled over the rest::
 
     var of a block's mean = mean((m_(k+1) - m_k)^2) / 2 / number of half seconds
 
-so that a ramp does not count as noise; what wanders from block to block is left to the fit.
+so that a ramp does not count as noise; bias instability from block to block is left to the fit.
 """
 
 from collections.abc import Sequence
@@ -25,7 +23,25 @@ from undrift.record import Record, Session, Still, Turn
 from undrift.segments import StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- What a thermal session shows, one row each: blocks of rest, and dwells at a steady rate, with their temperatures.
+Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,), degC, lag subtracted
+
+_SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
+_STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which varies within a soak, K
+_EVEN = 4.0  # a log that never moves: the spread of nearly all blocks lies within this factor of the median
+_FAR = 6.0  # robust standard deviations: further samples are outliers
+_ROBUST = 1.4826  # standard deviation of normal noise over its median absolute deviation
+_LEAST_SHARE = 0.5  # of a block's samples that have to be there
+_JUMP = 1.0  # degC: a temperature this far off its block, and far off its scatter, is an outlier
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObserveSettings:
+    """How a thermal session is cut up."""
+
+    block_s: float = 10.0  # length of a block of rest, s; shorter follows a fast ramp, longer averages more noise
+    ramp_s: float = 60.0  # stretch over which the slope of the temperature is taken, s
+    settle_s: float = 0.3  # start of each dwell that is discarded, s
+    soak_c: float = 1.5  # a dwell further than this from the first one of its soak begins another soak, degC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,34 +49,24 @@ class RestBlocks:
     """Means over blocks of rest, n rows in the order of session and time."""
 
     session: IntArray  # (n,), which session, from 0
-    # (n,), which orientation; blocks of one number lay the same way throughout, and numbers are not shared by
-    # sessions
-    pose: IntArray
-    # (n,), middle of the block, s, on a clock on which the recordings of its session follow each other
-    time: FloatArray
-    # (n,), time since the block's recording began, s: the device was switched on then, if it was
-    power_on_s: FloatArray
-    temp_c: FloatArray  # (n,), mean temperature, degC, lag taken off
+    pose: IntArray  # (n,), which orientation; numbers are not shared by sessions
+    time: FloatArray  # (n,), middle of the block, s; the recordings of a session follow each other on this clock
+    power_on_s: FloatArray  # (n,), time since the block's recording began, s, with which power-on may have come
+    temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
     gyro: FloatArray  # (n, 3), mean reading, raw unit; NaN where the session has no such sensors
-    accel: FloatArray  # (n, 3), mean reading, raw unit; NaN where the session has no such sensors
-    gyro_variance: FloatArray  # (n, 3), variance of that mean from the scatter inside the block, raw unit squared
-    accel_variance: FloatArray  # (n, 3), variance of that mean from the scatter inside the block, raw unit squared
-    # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: it does not average out at
-    # one level
+    accel: FloatArray  # (n, 3), likewise
+    gyro_variance: FloatArray  # (n, 3), of that mean by the scatter inside the block, raw unit squared
+    accel_variance: FloatArray  # (n, 3), likewise
+    # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: constant at one level
     gyro_step_error: FloatArray | None = None
-    # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: it does not average out at
-    # one level
-    accel_step_error: FloatArray | None = None
+    accel_step_error: FloatArray | None = None  # (n, 3), likewise
 
     def __len__(self) -> int:
         return len(self.temp_c)
 
     def taken(self, which: FloatArray | IntArray | slice) -> "RestBlocks":
-        """Return some of the rows.
-
-        Arrays: which (k,).
-        """
+        """Return some of the rows."""
         own = {name: getattr(self, name) for name in self.__dataclass_fields__}
         taken: dict[str, Any] = {name: None if value is None else value[which] for name, value in own.items()}
         return RestBlocks(**taken)
@@ -71,77 +77,207 @@ class RateSteps:
     """Means over dwells at a steady rate, n rows in the order of session and time."""
 
     session: IntArray  # (n,), which session, from 0
-    soak: IntArray  # (n,), which soak: dwells of one number were made at one temperature
-    # (n,), middle of the dwell, s, on a clock on which the recordings of its session follow each other
-    time: FloatArray
-    temp_c: FloatArray  # (n,), mean temperature, degC, lag taken off
+    soak: IntArray  # (n,), dwells of one number were made at one temperature
+    time: FloatArray  # (n,), middle of the dwell, s; the recordings of a session follow each other on this clock
+    temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
     gyro: FloatArray  # (n, 3), mean reading, raw unit
     accel: FloatArray  # (n, 3), mean reading, raw unit
-    gyro_variance: FloatArray  # (n, 3), variance of the mean from the scatter inside the dwell, raw unit squared
+    gyro_variance: FloatArray  # (n, 3), of the mean by the scatter inside the dwell, raw unit squared
 
     def __len__(self) -> int:
         return len(self.temp_c)
 
     def taken(self, which: FloatArray | IntArray | slice) -> "RateSteps":
-        """Return some of the rows.
-
-        Arrays: which (k,).
-        """
+        """Return some of the rows."""
         return RateSteps(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
 
 
-# ---- Blocks of rest: means over ten seconds or so, torn lines and spikes left out.
+def observe_rests(
+    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
+) -> RestBlocks:
+    """Gather the rests of thermal sessions into blocks."""
+    parts: list[RestBlocks] = []
+    poses = 0
+    for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
+        _check_lengths(session, temps)
+        begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
+        steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
+        stills = _rests(session)
+        numbers = poses + _poses(session, stills)
+        poses = int(numbers.max()) + 1
+        parts.extend(
+            rest_blocks(
+                session.records[still.recording],
+                temps[still.recording],
+                still,
+                steps[still.recording],
+                settings,
+                begin_s=float(begins[still.recording]),
+                session=number,
+                pose=int(pose),
+            )
+            for still, pose in zip(stills, numbers, strict=True)
+        )
+    if not any(len(part) for part in parts):
+        raise NotObservable(
+            "rests: wanted stretches at rest with a known temperature, got none; leave the device still while its temperature "
+            "changes, and record the temperature or state temp_c"
+        )
+    return RestBlocks(**{name: _stacked(parts, name) for name in RestBlocks.__dataclass_fields__})
 
-_FAR = 6.0  # robust standard deviations: further samples are dirty
-_ROBUST = 1.4826  # standard deviation of normal noise over its median absolute deviation
-_LEAST_SHARE = 0.5  # of a block's samples that have to be there
-_JUMP = 1.0  # degC: a temperature this far off its block, and far off its scatter, is dirty
+
+def observe_steps(
+    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
+) -> RateSteps:
+    """Gather the dwells at known rates of thermal sessions."""
+    parts: list[RateSteps] = []
+    soaks = 0
+    for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
+        _check_lengths(session, temps)
+        turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
+        if not turns:
+            continue
+        turns.sort(key=lambda t: (t.recording, t.start))
+        part = _steps(session, turns, temps, settings)
+        soak = soaks + _soaks(turns, part.temp_c, settings.soak_c)
+        soaks = int(soak.max()) + 1
+        parts.append(replace(part, session=np.full(len(part), number, np.int64), soak=soak))
+    if not parts:
+        none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
+        return RateSteps(
+            session=whole,
+            soak=whole,
+            time=none,
+            temp_c=none,
+            rate_b=three,
+            gyro=three,
+            accel=three,
+            gyro_variance=three,
+        )
+    return RateSteps(**{name: _stacked(parts, name) for name in RateSteps.__dataclass_fields__})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Whole:
-    """What a rest shares with the rest of its recording."""
-
-    begin_s: float  # When the recording begins on its session's clock, s
-    gyro_step: FloatArray  # (3,), least step between readings, raw unit; 0 where there is one reading only
-    accel_step: FloatArray  # (3,), least step between readings, raw unit; 0 where there is one reading only
+def _stacked(parts: Sequence[RestBlocks | RateSteps], name: str) -> Any:
+    if any(getattr(part, name) is None for part in parts):
+        return None
+    return np.concatenate([getattr(part, name) for part in parts])
 
 
-def whole_of(record: Record, begin_s: float) -> Whole:
-    """Return what the rests of a recording share."""
-    steps = [np.zeros(3) if v is None else _step(v[np.isfinite(v).all(axis=1)]) for v in (record.gyro, record.accel)]
-    return Whole(begin_s=begin_s, gyro_step=steps[0], accel_step=steps[1])
+def _check_lengths(session: Session, temps: Sequence[FloatArray]) -> None:
+    for k, (record, temp) in enumerate(zip(session.records, temps, strict=True)):
+        if len(record) != len(temp):
+            raise InputError(
+                f"temperature of recording {k}: wanted {len(record)} values, got {len(temp)}; one a sample, NaN where unknown"
+            )
+
+
+# ---- rests and their poses
+
+
+def _rests(session: Session) -> tuple[Still, ...]:
+    if session.stills:
+        return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
+    turning = [(t.recording, t.start, t.stop) for t in session.turns]
+    found: list[Still] = []
+    for number, record in enumerate(session.records):
+        spans = [(a, b) for r, a, b in turning if r == number]
+        if not spans and _never_moves(record):
+            found.append(Still(start=0, stop=len(record), recording=number))
+            continue
+        stills = find_still(record, StillSettings(), recording=number).stills
+        found.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
+    if not found:
+        raise NotObservable(
+            "rests: wanted stretches at rest, got none; leave the device still while its temperature changes, or state [[still]]"
+        )
+    return tuple(found)
+
+
+def _never_moves(record: Record) -> bool:
+    """Whether nearly all seconds of a record are as quiet as the median second, and the specific force stays."""
+    size = max(4, round(record.sample_rate_hz))
+    for values in (record.gyro, record.accel):
+        if values is None:
+            continue
+        values = values[np.isfinite(values).all(axis=1)]
+        if len(values) < 8 * size:
+            return False
+        seconds = values[: len(values) // size * size].reshape(-1, size, 3)
+        middle = np.median(seconds, axis=1)
+        spread = np.median(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
+        usual = max(float(np.median(spread)), 1e-300)
+        steps = np.abs(np.diff(middle, axis=0)).sum(axis=1)
+        if np.quantile(spread, 0.98) > _EVEN * usual or np.quantile(steps, 0.98) > _EVEN * usual:
+            return False
+    return _direction_stays(record)
+
+
+def _direction_stays(record: Record) -> bool:
+    if record.accel is None:
+        return True
+    known = record.accel[np.isfinite(record.accel).all(axis=1)]
+    means = np.array([np.median(part, axis=0) for part in np.array_split(known, 8)])
+    return all(_angle(means[0], mean) < _SAME_POSE for mean in means)
+
+
+def _angle(one: FloatArray, two: FloatArray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two))
+
+
+def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
+    """Return which pose each still is in, from 0."""
+    numbers = np.zeros(len(stills), np.int64)
+    faces: dict[str, int] = {}
+    following = 0
+    before: tuple[int, FloatArray | None, int] | None = None
+    for k, still in enumerate(stills):
+        accel = session.records[still.recording].accel
+        mean = None if accel is None else np.nanmedian(accel[still.start : still.stop], axis=0)
+        if still.face is not None and still.face in faces:
+            numbers[k] = faces[still.face]
+        elif before is not None and before[0] == still.recording and still.face is None and _lies_like(before[1], mean):
+            numbers[k] = before[2]
+        else:
+            numbers[k], following = following, following + 1
+        if still.face is not None:
+            faces[still.face] = int(numbers[k])
+        before = (still.recording, mean, int(numbers[k]))
+    return numbers
+
+
+def _lies_like(one: FloatArray | None, two: FloatArray | None) -> bool:
+    return (one is None and two is None) or (one is not None and two is not None and _angle(one, two) < _SAME_POSE)
+
+
+# ---- blocks of one rest
 
 
 def rest_blocks(
     record: Record,
     temp_c: FloatArray,
     still: Still,
-    whole: Whole,
+    steps: tuple[FloatArray, FloatArray],
+    settings: ObserveSettings,
     *,
-    block_s: float,
-    ramp_s: float,
+    begin_s: float,
     session: int,
     pose: int,
 ) -> RestBlocks:
-    """Return the blocks of one rest.
-
-    Arrays: temp_c (N,) degC.
-    """
+    """Return the blocks of one rest; steps: the least between readings of each sensor, raw unit, over the recording."""
     inside = slice(still.start, still.stop)
     time, temp = record.time[inside], temp_c[inside]
-    edges = _edges(time, block_s)
+    edges = _edges(time, settings.block_s)
     count, size = len(edges) - 1, block_size(record.sample_rate_hz)
-    gyro, gyro_variance, gyro_step = _means(record.gyro, inside, edges, size, whole.gyro_step)
-    accel, accel_variance, accel_step = _means(record.accel, inside, edges, size, whole.accel_step)
+    gyro, gyro_variance, gyro_step = _means(record.gyro, inside, edges, size, steps[0])
+    accel, accel_variance, accel_step = _means(record.accel, inside, edges, size, steps[1])
     middle = np.array([0.5 * (time[a] + time[b - 1]) for a, b in pairwise(edges)])
     own = np.array([_temperature(temp[a:b]) for a, b in pairwise(edges)])
-    ramp = np.array([_slope(time, temp, at, ramp_s) for at in middle])
+    ramp = np.array([_slope(time, temp, at, settings.ramp_s) for at in middle])
     made = RestBlocks(
         session=np.full(count, session, np.int64),
         pose=np.full(count, pose, np.int64),
-        time=middle - record.time[0] + whole.begin_s,
+        time=middle - record.time[0] + begin_s,
         power_on_s=middle - record.time[0],
         temp_c=own,
         ramp_c_per_min=ramp,
@@ -208,8 +344,6 @@ def step_error(step: FloatArray, variance: FloatArray) -> FloatArray:
 
     Noise of deviation s before a converter of step q blurs its steps. Over all levels, the mean reading is off with variance
     ``B2(s) = sum over k of (q / pi k)^2 / 2 exp(-4 pi^2 k^2 s^2 / q^2)``, and the readings scatter by ``s^2 + q^2 / 12 - B2(s)``.
-
-    Arrays: step (3,), variance (3,) -> (3,).
     """
     blur = np.linspace(0.0, 1.5, 151)  # s / q
     order = np.arange(1, 60)[:, None]
@@ -230,6 +364,10 @@ def _clean(part: FloatArray) -> BoolArray:
     return good
 
 
+def _record_step(values: FloatArray | None) -> FloatArray:
+    return np.zeros(3) if values is None else _step(values[np.isfinite(values).all(axis=1)])
+
+
 def _step(part: FloatArray) -> FloatArray:
     # The least step between readings of each axis: a converter whose noise is below one code has no median deviation.
     steps = [np.diff(np.unique(column)) for column in part.T]
@@ -247,173 +385,7 @@ def _slope(time: FloatArray, temp: FloatArray, middle: float, span_s: float) -> 
     return float(60.0 * (t @ (y - y.mean())) / (t @ t))
 
 
-# ---- observe
-
-Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: shape (N,), degC, lag taken off
-
-_SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
-_STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which wanders within a soak, K
-_EVEN = 4.0  # a log that never moves: the spread of nearly all blocks lies within this factor of the median
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObserveSettings:
-    """How a thermal session is cut up."""
-
-    block_s: float = 10.0  # Length of a block of rest, s. Shorter follows a fast ramp, longer averages more noise
-    ramp_s: float = 60.0  # Stretch over which the slope of the temperature is taken, s
-    settle_s: float = 0.3  # Start of each dwell that is thrown away, s
-    soak_c: float = 1.5  # A dwell further than this from the first one of its soak begins another soak, degC
-
-
-def observe_rests(
-    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
-) -> RestBlocks:
-    """Gather the rests of thermal sessions into blocks.
-
-    Arrays: temperatures (N,) degC.
-    """
-    parts: list[RestBlocks] = []
-    poses = 0
-    for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
-        _check_lengths(session, temps)
-        begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
-        wholes = [whole_of(record, float(begin)) for record, begin in zip(session.records, begins, strict=False)]
-        stills = _rests(session)
-        numbers = poses + _poses(session, stills)
-        poses = int(numbers.max()) + 1
-        parts.extend(
-            rest_blocks(
-                session.records[still.recording],
-                temps[still.recording],
-                still,
-                wholes[still.recording],
-                block_s=settings.block_s,
-                ramp_s=settings.ramp_s,
-                session=number,
-                pose=int(pose),
-            )
-            for still, pose in zip(stills, numbers, strict=True)
-        )
-    if not any(len(part) for part in parts):
-        raise NotObservable(
-            "rests: wanted stretches at rest with a known temperature, got none; leave the device still while its temperature "
-            "changes, and record the temperature or state temp_c"
-        )
-    return RestBlocks(**{name: _stacked(parts, name) for name in RestBlocks.__dataclass_fields__})
-
-
-def observe_steps(
-    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
-) -> RateSteps:
-    """Gather the dwells at known rates of thermal sessions.
-
-    Arrays: temperatures (N,) degC.
-    """
-    parts: list[RateSteps] = []
-    soaks = 0
-    for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
-        _check_lengths(session, temps)
-        turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
-        if not turns:
-            continue
-        turns.sort(key=lambda t: (t.recording, t.start))
-        part = _steps(session, turns, temps, settings)
-        soak = soaks + _soaks(turns, part.temp_c, settings.soak_c)
-        soaks = int(soak.max()) + 1
-        parts.append(_numbered(part, number, soak))
-    if not parts:
-        return _no_steps()
-    return RateSteps(**{name: _stacked(parts, name) for name in RateSteps.__dataclass_fields__})
-
-
-def _stacked(parts: Sequence[RestBlocks | RateSteps], name: str) -> Any:
-    if any(getattr(part, name) is None for part in parts):
-        return None
-    return np.concatenate([getattr(part, name) for part in parts])
-
-
-def _rests(session: Session) -> tuple[Still, ...]:
-    if session.stills:
-        return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
-    turning = [(t.recording, t.start, t.stop) for t in session.turns]
-    found: list[Still] = []
-    for number, record in enumerate(session.records):
-        spans = [(a, b) for r, a, b in turning if r == number]
-        if not spans and _never_moves(record):
-            found.append(Still(start=0, stop=len(record), recording=number))
-            continue
-        stills = find_still(record, StillSettings(), recording=number).stills
-        found.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
-    if not found:
-        raise NotObservable(
-            "rests: wanted stretches at rest, got none; leave the device still while its temperature changes, or state [[still]]"
-        )
-    return tuple(found)
-
-
-def _never_moves(record: Record) -> bool:
-    """Tell whether nearly all seconds of a record are as quiet as the median second, and the specific force stays."""
-    size = max(4, round(record.sample_rate_hz))
-    for values in (record.gyro, record.accel):
-        if values is None:
-            continue
-        values = values[np.isfinite(values).all(axis=1)]
-        if len(values) < 8 * size:
-            return False
-        seconds = values[: len(values) // size * size].reshape(-1, size, 3)
-        middle = np.median(seconds, axis=1)
-        spread = np.median(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
-        usual = max(float(np.median(spread)), 1e-300)
-        steps = np.abs(np.diff(middle, axis=0)).sum(axis=1)
-        if np.quantile(spread, 0.98) > _EVEN * usual or np.quantile(steps, 0.98) > _EVEN * usual:
-            return False
-    return _direction_stays(record)
-
-
-def _direction_stays(record: Record) -> bool:
-    if record.accel is None:
-        return True
-    known = record.accel[np.isfinite(record.accel).all(axis=1)]
-    means = np.array([np.median(part, axis=0) for part in np.array_split(known, 8)])
-    return all(_angle(means[0], mean) < _SAME_POSE for mean in means)
-
-
-def _angle(one: FloatArray, two: FloatArray) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two))
-
-
-def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
-    """Return which pose each still is in, from 0."""
-    numbers = np.zeros(len(stills), np.int64)
-    faces: dict[str, int] = {}
-    following = 0
-    before: tuple[int, FloatArray | None, int] | None = None
-    for k, still in enumerate(stills):
-        accel = session.records[still.recording].accel
-        mean = None if accel is None else np.nanmedian(accel[still.start : still.stop], axis=0)
-        if still.face is not None and still.face in faces:
-            numbers[k] = faces[still.face]
-        elif before is not None and before[0] == still.recording and still.face is None and _lies_like(before[1], mean):
-            numbers[k] = before[2]
-        else:
-            numbers[k], following = following, following + 1
-        if still.face is not None:
-            faces[still.face] = int(numbers[k])
-        before = (still.recording, mean, int(numbers[k]))
-    return numbers
-
-
-def _lies_like(one: FloatArray | None, two: FloatArray | None) -> bool:
-    return (one is None and two is None) or (one is not None and two is not None and _angle(one, two) < _SAME_POSE)
-
-
-def _check_lengths(session: Session, temps: Sequence[FloatArray]) -> None:
-    for k, (record, temp) in enumerate(zip(session.records, temps, strict=True)):
-        if len(record) != len(temp):
-            raise InputError(
-                f"temperature of recording {k}: wanted {len(record)} values, got {len(temp)}; one a sample, NaN where unknown"
-            )
+# ---- dwells at a steady rate
 
 
 def _steps(session: Session, turns: list[Turn], temps: Sequence[FloatArray], settings: ObserveSettings) -> RateSteps:
@@ -457,14 +429,3 @@ def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
         first = k if another else first
         numbers[k] = numbers[k - 1] + another
     return numbers
-
-
-def _numbered(part: RateSteps, session: int, soak: IntArray) -> RateSteps:
-    return replace(part, session=np.full(len(part), session, np.int64), soak=soak)
-
-
-def _no_steps() -> RateSteps:
-    none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
-    return RateSteps(
-        session=whole, soak=whole, time=none, temp_c=none, rate_b=three, gyro=three, accel=three, gyro_variance=three
-    )
