@@ -16,6 +16,10 @@ KEYS = {
 }  # fmt: skip
 EVERY = sorted(str(path.relative_to(DATA)) for path in DATA.rglob("*")) if DATA.is_dir() else []
 KINDS = (  # the first pattern that fits
+    (r"^makers/.*\.(gt3x|ulg|bag|db3|mcap|xdf)$", {"binary"}),
+    (r"^makers/.*README\.md$", {"text"}),
+    (r"^makers/(bids_motion|mobilised_mat)/.*\.(tsv|mat)$", {"table"}),
+    (r"^makers/(opensim_sto_mot|xsens_\w+|delsys_trigno)/.*\.(mot|sto|txt|csv)$", {"text", "table"}),
     (r"(^|/)(SOURCE|BDS_README|PDS_README)\.md$|LICENSE$", {"text"}),
     (r"\.hdf5$|(ngimu|ximu3)$|(ngimu/sensors|ximu3/Inertial|IMU\.csv)", {"recording"}),
     (r"\.(c3d|trc)(\.gz)?$", {"markers"}),

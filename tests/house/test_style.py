@@ -36,6 +36,7 @@ RESULTS = {
     "AdcModel",
     "DeviceModel",
     "DriftTables",
+    "ExportOptions",
     "Exported",
     "ExportedC",
     "OrientSettings",

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from undrift.drift.checks import ScaleSummary, TriadSummary
 from undrift.drift.select import Alternatives
-from undrift.drift.summary import ScaleSummary, TriadSummary
 from undrift.findings import finding
 from undrift.model import DynamicDrift
 from undrift.report.drift import (

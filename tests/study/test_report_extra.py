@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.report.study_rivals import design_sections, real_sections, rival_sections
+from undrift.report.study import design_sections, real_sections, rival_sections
 from undrift.study.judge import cohort_of, other_study
 from undrift.study.outcome import StudyOutcome
 from undrift.study.plan import note_study

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from undrift.study.outcome import EffectPower, Stage, StageName, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real import CohortComparison, RealOutcome
+    from undrift.study.run import TaskSurface
 
 QUICK_SUBJECTS = 8
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
@@ -341,15 +342,7 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             "rig_minutes": float(surface.rig_minutes[found.cheapest]),
         },
         "tested": dict(zip(("optimum", "cheapest"), tested, strict=True)),
-        "pareto": [
-            {
-                **_protocol(surface, int(place)),
-                "rig_minutes": float(surface.rig_minutes[place]),
-                "error_rms_deg": float(surface.error_rms_deg[:, place].mean()),
-                "error_max_deg": float(surface.error_max_deg[:, place].mean()),
-            }
-            for place in found.pareto
-        ],
+        "pareto": [_pareto_row(surface, int(place)) for place in found.pareto],
         "left_out": surface.left_out,
         "untried": [
             {
@@ -380,6 +373,15 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             {"code": f.code, "level": f.level, "values": dict(f.values), "text": f.text, "action": f.action}
             for f in task.findings
         ],
+    }
+
+
+def _pareto_row(surface: "TaskSurface", place: int) -> dict[str, float]:
+    return {
+        **_protocol(surface, place),
+        "rig_minutes": float(surface.rig_minutes[place]),
+        "error_rms_deg": float(surface.error_rms_deg[:, place].mean()),
+        "error_max_deg": float(surface.error_max_deg[:, place].mean()),
     }
 
 

@@ -24,6 +24,8 @@ from undrift.calibration.observe import in_one_unit
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.checks import (
     STATUS_BEFORE,
+    ScaleSummary,
+    TriadSummary,
     accel_verdict,
     check_sessions,
     check_turns,
@@ -33,6 +35,9 @@ from undrift.drift.checks import (
     poses_verdict,
     single_sweep_verdict,
     static_verdict,
+    summarise_accel,
+    summarise_gyro,
+    summarise_scale,
     temperature_verdict,
     verdict_before,
     with_set_points,
@@ -50,7 +55,6 @@ from undrift.drift.sessions import (
     since_power_on,
 )
 from undrift.drift.static import StaticFit, StaticSettings, fit_static, with_g_sensitivity
-from undrift.drift.summary import ScaleSummary, TriadSummary, summarise_accel, summarise_gyro, summarise_scale
 from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
 from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
 from undrift.errors import InputError, NotObservable

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.arrays import BoolArray, FloatArray
+    from undrift.drift.checks import ScaleSummary, TriadSummary
     from undrift.drift.fit import DriftFit
     from undrift.drift.select import Alternatives
-    from undrift.drift.summary import ScaleSummary, TriadSummary
     from undrift.model import DynamicDrift
 
 # ---- pictures

@@ -139,13 +139,7 @@ class Session(Protocol):
         """Return what a new client hears."""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes, return answers.
-
-        Parameters
-        ----------
-        data : bytes
-            Any.
-        """
+        """Take bytes, return answers."""
 
     def unasked(self) -> bytes:
         """Return unsolicited messages."""
