@@ -14,10 +14,10 @@ import pytest
 from testkit.data import show
 from testkit.galil_bench import GalilBench
 from undrift.errors import InputError, LimitError, LinkError, RigFault
-from undrift.rig.check import CheckSettings, check_rig
+from undrift.rig.check import CheckSettings, check_rig, steady_part
 from undrift.rig.galil import GalilRig, GalilSettings
 from undrift.rig.link import Clock
-from undrift.rig.rig import Gains, Limits, RigSettings, open_rig
+from undrift.rig.rig import Gains, Limits, RigSettings, Trace, open_rig
 from undrift.sim.rig.axes import ServoSettings, loop_margins
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
@@ -154,6 +154,17 @@ def test_an_error_beyond_the_limit_fails_with_its_numbers(in_hand):
     assert failed.code == "rig_check.error"
     assert failed.values["largest_deg"] == pytest.approx(found.error.largest / DEGREE)
     assert failed.values["limit_deg"] == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(("late_s", "first"), [(0.0, 200), (0.5, 450), (0.75, 500), (2.0, 500)])
+def test_a_run_up_that_comes_late_is_not_taken_for_a_steady_rate(late_s, first):
+    rate, count, period_s = 1.5, 2.0 * math.pi / 40_000, 2e-3
+    t = np.arange(500) * period_s  # 1 s; the rate goes from -1.5 to 1.5 rad/s within 0.15 s
+    speed = np.clip(-rate + 20.0 * (t - late_s - 0.2), -rate, rate)
+    commanded = np.floor(np.cumsum(speed) * period_s / count) * count
+    trace = Trace(period_s=period_s, position=commanded - count, error=np.full(500, count))
+    part = steady_part(trace, rate)
+    assert part == pytest.approx(min(first, 500), abs=3), part
 
 
 @pytest.mark.parametrize("set_gains", [False, True])

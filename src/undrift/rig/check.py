@@ -34,6 +34,7 @@ from undrift.units import RADIAN_PER_DEGREE
 
 Report = Callable[[str], None]
 
+OFF_COUNTS = 2.5  # from a straight line: a changing rate, not rounding
 SETTLE_S = 0.05  # after a run-up, before the error counts
 RECORDED = 0.8  # part of each half period that is recorded
 RECORDS, MOST_RECORDS = 24, 96  # of the loop: looked at after so many
@@ -181,15 +182,16 @@ def _wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report, each:
 
 def _recorded_wave(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings, report: Report) -> WaveError:
     traces: list[Trace] = []
+    held: list[float] = []
 
     def each(turn_rate: float) -> None:
         servo.start(RECORDED * settings.half_period_s)
-        rig.turn(turn_rate)
+        held.append(rig.turn(turn_rate))
         traces.append(servo.trace())
 
     _wave(rig, clock, settings, report, each)
     at_rest = abs(rig.following_error())
-    parts = [steady_part(trace) for trace in traces]
+    parts = [steady_part(trace, turn_rate) for trace, turn_rate in zip(traces, held, strict=True)]
     steady = np.concatenate([trace.error[part:] for trace, part in zip(traces, parts, strict=True)])
     if not len(steady):
         raise RigTimeout(
@@ -210,14 +212,13 @@ def _recorded_wave(rig: Rig, servo: Servo, clock: Clock, settings: CheckSettings
     )
 
 
-def steady_part(trace: Trace) -> int:
-    """Return the first sample at which the commanded rate has been steady for a while; their number where none is."""
+def steady_part(trace: Trace, turn_rate: float) -> int:
+    """Return the first sample from which on the commanded rate is steady and settled; their number where it is not at the end."""
     commanded = trace.position + trace.error
-    quarter = max(len(commanded) // 4, 2)
-    samples = np.arange(len(commanded))
-    slope, offset = np.polyfit(samples[-quarter:], commanded[-quarter:], 1)
-    straight = np.abs(commanded - (slope * samples + offset))
-    off = np.flatnonzero(straight > 4.0 * straight[-quarter:].max() + 1e-12)
+    along = commanded - turn_rate * trace.period_s * np.arange(len(commanded))
+    steps = np.abs(np.diff(trace.position))
+    count = float(steps[steps > 0.0].min(initial=math.inf))
+    off = np.flatnonzero(np.abs(along - np.median(along[-(len(along) // 4) :])) > OFF_COUNTS * count)
     first = 0 if not len(off) else int(off[-1]) + 1 + math.ceil(SETTLE_S / trace.period_s)
     return min(first, len(commanded))
 
