@@ -14,9 +14,9 @@ from testkit.data import data_path, show
 from undrift.io.mocap import read_c3d, read_trc
 from undrift.io.reference import device_on, find_body
 from undrift.study.real import (
-    BesideRow,
     Capture,
     Captured,
+    CohortComparison,
     Condition,
     DeviceTrials,
     Stance,
@@ -60,7 +60,7 @@ def captures() -> tuple[Capture, ...]:
     return tuple(made)
 
 
-def tell(rows: tuple[BesideRow, ...]) -> None:
+def tell(rows: tuple[CohortComparison, ...]) -> None:
     """Print rows."""
     for row in rows:
         show(

@@ -131,7 +131,7 @@ def test_a_stop_while_the_device_is_mounted_ends_the_run_before_the_motor_is_on_
         assert run(["rig", "stop", "--rig", emulated["rig"]]) == 0
         _, err = process.communicate("\n", timeout=20.0)
         assert process.returncode == 3
-    assert "wanted to go on, got it stopped from elsewhere by rig stop; go on with --resume" in err
+    assert "wanted to continue, got it stopped from elsewhere by rig stop; continue with --resume" in err
     capsys.readouterr()
     assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
     assert not json.loads(capsys.readouterr().out)["motor_on"]

@@ -140,7 +140,7 @@ def test_a_stop_from_elsewhere_ends_a_run_of_that_rig_only(monkeypatch, tmp_path
     mark_stop("galil:tcp://h:1")
     other.check()
     for phase in ("enabling", "soaking", "ramping"):
-        with pytest.raises(RigFault, match="got it stopped from elsewhere by rig stop; go on with --resume"):
+        with pytest.raises(RigFault, match="got it stopped from elsewhere by rig stop; continue with --resume"):
             Watch(mine, None, programme)(progress(phase))
     Watch(mine, None, programme)(progress("closing"))
     StopWatch("galil:tcp://h:1").check()

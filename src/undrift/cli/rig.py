@@ -439,10 +439,10 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     if yes:
         return
     try:
-        said = _asked("Start? (y/N) ").strip().lower()
+        answer = _asked("Start? (y/N) ").strip().lower()
     except EOFError:
-        said = ""
-    if said not in ("y", "yes"):
+        answer = ""
+    if answer not in ("y", "yes"):
         raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or --yes")
 
 
@@ -609,10 +609,10 @@ def _until_interrupted() -> None:
 def _asked(line: str) -> str:
     sys.stderr.write(line)
     sys.stderr.flush()
-    said = sys.stdin.readline()
-    if not said:
+    answer = sys.stdin.readline()
+    if not answer:
         raise EOFError
-    return said
+    return answer
 
 
 def _clock(seconds: float) -> str:

@@ -285,7 +285,7 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
 
 def _with_old_key(row: dict[str, object], note: object) -> dict[str, object]:
     """Return a row with its notes under the key of earlier versions too."""
-    return row | {"said": note}  # binding key
+    return row | dict.fromkeys(("said",), note)  # binding key
 
 
 def _real_summary(real: "RealOutcome") -> dict[str, object]:

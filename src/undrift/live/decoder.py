@@ -7,7 +7,7 @@ or under ``[stream]`` in a TOML file with the same keys, which an address names 
 
 Counters: what the device counted, made to go on for ever.
 
-A counter of b bits wraps at 2^b. Steps are taken modulo that; whole turns that went by in a silence are told from the host's
+A counter of b bits wraps at 2^b. Steps are taken modulo that; whole turns that went by in a silence are estimated from the host's
 clock. A step back by a little is a reading that came late or twice: it is left out. A step that disagrees with the host's
 clock by more than ``RESTART_S`` is a device that started anew: its count goes on from where the host's clock says it would be.
 
@@ -304,7 +304,7 @@ class Chunk:
     """Readings that came together, N of them."""
 
     host_time: FloatArray  # (N,), when each came, s, the host's monotonic clock
-    counter: FloatArray | None  # (N,), what the device's own counter said, ticks; None for a device that sends none
+    counter: FloatArray | None  # (N,), of the device's own counter, ticks; None for a device that sends none
     values: FloatArray  # (N, C), raw readings in the order of ``StreamDescription.measured``, the device's units
 
     def __post_init__(self) -> None:
@@ -373,11 +373,11 @@ class LineDecoder:
     def _row(self, line: bytes) -> list[float] | None:
         line = line.removeprefix(b"$")
         if self._checksum is not None:
-            line, _, said = line.rpartition(b"*")
-            if len(said) != 2 * self._checksum.size:
+            line, _, stated = line.rpartition(b"*")
+            if len(stated) != 2 * self._checksum.size:
                 return None
             try:
-                if int(said, 16) != self._checksum.of(line):
+                if int(stated, 16) != self._checksum.of(line):
                     return None
             except ValueError:
                 return None

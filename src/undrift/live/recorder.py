@@ -74,14 +74,14 @@ class Recent:
             self._news.notify_all()
 
     def fail(self, error: UndriftError) -> None:
-        """Have everybody who asks from now on told of an error."""
+        """Report an error to everybody who asks from now on."""
         with self._news:
             self._failure = error
             self._news.notify_all()
 
     @property
     def failed(self) -> bool:
-        """Whether an error is told to everybody who asks."""
+        """Whether an error is reported to everybody who asks."""
         return self._failure is not None
 
     def end(self) -> None:
@@ -292,7 +292,7 @@ class PieceWriter:
     def stop(self, deadline_s: float) -> None:
         """Write what is left and end the thread; harmless when called again."""
         if self._thread.is_alive():
-            with contextlib.suppress(queue.Full):  # told below
+            with contextlib.suppress(queue.Full):  # reported below
                 self._queue.put(None, timeout=deadline_s)
             self._thread.join(deadline_s)
         if self._thread.is_alive():
@@ -413,7 +413,7 @@ class Recorder:
         return self._recent.begun(moment, deadline_s)
 
     def between(self, start: float, stop: float, deadline_s: float = 5.0, *, first: float | None = None) -> Record:
-        """Return what the device said in a stretch of the host's time."""
+        """Return the readings in a stretch of the host's time."""
         times, values = self._recent.between(start, stop, deadline_s, first)
         return self.source.description.record(times, values)
 
@@ -449,7 +449,7 @@ class Recorder:
         self.source.close()
         if self._writer is not None:
             self._writer.stop(self.settings.disk_s)
-            if self._writer.failure is not None and not self._recent.failed:  # the last piece: nobody was told yet
+            if self._writer.failure is not None and not self._recent.failed:  # the last piece: nobody knows yet
                 self._recent.fail(self._writer.failure)
                 raise self._writer.failure
         return self.tally()
@@ -508,7 +508,7 @@ class DwellReadings:
         self._start = start
 
     def stop(self) -> Record:
-        """Return what the device said since ``start``."""
+        """Return the readings since ``start``."""
         if self._start is None:
             raise InputError("dwell: wanted one that was started, got none; start it first")
         start, self._start = self._start, None

@@ -54,7 +54,7 @@ class SoakSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChamberSettings:
-    """What a chamber may be told, and how it is watched."""
+    """Limits of a chamber, and how it is watched."""
 
     lowest_c: float = 0.0  # Set-points beyond are refused before a byte is sent, degC
     highest_c: float = 80.0  # Set-points beyond are refused before a byte is sent, degC
@@ -215,22 +215,22 @@ class ScpiChamber:
         return self._link.exchange(text).strip()
 
     def _number(self, text: str) -> float:
-        said = self._ask(text)
+        answer = self._ask(text)
         try:
-            value = float(said)
+            value = float(answer)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
             raise LinkError(
-                f"chamber: wanted a number in answer to '{text}', got '{said[:60]}'; check link and chamber"
+                f"chamber: wanted a number in answer to '{text}', got '{answer[:60]}'; check link and chamber"
             )
         return value
 
     def _check_error(self) -> None:
-        said = self._ask("SYST:ERR?")
-        code = said.partition(",")[0]
+        answer = self._ask("SYST:ERR?")
+        code = answer.partition(",")[0]
         if code not in ("0", "+0"):
-            raise RigFault(f"chamber: wanted a command obeyed, got error {said[:60]}; look at the chamber")
+            raise RigFault(f"chamber: wanted a command obeyed, got error {answer[:60]}; look at the chamber")
 
 
 def open_chamber(address: str, settings: ChamberSettings = ChamberSettings()) -> ScpiChamber:

@@ -12,7 +12,7 @@ Journal: one line for each thing done, appended and brought to the disk before t
 
     {"length": 123, "crc32": "89abcdef", "entry": {...}}
 
-Length and checksum are of the entry's text as it stands in the line, so that a line torn by a power cut is known from a whole one.
+Length and checksum belong to the entry's text as it stands in the line: they tell a line torn by a power cut from a whole one.
 Only the last line can be torn; one in the middle means that the file was damaged or edited, and is refused. One program at a time
 has it: the file is locked, and the lock goes with the program however it ends.
 """
@@ -185,7 +185,7 @@ def claim(path: Path) -> None:
     except FileExistsError as error:
         raise InputError(
             f"{path}: wanted no readings of this step yet, got some, which are kept; another program wrote them: "
-            "go on with --resume when it has ended"
+            "continue with --resume when it has ended"
         ) from error
 
 
@@ -199,7 +199,7 @@ def room(path: Path) -> Iterator[None]:
         what = "make room on the disk" if full else "mend the disk"
         raise InputError(
             f"{path}: wanted to write a dwell, got '{error.strerror or error}'; all dwells before it are kept: "
-            f"{what} and go on with --resume"
+            f"{what} and continue with --resume"
         ) from error
 
 
@@ -211,7 +211,7 @@ JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Head:
-    """What a run is of; the same for every part of it."""
+    """What a run belongs to; the same for every part of it."""
 
     protocol: str  # sha256 of the protocol as it is written
     rig: str  # What the rig calls itself
@@ -286,7 +286,7 @@ class RunFolder:
         return frozenset(piece.step for piece in self.pieces)
 
     def begin(self, head: Head) -> None:
-        """Say what the run is of, or check that it is the same as before."""
+        """State what the run belongs to, or check that it is the same as before."""
         if self.head is None:
             with room(self.path):
                 self._journal.append({"entry": "head", "format": FORMAT, **asdict(head)})
@@ -295,7 +295,7 @@ class RunFolder:
             if value != getattr(head, name):
                 raise InputError(
                     f"{self.path}: wanted the {name} that the run began with, '{value}', got '{getattr(head, name)}'; "
-                    "go on with the same, or begin in another folder"
+                    "continue the same, or begin in another folder"
                 )
         if self.pieces:
             self.write_session()
@@ -325,7 +325,7 @@ class RunFolder:
         """Refuse a run that is not resumed, and readings without their journal; a start that never came to a run left nothing."""
         if self._journal.entries and not resume:
             raise InputError(
-                f"{self.path}: wanted an empty folder, got one with a run in it; go on with it by --resume, or choose another"
+                f"{self.path}: wanted an empty folder, got one with a run in it; continue it with --resume, or choose another"
             )
         if not self._journal.entries and any((self.path / PIECES).glob("*.parquet")):
             raise InputError(

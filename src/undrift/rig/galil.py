@@ -249,10 +249,10 @@ class GalilCard:
 
 def _refusal(port: GalilPort, command: str) -> RigFault:
     """Return what TC1 says about the last ``?``, in our words."""
-    said = port.ask("TC1") or ""
-    found = re.match(r"\s*(\d{1,3})\b", said)
+    answer = port.ask("TC1") or ""
+    found = re.match(r"\s*(\d{1,3})\b", answer)
     if not found:
-        raise LinkError(f"{port.name}: wanted an error code in answer to 'TC1', got {said!r}; {CABLE}")
+        raise LinkError(f"{port.name}: wanted an error code in answer to 'TC1', got {answer!r}; {CABLE}")
     code = int(found.group(1))
     return RigFault(
         f"{port.name}: wanted '{command}', got error {code}: {error_in_words(code)}; see the state of the card",
@@ -425,7 +425,7 @@ class GalilAxis:
         self.enabled = self.jogging = False
         try:
             if not port.is_open:
-                self.refused = "the connection was lost, and the card may have forgotten what it was told"
+                self.refused = "the connection was lost, and the card may have lost its commands"
                 self._reconnect()
             port.shout(f"ST{self.card.axis}")  # at once; its answer is thrown away by the next line
             port.resynchronise()
@@ -471,7 +471,7 @@ class GalilAxis:
 class GalilSettings:
     """What the driver cannot ask the card."""
 
-    limits: Limits = field(default_factory=Limits)  # What the rig may be told
+    limits: Limits = field(default_factory=Limits)  # Of the commands
     encoder_lines: int = 10_000  # Lines of the encoder; a turn is 4 times as many counts
     axis: str = "X"  # Letter of the axis, A to H or X, Y, Z, W
     speed_step: int = 1  # Counts/s between two jog speeds: 1, or 2 on older cards
@@ -503,16 +503,16 @@ class GalilReports:
 
     @property
     def limits(self) -> Limits:
-        """What it may be told."""
+        """Limits of its commands."""
         return self._settings.limits
 
     def identify(self) -> str:
         """Return the card's model and firmware, as it answers to control-R control-V."""
         with self._guarded():
-            said = self.card.text("\x12\x16").strip()
-            if not said.isprintable() or not said:
-                raise LinkError(f"{self.card.port.name}: wanted a model in answer to ^R^V, got {said!r}; check baud")
-            return said
+            answer = self.card.text("\x12\x16").strip()
+            if not answer.isprintable() or not answer:
+                raise LinkError(f"{self.card.port.name}: wanted a model in answer to ^R^V, got {answer!r}; check baud")
+            return answer
 
     def position(self) -> Position:
         """Return where the axis stands (TP) and when by the card's own TIME, from where it stood when the rig was opened, rad."""
@@ -725,7 +725,7 @@ class GalilRig(GalilReports):
         return self._scale.angle(held)
 
     def turn(self, turn_rate: float) -> float:
-        """Turn at a steady rate until told otherwise (JG, BG); a turning axis changes over to it."""
+        """Turn at a steady rate until stopped (JG, BG); a turning axis changes over to it."""
         self.limits.check_turn_rate(turn_rate)
         if turn_rate == 0.0:
             self.stop()

@@ -140,7 +140,7 @@ _KNOWN = re.compile(r"|ok|\[.*\]|<.*>|\$\d{1,3}=.*|Grbl .*|ALARM:\d{1,2}|error:\
 
 
 class GrblController:
-    """What can be said to the controller."""
+    """Commands of the controller."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.link = link
@@ -155,8 +155,8 @@ class GrblController:
         return self.link.url
 
     def do(self, line: str) -> list[str]:
-        """Send a line and return what was said before ``ok``."""
-        *said, last = self._ask(line)
+        """Send a line and return the lines before ``ok``."""
+        *answer, last = self._ask(line)
         if last.startswith("error:"):
             code = int(last.removeprefix("error:"))
             raise RigFault(
@@ -164,7 +164,7 @@ class GrblController:
                 code=code,
                 command=line,
             )
-        return said
+        return answer
 
     def status(self, deadline_s: float | None = None) -> Status:
         """Ask for the status (``?``)."""
@@ -174,9 +174,9 @@ class GrblController:
     def reset(self, deadline_s: float) -> str:
         """Reset (0x18): motion ends at once, whatever was queued is forgotten; back in step when it greets."""
         with self._one_at_a_time:
-            said = self.link.resynchronise(RESET.decode("latin-1"), welcome_end, deadline_s, terminator="")
+            answer = self.link.resynchronise(RESET.decode("latin-1"), welcome_end, deadline_s, terminator="")
         self.alarm = self.broken = None
-        return said.strip().splitlines()[-1]
+        return answer.strip().splitlines()[-1]
 
     def wait_for(self, states: tuple[str, ...], expected_s: float) -> Status:
         """Poll the status until it is one of these: at most twice as long as it should take, and 2 s."""
@@ -245,9 +245,9 @@ class GrblController:
                 self.broken = self.broken or error
                 raise
 
-    def _lines(self, said: str, question: str) -> list[str]:
+    def _lines(self, answer: str, question: str) -> list[str]:
         """Return the lines of an answer; what GRBL never says is garbage, an alarm is remembered."""
-        lines = [line.strip() for line in said.splitlines() if line.strip()]
+        lines = [line.strip() for line in answer.splitlines() if line.strip()]
         for line in lines:
             if not _KNOWN.fullmatch(line):
                 raise LinkError(f"{self.name}: wanted an answer to '{question}', got {line!r}; check cable and baud")
@@ -382,13 +382,13 @@ class GrblAxis:
         link = self.grbl.link
         self._last = None
         try:
-            said = link.resynchronise("?", status_end, terminator="")
+            answer = link.resynchronise("?", status_end, terminator="")
         except RigTimeout:  # a board that a serial port's opening restarted
-            said = ""
+            answer = ""
         if self._found_asleep is None:
-            self._found_asleep = not said or "<Sleep" in said
+            self._found_asleep = not answer or "<Sleep" in answer
         greeting = self.grbl.reset(max(link.settings.reply_timeout_s, 3.0))
-        if self.grbl.status().state == "Alarm" and any(f"<{state}" in said for state in OWN_STOPS):
+        if self.grbl.status().state == "Alarm" and any(f"<{state}" in answer for state in OWN_STOPS):
             self.grbl.do("$X")
         return greeting
 
@@ -497,7 +497,7 @@ class GrblAxis:
 class GrblSettings:
     """What the driver cannot ask the controller."""
 
-    limits: Limits = field(default_factory=Limits)  # What the rig may be told
+    limits: Limits = field(default_factory=Limits)  # Of the commands
     axis: str = "A"  # Letter of the axis: X, Y, Z, A, B or C
     move_turn_rate: float = 90.0 * RADIAN_PER_DEGREE  # Rate of `move_by`, rad/s
     clock: Clock = field(default_factory=Clock)  # Hardware's, or a faster emulator's
@@ -521,7 +521,7 @@ class GrblReports:
 
     @property
     def limits(self) -> Limits:
-        """What it may be told."""
+        """Limits of its commands."""
         return self._settings.limits
 
     def identify(self) -> str:
@@ -606,7 +606,7 @@ class GrblRig(GrblReports):
         return held * RADIAN_PER_DEGREE
 
     def turn(self, turn_rate: float) -> float:
-        """Turn at a steady rate until told otherwise, by chained jogs."""
+        """Turn at a steady rate until stopped, by chained jogs."""
         self.limits.check_turn_rate(turn_rate)
         deg_per_min = round(60.0 * turn_rate / RADIAN_PER_DEGREE, 3)
         fastest_dps = self._axis.fastest_dps

@@ -1,6 +1,6 @@
 """Guard: a second process that stops the table, and switches the chamber off, when the first one is gone or silent.
 
-A card that was told to jog goes on jogging when the program that told it so is killed (kill -9, out of memory) or halted
+A card that jogs keeps jogging when the program that started it is killed (kill -9, out of memory) or halted
 (kill -STOP, a computer that swaps). The guard listens at a pipe from that program: a beat every second, "done" when all ended
 well. The end of the pipe without "done", or 5 s of silence, has it open the rig itself and close it again: stop, motor off. That
 needs a rig that takes a second connection, or a port that is free again: TCP and serial.
@@ -59,7 +59,7 @@ class StopWatch:
     def check(self) -> None:
         """Refuse to go on after a stop from elsewhere."""
         if self._read() != self._before:
-            raise RigFault("rig: wanted to go on, got it stopped from elsewhere by rig stop; go on with --resume")
+            raise RigFault("rig: wanted to continue, got it stopped from elsewhere by rig stop; continue with --resume")
 
     def _read(self) -> str:
         try:
@@ -182,12 +182,12 @@ class Guard:
         self._due = None if within_s is None else time.monotonic() + within_s
 
     def check(self) -> None:
-        """Refuse to go on without a guard."""
+        """Refuse to continue without a guard."""
         code = self._process.poll()
         if code is not None:
             raise RigFault(
                 f"guard: wanted it to stand by while the table is driven, got it ended (code {code}): it was killed, or this "
-                "program was halted for too long; go on with --resume"
+                "program was halted for too long; continue with --resume"
             )
 
     def release(self, *, well: bool) -> None:
@@ -209,14 +209,14 @@ class Guard:
             self._process.stdout.close()
 
     def _wait_until_ready(self) -> None:
-        said: queue.SimpleQueue[str] = queue.SimpleQueue()
+        lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         output = self._process.stdout
         if output is not None:
             threading.Thread(
-                target=lambda: said.put(output.readline().strip()), name="guard-ready", daemon=True
+                target=lambda: lines.put(output.readline().strip()), name="guard-ready", daemon=True
             ).start()
         try:
-            answer = said.get(timeout=LONGEST_S)
+            answer = lines.get(timeout=LONGEST_S)
         except queue.Empty:
             self._process.kill()
             answer = ""
@@ -264,7 +264,7 @@ def stop_chamber(address: str) -> None:
 
 
 def _ended_well(lines: TextIO, silence_s: float) -> bool:
-    """Return whether "done" was said; False at the end of the pipe and after too long a silence."""
+    """Return whether "done" came; False at the end of the pipe and after too long a silence."""
     heard: queue.SimpleQueue[str | None] = queue.SimpleQueue()
 
     def listen() -> None:

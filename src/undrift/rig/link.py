@@ -8,7 +8,7 @@ in time the link is out of step - the answer may still come, and would be taken 
 Transport: bytes to and from a rig or device, over TCP or over a serial port.
 
 A place is written as a URL: ``tcp://host:port``; ``serial:///dev/ttyUSB0`` or a bare path (a pty too); and what pyserial itself
-understands: ``socket://host:port``, ``loop://``. Nothing here waits longer than it was told.
+understands: ``socket://host:port``, ``loop://``. Nothing here waits longer than its deadline.
 
 Receiver: one thread that reads a transport, and a caller that waits for whole replies with a deadline.
 
@@ -530,7 +530,7 @@ class GalilPort(Protocol):
         """Keep characters with the high bit set out of the answers from now on."""
 
     def unsolicited(self) -> str:
-        """Return what the card said without being asked, once."""
+        """Return unsolicited messages of the card, once."""
 
     @property
     def is_open(self) -> bool:
@@ -603,7 +603,7 @@ class LinkPort:
         self._link.mask_high_bit()
 
     def unsolicited(self) -> str:
-        """Return what the card said without being asked, once."""
+        """Return unsolicited messages of the card, once."""
         return self._link.unsolicited()
 
     def reconnect(self) -> None:
@@ -617,10 +617,10 @@ class LinkPort:
 
 def _end_of(token: int) -> ReplyEnd:
     """Return what finds the end of an answer that is this number; leading zeros and decimals are the card's to choose."""
-    said = re.compile(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % token)
+    text = re.compile(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % token)
 
     def end(received: bytes) -> int:
-        found = said.search(received)
+        found = text.search(received)
         return found.end() if found else 0
 
     return end
@@ -717,7 +717,7 @@ class GclibPort:
         self._open = True
 
     def _explained(self, command: str, error: Exception) -> LinkError | RigTimeout:
-        said = str(error).lower()
-        if "timed out" in said or "timeout" in said:
+        text = str(error).lower()
+        if "timed out" in text or "timeout" in text:
             return RigTimeout(f"{self.name}: wanted an answer to '{command}', got '{error}'; check power and cable")
         return LinkError(f"{self.name}: wanted an answer to '{command}', got '{error}'; reconnect")

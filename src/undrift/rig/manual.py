@@ -27,13 +27,15 @@ class AskedOperator:
     def mount(self, up: Face) -> None:
         """Have the device mounted."""
         try:
-            said = self._ask(
+            answer = self._ask(
                 f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
             ).strip()
         except EOFError:
-            said = "q"
-        if said.lower() in GIVING_UP:
-            raise RigFault(f"mounting: wanted the device mounted {up} up, got '{said}'; go on with --resume when it is")
+            answer = "q"
+        if answer.lower() in GIVING_UP:
+            raise RigFault(
+                f"mounting: wanted the device mounted {up} up, got '{answer}'; continue with --resume when it is"
+            )
 
 
 # ---- manual
@@ -58,7 +60,7 @@ class ManualRig:
 
     @property
     def limits(self) -> Limits:
-        """What it may be told."""
+        """Limits of its commands."""
         return self._limits
 
     def identify(self) -> str:
@@ -135,20 +137,20 @@ class ManualRig:
 
     def _said(self, line: str) -> str:
         try:
-            said = self._ask(line).strip()
+            answer = self._ask(line).strip()
         except EOFError:
-            said = "q"
-        if said.lower() in GIVING_UP:
-            raise RigFault(f"manual rig: wanted the step done, got '{said}'; the person gave up")
-        return said
+            answer = "q"
+        if answer.lower() in GIVING_UP:
+            raise RigFault(f"manual rig: wanted the step done, got '{answer}'; the person gave up")
+        return answer
 
 
-def _number(said: str, asked: float) -> float | None:
+def _number(answer: str, asked: float) -> float | None:
     """Return the angle that was typed, the one asked for when none was, None when it is no number."""
-    if not said:
+    if not answer:
         return asked
     try:
-        number = float(said.removesuffix("deg").replace(",", "."))
+        number = float(answer.removesuffix("deg").replace(",", "."))
     except ValueError:
         return None
     return number if math.isfinite(number) else None

@@ -1,9 +1,9 @@
 """Rig: what every rate table can do, whichever controller stands behind it.
 
-Angles are rad, rates rad/s, positive about the table's own axis. A rig rounds what it is told to its counts; every call returns
+Angles are rad, rates rad/s, positive about the table's own axis. A rig rounds commands to its counts; every call returns
 the value it ACHIEVED, never the one that was asked for.
 
-Counts and angles: what an encoder's lines or a stepper's steps are in rad, and how a card rounds what it is told.
+Counts and angles: an encoder's lines or a stepper's steps in rad, and how a card rounds commands.
 
 An encoder of N lines gives 4N counts per turn (both edges of both tracks), so one count is 2 pi / 4N rad: 0.009 deg at 10 000
 lines. Rounding happens here, before a byte is sent, so that what was sent is what the card holds.
@@ -39,7 +39,7 @@ from undrift.plugins import load_named, names_in
 from undrift.rig.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Counts and angles: what an encoder's lines or a stepper's steps are in rad, and how a card rounds what it is told.
+# ---- Counts and angles: an encoder's lines or a stepper's steps in rad, and how a card rounds commands.
 
 COUNTS_PER_LINE = 4
 
@@ -110,7 +110,7 @@ ROUNDING = 1.0 + 1e-9  # a limit given in degrees is met exactly by a rate given
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a rig may be told to do; anything beyond raises LimitError before a byte is sent."""
+    """Limits of the commands to a rig; anything beyond raises LimitError before a byte is sent."""
 
     turn_rate: float = 2.0 * math.pi  # Largest rate either way, rad/s
     acceleration: float = 100.0  # Largest acceleration, rad/s2
@@ -123,7 +123,7 @@ class Limits:
                 raise InputError(f"limits: wanted {name} above 0, got {value}; a rig without limits is not driven")
 
     def check_turn_rate(self, turn_rate: float) -> None:
-        """Refuse a rate that the rig may not be told."""
+        """Refuse a rate beyond the limits."""
         if not abs(turn_rate) <= self.turn_rate * ROUNDING:
             raise LimitError(
                 f"turn rate: wanted at most {self.turn_rate:g} rad/s either way, got {turn_rate:g}; choose a slower one",
@@ -131,7 +131,7 @@ class Limits:
             )
 
     def check_acceleration(self, acceleration: float) -> None:
-        """Refuse an acceleration that the rig may not be told."""
+        """Refuse an acceleration beyond the limits."""
         if not 0.0 < acceleration <= self.acceleration * ROUNDING:
             raise LimitError(
                 f"acceleration: wanted above 0 and at most {self.acceleration:g} rad/s2, got {acceleration:g}; "
@@ -215,7 +215,7 @@ class Rig(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """What it may be told."""
+        """Limits of its commands."""
 
     def identify(self) -> str:
         """Return make, model and firmware."""
@@ -227,7 +227,7 @@ class Rig(Protocol):
         """Set run-up and slow-down."""
 
     def turn(self, turn_rate: float) -> float:
-        """Turn at a steady rate until told otherwise."""
+        """Turn at a steady rate until stopped."""
 
     def move_by(self, angle: float) -> float:
         """Turn by an angle and come to rest."""
@@ -357,7 +357,7 @@ GROUP = "undrift.rigs"
 class RigSettings:
     """What an address does not say; an option of the same name in the address wins."""
 
-    # What the rig may be told; never an option, so that no address can widen it
+    # Limits of the commands; never an option, so that no address can widen it
     limits: Limits = field(default_factory=Limits)
     encoder_lines: int = 10_000  # Lines of a servo's encoder, 4 counts each
     axis: str = ""  # Letter of the axis; "" is the rig's usual one

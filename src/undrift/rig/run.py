@@ -94,7 +94,7 @@ def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: st
 
 
 def check_readings(record: Record, dwell_s: float, settings: RunSettings, where: str) -> int:
-    """Refuse a dwell in which the device said too little."""
+    """Refuse a dwell in which the device sent too little."""
     came = np.ones(len(record), bool)
     for values in (record.gyro, record.accel):
         if values is not None:
@@ -104,7 +104,7 @@ def check_readings(record: Record, dwell_s: float, settings: RunSettings, where:
     if finite < settings.least_part * wanted:
         raise RigTimeout(
             f"device: wanted {settings.least_part:.0%} of {wanted:.0f} readings in {where}, got {finite}, the others missing; look "
-            "at the device and its link, then go on with --resume",
+            "at the device and its link, then continue with --resume",
             readings=finite,
         )
     return len(record) - finite
@@ -115,7 +115,7 @@ def check_air(air_c: float, set_point_c: float, tolerance_c: float, where: str) 
     if not abs(air_c - set_point_c) <= tolerance_c:
         raise RigFault(
             f"chamber: wanted {set_point_c:g} degC within {tolerance_c:g} K throughout {where}, got {air_c:.2f} degC; look at door "
-            "and heater, then go on with --resume",
+            "and heater, then continue with --resume",
             temp_c=air_c,
         )
 
@@ -134,7 +134,7 @@ def check_board(record: Record, tolerance_c: float, where: str) -> None:
     if change_c > tolerance_c + step_c:
         raise RigFault(
             f"device: wanted its thermometer steady within {tolerance_c:g} K throughout {where}, got a change of {change_c:.2f} K; "
-            "look at the chamber and at the air around the device, then go on with --resume",
+            "look at the chamber and at the air around the device, then continue with --resume",
             change_c=change_c,
         )
 
@@ -390,7 +390,7 @@ class _Run:
         raise RigTimeout(
             f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
             f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {reads} times; look at the link and at what "
-            "else this computer does, or dwell longer, then go on with --resume",
+            "else this computer does, or dwell longer, then continue with --resume",
             delay_s=achieved.delay_s,
         )
 
@@ -467,7 +467,7 @@ LONGEST_WORDLESS_S = 60.0  # that a run says nothing beside its ramp and settlin
 
 
 class Watch:
-    """Is told what a run is told, before each step and several times a second, and ends it by an exception."""
+    """Receives the progress of a run, before each step and several times a second, and ends it by an exception."""
 
     def __init__(self, stops: StopWatch, guard: Guard | None, programme: Programme) -> None:
         waits = [step.ramp_s + step.settle_s for step in programme.steps if isinstance(step, Dwell)]

@@ -174,7 +174,7 @@ class Path:
         return angle[i] + t * (rate[i] + 0.5 * acceleration[i] * t), rate[i] + acceleration[i] * t
 
     def cut(self, time: float) -> None:
-        """Forget what was planned after a moment; what is under way there goes on without end."""
+        """Forget what was planned after a moment; the move under way there never ends."""
         keep = max(bisect.bisect_right(self.start, time), 1)
         for column in (self.start, self.angle, self.rate, self.acceleration):
             del column[keep:]
