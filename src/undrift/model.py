@@ -181,11 +181,11 @@ class StaticDrift:
 
     temp_c: FloatArray  # (n,), nodes, degC, increasing
     gyro_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
-    accel_offset: FloatArray | None = None  # (n, 3), reading at zero input, raw unit
+    accel_offset: FloatArray | None = None
     gyro_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node, raw unit
-    accel_uncertainty: FloatArray | None = None  # (n, 3), standard uncertainty of each node, raw unit
+    accel_uncertainty: FloatArray | None = None
     gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
-    accel_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
+    accel_extrapolated: BoolArray | None = None
     # (3,), half-width: offset while cooling minus offset while warming, over two, raw unit; the table holds the mean
     gyro_hysteresis: FloatArray | None = None
     warm_up: WarmUp | None = None
@@ -204,11 +204,11 @@ class ScaleDrift:
 
     temp_c: FloatArray  # (n,), nodes, degC, increasing
     gyro_matrix: FloatArray | None = None  # (n, 3, 3), unit_out per unit_in
-    accel_matrix: FloatArray | None = None  # (n, 3, 3), unit_out per unit_in
+    accel_matrix: FloatArray | None = None
     gyro_uncertainty: FloatArray | None = None  # (n, 3, 3), standard uncertainty of each element
-    accel_uncertainty: FloatArray | None = None  # (n, 3, 3), standard uncertainty of each element
+    accel_uncertainty: FloatArray | None = None
     gyro_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
-    accel_extrapolated: BoolArray | None = None  # (n,), true where no data were near the node
+    accel_extrapolated: BoolArray | None = None
 
     def __post_init__(self) -> None:
         _freeze_nodes(self, "scale drift", "temp_c")

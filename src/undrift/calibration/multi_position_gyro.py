@@ -66,7 +66,7 @@ class Moves:
     """Readings of all records after one another, and the moves between stills in them."""
 
     gyro: FloatArray  # (N, 3), raw units
-    accel: FloatArray  # (N, 3), raw units
+    accel: FloatArray
     time: FloatArray  # (N,), s, each record on its own clock
     first: IntArray  # (J,), last sample of the core before the move
     last: IntArray  # (J,), first sample of the core after it

@@ -58,7 +58,7 @@ class AllanDeviation:
     taus_s: FloatArray  # (M,), averaging times, s
     deviation: FloatArray  # (M,), unit of the readings
     lower: FloatArray  # (M,), confidence limits, unit of the readings
-    upper: FloatArray  # (M,), confidence limits, unit of the readings
+    upper: FloatArray
     edf: FloatArray  # (M,), equivalent degrees of freedom
     noise: IntArray  # (M,), power of frequency: 2 white phase, 1 flicker phase, 0 white, -1 flicker, -2 random walk
     confidence: float  # Probability that the limits enclose the truth

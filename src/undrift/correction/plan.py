@@ -152,10 +152,7 @@ def _part(value: object, sensor: Sensor, what: str) -> Any:
 
 
 def even_nodes(nodes: FloatArray) -> FloatArray | None:
-    """Return the even grid that holds all nodes, or None where there is none of a sensible size.
-
-    Arrays: nodes (n,) -> (m,).
-    """
+    """Return the even grid that holds all nodes, or None where there is none of a sensible size: nodes (n,) -> (m,)."""
     span = nodes[-1] - nodes[0]
     cells = span / np.diff(nodes).min()
     for parts in (1, 2, 3):  # the smallest gap may itself be two or three steps
@@ -181,9 +178,7 @@ def grid_of(nodes: FloatArray) -> "Grid":
 
 def line_cells(nodes: FloatArray, values: FloatArray) -> "tuple[Grid, FloatArray]":
     """Return the grid of a one-dimensional table and its cell coefficients.
-
-    Arrays: nodes (n,), values (n, c) -> (cells * c * 2,).
-    """
+    nodes (n,), values (n, c) -> (cells * c * 2,)."""
     grid = grid_of(nodes)
     values = _filled(grid.nodes, nodes, values)
     return grid, np.stack((values[:-1], np.diff(values, axis=0)), axis=-1).reshape(-1)

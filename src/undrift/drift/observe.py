@@ -82,7 +82,7 @@ class RateSteps:
     temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
     gyro: FloatArray  # (n, 3), mean reading, raw unit
-    accel: FloatArray  # (n, 3), mean reading, raw unit
+    accel: FloatArray
     gyro_variance: FloatArray  # (n, 3), of the mean by the scatter inside the dwell, raw unit squared
 
     def __len__(self) -> int:

@@ -460,9 +460,7 @@ def excess(
     taken: FloatArray, effect: FloatArray | None, mean: FloatArray, covariance: FloatArray, freedom: int = 1
 ) -> FloatArray:
     """Return the variance of an effect, (3,): squares of combinations of the means, less what their covariance explains.
-
-    Arrays: taken (q, N), effect (q, p), mean (N, 3), covariance (3, N, N).
-    """
+    taken (q, N), effect (q, p), mean (N, 3), covariance (3, N, N)."""
     square = ((taken @ mean) ** 2).sum(axis=0)
     expected = np.einsum("ij,kjl,il->k", taken, covariance, taken)
     size = float(freedom) if effect is None else float((effect**2).sum())

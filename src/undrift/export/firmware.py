@@ -74,8 +74,8 @@ class Triad:
     half_step: FloatArray | None  # (3,), raw unit; None unless codes are cut off toward zero
     g_sensitivity: FloatArray | None  # (3, 3), rad/s per m/s2
     offset_table: Table | None  # In the same units
-    matrix_table: Table | None  # In the same units
-    error_table: Table | None  # In the same units
+    matrix_table: Table | None
+    error_table: Table | None
     # Extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
     warm_up_table: Table | None = None
 
@@ -266,15 +266,15 @@ class FixedTriad:
 
     raw_bits: int  # Bits behind the point of a reading
     matrix: IntArray  # Constants; unused where there is a table
-    offset: IntArray  # Constants; unused where there is a table
+    offset: IntArray
     matrix_bits: int  # Bits behind the point of the matrix
     half_step: IntArray | None  # As in ``Triad``
-    g_sensitivity: IntArray | None  # As in ``Triad``
+    g_sensitivity: IntArray | None
     g_bits: int  # Bits behind the point of the g-sensitivity
     offset_table: FixedTable | None  # As in ``Triad``
-    matrix_table: FixedTable | None  # As in ``Triad``
-    error_table: FixedTable | None  # As in ``Triad``
-    warm_up_table: FixedTable | None  # As in ``Triad``
+    matrix_table: FixedTable | None
+    error_table: FixedTable | None
+    warm_up_table: FixedTable | None
     bound: FloatArray  # (3,), worst error of a result, SI
 
     @property
@@ -286,10 +286,7 @@ class FixedTriad:
 def fixed_triad(
     triad: Triad, *, raw_bits: int | None, full: float, accel_bound: FloatArray | None = None, accel_full: float = 0.0
 ) -> FixedTriad:
-    """Return a triad in integers with its error bound.
-
-    Arrays: accel_bound (3,) m/s2.
-    """
+    """Return a triad in integers with its error bound: accel_bound (3,) m/s2."""
     raw = _raw_bits(triad) if raw_bits is None else raw_bits
     bits = min(_bits_of(triad.matrices), MOST_SHIFT + OUT_BITS - raw)
     if raw + bits - OUT_BITS < 1:

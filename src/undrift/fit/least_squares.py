@@ -214,7 +214,7 @@ class ForwardFit:
     covariance: FloatArray  # (12, 12), of K row by row, then b
     residuals: FloatArray  # (E, 3), reading less model
     rank: int  # Of the design with columns scaled to one
-    condition: float  # Of the design with columns scaled to one
+    condition: float
 
 
 def fit_forward(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> ForwardFit:

@@ -106,7 +106,7 @@ class ColumnMap:
 
     time: Column | None = None  # Time column; without it ``sample_rate_hz`` is required
     gyro: tuple[Column, ...] | None = None  # Three columns x, y, z
-    accel: tuple[Column, ...] | None = None  # Three columns x, y, z
+    accel: tuple[Column, ...] | None = None
     temp: Column | None = None  # Temperature column
     mag: tuple[Column, ...] | None = None  # Three columns x, y, z
     time_unit: str = ""  # Units after the scale is applied; any spelling of :mod:`undrift.units`

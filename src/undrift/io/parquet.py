@@ -222,9 +222,7 @@ def write_orientation(
     time: FloatArray, q_nb: FloatArray, angles: tuple[FloatArray, FloatArray, FloatArray], path: str | Path
 ) -> None:
     """Write orientation over time; undrift reads the quaternions back as a reference.
-
-    Arrays: time (N,) s, q_nb (N, 4), three angles (N,) rad.
-    """
+    time (N,) s, q_nb (N, 4), three angles (N,) rad."""
     import pyarrow as pa
     from pyarrow import csv, parquet
 

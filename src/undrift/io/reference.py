@@ -212,7 +212,7 @@ class ReferenceMap:
     position: tuple[Column, Column, Column] | None = None  # Columns x, y, z
     moving: Column | None = None  # Column that is 1 in motion
     time_unit: str = ""  # Units; needed where the columns are named
-    position_unit: str = ""  # Units; needed where the columns are named
+    position_unit: str = ""
     sample_rate_hz: float | None = None  # Hz, where there is no time column
     # "body_to_level" as undrift has it, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"

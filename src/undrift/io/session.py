@@ -51,7 +51,7 @@ class ColumnsEntry(Entry):
 
     time: str | int | None = None  # Time column
     gyro: list[str | int] | str | None = None  # Columns x, y, z, or one array name (npz, mat)
-    accel: list[str | int] | str | None = None  # Columns x, y, z, or one array name (npz, mat)
+    accel: list[str | int] | str | None = None
     temp: str | int | None = None  # Temperature column
     mag: list[str | int] | str | None = None  # Columns x, y, z
 
@@ -247,7 +247,7 @@ class SessionFile(Entry):
     session: HeadEntry  # Of which device, and where
     recording: list[RecordingEntry] = Field(min_length=1)  # One or more
     still: list[StillEntry] = Field(default_factory=list)  # May be left out
-    turn: list[TurnEntry] = Field(default_factory=list)  # May be left out
+    turn: list[TurnEntry] = Field(default_factory=list)
 
 
 def read_session(folder: str | Path) -> Session:

@@ -55,7 +55,7 @@ class ClockFit:
     """A line between two clocks."""
 
     device_zero: float  # A point on it, s and s
-    host_zero: float  # A point on it, s and s
+    host_zero: float
     rate: float  # Host seconds per device second
     rate_error: float  # Relative departure of the device's clock from nominal: positive for one that runs fast
     # 95 of 100 packets come at most so much later than the promptest, host s; those of a backlog left out
@@ -98,9 +98,7 @@ class DeviceClock:
 
     def add(self, device_time: FloatArray, host_time: FloatArray) -> None:
         """Take readings; of those that came at one moment only the last can have been prompt.
-
-        Arrays: device_time (N,) s, host_time (N,) s.
-        """
+        device_time (N,) s, host_time (N,) s."""
         last = np.flatnonzero(np.diff(host_time, append=np.inf) > 0.0)
         for point in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
             if self._zero is None:
@@ -180,10 +178,7 @@ class GapMarker:
         self.missing = 0
 
     def mark(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return readings with rows of NaN where some are missing.
-
-        Arrays: time (N,) s, values (N, C) -> (M,) s, (M, C).
-        """
+        """Return readings with rows of NaN where some are missing: time (N,) s, values (N, C) -> (M,) s, (M, C)."""
         if not len(time):
             return time, values
         before = np.concatenate(([time[0] - self._period if self._last is None else self._last], time[:-1]))

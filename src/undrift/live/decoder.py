@@ -71,9 +71,9 @@ class StreamDescription:
     channels: tuple[str, ...] = (COUNTER, *MEASURED[:6])
     rate: float = 0.0  # Nominal readings per second of the device
     gyro_unit: str = "count"  # Units as sent: rad/s, dps, m/s2, g, mg, count or v
-    accel_unit: str = "count"  # Units as sent: rad/s, dps, m/s2, g, mg, count or v
+    accel_unit: str = "count"
     temp_scale: float = 1.0  # degC = temp_scale * sent + temp_zero
-    temp_zero: float = 0.0  # degC = temp_scale * sent + temp_zero
+    temp_zero: float = 0.0
     tick: float = 0.0  # Device seconds a step of the counter; 0 for a counter of readings
     counter_bits: int = 0  # Width of the counter; 0 for one that never wraps
     format: Framing = "line"  # line (text) or frame (binary)
@@ -118,10 +118,7 @@ class StreamDescription:
         return self.tick if self.has_counter and self.tick > 0.0 else 1.0 / self.rate
 
     def record(self, time: FloatArray, values: FloatArray) -> Record:
-        """Return readings as a record.
-
-        Arrays: time (N,) s, values (N, C).
-        """
+        """Return readings as a record: time (N,) s, values (N, C)."""
         place = {name: column for column, name in enumerate(self.measured)}
 
         def triad(name: str) -> FloatArray | None:
@@ -141,10 +138,7 @@ class StreamDescription:
         )
 
     def split(self, rows: FloatArray) -> tuple[FloatArray | None, FloatArray]:
-        """Take decoded rows apart.
-
-        Arrays: rows (N, K) -> (N,), (N, C).
-        """
+        """Take decoded rows apart: rows (N, K) -> (N,), (N, C)."""
         kept = [column for column, name in enumerate(self.channels) if name not in (COUNTER, IGNORED)]
         counter = rows[:, self.channels.index(COUNTER)] if self.has_counter else None
         return counter, np.ascontiguousarray(rows[:, kept])
@@ -231,10 +225,7 @@ class Counter:
         self.restarts = 0
 
     def unwrap(self, raw: FloatArray, host_time: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return counts that only rise.
-
-        Arrays: raw (N,), host_time (N,) s -> (N,), (N,).
-        """
+        """Return counts that only rise: raw (N,), host_time (N,) s -> (N,), (N,)."""
         if not self._begun and len(raw):
             self._raw, self._host, self._begun = float(raw[0]) - 1.0, float(host_time[0]), True
             self._total = -1.0
@@ -280,10 +271,7 @@ class Arrivals:
         self._host: float | None = None
 
     def count(self, host_time: FloatArray) -> FloatArray:
-        """Return counts.
-
-        Arrays: host_time (N,) s -> (N,).
-        """
+        """Return counts: host_time (N,) s -> (N,)."""
         n = len(host_time)
         if not n:
             return np.empty(0)
@@ -346,10 +334,7 @@ class LineDecoder:
         self._first = True
 
     def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
-        """Take bytes, return what they complete.
-
-        Arrays:  -> (N, K).
-        """
+        """Take bytes, return what they complete, (N, K)."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         if whole:
             lines.append(self._rest)
@@ -408,10 +393,7 @@ class FrameDecoder:
         self._in_step = True  # what stands before the first sync bytes is a frame that was under way
 
     def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
-        """Take bytes, return what they complete.
-
-        Arrays:  -> (N, K).
-        """
+        """Take bytes, return what they complete, (N, K)."""
         held = self._rest + data
         head, body, tail = len(self._sync), self._fields.itemsize, self._checksum.size
         at, found = 0, []
@@ -460,10 +442,7 @@ def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:
 
 
 def finite(rows: FloatArray) -> FloatArray:
-    """Return the rows without infinity, which no device means.
-
-    Arrays: rows (N, K) -> (M, K).
-    """
+    """Return the rows without infinity, which no device means: rows (N, K) -> (M, K)."""
     sound: FloatArray = rows[~np.isinf(rows).any(axis=1)]
     return sound
 

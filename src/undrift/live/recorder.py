@@ -360,9 +360,9 @@ class Tally:
     written: int  # Rows on the disk, those of gaps among them; 0 without a folder
     pieces: int  # Files
     missing: int  # Readings that never came, and stretches of such
-    gaps: int  # Readings that never came, and stretches of such
+    gaps: int
     garbled: int  # Readings left out: spoilt, and late or double
-    late: int  # Readings left out: spoilt, and late or double
+    late: int
     restarts: int  # Times that the device began to count anew
     clock: ClockFit | None  # The device's clock on the host's; None before the first reading
 

@@ -30,9 +30,7 @@ COLUMNS_DRAWN = 2000  # more than a picture of 8.2 inches shows apart
 
 def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN) -> tuple[FloatArray, FloatArray]:
     """Return the points of a course that its picture needs: the least and the largest of each column, in order of time.
-
-    Arrays: time (N,) s, values (N,) -> (M,) s, (M,).
-    """
+    time (N,) s, values (N,) -> (M,) s, (M,)."""
     if len(values) <= 2 * columns:
         return time, values
     gaps = np.isnan(values)
@@ -115,9 +113,7 @@ def draw_comparison(
     moving: FloatArray | None = None,
 ) -> "Figure":
     """Draw an angle as the device and as the optics saw it, and the errors under it.
-
-    Arrays: time (N,) s, device_deg (N,) deg, optics_deg (N,) deg, errors_deg (N,) deg, moving (N,).
-    """
+    time (N,) s, device_deg (N,) deg, optics_deg (N,) deg, errors_deg (N,) deg, moving (N,)."""
     figure, (angle, error) = new_figure(2)
     angle.plot(*envelope(time, _without_wraps(optics_deg)), color=OPTICS, label="optics")
     angle.plot(*envelope(time, _without_wraps(device_deg)), color=DEVICE, label="device", alpha=0.85)
@@ -156,9 +152,7 @@ def draw_agreement(
     level_deg: FloatArray, difference_deg: FloatArray, bias_deg: float, limits_deg: tuple[float, float], *, unit: str
 ) -> "Figure":
     """Draw a Bland-Altman plot: difference against level, with the bias and its 95 % limits of agreement.
-
-    Arrays: level_deg (n,) deg, difference_deg (n,) deg.
-    """
+    level_deg (n,) deg, difference_deg (n,) deg."""
     figure, (axes,) = new_figure(1, height=3.0)
     axes.scatter(level_deg, difference_deg, color=DEVICE, s=28)
     axes.axhline(bias_deg, color=ERROR)

@@ -57,7 +57,7 @@ class ChamberSettings:
     """Limits of a chamber, and how it is watched."""
 
     lowest_c: float = 0.0  # Set-points beyond are refused before a byte is sent, degC
-    highest_c: float = 80.0  # Set-points beyond are refused before a byte is sent, degC
+    highest_c: float = 80.0
     steepest_c_per_min: float = 20.0  # Steepest ramp, likewise, K/min
     soak: SoakSettings = field(default_factory=SoakSettings)  # When its temperature counts as steady
     reply_timeout_s: float = 2.0  # Longest wait for an answer, host s

@@ -324,9 +324,7 @@ def open_loop(traces: Sequence[Trace]) -> Loop | None:
 
 def _faster(commanded: FloatArray, over: int) -> FloatArray:
     """Return 1 where the commanded rate is nearer to its larger value, 0 elsewhere: free of the counts' rounding.
-
-    Arrays: commanded (k, n) rad -> (k, n - 1).
-    """
+    commanded (k, n) rad -> (k, n - 1)."""
     padded = np.pad(commanded, ((0, 0), (over // 2, over - over // 2)), mode="edge")
     rate = padded[:, over:] - padded[:, :-over]
     low, high = (np.quantile(rate[:, over:-over], part, axis=1, keepdims=True) for part in (0.05, 0.95))

@@ -230,7 +230,7 @@ class Piece:
     axis: Axis | None  # Axis of the turn
     samples: int  # Readings
     start_s: float  # On the device's clock, s; the stop is left out
-    stop_s: float  # On the device's clock, s; the stop is left out
+    stop_s: float
     nominal_turn_rate: float = 0.0  # As the protocol has it, rad/s
     set_turn_rate: float = 0.0  # As the controller rounded it, rad/s
     turn_rate: float = 0.0  # As the encoder measured it, rad/s

@@ -44,8 +44,8 @@ class Protocol:
     faces: tuple[Face, ...] = FACES  # Faces to rest on, in order; none leaves the accelerometers out
     face_s: float = 6.0  # Rest on each, s
     turn_rate_min: float = 0.0  # omega_m, omega_M and d of the note, rad/s; a step of 0 leaves the rates out
-    turn_rate_max: float = 0.0  # omega_m, omega_M and d of the note, rad/s; a step of 0 leaves the rates out
-    turn_rate_step: float = 0.0  # omega_m, omega_M and d of the note, rad/s; a step of 0 leaves the rates out
+    turn_rate_max: float = 0.0
+    turn_rate_step: float = 0.0
     grid: GridRule = "inclusive"  # paper leaves omega_m itself out, as the note's count does; inclusive keeps it
     axes: tuple[Axis, ...] = AXES  # Case axes to turn about, in order; the device is mounted anew for each
     order: Order = "alternating"  # alternating takes the rates upward, each both ways; random draws the order
@@ -89,20 +89,14 @@ class Protocol:
             raise InputError("protocol: wanted rising temperatures, got others; sort them and name each once")
 
     def turn_rates(self) -> FloatArray:
-        """Return the rates of one axis, both signs.
-
-        Arrays:  -> (N / 3,) rad/s.
-        """
+        """Return the rates of one axis, both signs, (N / 3,) rad/s."""
         if self.turn_rate_step <= 0.0:
             return np.empty(0)
         return rate_grid(self.turn_rate_min, self.turn_rate_max, self.turn_rate_step, rule=self.grid)
 
 
 def rate_grid(rate_min: float, rate_max: float, step: float, *, rule: GridRule = "inclusive") -> FloatArray:
-    """Return the rates of one axis, both signs; three axes make the note's N columns.
-
-    Arrays:  -> (N / 3,).
-    """
+    """Return the rates of one axis, both signs; three axes make the note's N columns, (N / 3,)."""
     if not (0.0 < rate_min < rate_max and step > 0.0):
         raise InputError(
             f"rate grid: wanted 0 < rate_min < rate_max and a positive step, got {rate_min:g}, {rate_max:g}, {step:g}"
@@ -143,7 +137,7 @@ class RatesEntry(Entry):
     """[rates]."""
 
     turn_rate_min_dps: Finite  # Least and greatest rate and the step, deg/s
-    turn_rate_max_dps: Finite  # Least and greatest rate and the step, deg/s
+    turn_rate_max_dps: Finite
     # Least and greatest rate and the step, deg/s
     turn_rate_step_dps: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     grid: GridRule = DEFAULTS.grid  # paper or inclusive

@@ -169,7 +169,7 @@ class Progress:
 
     phase: Phase  # What it does now
     number: int  # Step of how many
-    steps: int  # Step of how many
+    steps: int
     step: str  # In words
     left_s: float  # Forecast, table s
     live: str = ""  # The device's latest reading, or the chamber's

@@ -74,9 +74,9 @@ class RampSettings:
     """A ramp up and back down."""
 
     low_c: float = 18.0  # Set-points at its ends, degC
-    high_c: float = 75.0  # Set-points at its ends, degC
+    high_c: float = 75.0
     up_c_per_min: float = 1.0  # How fast the set-point moves, degC/min; 0 down ends the ramp at the top
-    down_c_per_min: float = 1.0  # How fast the set-point moves, degC/min; 0 down ends the ramp at the top
+    down_c_per_min: float = 1.0
     hold_s: float = 600.0  # Wait at the top, and at the bottom in the end, s
 
     def __post_init__(self) -> None:
@@ -92,10 +92,10 @@ class WarmUpSettings:
     """A board that warms itself after power-on. The defaults are a fit to a recorded MPU-6050, true to 0.03 K rms."""
 
     start_c: float = 10.7  # Temperature at power-on and in the end, degC
-    end_c: float = 29.1  # Temperature at power-on and in the end, degC
+    end_c: float = 29.1
     fast_share: float = 0.52  # p: how much of the way goes with the short time constant, 0 to 1
     fast_s: float = 150.0  # t_1 and t_2, s
-    slow_s: float = 549.0  # t_1 and t_2, s
+    slow_s: float = 549.0
     duration_s: float = 2160.0  # Length, s
 
     def __post_init__(self) -> None:
@@ -122,7 +122,7 @@ class Profile:
 
     time: FloatArray  # (n,), s, evenly spaced from 0
     set_point_c: FloatArray  # (n,), degC; NaN where there is no chamber
-    air_c: FloatArray  # (n,), degC; NaN where there is no chamber
+    air_c: FloatArray
     board_c: FloatArray  # (n,), degC
     soaks: tuple[Soak, ...] = ()  # In order of time; none in a ramp or a warm-up
 
@@ -132,17 +132,11 @@ class Profile:
             object.__setattr__(self, name, frozen(getattr(self, name), (n,), f"Profile.{name}"))
 
     def board_at(self, time: FloatArray) -> FloatArray:
-        """Return the temperature of the board, straight between steps.
-
-        Arrays: time (N,) s -> (N,) degC.
-        """
+        """Return the temperature of the board, straight between steps: time (N,) s -> (N,) degC."""
         return np.interp(time, self.time, self.board_c)
 
     def turns_before(self, time_s: float) -> FloatArray:
-        """Return the temperatures at which the board began and turned back: all that a play remembers.
-
-        Arrays:  -> (k,) degC.
-        """
+        """Return the temperatures at which the board began and turned back: all that a play remembers, (k,) degC."""
         seen: FloatArray = self.board_c[self.time < time_s]
         if not len(seen):
             return seen

@@ -258,10 +258,7 @@ class RecordedTask:
         return self.held_s + stop - start
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
-        """Return the motion at given instants.
-
-        Arrays: time (N,).
-        """
+        """Return the motion at given instants: time (N,)."""
         start = self.spline.span_s[0]
         motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
         if self.held_s == 0.0:
@@ -419,10 +416,7 @@ def make_case(study: Study, task: StudyTask, number: int, cutoff_hz: float) -> C
 
 
 def pitch_error(case: Case, calibration: Calibration) -> FloatArray:
-    """Return the error of the pitch that a calibrated device gives.
-
-    Arrays:  -> (M,) rad.
-    """
+    """Return the error of the pitch that a calibrated device gives, (M,) rad."""
     corrected = correct_checked(case.record, calibration, policy="hold", threads=1).record
     found = orient(corrected, Still(start=case.still[0], stop=case.still[1]))
     error = found.pitch - case.pitch

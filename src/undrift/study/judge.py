@@ -100,10 +100,7 @@ class _Levels:
 def effects_at(
     surface: TaskSurface, best: int, *, error: FloatArray, allowed: BoolArray, level: float = 0.05
 ) -> tuple[ParameterEffect, ...]:
-    """Say what each parameter does about a protocol.
-
-    Arrays: error (S, P) deg, allowed (P,).
-    """
+    """Say what each parameter does about a protocol: error (S, P) deg, allowed (P,)."""
     held = [_levels(surface, name, best, error, allowed) for name in PARAMETERS]
     tests = [_tested(each) for each in held]
     p = np.array([np.nan if isinstance(test, str) else test.p_value for test in tests])
@@ -177,7 +174,7 @@ class Optimum:
     task: str  # Its name
     best: int  # Place of the protocol with the least mean error
     error_rms_deg: float  # Mean over the subjects of both errors at the optimum, deg
-    error_max_deg: float  # Mean over the subjects of both errors at the optimum, deg
+    error_max_deg: float
     honest_error_deg: float  # Mean of the objective by subjects that did not choose it, and its 95 % interval, deg
     # Mean of the objective by subjects that did not choose it, and its 95 % interval, deg
     honest_interval_deg: tuple[float, float]
@@ -231,10 +228,7 @@ def find_optimum(
 
 
 def pareto_front(minutes: FloatArray, error: FloatArray) -> IntArray:
-    """Return the protocols that no other beats in both time and error.
-
-    Arrays: minutes (P,), error (P,).
-    """
+    """Return the protocols that no other beats in both time and error: minutes (P,), error (P,)."""
     front: list[int] = []
     least = np.inf
     for place in np.lexsort((error, minutes)):
@@ -284,11 +278,11 @@ class Tested:
 
     place: int  # Of the protocol on the surface
     subjects: int  # How many, and for how many of them it could not calibrate the device
-    failed: int  # How many, and for how many of them it could not calibrate the device
+    failed: int
     error_rms_deg: float  # Means over the subjects, deg
-    error_max_deg: float  # Means over the subjects, deg
+    error_max_deg: float
     interval_rms_deg: tuple[float, float]  # Their 95 % intervals, deg
-    interval_max_deg: tuple[float, float]  # Their 95 % intervals, deg
+    interval_max_deg: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -298,7 +292,7 @@ class Cohort:
     group: Group  # simulation or testing
     count: int  # Subjects
     age_years: tuple[float, float, float]  # Lowest, mean and highest, years and m
-    height: tuple[float, float, float]  # Lowest, mean and highest, years and m
+    height: tuple[float, float, float]
     printed: TableRow  # The note's Table 2
 
 

@@ -125,10 +125,7 @@ def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> tuple[tuple[str, tuple
 
 
 def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwise | None:
-    """Return the agreement of two ways to measure.
-
-    Arrays: first (n,), second (n,).
-    """
+    """Return the agreement of two ways to measure: first (n,), second (n,)."""
     if len(first) < LEAST_FOR_AGREEMENT:
         return None
     return Pairwise(
@@ -247,10 +244,7 @@ def _compared(
 
 
 def repetitions(time: FloatArray, pitch: FloatArray, rate: FloatArray, height: FloatArray) -> FloatArray:
-    """Find risings and measure each.
-
-    Arrays: time (N,) s, pitch (N,) rad/s, rate (N,) rad/s, height (N,) m -> (R, 4) s.
-    """
+    """Find risings and measure each: time (N,) s, pitch (N,) rad/s, rate (N,) rad/s, height (N,) m -> (R, 4) s."""
     low, high = np.percentile(height, (2.0, 98.0))
     if high - low < 0.05:
         raise InputError(
@@ -406,10 +400,7 @@ def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0)
 
 
 def sway_figures(stance: Stance) -> FloatArray:
-    """Measure a stance.
-
-    Arrays:  -> (9,).
-    """
+    """Measure a stance, (9,)."""
     count = round(STANCE_S * RATE_HZ)
     spare = len(stance.time) - count
     if spare < 0:
@@ -622,7 +613,7 @@ class RealOutcome:
     # Levels none, rest, calibrated, the converter's rounding undone and left in; empty without trials
     errors: tuple[RealErrors, ...]
     motions: tuple[CohortComparison, ...]  # Captures and stances beside the cohort
-    sways: tuple[CohortComparison, ...]  # Captures and stances beside the cohort
+    sways: tuple[CohortComparison, ...]
     worn: Worn | None  # The study's device worn in the captures
     lacks: tuple[str, ...]  # What is missing, and why
 

@@ -364,7 +364,7 @@ class RivalRow:
     minutes: float  # Of recordings, min
     observable: tuple[str, ...]  # gyro, accel: what the method calibrated in every unit
     error_rms_deg: Spread  # Pitch error over the motion, deg, over units
-    error_max_deg: Spread  # Pitch error over the motion, deg, over units
+    error_max_deg: Spread
     # Largest error of the change of pitch since the motion began, deg: what the gyroscopes' calibration is worth
     change_max_deg: Spread
     units: int
@@ -482,9 +482,7 @@ def optimal_rates(
     degree: int = 3,
 ) -> RateDesign:
     """Find the rates that tell most for the dwelling time.
-
-    Arrays: candidates (n,) rad/s, task_rates (m,), uniform (u,) rad/s.
-    """
+    candidates (n,) rad/s, task_rates (m,), uniform (u,) rad/s."""
     needed = degree + 1
     if min(len(np.unique(candidates)), len(np.unique(uniform))) < needed:
         raise InputError(
@@ -516,9 +514,7 @@ def prediction_sd(
     turn_rate: FloatArray, share: FloatArray, task_rates: FloatArray, *, dwell_sd: float, dwells: float, degree: int = 3
 ) -> float:
     """Return how wrong the fitted curve will be over a task, root-mean-square.
-
-    Arrays: turn_rate (k,) rad/s, share (k,) rad/s, task_rates (m,) rad/s.
-    """
+    turn_rate (k,) rad/s, share (k,) rad/s, task_rates (m,) rad/s."""
     top = float(np.abs(turn_rate).max())
     f = np.vander(turn_rate / top, degree + 1, increasing=True)
     aim = np.vander(task_rates / top, degree + 1, increasing=True)
@@ -589,10 +585,7 @@ def design_rows(study: Study, task: StudyTask, found: Protocol) -> tuple[DesignR
 
 
 def task_rates(study: Study, task: StudyTask) -> FloatArray:
-    """Return the rates that occur in a task about the axis of the pitch.
-
-    Arrays:  -> (m,) rad/s.
-    """
+    """Return the rates that occur in a task about the axis of the pitch, (m,) rad/s."""
     seen = []
     for number in range(1 if task.motion is not None else min(study.subjects, PERFORMED)):
         performed = perform(study, task, number)

@@ -50,10 +50,7 @@ class Sphericity:
 
 
 def contrasts(conditions: int) -> FloatArray:
-    """Return orthonormal contrasts between conditions (Helmert's).
-
-    Arrays:  -> (k - 1, k).
-    """
+    """Return orthonormal contrasts between conditions (Helmert's), (k - 1, k)."""
     rows = np.zeros((conditions - 1, conditions))
     for j in range(1, conditions):
         rows[j - 1, :j], rows[j - 1, j] = 1.0, -float(j)
@@ -138,10 +135,7 @@ class MixedModel:
 
 
 def compare_unbalanced(y: ArrayLike, subject: Sequence[str], condition: Sequence[str]) -> MixedModel:
-    """Compare conditions that not every subject met, or met as often.
-
-    Arrays: y (r,).
-    """
+    """Compare conditions that not every subject met, or met as often: y (r,)."""
     from scipy.stats import f as f_distribution
 
     values = frozen(y, (None,), "mixed model")
@@ -255,10 +249,7 @@ class Pair:
 
 
 def compare_pairs(y: ArrayLike) -> tuple[Pair, ...]:
-    """Compare every pair of conditions.
-
-    Arrays: y (n, k).
-    """
+    """Compare every pair of conditions: y (n, k)."""
     table = frozen(y, (None, None), "pairs")
     n, k = table.shape
     if n < 3 or k < 2:
@@ -349,10 +340,7 @@ class Anova:
 
 
 def compare_conditions(y: ArrayLike) -> Anova:
-    """Compare conditions that every subject met.
-
-    Arrays: y (n, k).
-    """
+    """Compare conditions that every subject met: y (n, k)."""
     from scipy.stats import f as f_distribution
 
     table = frozen(y, (None, None), "anova")
@@ -413,10 +401,7 @@ MOST_SUBJECTS = 100_000
 def power_of_anova(
     means: ArrayLike, error_variance: float, subjects: int, *, epsilon: float = 1.0, level: float = 0.05
 ) -> float:
-    """Return the chance that the analysis finds a difference that is there.
-
-    Arrays: means (k,).
-    """
+    """Return the chance that the analysis finds a difference that is there: means (k,)."""
     from scipy.stats import f, ncf
 
     m = frozen(means, (None,), "power means")
@@ -435,10 +420,7 @@ def power_of_anova(
 def subjects_needed(
     means: ArrayLike, error_variance: float, *, power: float = 0.8, epsilon: float = 1.0, level: float = 0.05
 ) -> int:
-    """Return the fewest subjects with which the analysis has a stated power.
-
-    Arrays: means (k,).
-    """
+    """Return the fewest subjects with which the analysis has a stated power: means (k,)."""
     low, high = 2, 3
     while power_of_anova(means, error_variance, high, epsilon=epsilon, level=level) < power:
         low, high = high, 2 * high
@@ -468,9 +450,7 @@ def stopping_of(
     y: ArrayLike, *, first: int = 10, level: float = 0.05, simulations: int = 1000, rng: np.random.Generator
 ) -> OptionalStopping:
     """Return what a study would have found had it looked after each subject, and what such looking does to the level.
-
-    Arrays: y (n, k).
-    """
+    y (n, k)."""
     table = frozen(y, (None, None), "optional stopping")
     n, k = table.shape
     looks = range(min(first, n), n + 1)

@@ -185,7 +185,7 @@ class Validation:
 
     trials: tuple[Trial, ...]  # One for each recording, in order
     mean: Figures  # Over the trials, gaps left out
-    median: Figures  # Over the trials, gaps left out
+    median: Figures
     agreement: Agreement | None  # None with fewer than three trials
     held_out: tuple[HeldOut, ...] = ()  # The fit that corrected each recording, in leave-one-out
 

@@ -55,10 +55,7 @@ class Track:
     q_nb: FloatArray  # (N, 4), orientation, w-x-y-z
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return the orientation at other times, along the great arc between samples.
-
-        Arrays: times (M,) s -> (M, 4).
-        """
+        """Return the orientation at other times, along the great arc between samples: times (M,) s -> (M, 4)."""
         k = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
         share = (times - self.time[k]) / (self.time[k + 1] - self.time[k])
         step = rotation_vector(quaternion_product(quaternion_conjugate(self.q_nb[k]), self.q_nb[k + 1]))
@@ -248,7 +245,7 @@ class Figures:
     range_pitch_error_deg: float
     max_total_deg: float  # Largest total error over the motion, deg
     end_total_deg: float  # Median error after the motion, deg; NaN where the recording ends with it
-    end_inclination_deg: float  # Median error after the motion, deg; NaN where the recording ends with it
+    end_inclination_deg: float
     drift_deg_per_min: float  # Slope of the total error over the motion, deg/min
     # Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two
     rmse_total_before_lag_deg: float

@@ -123,7 +123,7 @@ class Amplifier(Effect):
     gain: float = quantity("", None, 1.0)  # Output unit per output unit of the sensor
     null: float = quantity("{out}", None, 0.0)  # Output at zero signal, output unit
     low: float = quantity("{out}", None, -math.inf)  # Rails, output unit; infinite for none
-    high: float = quantity("{out}", None, math.inf)  # Rails, output unit; infinite for none
+    high: float = quantity("{out}", None, math.inf)
 
     def __post_init__(self) -> None:
         Effect.__post_init__(self)
@@ -456,7 +456,7 @@ class Sampling(Effect):
     gyro_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
     accel_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
     gyro_averaging: Averaging = quantity("", None, "interval")  # instant or interval
-    accel_averaging: Averaging = quantity("", None, "instant")  # instant or interval
+    accel_averaging: Averaging = quantity("", None, "instant")
 
     def __post_init__(self) -> None:
         Effect.__post_init__(self)

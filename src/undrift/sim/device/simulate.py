@@ -378,9 +378,9 @@ class DwellReadings:
     """Readings of the device over N dwells."""
 
     gyro: FloatArray  # (N, 3), mean reading, raw unit
-    accel: FloatArray  # (N, 3), mean reading, raw unit
+    accel: FloatArray
     gyro_variance: FloatArray  # (N, 3), variance of the samples, raw unit squared
-    accel_variance: FloatArray  # (N, 3), variance of the samples, raw unit squared
+    accel_variance: FloatArray
     samples: IntArray  # (N,), in each dwell
     temp_c: FloatArray  # (N,), reading of the thermometer, settled, degC
 

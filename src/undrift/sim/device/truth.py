@@ -43,9 +43,7 @@ def true_calibration(
 
 def true_tables(device: DeviceModel, temp_c: FloatArray, turn_rate: FloatArray) -> DriftTables:
     """Return the tuning tables that are exact for a settled device, at their nodes.
-
-    Arrays: temp_c (n,) degC, turn_rate (k,) rad/s.
-    """
+    temp_c (n,) degC, turn_rate (k,) rad/s."""
     models = [
         (_model(device.gyro, t, "rad/s"), _model(device.accel, t, "m/s2")) for t in temp_c - device.reference_temp_c
     ]

@@ -43,7 +43,7 @@ class RivalSettings:
     sample_rate_hz: float = 100.0  # Samples per second
     gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
     still_s: float = 4.0  # Length of each still and of each move between mountings, s
-    move_s: float = 2.0  # Length of each still and of each move between mountings, s
+    move_s: float = 2.0
     run_s: float = 10.0  # Length of each run at one frequency, and of the robot's motion over six, s
     tilt_sd: float = 0.0  # Error of each mounting about each axis, rad
     trolley_hz: tuple[float, ...] = (0.5, 0.8)  # Frequencies of the trolley's runs, Hz
@@ -169,7 +169,7 @@ class BenchSettings:
     # Steady rates of the table, rad/s, positive; each is imposed both ways
     turn_rates: tuple[float, ...] = SIT_TO_STAND_RATES
     ramp_s: float = 0.5  # Run-up and steady part of each table rate, s
-    dwell_s: float = 3.0  # Run-up and steady part of each table rate, s
+    dwell_s: float = 3.0
     hand_angle: float = 2.0 * math.pi  # Angle of a hand turn, rad
     hand_tilt_sd: float = 0.0  # Error of a hand turn's axis about each axis across it, rad
     lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Accelerometers from the turning axis, m
@@ -197,10 +197,7 @@ def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSe
 
 
 def earth_rate(latitude_deg: float | None) -> FloatArray:
-    """Return the rotation rate of the Earth in a level frame with y north and z up.
-
-    Arrays:  -> (3,) rad/s.
-    """
+    """Return the rotation rate of the Earth in a level frame with y north and z up, (3,) rad/s."""
     if latitude_deg is None:
         return np.zeros(3)
     latitude = latitude_deg * RADIAN_PER_DEGREE

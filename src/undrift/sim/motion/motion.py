@@ -47,10 +47,7 @@ class Part(Protocol):
     """A function of time with its first two derivatives."""
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return value, first and second derivative.
-
-        Arrays: time (N,) s -> (3, N).
-        """
+        """Return value, first and second derivative: time (N,) s -> (3, N)."""
         ...
 
 
@@ -58,10 +55,7 @@ Course = tuple[Part, ...]
 
 
 def course_at(course: Course, time: FloatArray) -> FloatArray:
-    """Return a course and its first two derivatives.
-
-    Arrays: time (N,) s -> (3, N).
-    """
+    """Return a course and its first two derivatives: time (N,) s -> (3, N)."""
     total = np.zeros((3, len(time)))
     for part in course:
         total += part.at(time)
@@ -77,10 +71,7 @@ class Step:
     change: float  # rad or m
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return value, first and second derivative.
-
-        Arrays: time (N,) s -> (3, N).
-        """
+        """Return value, first and second derivative: time (N,) s -> (3, N)."""
         s = np.clip((time - self.start_s) / self.duration_s, 0.0, 1.0)
         left = s * (1.0 - s)
         value = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
@@ -103,9 +94,9 @@ class ViaPoint:
 
     start_s: float  # s
     there_s: float  # Durations before and after the via-point, s
-    back_s: float  # Durations before and after the via-point, s
+    back_s: float
     there: float  # Changes before and after it, rad or m
-    back: float  # Changes before and after it, rad or m
+    back: float
 
     @property
     def acceleration(self) -> float:
@@ -114,10 +105,7 @@ class ViaPoint:
         return 20.0 / 3.0 * pull / (1.0 / self.there_s + 1.0 / self.back_s)
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return value, first and second derivative.
-
-        Arrays: time (N,) s -> (3, N).
-        """
+        """Return value, first and second derivative: time (N,) s -> (3, N)."""
         via_s = self.start_s + self.there_s
         total = Step(self.start_s, self.there_s, self.there).at(time) + Step(via_s, self.back_s, self.back).at(time)
         bend = _bend(np.clip((via_s - time) / self.there_s, 0.0, 1.0), self.there_s) * [[1.0], [-1.0], [1.0]]
@@ -142,14 +130,11 @@ class Wave:
     frequency_hz: float  # Hz
     phase: float  # rad
     start_s: float  # Where it is not zero, s
-    stop_s: float  # Where it is not zero, s
+    stop_s: float
     swell_s: float = 1.0  # Time to full amplitude, and back to none, s
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return value, first and second derivative.
-
-        Arrays: time (N,) s -> (3, N).
-        """
+        """Return value, first and second derivative: time (N,) s -> (3, N)."""
         one = (self.amplitude,), (self.frequency_hz,), (self.phase,)
         return Sway(*one, self.start_s, self.stop_s, self.swell_s).at(time)
 
@@ -162,14 +147,11 @@ class Sway:
     frequencies_hz: tuple[float, ...]  # Hz
     phases: tuple[float, ...]  # rad
     start_s: float  # Where it is not zero, s
-    stop_s: float  # Where it is not zero, s
+    stop_s: float
     swell_s: float  # Time to full amplitude, and back to none, s
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return value, first and second derivative.
-
-        Arrays: time (N,) s -> (3, N).
-        """
+        """Return value, first and second derivative: time (N,) s -> (3, N)."""
         rise = Step(self.start_s, self.swell_s, 1.0).at(time)
         e, e1, e2 = rise - Step(self.stop_s - self.swell_s, self.swell_s, 1.0).at(time)
         speed, amplitude = 2.0 * math.pi * np.array(self.frequencies_hz), np.array(self.amplitudes)
@@ -189,10 +171,7 @@ class Burst:
     peak_s: float  # T, from there to the peak of the envelope, s
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return value, first and second derivative.
-
-        Arrays: time (N,) s -> (3, N).
-        """
+        """Return value, first and second derivative: time (N,) s -> (3, N)."""
         u = np.maximum((time - self.start_s) / self.peak_s, 0.0)
         decay = np.exp(3.0 - 3.0 * u)
         e, e1 = u**3 * decay, 3.0 * u * u * (1.0 - u) * decay / self.peak_s
@@ -306,10 +285,7 @@ class Script:
         self.stills.append(Still(start=start + (start > 0), stop=stop, face=face))
 
     def turn_to(self, q: FloatArray, duration_s: float) -> None:
-        """Turn smoothly, by the shortest way, to an orientation.
-
-        Arrays: q (4,).
-        """
+        """Turn smoothly, by the shortest way, to an orientation: q (4,)."""
         step = quaternion_product(quaternion_conjugate(self.q), q)
         step = step if step[0] >= 0.0 else -step
         sine = float(np.linalg.norm(step[1:]))
@@ -317,10 +293,7 @@ class Script:
         self._turn(duration_s, axis, SMOOTH * (2.0 * np.arctan2(sine, step[0])))
 
     def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray, label: float) -> None:
-        """Turn by hand through an angle, at a rate that is anything but constant.
-
-        Arrays: axis_b (3,).
-        """
+        """Turn by hand through an angle, at a rate that is anything but constant: axis_b (3,)."""
         start, stop = self._turn(duration_s, axis_b, (SMOOTH + UNEVEN) * angle)
         self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=label))
 
@@ -339,10 +312,7 @@ class Script:
         self.pieces[-1] = Piece(start, stop, self.q, np.array([1.0, 0.0, 0.0]), REST, path)
 
     def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
-        """Return what was written.
-
-        Arrays: lever_arm_b (3,) m, earth_rate_n (3,) rad/s.
-        """
+        """Return what was written: lever_arm_b (3,) m, earth_rate_n (3,) rad/s."""
         n = self.samples
         time = np.arange(n) / self.sample_rate_hz
         q, rate, rotation_acceleration, moving = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
@@ -392,29 +362,20 @@ class Script:
 
 
 def unit_vector(name: Axis | Face) -> FloatArray:
-    """Return the unit vector of an axis or face.
-
-    Arrays:  -> (3,).
-    """
+    """Return the unit vector of an axis or face, (3,)."""
     vector = np.zeros(3)
     vector["xyz".index(name[-1])] = -1.0 if name[0] == "-" else 1.0
     return vector
 
 
 def turn_quaternion(axis_b: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return the quaternions of turns about one axis.
-
-    Arrays: axis_b (3,), angle (...,) rad -> (..., 4).
-    """
+    """Return the quaternions of turns about one axis: axis_b (3,), angle (...,) rad -> (..., 4)."""
     half = 0.5 * np.asarray(angle)
     return np.concatenate((np.cos(half)[..., None], np.sin(half)[..., None] * axis_b), axis=-1)
 
 
 def facing(q: FloatArray, up_b: FloatArray) -> FloatArray:
-    """Return the orientation nearest to q in which a direction of the case points up.
-
-    Arrays: q (4,), up_b (3,) -> (4,).
-    """
+    """Return the orientation nearest to q in which a direction of the case points up: q (4,), up_b (3,) -> (4,)."""
     up = up_b / np.linalg.norm(up_b)
     now = rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0]))
     axis = np.cross(up, now)

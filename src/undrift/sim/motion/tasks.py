@@ -78,16 +78,13 @@ class Task:
     pitch: Course = ()  # Angles, rad
     yaw: Course = ()  # Angles, rad
     forward: Course = ()  # Coordinates in n of the point that ``arm_b`` starts from, m
-    left: Course = ()  # Coordinates in n of the point that ``arm_b`` starts from, m
-    up: Course = ()  # Coordinates in n of the point that ``arm_b`` starts from, m
+    left: Course = ()
+    up: Course = ()
     # Device from that point, which is the device itself where it is zero, m
     arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
-        """Return the motion at given instants.
-
-        Arrays: time (N,) s.
-        """
+        """Return the motion at given instants: time (N,) s."""
         roll, pitch, yaw = course_at(self.roll, time), course_at(self.pitch, time), course_at(self.yaw, time)
         q = self._orientation(roll[0], pitch[0], yaw[0])
         rate, spin_up = _euler_rate(roll, pitch, yaw)
@@ -108,10 +105,7 @@ class Task:
         )
 
     def position(self, time: FloatArray) -> FloatArray:
-        """Return where the device is.
-
-        Arrays: time (N,) s -> (N, 3) m.
-        """
+        """Return where the device is: time (N,) s -> (N, 3) m."""
         base = np.stack([course_at(course, time)[0] for course in (self.forward, self.left, self.up)], axis=1)
         q = self._orientation(*(course_at(course, time)[0] for course in (self.roll, self.pitch, self.yaw)))
         return base + rotate(q, np.broadcast_to(self.arm_b, (len(time), 3)))
@@ -161,10 +155,7 @@ class Balance:
 
 
 def sway_spectrum(balance: Balance, frequency_hz: FloatArray) -> FloatArray:
-    """Return the power spectral density of the angle, up to a constant.
-
-    Arrays: frequency_hz (N,) Hz -> (N,).
-    """
+    """Return the power spectral density of the angle, up to a constant: frequency_hz (N,) Hz -> (N,)."""
     s = 2.0j * math.pi * frequency_hz
     torque = (balance.kp + balance.kd * s + balance.ki / s) * np.exp(-s * balance.delay_s)
     pendulum = GYRATION * balance.centre_height / STANDARD_GRAVITY * s * s - 1.0

@@ -54,7 +54,7 @@ class ServoSettings:
     volts_per_count: float = 3.0e-4  # Kd, V; 20/65536 as the manual rounds it
     voltage_limit: float = 10.0  # Largest output either way, V
     coulomb_friction: float = 2.0e-3  # N m; N m s/rad
-    viscous_friction: float = 0.0  # N m; N m s/rad
+    viscous_friction: float = 0.0
     cogging_torque: float = 0.0  # Amplitude, N m
     cogging_periods: int = 24  # Periods a turn
     quantise: bool = True  # False gives an encoder without steps, for comparison with the linear loop
@@ -124,10 +124,7 @@ def loop_margins(servo: ServoSettings) -> LoopMargins:
 
 
 def closed_loop_poles(servo: ServoSettings) -> FloatArray:
-    """Return the poles of the sampled closed loop in z.
-
-    Arrays:  -> (3,).
-    """
+    """Return the poles of the sampled closed loop in z, (3,)."""
     kp, kd, ki = (4.0 * servo.gains[0], 4.0 * servo.gains[1], 0.5 * servo.gains[2])
     half = 0.5 * _plant_gain(servo) * servo.period_s**2
     plant, lag = np.array([1.0, -2.0, 1.0]), np.array([1.0, 0.0])
@@ -296,10 +293,7 @@ class Axis:
         self.change(offset=self.coefficients.offset + shift)
 
     def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the axis was.
-
-        Arrays: times (n,) s -> (n,) rad.
-        """
+        """Return where the axis was: times (n,) s -> (n,) rad."""
         t = np.asarray(times, float)
         time, angle, rate = self.history(max(self.time - t.min(initial=self.time), 0.0) + 0.1)
         if t.size and (t.max() > time[-1] + self.coefficients.period or t.min() < time[0]):
@@ -320,10 +314,7 @@ class Axis:
         )
 
     def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the kept past, the present last.
-
-        Arrays:  -> (n,) rad/s.
-        """
+        """Return the kept past, the present last, (n,) rad/s."""
         size, logged = self._log_time.size, int(self.values[k.LOGGED])
         kept = min(size, logged)
         if last_s is not None:

@@ -87,10 +87,7 @@ class Air:
             self.board.append(board)
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return air and board at moments that have been reached.
-
-        Arrays: times (n,) s -> (n,) degC.
-        """
+        """Return air and board at moments that have been reached: times (n,) s -> (n,) degC."""
         first = max(int(float(times[0]) / STEP_S) - 1, 0)
         last = int(float(times[-1]) / STEP_S) + 3
         grid = self.time[first:last]
@@ -151,10 +148,7 @@ class EmulatedChamber:
             self.air.advance(self._clock.now())
 
     def board_temp(self, times: FloatArray) -> FloatArray:
-        """Return the temperature of the device's board at moments up to now.
-
-        Arrays: times (n,) s -> (n,) degC.
-        """
+        """Return the temperature of the device's board at moments up to now: times (n,) s -> (n,) degC."""
         with self._lock:
             self.air.advance(float(times[-1]))
             return self.air.at(times)[1]
@@ -262,7 +256,7 @@ class BenchPorts:
     """Where the parts of a bench listen; 0 takes a free port."""
 
     chamber: int = 0  # Of the chamber and of the hands; table and device have theirs in their own settings
-    hands: int = 0  # Of the chamber and of the hands; table and device have theirs in their own settings
+    hands: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -406,10 +406,7 @@ class Emulator:
         return float(angle[0]), float(rate[0])
 
     def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Return the true angle and turn rate at moments of the past.
-
-        Arrays: times (n,) s -> (n,) rad.
-        """
+        """Return the true angle and turn rate at moments of the past: times (n,) s -> (n,) rad."""
         if not mean_s > 0.0:
             return self.machine.states(times)
         before = np.maximum(times - mean_s, 0.0)  # the axis rested before it was made
@@ -417,10 +414,7 @@ class Emulator:
         return angle[: len(times)], (angle[: len(times)] - angle[len(times) :]) / mean_s
 
     def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return where the axis has been.
-
-        Arrays:  -> (n,) s.
-        """
+        """Return where the axis has been, (n,) s."""
         return self.machine.history(last_s)
 
     def inject(self, fault: str, *, answers: int | None = None) -> None:

@@ -82,10 +82,10 @@ class Setting:
 
     default: float  # At power-up
     low: float  # Range; beyond is error 6
-    high: float  # Range; beyond is error 6
+    high: float
     step: float = 1.0  # The card rounds down to a multiple of it
     digits: int = 8  # How `?` shows it
-    decimals: int = 0  # How `?` shows it
+    decimals: int = 0
     while_running: bool = True  # False is refused with error 7 during a motion
     axis: bool = True  # True where an axis letter may follow
 
@@ -152,7 +152,7 @@ class Motion:
     kind: str = "PR"  # JG, PR or PA: the one commanded last
     jog: float = 25_000.0  # counts/s
     distance: float = 0.0  # Of PR and PA, counts
-    target: float = 0.0  # Of PR and PA, counts
+    target: float = 0.0
     running: bool = False  # A motion is in progress
     reason: int = STOP_DONE  # Stop code that the present motion will end with
     stop_code: int = STOP_DONE  # What SC tells
@@ -176,9 +176,9 @@ class Wiring:
     """What is broken or pressed."""
 
     amplifier_fault: bool = False  # No torque; a count that does not change
-    encoder_lost: bool = False  # No torque; a count that does not change
+    encoder_lost: bool = False
     forward_pressed: bool = False  # Limit switches
-    reverse_pressed: bool = False  # Limit switches
+    reverse_pressed: bool = False
     powered: bool = True  # False after a power cut
 
 

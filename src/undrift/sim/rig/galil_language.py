@@ -542,10 +542,7 @@ class GalilMachine:
             return self.card.motor_on and self.card.wiring.powered
 
     def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return angle and rate of the axis, rad and rad/s, shape (n,).
-
-        Arrays: times (n,) s.
-        """
+        """Return angle and rate of the axis, rad and rad/s, shape (n,): times (n,) s."""
         with self.lock:
             self.tick()
             return self.card.axis.states(times)

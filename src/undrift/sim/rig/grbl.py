@@ -147,8 +147,8 @@ class Path:
 
     start: list[float] = field(default_factory=lambda: [0.0])  # When each begins, s
     angle: list[float] = field(default_factory=lambda: [0.0])  # deg, deg/s, deg/s2 at its beginning
-    rate: list[float] = field(default_factory=lambda: [0.0])  # deg, deg/s, deg/s2 at its beginning
-    acceleration: list[float] = field(default_factory=lambda: [0.0])  # deg, deg/s, deg/s2 at its beginning
+    rate: list[float] = field(default_factory=lambda: [0.0])
+    acceleration: list[float] = field(default_factory=lambda: [0.0])
 
     def at(self, time: float) -> tuple[float, float]:
         """Return angle and rate at a moment."""
@@ -160,10 +160,7 @@ class Path:
         )
 
     def many(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return angle and rate at many moments.
-
-        Arrays: times (n,) s -> (n,) deg.
-        """
+        """Return angle and rate at many moments: times (n,) s -> (n,) deg."""
         first = max(
             bisect.bisect_right(self.start, float(times.min(initial=math.inf))) - 1, 0
         )  # only what is asked for
@@ -244,10 +241,7 @@ class Stepper:
 
 
 def rippled(angle: FloatArray, rate: FloatArray, amplitude: float, period: float) -> tuple[FloatArray, FloatArray]:
-    """Add the ripple of the detents: x + A sin(2 pi x / p).
-
-    Arrays: angle (n,) deg, rate (n,) deg -> (n,) deg.
-    """
+    """Add the ripple of the detents: x + A sin(2 pi x / p): angle (n,) deg, rate (n,) deg -> (n,) deg."""
     phase = 2.0 * math.pi * angle / period
     factor = 1.0 + amplitude * 2.0 * math.pi / period * np.cos(phase)
     return angle + amplitude * np.sin(phase), rate * factor
@@ -349,7 +343,7 @@ class GrblSettings:
     microsteps: int = 16  # In a full step
     ripple_deg: float = 0.02  # Detent ripple, amplitude, deg
     max_rate_deg_per_min: float = 21_600.0  # $11n and $12n at power-up
-    acceleration_deg_s2: float = 500.0  # $11n and $12n at power-up
+    acceleration_deg_s2: float = 500.0
     coast_deg_s2: float = 400.0  # How fast friction stops the table without current, deg/s2
 
     def __post_init__(self) -> None:
@@ -626,10 +620,7 @@ class GrblMachine:
         return float(angle[0]), float(rate[0])
 
     def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return angle and rate of the axis, rad and rad/s, shape (n,).
-
-        Arrays: times (n,) s.
-        """
+        """Return angle and rate of the axis, rad and rad/s, shape (n,): times (n,) s."""
         with self.lock:
             now = self.clock.now()
             self.tick()

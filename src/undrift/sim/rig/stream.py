@@ -68,7 +68,7 @@ class DeviceSaid:
     """Readings, n of them."""
 
     gyro: FloatArray  # (n, 3), in the units of the device's chains
-    accel: FloatArray  # (n, 3), in the units of the device's chains
+    accel: FloatArray
     temp_c: FloatArray  # (n,), degC
 
 
@@ -87,10 +87,7 @@ class CausalDevice:
         self._thermometer = _Lag(device.thermometer, step_s, streams.of("thermometer"))
 
     def read(self, scene: Scene, mean_rate_b: FloatArray) -> DeviceSaid:
-        """Return the readings of the next moments.
-
-        Arrays: mean_rate_b (n, 3) rad/s.
-        """
+        """Return the readings of the next moments: mean_rate_b (n, 3) rad/s."""
         averaging = self.device.sampling.gyro_averaging == "interval"
         return DeviceSaid(
             self._gyro.read(mean_rate_b if averaging else scene.rate_b, scene),
@@ -250,9 +247,7 @@ def check_framing(framing: str) -> None:
 
 def line_of(count: int, row: FloatArray) -> bytes:
     """Return a reading as a line: numbers joined by commas, star, two hex digits of the XOR of all before it.
-
-    Arrays: row (K,).
-    """
+    row (K,)."""
     numbers = (f"{int(value)}" if value.is_integer() else repr(value) for value in row.tolist())
     text = ",".join((str(count % 2**COUNTER_BITS), *numbers)).encode("ascii")
     total = 0
@@ -263,9 +258,7 @@ def line_of(count: int, row: FloatArray) -> bytes:
 
 def frame_of(count: int, row: FloatArray) -> bytes:
     """Return a reading as a frame: AA 55, counter in two bytes, channels as doubles, CRC-16 of these, little end first.
-
-    Arrays: row (K,).
-    """
+    row (K,)."""
     body = struct.pack(f"<H{len(row)}d", count % 2**COUNTER_BITS, *row.tolist())
     return SYNC + body + struct.pack("<H", _crc16(body))
 
@@ -304,10 +297,7 @@ class TurnsOnAxis(Protocol):
     """What turns the device."""
 
     def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Return angle and rate at moments up to now, rad and rad/s.
-
-        Arrays: times (n,) s.
-        """
+        """Return angle and rate at moments up to now, rad and rad/s: times (n,) s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
