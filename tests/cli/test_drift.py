@@ -76,7 +76,7 @@ def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell
     ):
         assert answer.out.count(said) == 1, said
     assert f"undrift correct RECORD --calibration {tmp_path / 'mpu.json'}" in answer.out
-    assert len(answer.out.splitlines()) < 40
+    assert len(answer.out.splitlines()) < 50  # three findings take up to three lines each
     corrected = tmp_path / "corrected.parquet"
     undrift.good(
         "correct", log, "--map", tmp_path / "map.toml", "--calibration", tmp_path / "mpu.json", "-o", corrected
@@ -151,7 +151,7 @@ def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soak
     assert len(sensitivity) == 3  # 0.2 %/K by the preset
     assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "p.html").read_text().count("<svg") >= 4
-    assert len(out.splitlines()) < 60
+    assert len(out.splitlines()) < 66  # three findings take up to three lines each
     held = read_calibration(tmp_path / "c.json")
     assert held.drift.static.gyro_hysteresis is not None
     assert held.drift.scale is not None
@@ -333,5 +333,6 @@ def test_a_log_given_twice_is_refused_and_a_log_in_two_files_is_one_switch_on(un
     (tmp_path / "a.csv").write_bytes(b"".join([head, *rows[: len(rows) // 2]]))
     (tmp_path / "b.csv").write_bytes(b"".join([head, *rows[len(rows) // 2 :]]))
     answer = undrift.good("drift", tmp_path / "b.csv", tmp_path / "a.csv", *words, "--details")
-    assert "Turn-on bias repeatability unknown: one session only" in answer.out
+    assert "Turn-on bias repeatability unknown" in answer.out
+    assert "one session only" in answer.out
     assert "between sessions" not in answer.out

@@ -90,7 +90,7 @@ def test_the_page_without_a_calibration_says_how_offset_and_rounding_were_dealt_
     told = undrift.good("validate", *broad(B[1]), "-o", tmp_path / "r", "--json").json()
     page = (tmp_path / "r" / "report.html").read_text()
     assert f"<td>{told['mean']['max_abs_pitch_deg']:.2f}</td>" in page
-    assert "the mean rate of the rest before the motion was taken off" in page
+    assert "the mean rate of the rest before the motion is subtracted" in page
     assert "gyro codes rounded toward zero" in page
 
 

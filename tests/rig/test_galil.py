@@ -323,9 +323,7 @@ def test_a_link_that_is_lost_is_opened_again_to_stop_the_table(bench):
     with pytest.raises(LinkError, match=SAFE):
         bench.rig.turn(1.0)
     assert bench.card.held["MO"] == "1"
-    with pytest.raises(
-        LinkError, match="the connection was lost, and the card may have forgotten what it was told; open it"
-    ):
+    with pytest.raises(LinkError, match="the connection was lost, and the card may have lost its commands; open it"):
         bench.rig.turn(1.0)
 
 

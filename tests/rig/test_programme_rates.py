@@ -46,7 +46,7 @@ def test_a_protocol_gives_its_rates_in_radians() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"faces": (), "turn_rate_step": 0.0}, "wanted faces or rates, got neither"),
+        ({"faces": (), "turn_rate_step": 0.0}, "wanted faces, rates or turns, got none"),
         ({"dwell_s": None}, "wanted dwell_s or turn_rate_uncertainty, got neither"),
         ({"dwell_s": 0.0}, "wanted dwell_s above 0"),
         ({"temperatures_c": (30.0, 20.0)}, "wanted rising temperatures"),
