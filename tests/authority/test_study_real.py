@@ -67,7 +67,7 @@ def tell(rows: tuple[CohortComparison, ...]) -> None:
             f"{row.trial} ({row.task}), {row.measure}, {row.unit}",
             f"{row.real:.2f}; cohort {row.median:.2f}, 95 % {row.low:.2f} to {row.high:.2f}; "
             + ("inside" if row.inside else "outside")
-            + (f"; {row.said}" if row.said else ""),
+            + (f"; {row.note}" if row.note else ""),
         )
 
 
@@ -113,7 +113,7 @@ def test_people_rise_faster_than_the_notes_bound_and_climb_as_the_cohort_does() 
         assert by[name, "peak flexion rate"].real > 90.0 > by[name, "peak flexion rate"].high
     assert by["squats1", "lean"].task.endswith("5 repetitions")
     assert all(by["StairUp3", m].inside for m in ("pitch range", "peak pitch rate", "peak roll rate"))
-    assert all(row.said for row in rows if not row.task.startswith("sit_to_stand"))
+    assert all(row.note for row in rows if not row.task.startswith("sit_to_stand"))
 
 
 def test_the_notes_device_worn_in_captured_motion_keeps_to_the_optics_with_both_tables() -> None:
@@ -153,7 +153,7 @@ def test_stance_on_a_plate_beside_the_simulated_sway(stances: tuple[Stance, ...]
     rows = sway_rows(stances)
     tell(rows)
     by = {(row.trial, row.measure): row for row in rows}
-    assert all("eyes closed on foam" in row.said for row in rows)  # none of the enclosed trials is in that condition
+    assert all("eyes closed on foam" in row.note for row in rows)  # none of the enclosed trials is in that condition
     for name, _, condition in STANCES:
         speed = by[name, "speed of the centre of pressure"]
         # Foam shakes even open eyes as much as the model; firm ground does not.

@@ -113,8 +113,8 @@ def test_one_speed_does_not_tell_a_lag_from_hysteresis():
     found = estimated(ramped(40.0, SLOW, 1))
     assert not found.observable
     assert not found.two_speeds
-    assert found.notes[0].startswith("up and down at one speed only: a lag of ")
-    assert found.notes[0].endswith("record a second ramp, three times as fast or slow")
+    assert [each.code for each in found.findings] == ["drift.lag_or_hysteresis"]
+    assert found.findings[0].action == "record a second ramp, three times as fast or slow"
     alone = estimated(ramped(40.0, SLOW, 3, hysteresis=False))
     show("one speed, no hysteresis: the lag that explains the loop, s", f"{alone.lag_s:.1f}", "40 within 6")
     assert alone.lag_s == pytest.approx(40.0, abs=6.0)  # ten seeds scatter by 2.1 s

@@ -180,6 +180,17 @@ def test_a_link_that_fails_is_an_error_and_never_a_hang(emulated, fault):
     assert not emulated.air.on
 
 
+def test_a_host_that_looks_less_than_six_times_in_a_window_still_sees_a_steady_temperature():
+    seldom = Steadiness(SoakSettings(window_s=15.0, slope_c_per_min=0.1))
+    for look in range(5):
+        seldom.add(10.0 * look, 30.0)
+        assert seldom.slope_c_per_min() == math.inf
+    seldom.add(50.0, 30.0)
+    assert seldom.slope_c_per_min() == 0.0
+    seldom.add(60.0, 30.5)
+    assert seldom.slope_c_per_min() > 0.1
+
+
 def test_a_soak_needs_a_set_point(emulated):
     with (
         open_chamber(emulated.address, SETTINGS) as chamber,

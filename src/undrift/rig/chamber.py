@@ -84,7 +84,8 @@ class Steadiness:
     def add(self, time_s: float, temp_c: float) -> None:
         """Take a reading."""
         self._held.append((time_s, temp_c))
-        while len(self._held) > 2 and self._held[1][0] <= time_s - self._settings.window_s:
+        # a busy host may look so seldom that a window holds fewer readings than a slope needs: then look further back
+        while len(self._held) > FEWEST_READINGS and self._held[1][0] <= time_s - self._settings.window_s:
             self._held.popleft()
 
     def slope_c_per_min(self) -> float:
