@@ -33,13 +33,9 @@ if TYPE_CHECKING:
     from undrift.errors import FileFormatError as FileFormatError
     from undrift.errors import Implausible as Implausible
     from undrift.errors import InputError as InputError
-    from undrift.errors import LimitError as LimitError
-    from undrift.errors import LinkError as LinkError
     from undrift.errors import NotObservable as NotObservable
     from undrift.errors import PoorFit as PoorFit
     from undrift.errors import RigError as RigError
-    from undrift.errors import RigFault as RigFault
-    from undrift.errors import RigTimeout as RigTimeout
     from undrift.errors import UndriftError as UndriftError
     from undrift.export.autopilots import export_ardupilot as export_ardupilot
     from undrift.export.autopilots import export_px4 as export_px4

@@ -54,6 +54,16 @@ class Finding:
         info, warn or fail.
     values : mapping
         Numbers and names that the sentences need; the unit stands in the key ("tilt_deg") unless SI.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
+    >>> finding = calibration.verdict.findings[0]
+    >>> finding.code, finding.level, finding.headline
+    ('gyro.offset_in_counts', 'warn', 'Gyroscope offset not kept: no scale')
     """
 
     code: str

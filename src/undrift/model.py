@@ -43,6 +43,15 @@ class Verdict:
         Why; also what was not observable and which recording would show it.
     remarks : tuple of str
         Sentences of stages that have no codes yet.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
+    >>> calibration.verdict.status
+    'marginal'
     """
 
     status: Status = "good"

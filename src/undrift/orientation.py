@@ -193,6 +193,15 @@ def integrate_strapdown(
     References
     ----------
     .. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", 1971: constant-axis case.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> time = np.arange(101) / 100.0
+    >>> quarter = np.tile([0.0, 0.0, np.pi / 2], (101, 1))  # rad/s about z for 1 s
+    >>> q_nb = undrift.integrate_strapdown(quarter, time, np.array([1.0, 0.0, 0.0, 0.0]))
+    >>> float(np.degrees(2.0 * np.arctan2(q_nb[-1, 3], q_nb[-1, 0])).round(6))
+    90.0
     """
     from undrift.kernels.rotation import strapdown
 
@@ -355,6 +364,17 @@ def orient(
     ------
     InputError
         No gyroscope, no still phase, gaps, holes in time, a dead axis, or readings in counts.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> orientation = undrift.orient(undrift.correct(trial.record, calibration))
+    >>> orientation.q_nb.shape == (len(trial.record), 4)
+    True
     """
     record = record.in_si()
     if record.gyro is None:

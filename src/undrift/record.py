@@ -50,6 +50,13 @@ class Record:
     ------
     InputError
         Shapes that disagree, time that does not increase, a unit that is not one.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> record = undrift.Record(time=np.arange(3) / 100.0, gyro=np.zeros((3, 3)), gyro_unit="dps")
+    >>> len(record), record.sample_rate_hz, record.accel is None
+    (3, 100.0, True)
     """
 
     time: FloatArray
@@ -187,6 +194,13 @@ class Reference:
         1 where the recording's author marked motion, else 0.
     name : str
         Where it came from.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> trial = undrift.simulate_trial("step", undrift.random_device(np.random.default_rng(1)), rng=np.random.default_rng(2))
+    >>> trial.reference.q_nb.shape[1]
+    4
     """
 
     time: FloatArray
@@ -280,6 +294,12 @@ class Still:
         Which record of the session.
     temp_c : float or None
         Chamber set-point, degC, where there is no temperature column.
+
+    Examples
+    --------
+    >>> import undrift
+    >>> undrift.Still(start=0, stop=500, face="+z").face
+    '+z'
     """
 
     start: int
@@ -310,6 +330,12 @@ class Turn:
         Which record of the session.
     temp_c : float or None
         Chamber set-point, degC.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> undrift.Turn(start=0, stop=500, axis="z", turn_rate=np.pi / 2).axis
+    'z'
     """
 
     start: int
@@ -344,6 +370,15 @@ class Session:
         Likewise.
     inputs : tuple of (str, str)
         File name and sha256 of every file that was read.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> session = undrift.simulate_session("six_face", device, rng=rng)
+    >>> session.kind, len(session.records), len(session.stills)
+    ('calibration', 1, 6)
     """
 
     kind: Kind

@@ -58,6 +58,12 @@ class StillSettings:
         Shortest still phase kept, s; the stretch around it is one window longer.
     gyro_threshold, accel_threshold : float or None
         Threshold on d in the record's unit; None to find it in the data.
+
+    Examples
+    --------
+    >>> import undrift
+    >>> undrift.StillSettings(window_s=0.5).window_s
+    0.5
     """
 
     window_s: float = 1.0
@@ -372,6 +378,17 @@ def find_turns(record: Record, stills: Sequence[Still], settings: TurnSettings =
     ------
     InputError
         The record has no gyroscope.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> session = undrift.simulate_session("ferraris", device, rng=rng, labelled=False)
+    >>> record = session.records[0]
+    >>> found = undrift.find_turns(record, undrift.find_still(record).stills)
+    >>> len(found.rotations)
+    11
     """
     if record.gyro is None:
         raise InputError("find_turns: wanted a gyroscope, got a record without; map the gyro columns")

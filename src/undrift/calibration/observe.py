@@ -343,6 +343,12 @@ class CalibrateSettings:
         Mode paper has no offset column: take the offset off first, as the note's order of steps does.
     identify_adc : bool
         Look for the step and rounding of the codes.
+
+    Examples
+    --------
+    >>> import undrift
+    >>> undrift.CalibrateSettings(polynomial_degree=2).window_s
+    6.0
     """
 
     still: StillSettings = field(default_factory=StillSettings)

@@ -196,6 +196,17 @@ def correct(
         negative power_on_s.
     DriftRangeError
         Temperatures outside a table under policy "raise".
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> corrected = undrift.correct(trial.record, calibration)
+    >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
+    ('rad/s', 'm/s2', 'b')
     """
     corrected = correct_checked(record, calibration, policy=policy, out=out, power_on_s=power_on_s)
     for text in corrected.warnings:
@@ -243,6 +254,17 @@ def correct_checked(
         As for ``correct``.
     DriftRangeError
         As for ``correct``.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> done = undrift.correct_checked(trial.record, calibration)
+    >>> len(done.findings), int(done.outside.sum())
+    (0, 0)
     """
     plans, carry = plan_record(record, calibration), carry_at_start(float(record.time[0]), power_on_s)
     return correct_planned(

@@ -46,6 +46,19 @@ class Corrector:
         As for ``correct_checked``, degC.
     power_on_s : float, optional
         Time since power-on at the first sample of the stream, s, as for ``correct``.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> corrector = undrift.Corrector(calibration)
+    >>> whole, n = undrift.correct(trial.record, calibration), len(trial.record)
+    >>> chunks = [corrector.push(trial.record.part(first, min(first + 100, n))) for first in range(0, n, 100)]
+    >>> bool((np.concatenate([chunk.gyro for chunk in chunks]) == whole.gyro).all())
+    True
     """
 
     def __init__(

@@ -186,6 +186,18 @@ def fit_drift(
         and that the sessions do not show.
     Implausible
         Turns about other axes than the calibration's or the other way round; sessions further apart than one device's.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> heating = undrift.simulate_thermal_session("ramp", device, rng=rng)
+    >>> fit = undrift.fit_drift([heating], calibration)
+    >>> table = fit.calibration.drift.static
+    >>> float(table.temp_c[0]), float(table.temp_c[-1])
+    (17.5, 75.0)
     """
     report = progress or (lambda what, share: None)
     _check(sessions, calibration, settings)

@@ -211,6 +211,16 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     InputError
         No model, NaN in it, a unit for a triad that has a model, a prefix that is no identifier, or numbers that the arithmetic
         does not hold.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> source = undrift.export_c(calibration)
+    >>> "undrift_correct" in source.header
+    True
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", settings.prefix):
         raise InputError(

@@ -361,6 +361,16 @@ def export_ros(calibration: Calibration, *, temp_c: float | None = None) -> Expo
     ------
     InputError
         No model, NaN in it, or a temperature outside its tables.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
+    >>> exported = undrift.export_ros(calibration)
+    >>> exported.text.splitlines()[0]
+    '# accel = accel_matrix (raw - accel_offset), m/s2'
     """
     pair = constants_of(calibration, temp_c)
     lines = [

@@ -331,6 +331,15 @@ def write_record(record: Record, path: str | Path) -> None:
     ------
     InputError
         Another ending, or a file that cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, pathlib, tempfile, undrift
+    >>> record = undrift.Record(time=np.arange(3) / 100.0, gyro=np.zeros((3, 3)), gyro_unit="dps")
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "rest.parquet")
+    >>> undrift.write_record(record, path)
+    >>> len(undrift.read_record(path))
+    3
     """
     name = Path(path).name.lower()
     if name.endswith(".parquet"):

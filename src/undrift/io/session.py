@@ -269,6 +269,15 @@ def read_session(folder: str | Path) -> Session:
         No such folder or recording; gravity neither given nor computable; a time outside its recording; bad data.
     FileFormatError
         session.toml is not TOML or holds an unknown, missing or wrong entry; names line and entry.
+
+    Examples
+    --------
+    >>> import numpy as np, tempfile, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> folder = tempfile.mkdtemp() + "/session"
+    >>> undrift.write_session(undrift.simulate_session("six_face", undrift.random_device(rng), rng=rng), folder)
+    >>> [still.face for still in undrift.read_session(folder).stills]
+    ['+x', '-x', '+y', '-y', '+z', '-z']
     """
     path = Path(folder)
     path = path / NAME if path.is_dir() else path

@@ -216,6 +216,18 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
     ------
     InputError
         A folder that cannot be written to, or a value that could not be read back; no file is left behind.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "calibration.json")
+    >>> undrift.write_calibration(calibration, path)
+    >>> undrift.read_calibration(path).device == calibration.device
+    True
     """
     write_whole(Path(path), calibration_text(calibration, str(path)))
 

@@ -79,6 +79,15 @@ def simulate_session(
     -------
     Session
         One recording.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> session = undrift.simulate_session("bench", device, rng=rng)
+    >>> len(session.stills), len(session.turns)
+    (9, 102)
     """
     motion = bench_motion(kind, rng=rng, settings=settings)
     reading = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion)))
@@ -128,6 +137,15 @@ def simulate_trial(
     -------
     SimulatedTrial
         Record, reference and truth.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> len(trial.record), trial.record.sample_rate_hz
+    (1545, 100.0)
     """
     performed = draw_task(task, rng=rng, subject=subject)
     time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz

@@ -459,6 +459,15 @@ def simulate_thermal_session(
     ------
     InputError
         An unknown kind; a board that does not reach its set-point in time.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> session = undrift.simulate_thermal_session("warm_up", device, rng=rng)
+    >>> session.kind
+    'thermal'
     """
     if kind not in get_args(ThermalKind):
         raise InputError(f"thermal: wanted one of {', '.join(get_args(ThermalKind))}, got '{kind}'; name one of them")

@@ -219,6 +219,18 @@ def validate_trials(
     ------
     InputError
         No recording, or a number of calibrations or names that fits nothing; and all that ``validate_trial`` raises.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> pairs = [(trial.record, trial.reference)]
+    >>> found = undrift.validate_trials(pairs, calibrations=[calibration])
+    >>> len(found.trials)
+    1
     """
     if not pairs or len(calibrations) not in (1, len(pairs)) or len(names) not in (0, len(pairs)):
         raise InputError(

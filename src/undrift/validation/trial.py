@@ -186,6 +186,18 @@ def compare_orientations(
     -------
     OrientationError
         In rad.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> orientation = undrift.orient(undrift.correct(trial.record, calibration))
+    >>> error = undrift.compare_orientations(orientation.q_nb, trial.motion.q_nb)
+    >>> bool(np.degrees(np.abs(error.pitch)).max() < 0.1)
+    True
     """
     e = quaternion_product(q_nb, quaternion_conjugate(reference_q_nb))
     pitch = sagittal_pitch(q_nb, forward=forward, up=up) - sagittal_pitch(reference_q_nb, forward=forward, up=up)
@@ -465,6 +477,17 @@ def validate_trial(
         No gyroscope, gaps in the rate, or a unit that nothing turns into rad/s.
     AlignmentError
         No common motion, no rest before it, or no pose in that rest.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
+    >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
+    >>> found = undrift.validate_trial(trial.record, trial.reference, calibration=calibration)
+    >>> bool(found.figures.max_abs_pitch_deg < 0.5)
+    True
     """
     done, notes = _corrected(record, calibration, settings)
     if done.gyro is not None and not np.isfinite(done.gyro).all(axis=1).any():

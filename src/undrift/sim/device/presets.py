@@ -264,6 +264,13 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
     ------
     InputError
         A grade that is not one.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> device = undrift.random_device(np.random.default_rng(7), grade="industrial")
+    >>> device.gyro.unit
+    'count'
     """
     chosen = grade_named(grade) if isinstance(grade, str) else grade
     streams = draw_streams(rng)

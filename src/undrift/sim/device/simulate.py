@@ -158,6 +158,15 @@ def simulate_device(
     ------
     InputError
         A temperature for another number of samples; a motion that lacks what an effect needs.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> trial = undrift.simulate_trial("step", undrift.random_device(rng), rng=rng)
+    >>> again = undrift.simulate_device(undrift.random_device(rng), trial.motion, rng=rng)
+    >>> len(again.record) == len(trial.record)
+    True
     """
     n = len(motion)
     temp = model.reference_temp_c if temp_c is None else temp_c
