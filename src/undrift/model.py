@@ -41,8 +41,6 @@ class Verdict:
         good, marginal or bad.
     findings : tuple of Finding
         Why; also what was not observable and which recording would show it.
-    remarks : tuple of str
-        Sentences of stages that have no codes yet.
 
     Examples
     --------
@@ -56,12 +54,11 @@ class Verdict:
 
     status: Status = "good"
     findings: tuple[Finding, ...] = ()
-    remarks: tuple[str, ...] = ()
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """The findings as texts, most consequential first."""
-        return (*(item.text for item in most_consequential_first(self.findings)), *self.remarks)
+        return tuple(item.text for item in most_consequential_first(self.findings))
 
     @classmethod
     def of(cls, *findings: Finding) -> "Verdict":
@@ -73,11 +70,8 @@ class Verdict:
         """Return both verdicts as one: the worse status, all findings, each once."""
         worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
         known = {item.text for item in self.findings}
-        return Verdict(
-            status=worse,
-            findings=(*self.findings, *(item for item in other.findings if item.text not in known)),
-            remarks=(*self.remarks, *(r for r in other.remarks if r not in self.remarks)),
-        )
+        others = (item for item in other.findings if item.text not in known)
+        return Verdict(status=worse, findings=(*self.findings, *others))
 
 
 def level_of(value: float, limits: tuple[float, float]) -> Level:

@@ -147,10 +147,11 @@ def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, mo
     from dataclasses import replace
 
     from undrift.calibration import calibrate as procedure
+    from undrift.findings import finding
     from undrift.model import Verdict
 
     good = procedure.calibrate
-    bad = Verdict(status="bad", remarks=("the table slipped",))
+    bad = Verdict(status="bad", findings=(finding("earlier.text", "fail", text="the table slipped"),))
     monkeypatch.setattr(procedure, "calibrate", lambda *a, **k: replace(good(*a, **k), verdict=bad))
     answer = undrift("calibrate", bench / "session", "-o", tmp_path / "c.json")
     assert (answer.code, answer.err) == (1, "")

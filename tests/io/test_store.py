@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from undrift.errors import FileFormatError, InputError
+from undrift.findings import finding
 from undrift.io.store import calibration_json, calibration_schema, read_calibration, write_calibration
 from undrift.model import (
     AdcModel,
@@ -139,7 +140,9 @@ calibrations = st.builds(
     verdict=st.builds(
         Verdict,
         status=st.sampled_from(["good", "marginal", "bad"]),
-        remarks=st.lists(st.text(max_size=20), max_size=3).map(tuple),
+        findings=st.lists(st.text(max_size=20), max_size=3, unique=True).map(
+            lambda texts: tuple(finding("earlier.text", "info", text=text) for text in texts)
+        ),
     ),
     provenance=st.builds(
         Provenance,

@@ -4,6 +4,7 @@ import re
 from html.parser import HTMLParser
 
 from undrift import __version__
+from undrift.findings import finding
 from undrift.model import Verdict
 from undrift.report.page import Section, write_page
 
@@ -52,7 +53,8 @@ def test_what_users_named_is_escaped(tmp_path):
 
 
 def test_the_verdict_stands_first_with_its_reasons(tmp_path):
-    verdict = Verdict(status="marginal", remarks=("too few poses", "the table slipped"))
+    earlier = (finding("earlier.text", "warn", text=text) for text in ("too few poses", "the table slipped"))
+    verdict = Verdict(status="marginal", findings=tuple(earlier))
     text = page(tmp_path, sections=(Section(title="Later"),), verdict=verdict)
     assert (
         text.index("Verdict: marginal")

@@ -329,7 +329,6 @@ def show_verdict(verdict: "Verdict", *, details: bool) -> None:
     colour = {"good": "green", "marginal": "yellow", "bad": "red"}[verdict.status]
     console().print(f"[bold {colour}]verdict: {verdict.status}[/bold {colour}]")
     texts = [(item.headline, item.detail, item.action) for item in most_consequential_first(verdict.findings)]
-    texts += [(remark, "", "") for remark in verdict.remarks]
     shown = texts if details else texts[:SHOWN_FIRST]
     for headline, detail, action in shown:
         say(f"  - {headline}", *([f"    {detail}"] if detail else []), *([f"    -> {action}"] if action else []))

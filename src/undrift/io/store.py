@@ -424,8 +424,8 @@ def _verdict(file: VerdictFile) -> Verdict:
         for item in file.findings
     )
     known = {item.text for item in file.findings} | {item.text for item in findings}
-    remarks = tuple(reason for reason in file.reasons if reason not in known)
-    return Verdict(status=file.status, findings=findings, remarks=remarks)
+    bare = (finding("earlier.text", "info", text=reason) for reason in file.reasons if reason not in known)
+    return Verdict(status=file.status, findings=(*findings, *bare))
 
 
 def _triad(file: TriadFile | None) -> TriadModel | None:

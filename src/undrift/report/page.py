@@ -58,13 +58,12 @@ def write_page(
     from jinja2 import Environment, PackageLoader
 
     template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
-    remarks = () if verdict is None else tuple({"headline": remark} for remark in verdict.remarks)
     text = template.render(
         title=title,
         lead=lead,
         sections=sections,
         verdict=verdict,
-        reasons=() if verdict is None else (*most_consequential_first(verdict.findings), *remarks),
+        reasons=() if verdict is None else most_consequential_first(verdict.findings),
         ordered=most_consequential_first,
         first=SHOWN_FIRST,
         version=__version__,

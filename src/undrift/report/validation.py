@@ -69,7 +69,6 @@ def method_section(method: Method) -> Section:
     verdict = Verdict() if method.calibration is None else method.verdict
     return Section(
         title="Method",
-        text=verdict.remarks,
         findings=verdict.findings,
         columns=("step", "choice"),
         rows=tuple(rows),
