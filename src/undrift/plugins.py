@@ -12,8 +12,11 @@ import importlib
 from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import Any
+from urllib.parse import parse_qsl
 
 from undrift.errors import InputError
+
+Options = tuple[tuple[str, str], ...]
 
 
 def names_in(table: Mapping[str, str], group: str) -> tuple[str, ...]:
@@ -29,3 +32,16 @@ def load_named(name: str, table: Mapping[str, str], group: str) -> Any:
         return getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
         raise InputError(f"{name}: wanted {place}, got '{error}'; install the package that has it") from error
+
+
+def split_address(text: str, what: str, table: Mapping[str, str], group: str, advice: str) -> tuple[str, str, Options]:
+    """Take ``kind:place?name=value&name=value`` apart; the kind is a row of the table or of the group."""
+    kind, colon, rest = text.partition(":")
+    if not colon or (kind not in table and kind not in names_in(table, group)):
+        known = ", ".join(f"{name}:..." for name in names_in(table, group))
+        raise InputError(f"{what}: wanted one of {known}, got '{text}'; {advice}")
+    place, _, query = rest.partition("?")
+    try:
+        return kind, place, tuple(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
+    except ValueError as error:
+        raise InputError(f"{what}: wanted options as name=value&name=value, got '{query}'; mend the address") from error

@@ -15,7 +15,7 @@ from testkit.data import show
 from testkit.galil_bench import GalilBench
 from undrift.errors import InputError, LimitError, LinkError, RigFault
 from undrift.rig.check import CheckSettings, check_rig, steady_part
-from undrift.rig.galil import GalilRig, GalilSettings
+from undrift.rig.galil import GalilRig
 from undrift.rig.link import Clock
 from undrift.rig.rig import Gains, Limits, RigSettings, Trace, open_rig
 from undrift.sim.rig.axes import ServoSettings, loop_margins
@@ -78,7 +78,7 @@ def in_hand(monkeypatch):
         if motor_on:
             assert bench.say("SH") == ":"
         clock = BenchClock(bench=bench)
-        return bench, GalilRig(BenchPort(bench), GalilSettings(limits=limits, clock=clock)), clock
+        return bench, GalilRig(BenchPort(bench), RigSettings(limits=limits), clock), clock
 
     return opened
 
@@ -192,7 +192,7 @@ def test_the_table_is_left_as_it_was_found(in_hand, motor_on):
     bench, rig, clock = in_hand(motor_on=motor_on)
     bench.say("AC 102400;DC 204800")
     found = (bench.card.values["AC"], bench.card.values["DC"])
-    rig = GalilRig(BenchPort(bench), GalilSettings(limits=LIMITS, clock=clock))
+    rig = GalilRig(BenchPort(bench), RigSettings(limits=LIMITS), clock)
     check_rig(rig, clock, SHORT)
     assert bench.card.motor_on is motor_on
     clock.wait(0.3)

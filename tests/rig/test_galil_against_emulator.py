@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.rig_bench import mean_turn_rate
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigError, RigTimeout
+from undrift.rig.link import Clock
 from undrift.rig.rig import Gains, Limits, RigSettings, open_rig
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
@@ -50,7 +52,7 @@ def turning(emulator, dps) -> None:
 
 def impatient(rig) -> None:
     """Let the answers of a rig that is connected be due soon."""
-    rig.card.port._link.settings = replace(rig.card.port._link.settings, reply_timeout_s=0.3)
+    rig.card.port.settings = replace(rig.card.port.settings, reply_timeout_s=0.3)
 
 
 def measured(rig, duration_s: float) -> tuple[float, float]:
@@ -63,7 +65,7 @@ def measured(rig, duration_s: float) -> tuple[float, float]:
         return said
 
     rig.position = position
-    rate = rig.measured_turn_rate(duration_s)
+    rate = mean_turn_rate(rig, Clock(speed=SPEED), duration_s)
     del rig.position
     return rate, sum(within) / duration_s
 

@@ -5,18 +5,14 @@ import pytest
 from testkit.scripted_server import Card, Scripted, transcript
 from testkit.waiting import eventually
 from undrift.errors import LimitError, LinkError, RigFault, RigTimeout
-from undrift.rig.galil import (
-    ERRORS,
-    STOPS,
-    GalilCard,
-    GalilServo,
-    Switches,
-    error_in_words,
-    stop_in_words,
-)
+from undrift.rig.galil import GalilCard, GalilServo, wrong_switches
 from undrift.rig.link import LinkPort, LinkSettings, reply_end
-from undrift.rig.rig import CountScale, Gains
+from undrift.rig.rig import CountScale, Gains, codes, in_words
 
+ERRORS, STOPS = (
+    {int(code): words for code, words in codes(kind).items() if code != "other"}
+    for kind in ("galil_error", "galil_stop")
+)
 PATIENT, IMPATIENT = LinkSettings(reply_timeout_s=20.0), LinkSettings(reply_timeout_s=0.5)
 
 
@@ -97,20 +93,20 @@ def test_the_codes_a_rig_meets_have_words(code):
 
 
 def test_codes_without_words_say_where_to_look():
-    assert "not listed here; see" in error_in_words(999)
-    assert "not listed here; see" in stop_in_words(999)
+    assert "not listed here; see" in in_words("galil_error", 999)
+    assert "not listed here; see" in in_words("galil_stop", 999)
     assert set(STOPS) >= {0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 50, 99, 100, 101}
 
 
 def test_the_switches_read_a_limit_that_is_not_pressed_as_one():
-    assert Switches.from_byte(0b00101100).wrong(enabled=False) == []
-    assert Switches.from_byte(0b00101100).wrong(enabled=True) == ["the motor is off though it was switched on"]
-    assert Switches.from_byte(0b01000100).wrong(enabled=True) == [
+    assert wrong_switches(0b00101100, enabled=False) == []
+    assert wrong_switches(0b00101100, enabled=True) == ["the motor is off though it was switched on"]
+    assert wrong_switches(0b01000100, enabled=True) == [
         "the following error is beyond its limit",
         "the forward limit switch is pressed",
     ]
-    assert Switches.from_byte(0b10001000).wrong(enabled=True) == ["the reverse limit switch is pressed"]
-    assert Switches.from_byte(0x80 | 0x0C).moving
+    assert wrong_switches(0b10001000, enabled=True) == ["the reverse limit switch is pressed"]
+    assert wrong_switches(0x80 | 0x0C, enabled=True) == []
 
 
 @pytest.mark.parametrize(

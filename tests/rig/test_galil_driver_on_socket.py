@@ -6,22 +6,16 @@ import re
 
 import pytest
 
+from testkit.rig_bench import mean_turn_rate
 from testkit.waiting import eventually
 from undrift.errors import RigFault
-from undrift.rig.galil import (
-    ERRORS,
-    Gains,
-    GalilRig,
-    GalilSettings,
-    error_in_words,
-    open_from,
-    read_status,
-)
+from undrift.rig.galil import Gains, GalilRig, open_from, read_status
 from undrift.rig.link import Clock, LinkPort, LinkSettings
-from undrift.rig.rig import Limits, RigSettings
+from undrift.rig.rig import Limits, RigSettings, codes, in_words
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
 DEGREE = math.pi / 180.0
+ERRORS = {int(code): words for code, words in codes("galil_error").items() if code != "other"}
 SPEED = 10.0
 PATIENT_S = 10.0  # a busy machine answers late
 
@@ -76,7 +70,7 @@ def measures_rate(emulator, rig):
     rig.turn(-45.0 * DEGREE)
     turning(emulator, -45.0)
     start = emulator.now()
-    measured = rig.measured_turn_rate(5.0)
+    measured = mean_turn_rate(rig, Clock(speed=SPEED), 5.0)
     stop = emulator.now()
     angles = [emulator.axis_state(time)[0] for time in (start, stop)]
     assert (angles[1] - angles[0]) / (stop - start) / DEGREE == pytest.approx(-45.0, abs=0.2)
@@ -147,7 +141,7 @@ RIG = {
     "limits": says_limits,
     "identify": says_identity,
     "position": says_position,
-    "measured_turn_rate": measures_rate,
+    "rate from positions": measures_rate,
     "following_error": says_following_error,
     "fault": says_fault,
     "enable": enables,
@@ -159,10 +153,15 @@ RIG = {
 }
 
 
-@pytest.mark.parametrize("name", [name for name in dir(GalilRig) if not name.startswith("_")])
+@pytest.mark.parametrize("name", RIG)
 def test_every_command_of_the_driver_does_on_the_card_what_it_says(name):
     with connected() as (emulator, rig):
         RIG[name](emulator, rig)
+
+
+def test_no_command_of_the_driver_is_left_out_above():
+    driver = {name for name in dir(GalilRig) if callable(getattr(GalilRig, name)) and not name.startswith("_")}
+    assert driver <= set(RIG)
 
 
 def test_the_tuning_commands_reach_the_card():
@@ -282,7 +281,7 @@ def test_code_3_is_met_by_a_program_only_and_its_line_comes_unasked():
         eventually(heard, "the card says why")
         assert "".join(said) == "?000 LS\r\n"
         code = int(re.match(r"\d+", rig.card.text("TC1").strip()).group())
-        assert (code, error_in_words(code)) == (3, "the command does not work inside a program")
+        assert (code, in_words("galil_error", code)) == (3, "the command does not work inside a program")
 
 
 class LosesEnds(LinkPort):
@@ -291,13 +290,13 @@ class LosesEnds(LinkPort):
     def ask(self, command, deadline_s=None):
         if command != "BGX":
             return super().ask(command, deadline_s)
-        return None if self._link.exchange(command, 60.0, terminator="") == "?" else "answered otherwise"
+        return None if self.exchange(command, 60.0, terminator="") == "?" else "answered otherwise"
 
 
 def test_code_131_is_a_serial_line_that_lost_the_end_of_a_command_and_nothing_moves():
     with Emulator(EmulatorSettings(speed=SPEED, with_pty=True)) as emulator:
         port = LosesEnds(f"serial://{emulator.pty_path}", LinkSettings(reply_timeout_s=PATIENT_S))
-        rig = GalilRig(port, GalilSettings(clock=Clock(speed=SPEED)))
+        rig = GalilRig(port, RigSettings(clock_speed=SPEED))
         try:
             rig.enable(True)
             refused(rig, 131, "BGX")

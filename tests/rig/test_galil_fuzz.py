@@ -14,11 +14,12 @@ from collections import Counter
 import pytest
 
 from testkit.data import show
+from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import Card, Scripted
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.galil import GalilRig, GalilSettings
+from undrift.rig.galil import GalilRig
 from undrift.rig.link import Clock, LinkPort, LinkSettings
-from undrift.rig.rig import Gains
+from undrift.rig.rig import Gains, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
 LETTERS = b"?:0123456789 .-\r\nTPXBG\x00\x07\xff\xc2"
@@ -37,7 +38,7 @@ CALLS = {
     "move": lambda rig: rig.move_by(0.9 * RADIAN_PER_DEGREE),
     "stop": lambda rig: rig.stop(),
     "position": lambda rig: rig.position(),
-    "measure": lambda rig: rig.measured_turn_rate(0.1),
+    "measure": lambda rig: mean_turn_rate(rig, Clock(speed=SPEED), 0.1),
     "following error": lambda rig: rig.following_error(),
     "fault": lambda rig: rig.fault(),
     "gains": lambda rig: rig.servo.set_gains(Gains(kp=12.5, ki=0.5, kd=245.0)),
@@ -156,14 +157,14 @@ WAYS = (
 def opened(url, sent):
     """Open a rig, and keep in a list what it sends."""
     port = LinkPort(url, LinkSettings(reply_timeout_s=REPLY_S, connect_timeout_s=5.0))
-    link, send = port._link, port._link.send
+    send = port.send
 
     def noted(data):
         sent.extend(data.decode("ascii").split("\r")[:-1])
         send(data)
 
-    link.send = noted
-    return GalilRig(port, GalilSettings(clock=Clock(speed=SPEED)))
+    port.send = noted
+    return GalilRig(port, RigSettings(clock_speed=SPEED))
 
 
 def check_sent(name, sent, failure):

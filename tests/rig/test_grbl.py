@@ -8,22 +8,18 @@ from dataclasses import replace
 
 import pytest
 
+from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import Scripted
 from testkit.waiting import eventually
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
-from undrift.rig.grbl import (
-    ALARMS,
-    ERRORS,
-    GrblRig,
-    GrblSettings,
-    alarm_in_words,
-    error_in_words,
-    parse_status,
-    reply_end,
-)
+from undrift.rig.grbl import GrblRig, open_from, parse_status, reply_end
 from undrift.rig.link import Clock, Link, LinkSettings
-from undrift.rig.rig import Limits
+from undrift.rig.rig import Limits, RigSettings, codes, in_words
 
+ERRORS, ALARMS = (
+    {int(code): words for code, words in codes(kind).items() if code != "other"}
+    for kind in ("grbl_error", "grbl_alarm")
+)
 DEGREE = math.pi / 180.0
 FAST = Clock(speed=50.0)
 SAFE = "the table was stopped and its motor put to sleep"
@@ -84,14 +80,14 @@ class Board:
 
 
 class Bench:
-    def __init__(self, board: Board | None = None, timeout_s: float = 20.0, **settings) -> None:
+    def __init__(self, board: Board | None = None, timeout_s: float = 20.0, clock: Clock = FAST, **settings) -> None:
         self.board = board or Board()
         self.server = Scripted(self.board, terminator=b"\n", at_once="?!~\x18\x85")
         self.link = Link(
             self.server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=timeout_s, connect_timeout_s=20.0)
         )
         try:
-            self.rig = GrblRig(self.link, GrblSettings(**{"clock": FAST, **settings}))
+            self.rig = GrblRig(self.link, RigSettings(**settings), clock)
         except BaseException:
             self.server.close()
             raise
@@ -231,8 +227,8 @@ def test_every_error_code_is_said_in_words(bench, code):
 
 def test_the_codes_a_jog_meets_have_words_and_others_say_where_to_look():
     assert set(ERRORS) >= {1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16}
-    assert "not listed here; see" in error_in_words(99)
-    assert "not listed here; see" in alarm_in_words(99)
+    assert "not listed here; see" in in_words("grbl_error", 99)
+    assert "not listed here; see" in in_words("grbl_alarm", 99)
 
 
 def test_an_open_door_is_a_fault(bench):
@@ -358,12 +354,12 @@ def test_a_silent_port_is_a_timeout_and_an_axis_must_be_one():
     with pytest.raises(RigTimeout, match="wanted an answer to"):
         Bench(lambda command: None, timeout_s=0.2)
     with pytest.raises(InputError, match="grbl: wanted an axis X, Y, Z, A, B or C, got 'Q'"):
-        GrblSettings(axis="Q")
+        open_from("tcp://127.0.0.1:9", RigSettings(axis="Q"))
 
 
 def test_a_stepper_does_not_know_its_following_error(bench):
     assert math.isnan(bench.rig.following_error())
-    assert bench.rig.measured_turn_rate(0.5) == 0.0
+    assert mean_turn_rate(bench.rig, FAST, 0.5) == 0.0
 
 
 def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):

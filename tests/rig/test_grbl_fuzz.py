@@ -8,8 +8,9 @@ import pytest
 
 from testkit.scripted_server import Scripted
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.grbl import GrblRig, GrblSettings, reply_end
-from undrift.rig.link import Clock, Link, LinkSettings
+from undrift.rig.grbl import GrblRig, reply_end
+from undrift.rig.link import Link, LinkSettings
+from undrift.rig.rig import RigSettings
 
 LETTERS = b"<>|:,.-$=0123456789 okerrorMPosIdleJogAlarmALARM\r\n\x00\xff\x85"
 CALLS = (
@@ -62,7 +63,7 @@ def test_bad_answers_at_any_step_end_within_the_deadline_and_nothing_jogs(seed):
         with Scripted(answer, terminator=b"\n", at_once="?!~\x18\x85") as server:
             with contextlib.suppress(RigError):
                 link = Link(server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=0.02, connect_timeout_s=0.5))
-                rig = GrblRig(link, GrblSettings(clock=Clock(speed=200.0)))
+                rig = GrblRig(link, RigSettings(clock_speed=200.0))
                 armed = True
                 try:
                     for call in chance.choices(CALLS, k=8):

@@ -53,7 +53,7 @@ def test_a_question_is_answered_over_a_pseudo_terminal(prefix):
 def test_marked_bytes_that_nobody_asked_for_are_kept_out_of_an_answer():
     hidden = bytes(byte | 0x80 for byte in b"limit\r\n")
     with Scripted(lambda command: b"12" + hidden + b"34\n") as server, Link(server.url, LINK) as link:
-        link.mask_high_bit()
+        link.mask_unsolicited()
         assert link.exchange("TP") == "1234\n"
         assert link.unsolicited() == "limit\r\n"
         assert link.unsolicited() == ""
@@ -66,14 +66,6 @@ def test_bytes_that_come_between_two_exchanges_are_kept_aside():
         eventually(lambda: len(link._receiver._received) == len(b"by the way\n"), "the bytes come")
         assert link.exchange("b") == "b!\n"
         assert link.unsolicited() == "by the way\n"
-
-
-def test_a_line_that_comes_by_itself_can_be_waited_for():
-    with Scripted(echo, greeting=b"Grbl 1.1h\r\n") as server, Link(server.url, LINK) as link:
-        assert link.read() == "Grbl 1.1h\r\n"
-        with pytest.raises(RigTimeout, match="got nothing"):
-            link.read(0.01)
-        assert link.exchange("a") == "a!\n"
 
 
 def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_taken_for_the_next():
@@ -90,7 +82,7 @@ def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_ta
         with pytest.raises(LinkError, match=r"out of step with its device; resynchronise first"):
             link.exchange("TP")
         server._answer = lambda command: b"token\n"
-        found = link.resynchronise("say token", lambda got: got.find(b"token\n") + 6 if b"token\n" in got else 0)
+        found = link.ask_anew("say token", lambda got: got.find(b"token\n") + 6 if b"token\n" in got else 0)
         assert found.endswith("token\n")
         server._answer = echo
         assert link.exchange("TP") == "TP!\n"

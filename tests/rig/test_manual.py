@@ -14,7 +14,7 @@ from undrift.io.session import read_session
 from undrift.record import Record
 from undrift.rig.folder import RunFolder
 from undrift.rig.link import Clock
-from undrift.rig.manual import FACES, AskedOperator, ManualRig
+from undrift.rig.manual import AskedOperator, ManualRig
 from undrift.rig.programme import programme_of, read_protocol
 from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig
 from undrift.rig.run import Bench, run_programme
@@ -31,18 +31,6 @@ class Person:
     def __call__(self, line: str) -> str:
         self.lines.append(line)
         return self.answers.pop(0) if self.answers else ""
-
-
-def test_a_person_is_led_through_the_six_faces():
-    person = Person()
-    rig = ManualRig(person)
-    for face in FACES:
-        rig.place(face)
-    assert [line.split(" axis up")[0] for line in person.lines] == [
-        f"Lay the device still with its {face}" for face in FACES
-    ]
-    with pytest.raises(InputError, match=r"wanted a face out of \+x, -x, \+y, -y, \+z, -z, got 'up'"):
-        rig.place("up")
 
 
 def test_a_turn_is_what_the_person_says_it_was():
@@ -71,7 +59,7 @@ def test_a_terminal_that_ends_is_a_person_who_gave_up():
         raise EOFError
 
     with pytest.raises(RigFault, match="the person gave up"):
-        ManualRig(ended).place("+x")
+        ManualRig(ended).move_by(1.0)
 
 
 def test_a_hand_holds_no_rate():
@@ -87,7 +75,6 @@ def test_what_a_person_cannot_know_is_nan():
     rig.stop()
     assert math.isnan(rig.following_error())
     assert math.isnan(rig.set_acceleration(1.0))
-    assert rig.measured_turn_rate(0.001) == 0.0
     assert rig.fault() is None
     assert rig.identify() == "a person who turns the device by hand"
 

@@ -162,6 +162,14 @@ def run(
     return made, hands
 
 
+def mean_turn_rate(rig, clock, duration_s):
+    """Return the mean rate over a while, from two positions."""
+    first = rig.position()
+    clock.wait(duration_s)
+    last = rig.position()
+    return (last.angle - first.angle) / (last.time - first.time)
+
+
 def at_rest(emulator, within_s=60.0):
     """Wait until the true axis is at rest with its motor off; False when it never is."""
     last = time.monotonic() + within_s

@@ -1,32 +1,12 @@
-"""Link: questions and answers with a rig or device, each with a deadline.
+"""Links to rigs: questions and answers with a deadline each, over TCP, a serial port or a card maker's library.
 
-One thread reads (rig/link.py); everything else happens in the caller. Bytes that nobody asked for are kept aside: those that come
-between two exchanges, and, where the device marks them, those whose high bit is set (Galil CW1). After an answer that did not come
-in time the link is out of step - the answer may still come, and would be taken for the next one - so it refuses to go on until
-`resynchronise`.
+One thread reads; everything else happens in the caller. Bytes that nobody asked for are kept aside: those that come between two
+exchanges, and, where the device marks them, those whose high bit is set (Galil CW1). After an answer that did not come in time the
+link is out of step - the answer may still come, and would be taken for the next one - so it refuses to go on until `ask_anew`.
 
-Transport: bytes to and from a rig or device, over TCP or over a serial port.
-
-A place is written as a URL: ``tcp://host:port``; ``serial:///dev/ttyUSB0`` or a bare path (a pty too); and what pyserial itself
-understands: ``socket://host:port``, ``loop://``. Nothing here waits longer than its deadline.
-
-Receiver: one thread that reads a transport, and a caller that waits for whole replies with a deadline.
-
-Bytes that nobody asked for are kept aside: those the caller sets aside before a question, and, where the device marks them, those
-whose high bit is set.
-
-The clock a rig is driven by: the host's monotonic seconds, or an emulator's, which may run faster.
-
-t = speed * (host monotonic time). A motion that takes 6 s on the table takes 6 / speed seconds of waiting here.
-
-Ports to a Galil card: what carries a command there and its answer back.
-
-A command ends with a carriage return; the answer is ``:``, or text and ``:``, or ``?``. LinkPort speaks that over a Link;
-galil_gclib.py has the maker's library do it.
-
-The maker's library as the way to a Galil card, for those who have it (USB, PCI, UDP).
-
-gclib is the vendor's, is not on any package index and is not needed: LinkPort speaks to TCP and serial cards without it.
+A place is a URL: ``tcp://host:port``; ``serial:///dev/ttyUSB0`` or a bare path (a pty too); and what pyserial itself understands:
+``socket://host:port``, ``loop://``. A Galil card is also reached by its maker's library gclib (USB, PCI, UDP), on no package index.
+Two clocks: the table's, t = speed * (host's monotonic time), faster for an emulator, and a card's own.
 """
 
 import contextlib
@@ -37,153 +17,90 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
-from urllib.parse import urlsplit
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, TypeAlias
 
 from undrift.errors import InputError, LinkError, RigError, RigTimeout
-from undrift.rig.rig import Position
+from undrift.live.transports import POLL_S, SerialPort, SocketPort, host_and_port, reason_of
+from undrift.rig.rig import Limits, RigSettings
 
-# ---- Transport: bytes to and from a rig or device, over TCP or over a serial port.
-
-POLL_S = 0.05  # how long one read may wait; closing takes at most this long
-
-
-class Transport(Protocol):
-    """An open way for bytes."""
-
-    def read(self) -> bytes:
-        """Return what has come, b"" when nothing came for a moment; OSError or EOFError when the way is gone."""
-
-    def write(self, data: bytes) -> None:
-        """Send all of it or raise OSError."""
-
-    def wake(self) -> None:
-        """Let a `read` that waits in another thread return soon, before `close`."""
-
-    def close(self) -> None:
-        """Let go of it; harmless when called again."""
-
-
-class TcpTransport:
-    """Bytes over a TCP socket."""
-
-    def __init__(self, host: str, port: int, connect_timeout_s: float) -> None:
-        self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(1.0)
-
-    def read(self) -> bytes:
-        """Return what has come, b"" when nothing came within a second."""
-        try:
-            data = self._socket.recv(65536)
-        except TimeoutError:
-            return b""
-        if not data:
-            raise EOFError("the other side closed the connection")
-        return data
-
-    def write(self, data: bytes) -> None:
-        """Send all of it."""
-        self._socket.sendall(data)
-
-    def wake(self) -> None:
-        """End the conversation, so that a read returns at once."""
-        with contextlib.suppress(OSError):  # the other side was first
-            self._socket.shutdown(socket.SHUT_RDWR)
-
-    def close(self) -> None:
-        """Let go of the socket."""
-        self._socket.close()
-
-
-class SerialTransport:
-    """Bytes over whatever pyserial opens: a port, a pty, ``socket://`` or ``loop://``."""
-
-    def __init__(self, url: str, baud: int, hardware_handshake: bool) -> None:
-        try:
-            import serial
-        except ImportError as error:
-            raise LinkError("serial port: wanted the package pyserial, got none; pip install undrift[live]") from error
-        self._port = serial.serial_for_url(
-            url, baudrate=baud, timeout=POLL_S, write_timeout=1.0, rtscts=hardware_handshake
-        )
-
-    def read(self) -> bytes:
-        """Return what has come, b"" when nothing came for a moment."""
-        first: bytes = self._port.read(1)
-        waiting = self._port.in_waiting if first else 0
-        return first + bytes(self._port.read(waiting)) if waiting else first
-
-    def write(self, data: bytes) -> None:
-        """Send all of it."""
-        self._port.write(data)
-
-    def wake(self) -> None:
-        """Nothing to do: a read waits a moment only."""
-
-    def close(self) -> None:
-        """Let go of the port."""
-        self._port.close()
-
-
-def open_transport(
-    url: str, *, baud: int = 19200, hardware_handshake: bool = False, connect_timeout_s: float = 5.0
-) -> Transport:
-    """Open a way for bytes."""
-    place = _parse(url)
-    try:
-        if isinstance(place, str):
-            return SerialTransport(place, baud, hardware_handshake)
-        return TcpTransport(*place, connect_timeout_s)
-    except (OSError, ValueError) as error:  # pyserial's SerialException is an OSError
-        reason = str(error) or type(error).__name__
-        raise LinkError(f"{url}: wanted a connection, got '{reason}'; check power, cable and address") from error
-
-
-def _parse(url: str) -> tuple[str, int] | str:
-    """Return (host, port) of a TCP address, or the name that pyserial takes."""
-    wanted = "wanted tcp://host:port, serial:///path, a path, socket://host:port or loop://"
-    if url.startswith("tcp://"):
-        parts = urlsplit(url)
-        try:
-            host, port = parts.hostname, parts.port
-        except ValueError:
-            host = port = None
-        if not host or not port or parts.path not in ("", "/"):
-            raise InputError(f"link: {wanted}, got '{url}'; name host and port")
-        return host, port
-    if url.startswith("serial://"):
-        url = url.removeprefix("serial://")
-    elif not url.startswith(("socket://", "loop://", "/", "COM")):
-        raise InputError(f"link: {wanted}, got '{url}'; say how the rig is connected")
-    if not url:
-        raise InputError(f"link: {wanted}, got no name of a port; write serial:///dev/ttyUSB0")
-    return url
-
-
-# ---- Receiver: one thread that reads a transport, and a caller that waits for whole replies with a deadline.
-
-ReplyEnd = Callable[[bytes], int]
+ReplyEnd = Callable[[bytes], int]  # where a reply ends in what has come; 0 while it is not whole
 LONGEST_REPLY = 65536  # bytes without an end: no device of ours says so much
 
 log = logging.getLogger(__name__)
 
 
-def line_end(received: bytes) -> int:
-    """Return where a reply of one line ends."""
-    return received.find(b"\n") + 1
+def end_of(pattern: bytes) -> ReplyEnd:
+    """Return what finds the end of a reply: where a pattern ends."""
+    text = re.compile(pattern)
+
+    def end(received: bytes) -> int:
+        found = text.search(received)
+        return found.end() if found else 0
+
+    return end
+
+
+line_end = end_of(rb"\n")
+reply_end = end_of(rb"(?:^|\n)[:?]")  # of a Galil card: a prompt that opens a line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkSettings:
+    """How to talk."""
+
+    terminator: str = "\n"  # Ends every question
+    reply_end: ReplyEnd = line_end
+    reply_timeout_s: float = 2.0  # Longest wait for a reply, s, unless an exchange says otherwise
+    connect_timeout_s: float = 5.0  # Longest wait for a connection, s
+    baud: int = 19200  # Bits per second of a serial port
+    hardware_handshake: bool = False  # RTS/CTS of a serial port
+
+    def __post_init__(self) -> None:
+        for name in ("reply_timeout_s", "connect_timeout_s", "baud"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"link: wanted {name} above 0, got {getattr(self, name)}; every wait has an end")
+
+
+def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:
+    """Return how to talk to a rig with a usual baud rate."""
+    return LinkSettings(
+        reply_timeout_s=settings.reply_timeout_s,
+        baud=settings.baud or baud,
+        hardware_handshake=settings.hardware_handshake,
+    )
+
+
+def open_port(url: str, settings: LinkSettings) -> SocketPort | SerialPort:
+    """Open a way for bytes."""
+    wanted = "wanted tcp://host:port, serial:///path, a path, socket://host:port or loop://"
+    host, port = host_and_port(url.removeprefix("tcp:")) if url.startswith("tcp://") else ("", 0)
+    if url.startswith("tcp://") and not (host and port):
+        raise InputError(f"link: {wanted}, got '{url}'; name host and port")
+    if not url.startswith(("tcp://", "serial://", "socket://", "loop://", "/", "COM")):
+        raise InputError(f"link: {wanted}, got '{url}'; say how the rig is connected")
+    if url == "serial://":
+        raise InputError(f"link: {wanted}, got no name of a port; write serial:///dev/ttyUSB0")
+    try:
+        if not host:
+            return SerialPort(url.removeprefix("serial://"), settings.baud, settings.hardware_handshake)
+        connection = socket.create_connection((host, port), timeout=settings.connect_timeout_s)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return SocketPort(connection)
+    except (OSError, ValueError) as error:  # pyserial's SerialException is an OSError
+        got = reason_of(error)
+        raise LinkError(f"{url}: wanted a connection, got '{got}'; check power, cable and address") from error
 
 
 class Receiver:
-    """What comes from one transport, from birth until `stop`."""
+    """What comes from a port, read by a thread from birth until `stop`, and waited for with a deadline."""
 
-    def __init__(self, transport: Transport, name: str) -> None:
+    def __init__(self, port: SocketPort | SerialPort, name: str) -> None:
         self.lost: str | None = None
         self.high_bit_is_unsolicited = False
-        self._name = name
-        self._transport = transport
+        self._name, self._port = name, port
         self._change = threading.Condition()
         self._received = bytearray()
         self._aside: deque[int] = deque(maxlen=LONGEST_REPLY)
@@ -222,47 +139,250 @@ class Receiver:
         log.info("link %s: %s", self._name, reason)
 
     def stop(self) -> None:
-        """End the reading thread; harmless when called again."""
+        """End the reading thread and let go of the port; harmless when called again."""
         self.lose("closed")
-        self._transport.wake()
+        self._port.wake()
         self._thread.join(timeout=5.0)
+        self._port.close()
 
     def _read_all(self) -> None:
         while self.lost is None:
             try:
-                data = self._transport.read()
+                data = self._port.receive(POLL_S)
             except (OSError, EOFError) as error:
-                self.lose(str(error) or type(error).__name__)
-                return
+                return self.lose(reason_of(error))
             if data:
-                self._keep(data)
-
-    def _keep(self, data: bytes) -> None:
-        with self._change:
-            if self.high_bit_is_unsolicited:
-                self._aside.extend(byte for byte in data if byte & 0x80)
-                data = bytes(byte for byte in data if not byte & 0x80)
-            self._received.extend(data)
-            self._change.notify_all()
+                with self._change:
+                    if self.high_bit_is_unsolicited:
+                        self._aside.extend(byte for byte in data if byte & 0x80)
+                        data = bytes(byte for byte in data if not byte & 0x80)
+                    self._received.extend(data)
+                    self._change.notify_all()
+        return None
 
     def _check_hope(self, question: str, wait_s: float, last: float) -> None:
         """Raise when waiting on cannot help; called with the lock held."""
-        came = bytes(self._received[:80])
+        came, wanted = bytes(self._received[:80]), f"an answer to '{question}'"
         if len(self._received) > LONGEST_REPLY:
-            raise LinkError(
-                f"{self._name}: wanted an end of the answer to '{question}', got {came!r} and more; check baud"
-            )
+            wanted = f"an end of the answer to '{question}'"
+            raise LinkError(f"{self._name}: wanted {wanted}, got {came!r} and more; check baud")
         if self.lost is not None:
-            raise LinkError(f"{self._name}: wanted an answer to '{question}', got a lost link: {self.lost}; reconnect")
+            raise LinkError(f"{self._name}: wanted {wanted}, got a lost link: {self.lost}; reconnect")
         if time.monotonic() >= last:
             got = f"only {came!r}" if came else "nothing"
             raise RigTimeout(
-                f"{self._name}: wanted an answer to '{question}' within {wait_s:g} s, got {got}; check power and cable",
+                f"{self._name}: wanted {wanted} within {wait_s:g} s, got {got}; check power and cable",
                 deadline_s=wait_s,
             )
 
 
-# ---- The clock a rig is driven by: the host's monotonic seconds, or an emulator's, which may run faster.
+class Link:
+    """A connection that is open from birth until `close`."""
+
+    def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
+        self.name, self.settings = url, settings
+        self._one_at_a_time = threading.RLock()
+        self._connect()
+
+    def __enter__(self) -> "Link":
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the connection stands, as far as is known here."""
+        return self._receiver.lost is None
+
+    def mask_unsolicited(self) -> None:
+        """Keep bytes whose high bit is set out of the replies from now on, until the link is opened again."""
+        self._receiver.high_bit_is_unsolicited = True
+
+    def exchange(
+        self,
+        text: str,
+        deadline_s: float | None = None,
+        *,
+        until: ReplyEnd | None = None,
+        terminator: str | None = None,
+    ) -> str:
+        """Ask and return the answer."""
+        with self._one_at_a_time:
+            if not self._in_step:
+                raise LinkError(
+                    f"{self.name}: wanted an answer to '{text}', got a link out of step with its device; resynchronise first"
+                )
+            reply = self._ask(text, deadline_s, until, terminator)
+        try:
+            return reply.decode("ascii")
+        except UnicodeDecodeError as error:
+            raise LinkError(
+                f"{self.name}: wanted text in answer to '{text}', got {reply[:80]!r}; check baud and cable"
+            ) from error
+
+    def ask_anew(
+        self, text: str, until: ReplyEnd, deadline_s: float | None = None, *, terminator: str | None = None
+    ) -> str:
+        """Ask something that only one answer fits, and throw away all before it: the link is in step again."""
+        with self._one_at_a_time:
+            return self._ask(text, deadline_s, until, terminator).decode("ascii", errors="backslashreplace")
+
+    def send(self, data: bytes) -> None:
+        """Send bytes without waiting for an answer."""
+        lost = self._receiver.lost
+        if lost is not None:
+            raise LinkError(f"{self.name}: wanted an open link, got one lost: {lost}; reconnect")
+        try:
+            self._port.write(data)
+        except OSError as error:
+            self._receiver.lose(reason_of(error))
+            raise LinkError(f"{self.name}: wanted to send, got '{error}'; check the cable, reconnect") from error
+
+    def unsolicited(self) -> str:
+        """Return what came without being asked for since the last time."""
+        return self._receiver.unsolicited()
+
+    def reconnect(self) -> None:
+        """Close and open again, with nothing left over from before."""
+        with self._one_at_a_time:
+            self.close()
+            self._connect()
+
+    def close(self) -> None:
+        """Let go of the connection and end the reading thread; harmless when called again."""
+        self._receiver.stop()
+
+    def _ask(self, text: str, deadline_s: float | None, until: ReplyEnd | None, terminator: str | None) -> bytes:
+        wait_s = self.settings.reply_timeout_s if deadline_s is None else deadline_s
+        end = self.settings.terminator if terminator is None else terminator
+        self._receiver.set_aside()
+        self._in_step = False  # and stays so when anything, Ctrl-C included, keeps the answer from being read
+        self.send((text + end).encode("latin-1"))
+        reply = self._receiver.take(until or self.settings.reply_end, wait_s, text)
+        self._in_step = True
+        return reply
+
+    def _connect(self) -> None:
+        self._port = open_port(self.name, self.settings)
+        self._receiver = Receiver(self._port, self.name)
+        self._in_step = True
+
+
+# ---- Ports to a Galil card. A command ends with a carriage return; the answer is ``:``, or text and ``:``, or ``?``.
+
+
+class LinkPort(Link):
+    """A card on TCP or a serial port."""
+
+    def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
+        self._token = 41_000
+        super().__init__(url, replace(settings, terminator="\r", reply_end=reply_end))
+
+    def ask(self, command: str, deadline_s: float | None = None) -> str | None:
+        """Return the text of the answer ("" for a bare ``:``), None when the card refused."""
+        reply = self.exchange(command, deadline_s)
+        if reply == "?":
+            return None
+        if not reply.endswith(":") or "?" in reply:
+            raise LinkError(f"{self.name}: wanted an answer to '{command}', got {reply!r}; check cable and baud")
+        return reply[:-1]
+
+    def shout(self, command: str) -> None:
+        """Send without waiting for an answer; a lost link is left to whoever asks next."""
+        with contextlib.suppress(RigError):
+            self.send(f"{command}\r".encode("ascii"))
+
+    def resynchronise(self) -> None:
+        """Ask the card to say a number that it was never asked for before, and throw away all before it."""
+        for attempt in range(3):
+            self._token += 1
+            try:  # leading zeros and decimals are the card's to choose
+                self.ask_anew(f"MG {self._token}", end_of(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % self._token))
+            except RigTimeout:
+                if attempt == 2:
+                    raise
+            else:
+                return
+
+
+class GclibPort:
+    """A card behind its maker's library."""
+
+    def __init__(self, address: str, reply_timeout_s: float = 2.0, library: Any = None) -> None:
+        if library is None:
+            try:
+                import gclib
+            except (ImportError, OSError) as error:  # OSError: the wrapper is there, its shared library is not
+                raise LinkError(
+                    "galil over gclib: wanted the maker's library, got none; install gclib, or write galil:tcp://host:port"
+                ) from error
+            library = gclib.py()
+        self.name, self.is_open = f"gclib {address}", False
+        self._library, self._address = library, address
+        self._timeout_ms = round(1000.0 * reply_timeout_s)
+        self._one_at_a_time = threading.RLock()
+        self.reconnect()
+
+    def ask(self, command: str, deadline_s: float | None = None) -> str | None:
+        """Send a command and return the text of its answer."""
+        with self._one_at_a_time:
+            if not self.is_open:
+                raise LinkError(f"{self.name}: wanted an open link, got a closed one; reconnect")
+            self._library.GTimeout(self._timeout_ms if deadline_s is None else round(1000.0 * deadline_s))
+            try:
+                return str(self._library.GCommand(command))
+            except Exception as error:
+                text, wanted = str(error).lower(), f"{self.name}: wanted an answer to '{command}', got '{error}'"
+                if "question mark" in text:
+                    return None
+                if "timed out" in text or "timeout" in text:
+                    raise RigTimeout(f"{wanted}; check power and cable") from error
+                raise LinkError(f"{wanted}; reconnect") from error
+
+    def shout(self, command: str) -> None:
+        """Send and do not care for the answer."""
+        with contextlib.suppress(LinkError, RigTimeout):
+            self.ask(command, 0.2)
+
+    def resynchronise(self) -> None:
+        """Ask for a number until the answer is that number."""
+        for token in (41_001, 41_002, 41_003):
+            answer = (self.ask(f"MG {token}") or "").strip().lstrip("0")
+            if answer.split(".")[0] == str(token):
+                return
+        raise LinkError(f"{self.name}: wanted answers in step with their commands, got others; reconnect")
+
+    def mask_unsolicited(self) -> None:
+        """Nothing to do: gclib keeps unsolicited text apart."""
+
+    def unsolicited(self) -> str:
+        """Return "": gclib gives unsolicited text to whoever subscribed to it."""
+        return ""
+
+    def reconnect(self) -> None:
+        """Close and open again."""
+        self.close()
+        try:
+            self._library.GOpen(self._address)
+        except Exception as error:
+            raise LinkError(
+                f"{self.name}: wanted a connection, got '{error}'; check power, cable and address"
+            ) from error
+        self.is_open = True
+
+    def close(self) -> None:
+        """Let go of the card; harmless when called again."""
+        if self.is_open:
+            self.is_open = False
+            with contextlib.suppress(Exception):  # it is gone either way
+                self._library.GClose()
+
+
+GalilPort: TypeAlias = LinkPort | GclibPort
+
+
+# ---- Clocks.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -284,17 +404,6 @@ class Clock:
         if duration_s > 0.0:
             time.sleep(duration_s / self.speed)
 
-    def mean_turn_rate(self, position: Callable[[], Position], duration_s: float) -> float:
-        """Return the mean rate over a while, from two positions."""
-        if not (math.isfinite(duration_s) and duration_s > 0.0):
-            raise InputError(f"measured rate: wanted a duration above 0 s, got {duration_s}; give seconds")
-        first = position()
-        self.wait(duration_s)
-        last = position()
-        return (last.angle - first.angle) / (last.time - first.time)
-
-
-# ---- A card's own clock: when a position was taken, free of the delays of the link.
 
 MILLISECOND = 1e-3
 OLD_SECOND = 1000.0 / 1024.0  # a card's second that is divided by 1024
@@ -302,7 +411,7 @@ CRYSTAL = 2e-4  # how far the clocks of card and host may differ by themselves, 
 
 
 class CardClock:
-    """When positions were taken, by the card's ticks.
+    """When positions were taken, by the card's ticks, free of the delays of the link.
 
     TIME grows by a tick a sample, or a nominal millisecond, and old cards count milliseconds of 1/1024 s: the tick is 1 ms,
     1000/1024 ms, TM or TM 1000/1024. The host's clock shows which: two answers, n0 ticks asked at a0 and answered at b0, n ticks at
@@ -335,389 +444,93 @@ class CardClock:
     @property
     def sample_s(self) -> float:
         """Time between two samples of the servo, s; nominal while the tick is not known."""
-        tick = self.tick_s
-        old = tick is not None and any(
-            math.isclose(tick, t * OLD_SECOND, rel_tol=1e-9) for t in (MILLISECOND, self._sample)
-        )
-        return self._sample * (OLD_SECOND if old else 1.0)
+        old = (MILLISECOND * OLD_SECOND, self._sample * OLD_SECOND)
+        is_old = any(math.isclose(self.tick_s or 0.0, tick, rel_tol=1e-9) for tick in old)
+        return self._sample * (OLD_SECOND if is_old else 1.0)
 
     def when(self, ticks: int, asked: float, answered: float) -> tuple[float, float]:
-        """Return when an answer was true."""
+        """Return when an answer was true, and by how much that may be off."""
         if ticks < self._latest:  # the card was restarted
-            self._forget()
+            self._bounds, self._anchor, self._offset = (0.0, math.inf), None, None
         self._latest = ticks
-        self._learn(ticks, asked, answered)
+        then, first, last = self._anchor or (ticks, asked, answered)
+        if (count := ticks - then) > 0:
+            low, high = self._bounds
+            # a reading of n ticks is a time of n to n + 1 of them
+            self._bounds = (max(low, (asked - last) / (count + 1)), min(high, (answered - first) / max(count - 1, 0.5)))
+        if self._anchor is None or answered - asked < last - first:
+            then, first, last = self._anchor = (ticks, asked, answered)
         tick = self.tick_s
-        if tick is None or self._anchor is None:
+        if tick is None:
             self._offset = None
             return 0.5 * (asked + answered), 0.5 * (answered - asked)
         if self._offset is None:
-            then, first, last = self._anchor
             self._offset = 0.5 * (first + last) - tick * then
         return self._offset + tick * (ticks + 0.5), 0.5 * tick
 
-    def _forget(self) -> None:
-        self._bounds, self._anchor, self._offset = (0.0, math.inf), None, None
 
-    def _learn(self, ticks: int, asked: float, answered: float) -> None:
-        if self._anchor is not None and ticks > self._anchor[0]:
-            then, first, last = self._anchor
-            low, high = self._bounds
-            count = ticks - then
-            # a reading of n ticks is a time of n to n + 1 of them
-            self._bounds = (max(low, (asked - last) / (count + 1)), min(high, (answered - first) / max(count - 1, 0.5)))
-        if self._anchor is None or answered - asked < self._anchor[2] - self._anchor[1]:
-            self._anchor = (ticks, asked, answered)
+# ---- What rigs behind a link share: commands refused once they are closed or lost, and rest before a failure is reported.
 
 
-# ---- link
+class RigAxis(Protocol):
+    """The axis of a controller, as far as its rig must know it to leave it safe."""
+
+    name: str  # Where it is connected
+    refused: str | None  # Why nothing more may be done with it
+    broken: RigError | None  # How its link first failed, where other failures may only follow from that
+
+    def make_safe(self) -> bool:
+        """Stop and switch the motor off; return whether that is confirmed."""
+
+    def restore(self) -> bool:
+        """Come to rest, with acceleration and motor as they were found; return whether they are."""
+
+    def let_go(self) -> None:
+        """Close the link."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkSettings:
-    """How to talk."""
+class LinkedRig:
+    """A rig behind a link, closed once; its controller's own commands are in the classes below it."""
 
-    terminator: str = "\n"  # Ends every question
-    reply_end: ReplyEnd = line_end  # Tells where a reply ends in what has come; 0 while it is not whole
-    reply_timeout_s: float = 2.0  # Longest wait for a reply, s, unless an exchange says otherwise
-    connect_timeout_s: float = 5.0  # Longest wait for a connection, s
-    baud: int = 19200  # Bits per second of a serial port
-    hardware_handshake: bool = False  # RTS/CTS of a serial port
+    stopped = unconfirmed = ""  # what a failure says of the table, in words
+    _axis: RigAxis
 
-    def __post_init__(self) -> None:
-        for name in ("reply_timeout_s", "connect_timeout_s", "baud"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"link: wanted {name} above 0, got {getattr(self, name)}; every wait has an end")
+    def __init__(self, axis: RigAxis, limits: Limits) -> None:
+        self.limits, self._axis, self._closed = limits, axis, False
 
-
-class Link:
-    """A connection that is open from birth until `close`."""
-
-    def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
-        self.url = url
-        self.settings = settings
-        self._one_at_a_time = threading.RLock()
-        self._in_step = True
-        self._transport, self._receiver = self._connect()
-
-    def __enter__(self) -> "Link":
-        return self
-
-    def __exit__(self, *failure: object) -> None:
-        self.close()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the connection stands, as far as is known here."""
-        return self._receiver.lost is None
-
-    def mask_high_bit(self) -> None:
-        """Keep bytes whose high bit is set out of the replies from now on, until the link is opened again."""
-        self._receiver.high_bit_is_unsolicited = True
-
-    def exchange(
-        self,
-        text: str,
-        deadline_s: float | None = None,
-        *,
-        until: ReplyEnd | None = None,
-        terminator: str | None = None,
-    ) -> str:
-        """Ask and return the answer."""
-        with self._one_at_a_time:
-            if not self._in_step:
-                raise LinkError(
-                    f"{self.url}: wanted an answer to '{text}', got a link out of step with its device; resynchronise first"
-                )
-            return self._decoded(self._ask(text, deadline_s, until, terminator), text)
-
-    def send(self, data: bytes) -> None:
-        """Send bytes without waiting for an answer."""
-        lost = self._receiver.lost
-        if lost is not None:
-            raise LinkError(f"{self.url}: wanted an open link, got one lost: {lost}; reconnect")
-        try:
-            self._transport.write(data)
-        except OSError as error:
-            self._receiver.lose(str(error) or type(error).__name__)
-            raise LinkError(f"{self.url}: wanted to send, got '{error}'; check the cable, reconnect") from error
-
-    def read(self, deadline_s: float | None = None, *, until: ReplyEnd | None = None) -> str:
-        """Return the next line that comes by itself."""
-        wait_s = self.settings.reply_timeout_s if deadline_s is None else deadline_s
-        with self._one_at_a_time:
-            return self._decoded(self._receiver.take(until or self.settings.reply_end, wait_s, ""), "")
-
-    def unsolicited(self) -> str:
-        """Return what came without being asked for since the last time."""
-        return self._receiver.unsolicited()
-
-    def resynchronise(
-        self, text: str, until: ReplyEnd, deadline_s: float | None = None, *, terminator: str | None = None
-    ) -> str:
-        """Ask something that only one answer fits, and throw away all before it."""
-        with self._one_at_a_time:
-            return self._ask(text, deadline_s, until, terminator).decode("ascii", errors="backslashreplace")
-
-    def reconnect(self) -> None:
-        """Close and open again, with nothing left over from before."""
-        with self._one_at_a_time:
-            self.close()
-            self._transport, self._receiver = self._connect()
-            self._in_step = True
-
-    def close(self) -> None:
-        """Let go of the connection and end the reading thread; harmless when called again."""
-        self._receiver.stop()
-        self._transport.close()
-
-    def _ask(self, text: str, deadline_s: float | None, until: ReplyEnd | None, terminator: str | None) -> bytes:
-        wait_s = self.settings.reply_timeout_s if deadline_s is None else deadline_s
-        end = self.settings.terminator if terminator is None else terminator
-        self._receiver.set_aside()
-        self._in_step = False  # and stays so when anything, Ctrl-C included, keeps the answer from being read
-        self.send((text + end).encode("latin-1"))
-        reply = self._receiver.take(until or self.settings.reply_end, wait_s, text)
-        self._in_step = True
-        return reply
-
-    def _decoded(self, reply: bytes, question: str) -> str:
-        try:
-            return reply.decode("ascii")
-        except UnicodeDecodeError as error:
-            raise LinkError(
-                f"{self.url}: wanted text in answer to '{question}', got {reply[:80]!r}; check baud and cable"
-            ) from error
-
-    def _connect(self) -> tuple[Transport, Receiver]:
-        transport = open_transport(
-            self.url,
-            baud=self.settings.baud,
-            hardware_handshake=self.settings.hardware_handshake,
-            connect_timeout_s=self.settings.connect_timeout_s,
-        )
-        return transport, Receiver(transport, self.url)
-
-
-# ---- Ports to a Galil card: what carries a command there and its answer back.
-
-PROMPT = re.compile(rb"(?:^|\n)[:?]")
-
-
-def reply_end(received: bytes) -> int:
-    """Return where a card's answer ends: at a prompt that opens a line."""
-    found = PROMPT.search(received)
-    return found.end() if found else 0
-
-
-class GalilPort(Protocol):
-    """What carries commands to a card."""
-
-    @property
-    def name(self) -> str:
-        """Where the card is, for messages."""
-
-    def ask(self, command: str, deadline_s: float | None = None) -> str | None:
-        """Return the text of the answer ("" for a bare ``:``), None when the card refused."""
-
-    def shout(self, command: str) -> None:
-        """Send without waiting for an answer; nothing is raised."""
-
-    def resynchronise(self) -> None:
-        """Make sure that the next answer is the next command's."""
-
-    def mask_unsolicited(self) -> None:
-        """Keep characters with the high bit set out of the answers from now on."""
-
-    def unsolicited(self) -> str:
-        """Return unsolicited messages of the card, once."""
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the connection stands."""
-
-    def reconnect(self) -> None:
-        """Close and open again."""
-
-    def close(self) -> None:
-        """Let go of the connection; harmless when called again."""
-
-
-class LinkPort:
-    """A card on TCP or a serial port."""
-
-    def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
-        self._link = Link(
-            url,
-            LinkSettings(
-                terminator="\r",
-                reply_end=reply_end,
-                reply_timeout_s=settings.reply_timeout_s,
-                connect_timeout_s=settings.connect_timeout_s,
-                baud=settings.baud,
-                hardware_handshake=settings.hardware_handshake,
-            ),
-        )
-        self._token = 41_000
-
-    @property
-    def name(self) -> str:
-        """The link's URL."""
-        return self._link.url
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the connection stands, as far as is known here."""
-        return self._link.is_open
-
-    def ask(self, command: str, deadline_s: float | None = None) -> str | None:
-        """Send a command and return the text of its answer."""
-        reply = self._link.exchange(command, deadline_s)
-        if reply == "?":
-            return None
-        if not reply.endswith(":") or "?" in reply:
-            raise LinkError(f"{self.name}: wanted an answer to '{command}', got {reply!r}; check cable and baud")
-        return reply[:-1]
-
-    def shout(self, command: str) -> None:
-        """Send without waiting for an answer; a lost link is left to whoever asks next."""
-        try:
-            self._link.send(f"{command}\r".encode("ascii"))
-        except RigError:
+    def close(self, *, as_found: bool = False) -> None:
+        """Stop, switch the motor off or leave it as it was, let go of the link; harmless when called again."""
+        if self._closed:
             return
-
-    def resynchronise(self) -> None:
-        """Ask the card to say a number that it was never asked for before, and throw away all before it."""
-        for attempt in range(3):
-            self._token += 1
-            try:
-                self._link.resynchronise(f"MG {self._token}", _end_of(self._token))
-            except RigTimeout:
-                if attempt == 2:
-                    raise
+        self._closed, axis = True, self._axis
+        try:
+            if as_found and axis.refused is None:
+                with self._safely():
+                    confirmed = axis.restore()
             else:
-                return
+                confirmed = axis.make_safe()
+        finally:
+            axis.let_go()
+        if not confirmed:
+            raise LinkError(f"{axis.name}: wanted the motor off at the end, got no answer; {self.unconfirmed}")
 
-    def mask_unsolicited(self) -> None:
-        """Keep characters with the high bit set out of the answers from now on."""
-        self._link.mask_high_bit()
-
-    def unsolicited(self) -> str:
-        """Return unsolicited messages of the card, once."""
-        return self._link.unsolicited()
-
-    def reconnect(self) -> None:
-        """Close and open again."""
-        self._link.reconnect()
-
-    def close(self) -> None:
-        """Let go of the link; harmless when called again."""
-        self._link.close()
-
-
-def _end_of(token: int) -> ReplyEnd:
-    """Return what finds the end of an answer that is this number; leading zeros and decimals are the card's to choose."""
-    text = re.compile(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % token)
-
-    def end(received: bytes) -> int:
-        found = text.search(received)
-        return found.end() if found else 0
-
-    return end
-
-
-# ---- The maker's library as the way to a Galil card, for those who have it (USB, PCI, UDP).
-
-
-class GclibPort:
-    """A card behind gclib."""
-
-    def __init__(self, address: str, reply_timeout_s: float = 2.0, library: Any = None) -> None:
-        if library is None:
-            try:
-                import gclib
-            except (ImportError, OSError) as error:  # OSError: the wrapper is there, its shared library is not
-                raise LinkError(
-                    "galil over gclib: wanted the maker's library, got none; install gclib, or write galil:tcp://host:port"
-                ) from error
-            library = gclib.py()
-        self._library = library
-        self._address = address
-        self._timeout_ms = round(1000.0 * reply_timeout_s)
-        self._one_at_a_time = threading.RLock()
-        self._open = False
-        self._connect()
-
-    @property
-    def name(self) -> str:
-        """The address given to gclib."""
-        return f"gclib {self._address}"
-
-    @property
-    def is_open(self) -> bool:
-        """Whether GOpen succeeded and nothing was closed since."""
-        return self._open
-
-    def ask(self, command: str, deadline_s: float | None = None) -> str | None:
-        """Send a command and return the text of its answer."""
-        with self._one_at_a_time:
-            if not self._open:
-                raise LinkError(f"{self.name}: wanted an open link, got a closed one; reconnect")
-            self._library.GTimeout(self._timeout_ms if deadline_s is None else round(1000.0 * deadline_s))
-            try:
-                return str(self._library.GCommand(command))
-            except Exception as error:
-                if "question mark" in str(error).lower():
-                    return None
-                raise self._explained(command, error) from error
-
-    def shout(self, command: str) -> None:
-        """Send and do not care for the answer."""
+    @contextmanager
+    def _safely(self) -> Iterator[None]:
+        """Stop and switch off before the failure of a link is reported."""
+        axis = self._axis
         try:
-            self.ask(command, 0.2)
-        except (LinkError, RigTimeout):
-            return
+            yield
+        except (LinkError, RigTimeout) as error:
+            first = axis.broken or error
+            outcome = self.stopped if axis.make_safe() else self.unconfirmed
+            axis.broken = None
+            raise type(first)(f"{first}; {outcome}", **first.numbers) from error
 
-    def resynchronise(self) -> None:
-        """Ask for a number until the answer is that number."""
-        for token in (41_001, 41_002, 41_003):
-            answer = (self.ask(f"MG {token}") or "").strip().lstrip("0")
-            if answer.split(".")[0] == str(token):
-                return
-        raise LinkError(f"{self.name}: wanted answers in step with their commands, got others; reconnect")
-
-    def mask_unsolicited(self) -> None:
-        """Nothing to do: gclib keeps unsolicited text apart."""
-
-    def unsolicited(self) -> str:
-        """Return "": gclib gives unsolicited text to whoever subscribed to it."""
-        return ""
-
-    def reconnect(self) -> None:
-        """Close and open again."""
-        self.close()
-        self._connect()
-
-    def close(self) -> None:
-        """Let go of the card; harmless when called again."""
-        if self._open:
-            self._open = False
-            try:
-                self._library.GClose()
-            except Exception:  # noqa: BLE001 - it is gone either way
-                return
-
-    def _connect(self) -> None:
-        try:
-            self._library.GOpen(self._address)
-        except Exception as error:
-            raise LinkError(
-                f"{self.name}: wanted a connection, got '{error}'; check power, cable and address"
-            ) from error
-        self._open = True
-
-    def _explained(self, command: str, error: Exception) -> LinkError | RigTimeout:
-        text = str(error).lower()
-        if "timed out" in text or "timeout" in text:
-            return RigTimeout(f"{self.name}: wanted an answer to '{command}', got '{error}'; check power and cable")
-        return LinkError(f"{self.name}: wanted an answer to '{command}', got '{error}'; reconnect")
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Refuse a rig that is closed or lost; else have it stopped where its link fails."""
+        why = "it is closed" if self._closed else self._axis.refused
+        if why:
+            raise LinkError(f"{self._axis.name}: wanted a rig ready for commands, got none: {why}; open it again")
+        with self._safely():
+            yield

@@ -1,4 +1,4 @@
-"""A rig that is a person: lays the device on its faces and turns it by hand through known angles.
+"""A rig that is a person: mounts the device on its faces and turns it by hand through known angles.
 
 A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, whatever its rate was: the angle is what
 calibrates, not the rate. So `move_by` works, and `turn` does not.
@@ -13,9 +13,18 @@ from undrift.rig.link import Clock
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- An operator who mounts the device
-
 GIVING_UP = ("q", "quit", "stop")
+QUESTIONS = 3  # how often an answer that is no number is asked for again
+
+
+def _said(ask: Callable[[str], str], line: str, wanted: str, advice: str) -> str:
+    try:
+        answer = ask(line).strip()
+    except EOFError:
+        answer = "q"
+    if answer.lower() in GIVING_UP:
+        raise RigFault(f"{wanted}, got '{answer}'; {advice}")
+    return answer
 
 
 class AskedOperator:
@@ -26,22 +35,8 @@ class AskedOperator:
 
     def mount(self, up: Face) -> None:
         """Have the device mounted."""
-        try:
-            answer = self._ask(
-                f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
-            ).strip()
-        except EOFError:
-            answer = "q"
-        if answer.lower() in GIVING_UP:
-            raise RigFault(
-                f"mounting: wanted the device mounted {up} up, got '{answer}'; continue with --resume when it is"
-            )
-
-
-# ---- manual
-
-FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
-QUESTIONS = 3  # how often an answer that is no number is asked for again
+        line = f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
+        _said(self._ask, line, f"mounting: wanted the device mounted {up} up", "continue with --resume when it is")
 
 
 class ManualRig:
@@ -52,16 +47,10 @@ class ManualRig:
     def __init__(
         self, ask: Callable[[str], str], limits: Limits = Limits(turn_rate=1e3), clock: Clock = Clock()
     ) -> None:
-        self._ask = ask
-        self._limits = limits
-        self._clock = clock
+        self.limits = limits
+        self._ask, self._clock = ask, clock
         self._angle = 0.0
         self._closed = False
-
-    @property
-    def limits(self) -> Limits:
-        """Limits of its commands."""
-        return self._limits
 
     def identify(self) -> str:
         """Return that this is a person."""
@@ -85,24 +74,19 @@ class ManualRig:
             )
         return 0.0
 
-    def place(self, face: str) -> None:
-        """Have the device laid still on a face."""
-        self._check_open()
-        if face not in FACES:
-            raise InputError(
-                f"manual rig: wanted a face out of {', '.join(FACES)}, got '{face}'; name the axis that points up"
-            )
-        self._said(f"Lay the device still with its {face} axis up, let go, then press Enter (q gives up): ")
-
     def move_by(self, angle: float) -> float:
         """Have the device turned by an angle."""
         self._check_open()
-        self._limits.check_travel(self._angle + angle)
+        self.limits.check_travel(self._angle + angle)
         asked_deg = angle / RADIAN_PER_DEGREE
         line = f"Turn the device by {asked_deg:+g} deg, then type the angle it turned in deg (Enter: exactly that; q gives up): "
         for _ in range(QUESTIONS):
-            turned_deg = _number(self._said(line), asked_deg)
-            if turned_deg is not None:
+            answer = _said(self._ask, line, "manual rig: wanted the step done", "the person gave up")
+            try:
+                turned_deg = float(answer.removesuffix("deg").replace(",", ".")) if answer else asked_deg
+            except ValueError:
+                continue
+            if math.isfinite(turned_deg):
                 self._angle += turned_deg * RADIAN_PER_DEGREE
                 return turned_deg * RADIAN_PER_DEGREE
         raise InputError("manual rig: wanted an angle in deg, got none in three answers; start again")
@@ -114,10 +98,6 @@ class ManualRig:
         """Return the sum of the stated angles, rad, now."""
         self._check_open()
         return Position(angle=self._angle, time=self._clock.now())
-
-    def measured_turn_rate(self, duration_s: float) -> float:
-        """Return the mean rate over a while, from two positions: 0, as nothing moves between questions."""
-        return self._clock.mean_turn_rate(self.position, duration_s)
 
     def following_error(self) -> float:
         """Return NaN: nobody knows how far a hand is off."""
@@ -134,26 +114,6 @@ class ManualRig:
     def _check_open(self) -> None:
         if self._closed:
             raise LinkError("manual rig: wanted a rig ready for commands, got none: it is closed; open it again")
-
-    def _said(self, line: str) -> str:
-        try:
-            answer = self._ask(line).strip()
-        except EOFError:
-            answer = "q"
-        if answer.lower() in GIVING_UP:
-            raise RigFault(f"manual rig: wanted the step done, got '{answer}'; the person gave up")
-        return answer
-
-
-def _number(answer: str, asked: float) -> float | None:
-    """Return the angle that was typed, the one asked for when none was, None when it is no number."""
-    if not answer:
-        return asked
-    try:
-        number = float(answer.removesuffix("deg").replace(",", "."))
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
 
 
 def open_from(url: str, settings: RigSettings) -> ManualRig:

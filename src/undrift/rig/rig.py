@@ -1,41 +1,28 @@
-"""Rig: what every rate table can do, whichever controller stands behind it.
+"""Rig: what every rate table can do, whichever controller stands behind it, and how it is opened.
 
-Angles are rad, rates rad/s, positive about the table's own axis. A rig rounds commands to its counts; every call returns
-the value it ACHIEVED, never the one that was asked for.
+Angles are rad, rates rad/s, positive about the table's own axis. An encoder of N lines gives 4N counts per turn, one count is
+2 pi / 4N rad. A rig rounds commands to its counts before a byte is sent; every call returns the value it ACHIEVED.
 
-Counts and angles: an encoder's lines or a stepper's steps in rad, and how a card rounds commands.
-
-An encoder of N lines gives 4N counts per turn (both edges of both tracks), so one count is 2 pi / 4N rad: 0.009 deg at 10 000
-lines. Rounding happens here, before a byte is sent, so that what was sent is what the card holds.
-
-The rate that was achieved, from positions of the encoder over a dwell.
-
-A line through (t_i, phi_i) by weighted least squares: slope sum w (t - tm)(phi - phim) / S, S = sum w (t - tm)^2, w = 1 / d^2.
-When a position was taken is known no better than d, between question and answer of the link or a tick of the controller's own
-clock, so quick answers count more; a floor of half the median d keeps a few from counting alone. The standard uncertainty sqrt(r /
-((n - 2) S)), r the sum of w times squared residuals, has the counts of the encoder and the delays of the link in it. It grows with
-whatever is wrong, so it is no measure of whether the table turned steadily: that is the misfit, the largest distance from the line
-that the delays do not explain, max |residual_i| - |slope| (d_i + median d), and the rate between the first position and the last.
-
-Addresses of rigs: ``kind:url?option=value&option=value`` -> an open Rig.
+A rig has an address, ``kind:url?option=value&option=value``. Adding one is a file with ``open_from(url, settings)`` and a row in
+CONTROLLERS.
 
     galil:tcp://host:port?encoder_lines=10000     galil:serial:///dev/ttyUSB0?baud=19200     galil:gclib://host --direct
     grbl:serial:///dev/ttyUSB0?axis=A             grbl:tcp://host:port                       manual:
-
-Adding a rig is one file with a function ``open_from(url, settings)`` and one row in the table RIGS.
 """
 
 import math
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.resources import files
 from typing import Protocol
-from urllib.parse import parse_qsl
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, LimitError
-from undrift.plugins import load_named, names_in
+from undrift.plugins import load_named, split_address
 from undrift.rig.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -238,9 +225,6 @@ class Rig(Protocol):
     def position(self) -> Position:
         """Return where the axis stands now."""
 
-    def measured_turn_rate(self, duration_s: float) -> float:
-        """Return the mean rate over a while, from two positions."""
-
     def following_error(self) -> float:
         """Return commanded minus actual angle, rad."""
 
@@ -270,7 +254,14 @@ class Achieved:
 
 
 def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
-    """Return the mean rate over a dwell."""
+    """Return the mean rate over a dwell: the slope of a line through (t_i, phi_i), by least squares with weights 1 / d^2.
+
+    When a position was taken is known no better than d, between question and answer of the link or a tick of the controller's own
+    clock; a floor of half the median d keeps a few quick answers from counting alone. S = sum w (t - tm)^2, and the standard
+    uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared residuals, has counts and delays in it. It grows with whatever
+    is wrong, so whether the table turned steadily shows in the misfit, max |residual_i| - |slope| (d_i + median d), and in the
+    rate between the first position and the last.
+    """
     if len(positions) < 3:
         raise InputError(f"achieved rate: wanted three positions or more, got {len(positions)}; dwell longer")
     delay = 2.0 * np.array([p.within_s for p in positions])
@@ -304,10 +295,8 @@ def check_programme(
     programme: Programme, limits: Limits, done: frozenset[int] = frozenset(), *, by_hand: bool = False
 ) -> None:
     """Refuse a programme that the rig may not run."""
-    left = [(number, step) for number, step in enumerate(programme.steps) if isinstance(step, Dwell)]
-    left = [(number, step) for number, step in left if number not in done]
+    left = [(n, step) for n, step in enumerate(programme.steps) if isinstance(step, Dwell) and n not in done]
     turning = [(number, step) for number, step in left if step.turn_rate != 0.0]
-    turns = [(number, step) for number, step in left if step.angle != 0.0]
     if by_hand:
         if turning:
             number, step = turning[0]
@@ -316,39 +305,51 @@ def check_programme(
                 f"{step}), which no operator holds; replace [rates] by [turns] in the protocol"
             )
         return
-    _check(limits.check_acceleration, programme.acceleration, limits.acceleration, "", "acceleration", "deg/s2")
+
+    def check(name: str, value: float, unit: str, where: str = "") -> None:
+        """Say a limit as a protocol states it, in degrees."""
+        most = getattr(limits, name)
+        try:
+            getattr(limits, f"check_{name}")(value)
+        except LimitError as error:
+            highest = "no end" if most is None else f"{most / RADIAN_PER_DEGREE:.6g}"
+            raise InputError(
+                f"{where}{name.replace('_', ' ')}: wanted at most {highest} {unit}, got {value / RADIAN_PER_DEGREE:.6g}; mend "
+                "the protocol or state another limit",
+                **error.numbers,
+            ) from error
+
+    check("acceleration", programme.acceleration, "deg/s2")
+    for number, step in left:
+        if step.angle != 0.0:
+            check("travel", step.angle, "deg from the start", f"step {number} ({step}): ")
     angle = 0.0
-    for number, step in turns:
-        _check(
-            limits.check_travel, step.angle, limits.travel, f"step {number} ({step}): ", "travel", "deg from the start"
-        )
     for number, step in turning:
-        what = f"step {number} ({step}): "
-        _check(limits.check_turn_rate, step.turn_rate, limits.turn_rate, what, "turn rate", "deg/s")
-        reached = angle + TRAVEL_MARGIN * step.travel
-        _check(limits.check_travel, reached, limits.travel, what, "travel", "deg from the start")
+        where = f"step {number} ({step}): "
+        check("turn_rate", step.turn_rate, "deg/s", where)
+        check("travel", angle + TRAVEL_MARGIN * step.travel, "deg from the start", where)
         angle += step.travel
 
 
-def _check(check: Callable[[float], None], value: float, most: float | None, what: str, name: str, unit: str) -> None:
-    """Say a limit as a protocol states it, in degrees."""
-    try:
-        check(value)
-    except LimitError as error:
-        highest = "no end" if most is None else f"{most / RADIAN_PER_DEGREE:.6g}"
-        raise InputError(
-            f"{what}{name}: wanted at most {highest} {unit}, got {value / RADIAN_PER_DEGREE:.6g}; mend the protocol or state "
-            "another limit",
-            **error.numbers,
-        ) from error
+# ---- What the numbers of controllers mean.
 
 
-# ---- Addresses of rigs: ``kind:url?option=value&option=value`` -> an open Rig.
+@cache
+def codes(kind: str) -> dict[str, str]:
+    """Return a table of codes in words: galil_error (TC), galil_stop (SC), grbl_error, grbl_alarm."""
+    table: dict[str, str] = tomllib.loads((files("undrift.rig") / "codes.toml").read_text(encoding="utf-8"))[kind]
+    return table
+
+
+def in_words(kind: str, code: int) -> str:
+    """Say what a code means."""
+    return codes(kind).get(str(code), codes(kind)["other"])
+
+
+# ---- Addresses.
 
 CONTROLLERS = {  # kind -> the function that opens a rig
-    "galil": "undrift.rig.galil:open_from",
-    "grbl": "undrift.rig.grbl:open_from",
-    "manual": "undrift.rig.manual:open_from",
+    kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual")
 }
 GROUP = "undrift.rigs"
 
@@ -390,24 +391,12 @@ def open_rig(address: str, settings: RigSettings = RigSettings()) -> Rig:
 
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
     """Take an address apart."""
-    kind, colon, rest = address.partition(":")
-    if not colon or (kind not in CONTROLLERS and kind not in names_in(CONTROLLERS, GROUP)):
-        known = ", ".join(f"{name}:..." for name in names_in(CONTROLLERS, GROUP))
-        raise InputError(f"rig: wanted one of {known}, got '{address}'; name the kind of rig")
-    url, _, query = rest.partition("?")
-    try:
-        given = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
-    except ValueError as error:
-        raise InputError(f"rig: wanted options as name=value&name=value, got '{query}'; mend the address") from error
+    kind, url, given = split_address(address, "rig", CONTROLLERS, GROUP, "name the kind of rig")
     for name, text in given:
-        settings = replace(settings, **{name: _option(name, text)})  # type: ignore[arg-type]
+        if name not in OPTIONS:
+            raise InputError(f"rig: wanted options out of {', '.join(OPTIONS)}, got '{name}'; mend the address")
+        try:
+            settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
+        except (ValueError, KeyError) as error:
+            raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error
     return kind, url, settings
-
-
-def _option(name: str, text: str) -> object:
-    if name not in OPTIONS:
-        raise InputError(f"rig: wanted options out of {', '.join(OPTIONS)}, got '{name}'; mend the address")
-    try:
-        return OPTIONS[name](text)
-    except (ValueError, KeyError) as error:
-        raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error
