@@ -229,6 +229,7 @@ class GrblAxis:
 
     @broken.setter
     def broken(self, error: RigError | None) -> None:
+        """Note or forget it."""
         self.grbl.broken = error
 
     def wake_up(self) -> str:
