@@ -315,12 +315,11 @@ def _means(
     if readings is None:
         return means, means.copy(), np.zeros_like(means)
     values = readings[inside]
-    counts = np.zeros(len(edges) - 1)
+    blocks = [values[start:stop] for start, stop in pairwise(edges)]
+    counts = np.zeros(len(blocks))
     square, pairs = np.zeros(3), 0
     own_variance: list[FloatArray] = []
-    for k, (start, stop) in enumerate(pairwise(edges)):
-        part = values[start:stop]
-        good = _clean(part)
+    for k, (part, good) in enumerate(zip(blocks, _clean(blocks), strict=True)):
         if good.mean() < _LEAST_SHARE:
             continue
         part = part[good]
@@ -353,14 +352,19 @@ def step_error(step: FloatArray, variance: FloatArray) -> FloatArray:
     return np.asarray(step * np.sqrt(np.interp(scaled, seen, left, right=0.0)))
 
 
-def _clean(part: FloatArray) -> BoolArray:
-    finite: BoolArray = np.asarray(np.isfinite(part).all(axis=1))
-    if not finite.any():
-        return finite
-    middle = np.median(part[finite], axis=0)
-    off = np.abs(part - middle)
-    deviation = np.maximum(_ROBUST * np.median(off[finite], axis=0), _step(part[finite]))
-    good: BoolArray = np.asarray(finite & (off <= _FAR * deviation).all(axis=1))
+def _clean(blocks: list[FloatArray]) -> list[BoolArray]:
+    """Return which samples of each block, (n, 3), are readings and no outliers, (n,)."""
+    good: list[BoolArray] = [np.asarray(np.isfinite(part).all(axis=1)) for part in blocks]
+    alike: dict[int, list[int]] = {}  # blocks with as many readings are judged at once
+    for k, finite in enumerate(good):
+        alike.setdefault(int(finite.sum()), []).append(k)
+    for count, members in alike.items():
+        if count:
+            parts = np.array([blocks[k][good[k]] for k in members])
+            off = np.abs(parts - np.median(parts, axis=1, keepdims=True))
+            deviation = np.maximum(_ROBUST * np.median(off, axis=1), _step(parts))
+            for k, inside in zip(members, (off <= _FAR * deviation[:, None]).all(axis=2), strict=True):
+                good[k][good[k]] = inside
     return good
 
 
@@ -369,9 +373,13 @@ def _record_step(values: FloatArray | None) -> FloatArray:
 
 
 def _step(part: FloatArray) -> FloatArray:
-    # The least step between readings of each axis: a converter whose noise is below one code has no median deviation.
-    steps = [np.diff(np.unique(column)) for column in part.T]
-    return np.array([float(s.min()) if len(s) else 0.0 for s in steps])
+    """Return the least step between readings of each axis, (..., n, 3) -> (..., 3); 0 where all are equal.
+
+    A converter whose noise is below one code has no median deviation.
+    """
+    steps = np.diff(np.sort(part, axis=-2), axis=-2)
+    least = np.where(steps > 0.0, steps, np.inf).min(axis=-2, initial=np.inf)
+    return np.where(np.isfinite(least), least, 0.0)
 
 
 def _slope(time: FloatArray, temp: FloatArray, middle: float, span_s: float) -> float:
