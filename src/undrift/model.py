@@ -21,11 +21,12 @@ from numpy.typing import ArrayLike
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, most_consequential_first
+from undrift.record import Axis
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
 Status = Literal["good", "marginal", "bad"]
 
-AXES = ("x", "y", "z")
+AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
 MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)

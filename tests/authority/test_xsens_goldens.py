@@ -11,12 +11,12 @@ from functools import cache
 import numpy as np
 
 from testkit.data import data_path, show
+from testkit.poses import fit_poses
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.multi_position import (
     MultiPositionFit,
     MultiPositionSettings,
     fit_multi_position,
-    fit_poses,
     still_variance,
 )
 from undrift.model import TriadModel

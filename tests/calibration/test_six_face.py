@@ -8,7 +8,7 @@ import pytest
 from testkit.cramer_rao import COHORTS
 from testkit.data import show
 from testkit.findings import codes, only
-from undrift.calibration.checks import face_vectors
+from undrift.calibration.checks import check_scale_factor, face_vectors
 from undrift.calibration.six_face import (
     FaceMeans,
     SixFaceSettings,
@@ -125,10 +125,11 @@ def test_levelled_needs_the_noise_of_the_means():
 
 def test_counts_and_their_scale_are_checked_against_what_the_maker_states():
     counts = faces(unit="count", scale=208.8)
-    fit = fit_six_face(counts, gravity=G, settings=SixFaceSettings(stated_scale=208.8))
+    fit = fit_six_face(counts, gravity=G)
+    check_scale_factor(fit.model.scale_factor, 208.8, 0.1, "accelerometer")
     np.testing.assert_allclose(fit.model.forward_matrix, 208.8 * FORWARD, rtol=1e-12, atol=1e-10)
     with pytest.raises(Implausible, match=r"got 2\.0402 of it"):
-        fit_six_face(counts, gravity=G, settings=SixFaceSettings(stated_scale=104.4))
+        check_scale_factor(fit.model.scale_factor, 104.4, 0.1, "accelerometer")
 
 
 def test_affine_says_when_the_faces_were_not_level():
@@ -211,7 +212,7 @@ def test_level_faces_are_not_called_tilted_and_tilted_ones_are_measured():
 
 
 def test_a_tilt_loads_cross_axes_with_its_sine_and_the_own_axis_with_its_cosine():
-    sigma = tilted_sigma(UP, np.zeros((6, 3)), np.full(3, G), 0.01)
+    sigma = tilted_sigma(UP, np.zeros((6, 3)), G, 0.01)
     np.testing.assert_allclose(sigma[0], [G * 1e-4, G * 1e-2, G * 1e-2])
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from undrift.errors import InputError, NotObservable
 from undrift.fit.least_squares import fit_forward, fit_paper, student_variance, triad_from_forward
-from undrift.model import Verdict
 
 RNG = np.random.default_rng(11)
 INPUTS = RNG.normal(0.0, 5.0, (30, 3))
@@ -17,9 +16,7 @@ def test_exact_readings_give_back_matrix_and_offset():
     fit = fit_forward(INPUTS, INPUTS @ FORWARD.T + OFFSET, None)
     np.testing.assert_allclose(fit.matrix, FORWARD, atol=1e-13)
     np.testing.assert_allclose(fit.offset, OFFSET, atol=1e-13)
-    triad = triad_from_forward(
-        fit, method="m", unit_in="count", unit_out="m/s2", valid_range=(-1.0, 1.0), verdict=Verdict()
-    )
+    triad = triad_from_forward(fit, method="m", unit_in="count", unit_out="m/s2", valid_range=(-1.0, 1.0))
     np.testing.assert_allclose(triad.model.matrix, np.linalg.inv(FORWARD), atol=1e-13)
     assert triad.model.count == 90
     assert triad.model.rank == 12
@@ -35,7 +32,7 @@ def test_the_covariance_is_the_scatter_of_many_fits(known):
         spread = np.broadcast_to(sigma, (30, 3)) if known else None
         triad = triad_from_forward(
             fit_forward(INPUTS, readings, spread), method="m", unit_in="count", unit_out="m/s2",
-            valid_range=(-1.0, 1.0), verdict=Verdict(),
+            valid_range=(-1.0, 1.0),
         )  # fmt: skip
         found.append(np.concatenate((triad.model.matrix.reshape(-1), triad.model.offset)))
         claimed.append(triad.model.covariance)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import COHORTS, Array, Tally, information, jacobian, white_device
+from testkit.poses import fit_poses
 from testkit.twins import rotation_matrices
-from undrift.calibration.multi_position import fit_poses
 from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
 from undrift.frames import quaternion_product
 from undrift.record import Record

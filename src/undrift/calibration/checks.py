@@ -14,6 +14,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
 from undrift.model import AXES
 from undrift.record import FACES, Axis, Face
+from undrift.units import Quantity, is_physical, si_factor
 
 # ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?
 #
@@ -93,7 +94,7 @@ def cause_by_gravity(seen: FloatArray) -> str:
 
 
 def _reversed_and_moved(seen: FloatArray) -> tuple[list[str], list[str]]:
-    negative = [AXES[i] for i in range(3) if seen[i].min() < 0.0]
+    negative: list[str] = [AXES[i] for i in range(3) if seen[i].min() < 0.0]
     return negative, [AXES[i] for i in range(3) if seen[i, i] == 0.0]
 
 
@@ -215,7 +216,7 @@ def check_handedness(forward: FloatArray, what: str) -> None:
         )
 
 
-def check_scale_factor(scale_factor: FloatArray, stated: float, tolerance: float, what: str) -> None:
+def check_scale_factor(scale_factor: FloatArray | float, stated: float, tolerance: float, what: str) -> None:
     """Raise when a fitted scale factor, one or (K,), is outside the tolerance of the stated sensitivity."""
     ratio = np.atleast_1d(np.asarray(scale_factor, float)) / stated
     worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
@@ -227,6 +228,14 @@ def check_scale_factor(scale_factor: FloatArray, stated: float, tolerance: float
             ratio=worst,
             tolerance=tolerance,
         )
+
+
+def check_own_scale(
+    scale_factor: FloatArray | float, unit: str, quantity: Quantity, tolerance: float, what: str
+) -> None:
+    """Raise when a fitted scale factor, reading per SI unit, is outside the tolerance of the unit's own; counts have none."""
+    if is_physical(unit):
+        check_scale_factor(scale_factor, 1.0 / si_factor(unit, quantity), tolerance, what)
 
 
 def check_saturation(values: FloatArray, what: str) -> None:

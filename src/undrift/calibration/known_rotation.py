@@ -27,14 +27,14 @@ from undrift.calibration.checks import (
     axis_vectors,
     cause_by_gravity,
     check_axis_order,
+    check_own_scale,
     check_range,
-    check_scale_factor,
     face_vectors,
     missing_faces,
     nearest_signed_permutation,
     order_text,
 )
-from undrift.calibration.multi_position_gyro import Moves, cut_moves, gravity_directions
+from undrift.calibration.multi_position_gyro import Moves, cut_moves, gravity_directions, turned_in
 from undrift.calibration.observe import Observed, Outcome
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable
@@ -42,7 +42,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, inverse_jacobian, scaled_condition
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
-from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE
 
 # ---- do the fitted gyroscopes turn gravity as the accelerometer measures it?
 #
@@ -86,22 +86,8 @@ def check_turns_gravity(
 
 
 def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArray) -> float:
-    from undrift.kernels.calibrate import rotations_between
-
-    count = len(moves.first)
-    rotation, sums = np.empty(9 * count), np.empty(36 * count)
-    rotations_between(
-        moves.gyro.reshape(-1),
-        moves.time,
-        moves.first,
-        moves.last,
-        np.ascontiguousarray(matrix).reshape(-1),
-        offset,
-        np.zeros(3 * count),
-        rotation,
-        sums,
-    )
-    arrived = (rotation.reshape(count, 3, 3).transpose(0, 2, 1) @ n[moves.before][:, :, None])[:, :, 0]
+    turn, _ = turned_in(moves, matrix, offset, np.zeros((len(moves.first), 3)))
+    arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
     cosine = np.clip((arrived * n[moves.after]).sum(axis=1), -1.0, 1.0)
     return float(np.sqrt(np.mean(np.arccos(cosine) ** 2))) / RADIAN_PER_DEGREE
 
@@ -117,9 +103,7 @@ class KnownRotationSettings:
 
     mode: KnownRotationMode = "affine"  # paper (Ferraris' closed form) or affine
     angle_uncertainty: float = 0.0  # Standard uncertainty of each turn's angle, rad; part of the covariance
-    # Sensitivity the maker states, reading per rad/s; None leaves it unchecked unless the readings are physical
-    stated_scale: float | None = None
-    scale_tolerance: float = 0.25  # Relative tolerance of ``stated_scale``
+    scale_tolerance: float = 0.25  # Relative tolerance of a physical unit's own scale
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -184,52 +168,45 @@ def rotation_data(
     records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn], *, matrix: FloatArray, offset: FloatArray
 ) -> RotationData:
     """Sum the readings of a session over its labelled faces and its turns; matrix and offset are the accelerometer's."""
-    means, samples, faces, square, spare = [], [], [], np.zeros(3), 0
-    for still in stills:
+    faced, windows = [s for s in stills if s.face is not None], []
+    for still in faced:
         gyro, _ = _both(records[still.recording])
-        if still.face is not None:
-            window = gyro[still.start : still.stop]
-            window = window[~np.isnan(window).any(axis=1)]
-            if len(window) < 2:
-                raise InputError(
-                    f"known rotation: wanted readings at rest on face {still.face}, got {len(window)}; choose another stretch"
-                )
-            means.append(window.mean(axis=0))
-            samples.append(len(window))
-            faces.append(still.face)
-            square += ((window - window.mean(axis=0)) ** 2).sum(axis=0)
-            spare += len(window) - 1
-    sigma = np.sqrt(square / max(1, spare))
+        window = gyro[still.start : still.stop]
+        windows.append(window[~np.isnan(window).any(axis=1)])
+        if len(windows[-1]) < 2:
+            raise InputError(
+                f"known rotation: wanted readings at rest on face {still.face}, got {len(windows[-1])}; choose another stretch"
+            )
+    square = sum((((w - w.mean(axis=0)) ** 2).sum(axis=0) for w in windows), np.zeros(3))
+    count = np.array([len(w) for w in windows], float)
+    sigma = np.sqrt(square / max(1, int(count.sum()) - len(count)))
     used = [t for t in turns if t.axis is not None and t.angle is not None]
-    reading, force, duration, noise = [], [], [], []
+    sums, duration, noise = [], [], []
     for turn in used:
-        record = records[turn.recording]
-        gyro, accel = _both(record)
-        if np.isnan(gyro[turn.start : turn.stop]).any() or np.isnan(accel[turn.start : turn.stop]).any():
+        gyro, accel = (values[turn.start : turn.stop] for values in _both(records[turn.recording]))
+        if np.isnan(gyro).any() or np.isnan(accel).any():
             raise InputError(
                 f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again"
             )
-        check_range([gyro[turn.start : turn.stop]], f"gyroscope in the turn about {turn.axis}")
-        steps = np.diff(record.time)
+        check_range([gyro], f"gyroscope in the turn about {turn.axis}")
+        steps = np.diff(records[turn.recording].time)
         step = np.concatenate((steps[:1], steps))[turn.start : turn.stop]
-        reading.append(step @ gyro[turn.start : turn.stop])
-        force.append(step @ ((accel[turn.start : turn.stop] - offset) @ matrix.T))
+        sums.append((step @ gyro, step @ ((accel - offset) @ matrix.T)))
         duration.append(step.sum())
         noise.append(sigma * np.sqrt(step @ step))
-    count = np.array(samples, float)
-    unit = records[0].gyro_unit
+    reading, force = np.array(sums).reshape(-1, 2, 3).swapaxes(0, 1)
     return RotationData(
         rest=FaceMeans(
-            reading=np.array(means).reshape(-1, 3),
-            faces=tuple(faces),
+            reading=np.array([w.mean(axis=0) for w in windows]).reshape(-1, 3),
+            faces=tuple(s.face for s in faced if s.face is not None),
             noise=sigma / np.sqrt(count)[:, None] if len(count) else None,
-            unit=unit,
+            unit=records[0].gyro_unit,
         ),
         rest_samples=count,
         angle=np.array([t.angle for t in used], float),
         axis=tuple(t.axis for t in used if t.axis is not None),
-        reading=np.array(reading).reshape(-1, 3),
-        force=np.array(force).reshape(-1, 3),
+        reading=reading,
+        force=force,
         duration=np.array(duration),
         noise=np.array(noise).reshape(-1, 3),
     )
@@ -273,13 +250,8 @@ def _check_turns(forward: FloatArray, data: RotationData, settings: KnownRotatio
             "that column",
             reversed=tuple(AXES[k] for k in reversed_),
         )
-    stated = settings.stated_scale
-    if stated is None and is_physical(data.rest.unit):
-        stated = 1.0 / si_factor(data.rest.unit, "rate")
-    if stated is not None:
-        check_scale_factor(
-            np.linalg.norm(forward, axis=1), stated, settings.scale_tolerance, "gyroscope turned by hand"
-        )
+    scale = np.linalg.norm(forward, axis=1)
+    check_own_scale(scale, data.rest.unit, "rate", settings.scale_tolerance, "gyroscope turned by hand")
 
 
 def _covariance(

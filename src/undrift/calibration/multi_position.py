@@ -27,17 +27,16 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from undrift.arrays import BoolArray, FloatArray, IntArray, frozen
-from undrift.calibration.checks import check_gravity, check_range, check_scale_factor
-from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.checks import check_gravity, check_own_scale, check_range
+from undrift.calibration.multi_position_gyro import fit_gyro_between_stills, still_moments
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition
 from undrift.model import AXES, TriadModel, Verdict, level_of
-from undrift.record import Record, Session, Still
+from undrift.record import Record, Still
 from undrift.segments import runs
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
@@ -216,26 +215,6 @@ RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad 
 UNCERTAIN_MG = (2.0, 20.0)
 
 
-def fit_poses(
-    means: ArrayLike,
-    *,
-    gravity: float,
-    standard_errors: ArrayLike | None = None,
-    unit_in: str = "count",
-    cross_axis: bool = True,
-) -> TriadFit:
-    """Fit an accelerometer to mean readings (K, 3) in still poses of any direction, with standard errors where known."""
-    reading = frozen(means, (None, 3), "means")
-    error = None if standard_errors is None else frozen(standard_errors, (len(reading), 3), "standard_errors")
-    if np.isnan(reading).any() or (error is not None and (np.isnan(error).any() or (error < 0.0).any())):
-        raise InputError(
-            "poses: wanted means and standard errors without gaps, got NaN or negatives; leave those poses out"
-        )
-    check_count(reading, 9 if cross_axis else 6, known_noise=error is not None)
-    fit = fit_norm(reading, gravity=gravity, variances=None if error is None else error**2, cross_axis=cross_axis)
-    return judged(fit, reading, unit_in)
-
-
 def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> None:
     """Raise unless there are enough different poses."""
     wanted = parameters + (not known_noise)
@@ -278,8 +257,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
     )
-    if is_physical(unit):
-        check_scale_factor(model.scale_factor * si_factor(unit, "accel"), 1.0, TOLERANCE, "accel")
+    check_own_scale(model.scale_factor, unit, "accel", TOLERANCE, "accel")
     return TriadFit(model=model, residuals=fit.residuals, verdict=Verdict.of(*_judged(fit, model.rms_residual / MG)))
 
 
@@ -325,9 +303,6 @@ class StillVariance:
     level: FloatArray  # (N,), s2, raw unit squared; infinite at the ends and next to gaps
     gyro_level: FloatArray | None  # (N,), the same of the gyroscopes, their unit squared; None without gyroscopes
     at_rest: float  # Value of ``level`` at rest, raw unit squared
-    sums: FloatArray  # (N + 1, 3), running sums of the readings less ``centre``
-    squares: FloatArray  # (N + 1, 3), of their squares
-    centre: FloatArray  # (3,), raw unit
 
     def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
         """Return the stretches [start, stop) below a threshold."""
@@ -346,68 +321,47 @@ class StillVariance:
             kept.append((start + int(first), start + int(last)) if last - first >= least else (start, stop))
         return kept
 
-    def moments(self, stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
-        """Return the mean reading (K, 3) of each still and its variance (K, 3), the noise pooled over all."""
-        start, stop = np.array([s.start for s in stills]), np.array([s.stop for s in stills])
-        count = (stop - start)[:, None].astype(float)
-        sums, squares = self.sums[stop] - self.sums[start], self.squares[stop] - self.squares[start]
-        within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(stills))
-        return sums / count + self.centre, np.maximum(within, 0.0) / count
-
 
 def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> StillVariance:
     """Return the windowed variance of a record's accelerometer and its level at rest."""
     if record.accel is None:
         raise InputError("still variance: wanted accel readings, got none; map the accelerometer columns")
     half = max(5, round(0.5 * window_s * record.sample_rate_hz))
-    width = 2 * half + 1
-    rest = len(record) if rest_s is None else int(np.searchsorted(record.time, record.time[0] + rest_s))
-    if len(record) < width + 1 or (rest_s is not None and record.duration_s < rest_s):
+    if len(record) < 2 * half + 2 or (rest_s is not None and record.duration_s < rest_s):
         raise InputError(
             f"still variance: wanted a record longer than its window of {window_s:g} s"
             + ("" if rest_s is None else f" and its opening rest of {rest_s:g} s")
             + f", got {record.duration_s:.2f} s; shorten them"
         )
-    level, sums, squares, centre = _windowed(record.accel, half)
+    level = _windowed(record.accel, half)
     if rest_s is None:
         finite = level[np.isfinite(level)]
         at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
     else:
+        rest = int(np.searchsorted(record.time, record.time[0] + rest_s))
         at_rest = float(np.linalg.norm(np.nanvar(record.accel[:rest], axis=0, ddof=1)))
-    return StillVariance(
-        values=record.accel,
-        level=level,
-        gyro_level=None if record.gyro is None else _windowed(record.gyro, half)[0],
-        at_rest=at_rest,
-        sums=sums,
-        squares=squares,
-        centre=centre,
-    )
+    gyro_level = None if record.gyro is None else _windowed(record.gyro, half)
+    return StillVariance(values=record.accel, level=level, gyro_level=gyro_level, at_rest=at_rest)
 
 
-def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the level over windows of 2 half + 1 samples, running sums, running sums of squares, and their centre."""
+def _windowed(values: FloatArray, half: int) -> FloatArray:
+    """Return the level over windows of 2 half + 1 samples by running sums."""
     width = 2 * half + 1
     gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
-    centre = values[~gap].mean(axis=0) if not gap.all() else np.zeros(3)
-    u = np.where(gap[:, None], 0.0, values - centre)
-    sums, squares = np.zeros((len(u) + 1, 3)), np.zeros((len(u) + 1, 3))
-    np.cumsum(u, axis=0, out=sums[1:])
-    np.cumsum(u * u, axis=0, out=squares[1:])
-    s, q = sums[width:] - sums[:-width], squares[width:] - squares[:-width]
+    u = np.where(gap[:, None], 0.0, values - (values[~gap].mean(axis=0) if not gap.all() else 0.0))
+    s, q, lost = (
+        total[width - 1 :] - np.concatenate((np.zeros_like(total[:1]), total[:-width]))
+        for total in (np.cumsum(u, axis=0), np.cumsum(u * u, axis=0), np.cumsum(gap))
+    )
     level = np.full(len(u), np.inf)
-    level[half:-half] = np.linalg.norm((q - s * s / width) / (width - 1), axis=1)
-    if gap.any():
-        lost = np.concatenate(([0], np.cumsum(gap)))
-        level[half:-half][lost[width:] > lost[:-width]] = np.inf
-    return level, sums, squares, centre
+    level[half:-half] = np.where(lost > 0, np.inf, np.linalg.norm((q - s * s / width) / (width - 1), axis=1))
+    return level
 
 
 # ---- the whole method
 
 SAME_POSE_DEG = 10.0  # directions nearer to each other than this count as one pose
 Rule = Literal["coverage", "published"]
-GyroPolicy = Literal["if_observable", "required", "none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -422,9 +376,7 @@ class MultiPositionSettings:
     rest_s: float | None = None
     rule: Rule = "coverage"  # coverage or published: how the threshold is chosen, and how poses and turns weigh
     cross_axis: bool = True  # False fits the accelerometer's scale and offset alone: for poses on the faces
-    # if_observable leaves the gyroscopes out, with the reason, where the moves do not show them; required raises;
-    # none
-    gyro: GyroPolicy = "if_observable"
+    gyro: bool = True  # Fit the gyroscopes too, where the moves show them
 
     @classmethod
     def published(cls, rest_s: float = 50.0) -> "MultiPositionSettings":
@@ -440,7 +392,6 @@ class ThresholdTrial:
     stills: int  # Still phases found
     poses: int  # Different poses among them, by direction
     cost: float  # Half the sum of squared residuals, (m/s2)^2; infinite where nothing could be fitted
-    rms_residual: float  # m/s2
     uncertainty: float  # Standard uncertainty of a corrected reading of gravity, rms over all directions, m/s2
 
 
@@ -459,35 +410,18 @@ class MultiPositionFit:
     missing: tuple[Finding, ...] = ()  # Why there are no gyroscopes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Attempt:
-    trial: ThresholdTrial
-    stills: tuple[Still, ...]
-    reading: FloatArray
-    fit: NormFit | None
+_Attempt = tuple[ThresholdTrial, tuple[Still, ...], FloatArray, NormFit | None]  # the third: readings that were fitted
 
 
 def fit_multi_position(
-    record: Record,
+    recorded: Record | Sequence[Record],
     *,
     gravity: float,
     stills: Sequence[Still] | None = None,
     settings: MultiPositionSettings = MultiPositionSettings(),
 ) -> MultiPositionFit:
-    """Calibrate from one recording of free poses and turns between them."""
-    return _fit((record,), None if stills is None else tuple(stills), gravity, settings)
-
-
-def fit_multi_position_session(
-    session: Session, *, settings: MultiPositionSettings = MultiPositionSettings()
-) -> MultiPositionFit:
-    """Calibrate from all recordings of a session together; a recording may be a single pose."""
-    return _fit(session.records, session.stills or None, session.gravity_m_s2, settings)
-
-
-def _fit(
-    records: tuple[Record, ...], stated: tuple[Still, ...] | None, gravity: float, settings: MultiPositionSettings
-) -> MultiPositionFit:
+    """Calibrate from recordings of free poses and turns between them, all together; a recording may be a single pose."""
+    records = (recorded,) if isinstance(recorded, Record) else tuple(recorded)
     if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
         raise InputError(
             "multi-position: wanted accel readings in one unit in every recording, got recordings without or in several units; "
@@ -495,26 +429,26 @@ def _fit(
         )
     levels = [still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s) for r in records]
     shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
-    tried = {np.nan: stated} if stated is not None else {m: _stills(levels, m, shortest) for m in settings.multiples}
-    attempts = [_attempt(levels, stills, m, gravity, settings, shortest) for m, stills in tried.items()]
-    chosen = _choose(attempts, settings)
-    if chosen.fit is None:
-        check_count(chosen.reading, 9 if settings.cross_axis else 6, known_noise=True)
+    stated = {} if stills is None else {np.nan: tuple(stills)}
+    tried = stated or {m: _stills(levels, m, shortest) for m in settings.multiples}
+    attempts = [_attempt(levels, chosen, m, gravity, settings, shortest) for m, chosen in tried.items()]
+    trial, used, reading, fit = _choose(attempts, settings)
+    if fit is None:
+        check_count(reading, 9 if settings.cross_axis else 6, known_noise=True)
         raise PoorFit(
             "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
         )
-    check_range([levels[s.recording].values[s.start : s.stop] for s in chosen.stills], "accelerometer in still poses")
-    accel = judged(chosen.fit, chosen.reading, records[0].accel_unit)
-    found = stated is None and settings.rule == "coverage"
-    cores = _cores(levels, chosen.stills, shortest) if found else chosen.stills
-    gyro, missing = _gyro(records, chosen.stills, accel, settings, cores)
+    check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
+    accel = judged(fit, reading, records[0].accel_unit)
+    cores = _cores(levels, used, shortest) if stills is None and settings.rule == "coverage" else used
+    gyro, missing = _gyro(records, used, accel, settings, cores)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
     return MultiPositionFit(
         accel=accel,
         gyro=gyro,
-        stills=chosen.stills,
-        threshold=chosen.trial.multiple * levels[0].at_rest,
-        trials=tuple(a.trial for a in attempts),
+        stills=used,
+        threshold=trial.multiple * levels[0].at_rest,
+        trials=tuple(one[0] for one in attempts),
         verdict=verdict.also(Verdict.of(*missing)),
         missing=missing,
     )
@@ -545,33 +479,26 @@ def _attempt(
     settings: MultiPositionSettings,
     shortest: list[int],
 ) -> _Attempt:
-    variances: FloatArray | None = None
-    if settings.rule == "published" and stills:
+    means, variances = _poses(levels, stills)
+    published = settings.rule == "published"
+    reading = means
+    if published and stills:
         reading = np.concatenate(
             [levels[s.recording].values[s.start : s.start + shortest[s.recording]] for s in stills]
         )
-    else:
-        reading, variances = _poses(levels, stills)
     fit: NormFit | None = None
     if len(stills) >= (9 if settings.cross_axis else 6) and np.ptp(reading, axis=0).any():
         with suppress(PoorFit):
-            fit = fit_norm(reading, gravity=gravity, variances=variances, cross_axis=settings.cross_axis)
-    if fit is None:
-        none = ThresholdTrial(
-            multiple=multiple, stills=len(stills), poses=0, cost=np.inf, rms_residual=np.inf, uncertainty=np.inf
-        )
-        return _Attempt(trial=none, stills=stills, reading=reading, fit=None)
-    means = reading if variances is not None else _poses(levels, stills)[0]
-    square = float(fit.residuals @ fit.residuals)
+            weights = None if published else variances
+            fit = fit_norm(reading, gravity=gravity, variances=weights, cross_axis=settings.cross_axis)
     trial = ThresholdTrial(
         multiple=multiple,
         stills=len(stills),
-        poses=_different(fit.corrected(means)),
-        cost=0.5 * square,
-        rms_residual=float(np.sqrt(square / len(reading))),
-        uncertainty=fit.uncertainty,
+        poses=0 if fit is None else _different(fit.corrected(means)),
+        cost=np.inf if fit is None else 0.5 * float(fit.residuals @ fit.residuals),
+        uncertainty=np.inf if fit is None else fit.uncertainty,
     )
-    return _Attempt(trial=trial, stills=stills, reading=reading, fit=fit)
+    return trial, stills, reading, fit
 
 
 def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[FloatArray, FloatArray]:
@@ -580,7 +507,9 @@ def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[Floa
     for number, level in enumerate(levels):
         rows = [k for k, s in enumerate(stills) if s.recording == number]
         if rows:
-            means[rows], variances[rows] = level.moments([stills[k] for k in rows])
+            start, stop = (np.array([getattr(stills[k], end) for k in rows]) for end in ("start", "stop"))
+            means[rows], pooled, count = still_moments(level.values, start, stop)
+            variances[rows] = pooled / count[:, None]
     return means, variances
 
 
@@ -596,16 +525,15 @@ def _different(force: FloatArray) -> int:
 
 
 def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attempt:
-    fitted = [a for a in attempts if a.fit is not None]
+    fitted = [a for a in attempts if a[3] is not None]
     if not fitted:
-        return max(attempts, key=lambda a: len(a.stills))
+        return max(attempts, key=lambda a: len(a[1]))
     if settings.rule == "published":
-        return min(fitted, key=lambda a: a.trial.cost)
+        return min(fitted, key=lambda a: a[0].cost)
     # Thresholds that let motion in are far less certain; their false poses must not set the count to be reached.
-    least = min(a.trial.uncertainty for a in fitted)
-    most = max(a.trial.poses for a in fitted if a.trial.uncertainty <= 2.0 * least or not np.isfinite(least))
-    covered = [a for a in fitted if a.trial.poses >= 0.9 * most]
-    return min(covered, key=lambda a: a.trial.uncertainty)
+    least = min(a[0].uncertainty for a in fitted)
+    most = max(a[0].poses for a in fitted if a[0].uncertainty <= 2.0 * least or not np.isfinite(least))
+    return min((a for a in fitted if a[0].poses >= 0.9 * most), key=lambda a: a[0].uncertainty)
 
 
 def _gyro(
@@ -615,21 +543,13 @@ def _gyro(
     settings: MultiPositionSettings,
     cores: tuple[Still, ...],
 ) -> tuple[TriadFit | None, tuple[Finding, ...]]:
-    if settings.gyro == "none" or (settings.gyro == "if_observable" and any(r.gyro is None for r in records)):
+    if not settings.gyro or any(r.gyro is None for r in records):
         return None, ()
     published = settings.rule == "published"
+    rest_s = settings.rest_s if published else None
     try:
-        fit = fit_gyro_between_stills(
-            records,
-            stills,
-            accel.model,
-            cores=cores,
-            weights="equal" if published else "noise",
-            rest_s=settings.rest_s if published else None,
-        )
+        fit = fit_gyro_between_stills(records, stills, accel.model, cores=cores, equal=published, rest_s=rest_s)
     except NotObservable as error:
-        if settings.gyro == "required":
-            raise
         return None, (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     return fit, ()
 
@@ -637,27 +557,30 @@ def _gyro(
 # ---- from a session
 
 
+def _of_session(seen: Observed, settings: MultiPositionSettings = MultiPositionSettings()) -> MultiPositionFit:
+    session = seen.session
+    stills = session.stills or None
+    return fit_multi_position(session.records, gravity=session.gravity_m_s2, stills=stills, settings=settings)
+
+
 def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its free poses; an entry of FITS."""
-    return Outcome(fit=fit_multi_position_session(seen.session).accel, method="multi-position")
+    return Outcome(fit=_of_session(seen).accel, method="multi-position")
 
 
 def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to the moves between its poses; an entry of FITS."""
     try:
-        fit = fit_multi_position_session(seen.session)
+        fit = _of_session(seen)
     except NotObservable as error:
         return Outcome(findings=(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),))
-    if fit.gyro is None:
-        return Outcome(findings=fit.missing)
-    return Outcome(fit=fit.gyro, method="multi-position")
+    return Outcome(findings=fit.missing) if fit.gyro is None else Outcome(fit=fit.gyro, method="multi-position")
 
 
 def calibrate_scale_alone(seen: Observed, reason: str) -> Outcome:
     """Fit scale and offset of an accelerometer whose poses do not show the cross-axis terms, for a reason."""
-    settings = MultiPositionSettings(cross_axis=False, gyro="none")
     try:
-        fit = fit_multi_position_session(seen.session, settings=settings).accel
+        fit = _of_session(seen, MultiPositionSettings(cross_axis=False, gyro=False)).accel
     except (NotObservable, PoorFit) as error:
         return Outcome(findings=(finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error)),))
     # The finding below says the same, and why.

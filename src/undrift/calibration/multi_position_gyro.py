@@ -8,11 +8,11 @@
 M is a full 3x3 matrix in the accelerometer's axes [1]_. A turn shows two angles; the one about the vertical is not observable.
 Two ways to weigh them:
 
-- ``noise``: by the covariance of the missed angles, with the noise of both still phases (a still between two turns ties
+- by the covariance of the missed angles, with the noise of both still phases (a still between two turns ties
   them together), the uncertainty of the accelerometer's calibration, the gyroscopes' white noise over the turn, the
   drift of their offset between stills, and an excess that the residuals show. The offset is a parameter; the stills' readings
   are observations of it.
-- ``equal``: every turn alike and the offset fixed at the mean of the opening rest, as published in [1]_.
+- ``equal``, every turn alike and the offset fixed at the mean of the opening rest, as published in [1]_.
 
 .. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
    equipments", ICRA 2014, eqs. 11-15.
@@ -20,18 +20,17 @@ Two ways to weigh them:
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.checks import check_axis_order, check_range, check_scale_factor
+from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.checks import check_axis_order, check_own_scale, check_range
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import finding
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition
 from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
-from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE
 
 # ---- moves between stills; direction of gravity and offset in the stills
 #
@@ -47,7 +46,6 @@ class Directions:
     unit: FloatArray  # (K, 3), unit vectors in b
     jacobian: FloatArray  # (K, 3, 12), derivative by the accelerometer's m_xx .. m_zz and offset
     covariance: FloatArray  # (K, 3, 3), from the noise of the still itself
-    model_covariance: FloatArray  # (12, 12), of the accelerometer's parameters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,16 +70,9 @@ class Moves:
     last: IntArray  # (J,), first sample of the core after it
     before: IntArray  # (J,), number of the still before
     after: IntArray  # (J,), number of the still after
-    start: IntArray  # (K,), samples [start, stop) of the stills: the accelerometer is at rest
-    stop: IntArray
-    core_start: IntArray  # (K,), samples of their cores: the gyroscopes are at rest too
-    core_stop: IntArray
-
-    @property
-    def duration_s(self) -> FloatArray:
-        """Length of each move, s, shape (J,)."""
-        length: FloatArray = self.time[self.last] - self.time[self.first]
-        return length
+    stills: tuple[IntArray, IntArray]  # (K,), samples [start, stop) of the stills: the accelerometer is at rest
+    cores: tuple[IntArray, IntArray]  # (K,), samples of their cores: the gyroscopes are at rest too
+    duration_s: FloatArray  # (J,), length of each move, s
 
 
 def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequence[Still]) -> Moves:
@@ -97,38 +88,35 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequenc
         )
     base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
     ordered = sorted(zip(stills, cores, strict=True), key=lambda pair: (pair[0].recording, pair[0].start))
-    first = base[[still.recording for still, _ in ordered]]
-    start, stop = (first + np.array([getattr(still, end) for still, _ in ordered]) for end in ("start", "stop"))
-    core_start, core_stop = (first + np.array([getattr(core, end) for _, core in ordered]) for end in ("start", "stop"))
+    begin = base[[still.recording for still, _ in ordered]]
+    edges = [
+        begin + np.array([getattr(p[k], end) for p in ordered], np.int64) for k in (0, 1) for end in ("start", "stop")
+    ]
+    core_start, core_stop = edges[2:]
     gyro = np.concatenate([gyro for gyro, _ in pairs if gyro is not None])
     time = np.concatenate([r.time for r in records])
     longest = 1.5 / np.array([r.sample_rate_hz for r in records])
     broken = np.isnan(gyro).any(axis=1) | (np.diff(time, prepend=time[0]) > np.repeat(longest, np.diff(base)))
     lost = np.concatenate(([0], np.cumsum(broken)))
-    kept = [
-        k
-        for k in range(len(ordered) - 1)
-        if first[k] == first[k + 1] and lost[core_start[k + 1] + 1] == lost[core_stop[k]]
-    ]
-    before = np.array(kept, np.int64)
+    before = np.flatnonzero((begin[:-1] == begin[1:]) & (lost[core_start[1:] + 1] == lost[core_stop[:-1]]))
+    first, last = core_stop[before] - 1, core_start[before + 1]
     return Moves(
         gyro=gyro,
         accel=np.concatenate([accel for _, accel in pairs if accel is not None]),
         time=time,
-        first=core_stop[before] - 1,
-        last=core_start[before + 1],
+        first=first,
+        last=last,
         before=before,
         after=before + 1,
-        start=start,
-        stop=stop,
-        core_start=core_start,
-        core_stop=core_stop,
+        stills=(edges[0], edges[1]),
+        cores=(core_start, core_stop),
+        duration_s=time[last] - time[first],
     )
 
 
 def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
     """Return the direction of gravity in each still with its derivatives and covariance."""
-    mean, variance, count = still_moments(moves.accel, moves.start, moves.stop)
+    mean, variance, count = still_moments(moves.accel, *moves.stills)
     d = mean - accel.offset
     a = d @ accel.matrix.T
     length = np.linalg.norm(a, axis=1)
@@ -140,7 +128,6 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
         unit=n,
         jacobian=np.concatenate((by_matrix, -turned), axis=2),
         covariance=(turned * variance / count[:, None, None]) @ turned.transpose(0, 2, 1),
-        model_covariance=accel.covariance[:12, :12],
     )
 
 
@@ -152,8 +139,9 @@ def offset_prior(moves: Moves) -> OffsetPrior:
     difference to the variance (1941) separates the two; where neighbours are not alike, q = 0 and the offset is constant. A move
     has the mean offset of its two stills, uncertain by q / 12 more. Stills that turn about the vertical are left out.
     """
-    reading, noise, count = still_moments(moves.gyro, moves.core_start, moves.core_stop)
-    rest = _at_rest(reading)
+    reading, noise, count = still_moments(moves.gyro, *moves.cores)
+    away = np.abs(reading - np.median(reading, axis=0))
+    rest = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)  # the others turn
     stills, each = len(reading), np.arange(len(moves.first))
     to_move = np.zeros((len(each), stills))
     to_move[each, moves.before], to_move[each, moves.after] = 0.5, 0.5
@@ -170,28 +158,18 @@ def offset_prior(moves: Moves) -> OffsetPrior:
         step = np.diff(np.eye(stills), axis=0)
         posterior = np.linalg.inv(step.T @ step / walk + np.diag(weight))
         offset = posterior @ (reading[:, axis] * weight)
-        away = to_move - 1.0 / stills
+        other = to_move - 1.0 / stills
         mean[axis], variance[axis] = offset.mean(), posterior.mean()
-        drift[:, axis] = away @ offset
-        drift_covariance[axis] = away @ posterior @ away.T + walk / 12.0 * np.eye(len(each))
+        drift[:, axis] = other @ offset
+        drift_covariance[axis] = other @ posterior @ other.T + walk / 12.0 * np.eye(len(each))
     return OffsetPrior(mean=mean, variance=variance, drift=drift, drift_covariance=drift_covariance, noise=noise)
-
-
-def _at_rest(reading: FloatArray) -> BoolArray:
-    """Tell the stills whose mean rate is like the others' from those that turn, shape (K,)."""
-    away = np.abs(reading - np.median(reading, axis=0))
-    alike: BoolArray = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)
-    return alike
 
 
 def _walk_and_jitter(reading: FloatArray, stated: FloatArray) -> tuple[float, float]:
     """Return q and the variance of the jitter."""
-    count = len(reading)
-    freedom = count - 1
-    jitter = 0.0
-    mean = float(np.mean(reading))
+    count, jitter, mean = len(reading), 0.0, float(np.mean(reading))
     for _ in range(4):
-        jitter = excess_variance(reading - mean, stated, freedom)
+        jitter = excess_variance(reading - mean, stated, count - 1)
         weight = 1.0 / (stated + jitter)
         mean = float((weight * reading).sum() / weight.sum())
     first = float(np.mean(np.diff(reading) ** 2)) if count > 1 else 0.0
@@ -244,10 +222,19 @@ def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[
 
 def cross_matrix(n: FloatArray) -> FloatArray:
     """Return the matrices (K, 3, 3) of the cross product with vectors (K, 3)."""
-    matrix = np.zeros((len(n), 3, 3))
-    matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -n[:, 2], n[:, 1], -n[:, 0]
-    matrix[:, 1, 0], matrix[:, 2, 0], matrix[:, 2, 1] = n[:, 2], -n[:, 1], n[:, 0]
-    return matrix
+    return np.cross(n[:, None, :], np.eye(3)).transpose(0, 2, 1)
+
+
+def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rotations C (J, 3, 3) of the moves, start to end, and the sums (J, 4, 3, 3) of their derivatives."""
+    from undrift.kernels.calibrate import rotations_between
+
+    j = len(moves.first)
+    rotation, sums = np.empty(9 * j), np.empty(36 * j)
+    flat, each = np.ascontiguousarray(matrix).reshape(-1), np.ascontiguousarray(drift).reshape(-1)
+    gyro = moves.gyro.reshape(-1)
+    rotations_between(gyro, moves.time, moves.first, moves.last, flat, offset, each, rotation, sums)
+    return rotation.reshape(j, 3, 3).transpose(0, 2, 1), sums.reshape(j, 4, 3, 3)
 
 
 # ---- fit
@@ -258,7 +245,6 @@ TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate
 DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
 MISS_DEG = (2.0, 8.0)
 UNCERTAIN_PERCENT = (0.5, 5.0)
-Weights = Literal["noise", "equal"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -267,6 +253,7 @@ class _Problem:
 
     moves: Moves
     directions: Directions
+    accel: TriadModel
     prior: OffsetPrior
     unit: float
     free: int
@@ -288,7 +275,7 @@ def fit_gyro_between_stills(
     accel: TriadModel,
     *,
     cores: Sequence[Still] | None = None,
-    weights: Weights = "noise",
+    equal: bool = False,
     rest_s: float | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses."""
@@ -305,22 +292,20 @@ def fit_gyro_between_stills(
         "gyroscope in moves between poses",
     )
     prior = offset_prior(moves)
-    if weights == "equal":
-        rest = (
-            records[0].gyro
-            if rest_s is None
-            else records[0].between(records[0].time[0], records[0].time[0] + rest_s).gyro
-        )
-        opening = moves.gyro[moves.core_start[0] : moves.core_stop[0]] if rest_s is None or rest is None else rest
+    if equal:
+        start = records[0].time[0]
+        rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
+        opening = moves.gyro[moves.cores[0][0] : moves.cores[1][0]] if rest is None else rest
         prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
     inside = _inside(moves)
     unit = float(np.sqrt(np.mean((moves.gyro[inside] - prior.mean) ** 2))) or 1.0
     problem = _Problem(
         moves=moves,
         directions=gravity_directions(moves, accel),
+        accel=accel,
         prior=prior,
         unit=unit,
-        free=12 if weights == "noise" else 9,
+        free=9 if equal else 12,
     )
     start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
     p, covariance, missed = _solve(problem, start)
@@ -347,12 +332,16 @@ def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _M
         if float(np.abs(p - before).max()) < 1e-5:
             break
     _, design = _weighted(problem, missed, p, whitener)
-    covariance = np.zeros((12, 12))
-    size = np.linalg.norm(design, axis=0)
-    size[size == 0.0] = 1.0
+    covariance, size = np.zeros((12, 12)), _lengths(design)
     inverse = np.linalg.pinv((design / size).T @ (design / size)) / np.outer(size, size)
     covariance[: problem.free, : problem.free] = inverse
     return p, covariance, missed
+
+
+def _lengths(design: FloatArray) -> FloatArray:
+    size: FloatArray = np.linalg.norm(design, axis=0)
+    size[size == 0.0] = 1.0
+    return size
 
 
 def _descend(
@@ -362,13 +351,10 @@ def _descend(
     residual, design = _weighted(problem, missed, p, whitener)
     cost, damping = float(residual @ residual), 1e-9
     for _ in range(60):
-        size = np.linalg.norm(design, axis=0)
-        size[size == 0.0] = 1.0
+        size, step = _lengths(design), np.zeros(12)
         scaled = design / size
-        step = np.zeros(12)
-        step[: problem.free] = (
-            np.linalg.solve(scaled.T @ scaled + damping * np.eye(problem.free), -(scaled.T @ residual)) / size
-        )
+        normal = scaled.T @ scaled + damping * np.eye(problem.free)
+        step[: problem.free] = np.linalg.solve(normal, -(scaled.T @ residual)) / size
         if float(np.abs(step).max()) < tolerance:
             return p, missed
         trial = p + step
@@ -390,21 +376,14 @@ def _descend(
 
 
 def _missed(problem: _Problem, p: FloatArray) -> _Missed:
-    from undrift.kernels.calibrate import rotations_between
-
     moves, n = problem.moves, problem.directions.unit
     j = len(moves.first)
-    matrix, offset = p[:9] / problem.unit, problem.prior.mean + p[9:] * problem.unit
-    rotation, sums, drift = np.empty(9 * j), np.empty(36 * j), np.ascontiguousarray(problem.prior.drift).reshape(-1)
-    rotations_between(
-        moves.gyro.reshape(-1), moves.time, moves.first, moves.last, matrix, offset, drift, rotation, sums
-    )
-    turn = rotation.reshape(j, 3, 3).transpose(0, 2, 1)
+    matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
+    turn, part = turned_in(moves, matrix, offset, problem.prior.drift)
     arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
     tangent = _tangent(n[moves.after])
-    part = sums.reshape(j, 4, 3, 3)
     by_matrix = part[:, 1:].transpose(0, 2, 3, 1).reshape(j, 3, 9) / problem.unit  # column 3 a + b: sum of R e_a d_b dt
-    by_offset = -part[:, 0] @ matrix.reshape(3, 3) * problem.unit
+    by_offset = -part[:, 0] @ matrix * problem.unit
     small_turn = turn @ np.concatenate((by_matrix, by_offset), axis=2)  # in the end frame; d(C n) = C n x small turn
     jacobian = tangent.transpose(0, 2, 1) @ cross_matrix(arrived) @ small_turn
     angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.after])[:, :, None]).reshape(-1)
@@ -431,12 +410,10 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
     by_still[each, :, moves.before] += leaving
     by_still[each, :, moves.after] -= across
     spread = np.einsum("ejka,kab->ejkb", by_still, directions.covariance).reshape(2 * len(each), -1)
-    total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ directions.model_covariance @ by_accel.T
+    total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ problem.accel.covariance[:12, :12] @ by_accel.T
     by_offset = missed.jacobian[:, 9:] / problem.unit
-    for axis in range(3):
-        total += np.outer(by_offset[:, axis], by_offset[:, axis]) * np.kron(
-            prior.drift_covariance[axis], np.ones((2, 2))
-        )
+    for column, drift in zip(by_offset.T, prior.drift_covariance, strict=True):
+        total += np.outer(column, column) * np.kron(drift, np.ones((2, 2)))
     matrix = p[:9].reshape(3, 3) / problem.unit
     noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
     covariance: FloatArray = total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2))
@@ -504,8 +481,7 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
         condition=scaled_condition(missed.jacobian[:, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
-    if is_physical(unit_in):
-        check_scale_factor(model.scale_factor * si_factor(unit_in, "rate"), 1.0, TOLERANCE, "gyro")
+    check_own_scale(model.scale_factor, unit_in, "rate", TOLERANCE, "gyro")
     size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
     uncertain = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
     drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
@@ -515,8 +491,8 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
         findings.append(finding("multi_position.moves_miss", level, rms_deg=rms_angle, wanted=MISS_DEG[0]))
     if uncertain > UNCERTAIN_PERCENT[0]:
         level = level_of(uncertain, UNCERTAIN_PERCENT)
-        percent, wanted = uncertain, UNCERTAIN_PERCENT[0]
-        findings.append(finding("multi_position.gyro_uncertainty", level, uncertainty_percent=percent, wanted=wanted))
+        wanted = UNCERTAIN_PERCENT[0]
+        findings.append(finding("multi_position.gyro_uncertainty", level, uncertainty_percent=uncertain, wanted=wanted))
     if drift > DRIFT_DPS[0]:
         level = level_of(drift, DRIFT_DPS)
         findings.append(finding("multi_position.gyro_drift", level, drift_dps=drift, wanted=DRIFT_DPS[0]))

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.checks import axis_vectors, check_axis_order, check_saturation, check_scale_factor
+from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale, check_saturation
 from undrift.calibration.observe import Observed, Outcome, with_offset
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -31,6 +31,7 @@ from undrift.fit.least_squares import (
     noise_of_means,
     offset_verdict,
     scaled_condition,
+    student_variance,
     triad_from_forward,
 )
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict, level_of
@@ -40,16 +41,6 @@ from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_ph
 # ---- dwells: the steady stretches, filtered and averaged
 
 _LEAST_SAMPLES = 8
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DwellSettings:
-    """How a dwell is turned into a mean."""
-
-    # Start of each dwell that is discarded, s; a second-order filter at 11 Hz settles to 0.1 % in 0.15 s
-    settle_s: float = 0.3
-    # Where the note's smoothing spline halves the signal, Hz; None leaves it out, which changes no mean
-    cutoff_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,40 +64,30 @@ class DwellMeans:
                 f"dwells: wanted readings (N, 3) and rates (N,) for {n} axes, got {self.reading.shape} and {self.turn_rate.shape}"
             )
 
-    def less(self, offset: FloatArray) -> "DwellMeans":
-        """Return the same dwells with an offset (3,) removed from the readings."""
-        return replace(self, reading=self.reading - offset)
-
 
 def dwell_means(
-    records: Sequence[Record], turns: Sequence[Turn], settings: DwellSettings = DwellSettings()
+    records: Sequence[Record], turns: Sequence[Turn], *, settle_s: float = 0.3, cutoff_hz: float | None = None
 ) -> DwellMeans:
-    """Filter and average the steady turns of a session."""
+    """Average the steady turns of a session.
+
+    The first ``settle_s`` of each dwell are discarded: a second-order filter at 11 Hz settles to 0.1 % in 0.15 s. The note's
+    smoothing spline halves the signal at ``cutoff_hz``; None leaves it out, which changes no mean.
+    """
     used = [t for t in turns if t.axis is not None and t.turn_rate is not None]
     unit = records[used[0].recording].gyro_unit if used else "rad/s"
     blocks = {k: block_size(records[k].sample_rate_hz) for k in {t.recording for t in used}}
-    means, windows, sizes, up = [], [], [], []
-    for turn in used:
-        record = records[turn.recording]
-        if record.gyro is None or record.gyro_unit != unit:
-            raise InputError(
-                f"rate table: wanted gyroscope readings in {unit} in every recording, got "
-                f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}; map the columns alike"
-            )
-        part = _settled(record, turn, settings.settle_s)
-        values = part.gyro if part.gyro is not None else np.empty((0, 3))
-        check_saturation(values, f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
-        cutoff = settings.cutoff_hz
-        means.append((values if cutoff is None else spline_filter(part.time, values, cutoff)).mean(axis=0))
-        windows.append(values)
-        sizes.append(blocks[turn.recording])
-        up.append(_points_up(part, AXES.index(turn.axis or "x")))
+    parts = [_settled(records[t.recording], t, unit, settle_s) for t in used]
+    windows = [np.asarray(part.gyro) for part in parts]
+    smooth = [
+        w if cutoff_hz is None else spline_filter(part.time, w, cutoff_hz)
+        for part, w in zip(parts, windows, strict=True)
+    ]
     return DwellMeans(
-        reading=np.array(means).reshape(-1, 3),
+        reading=np.array([w.mean(axis=0) for w in smooth]).reshape(-1, 3),
         turn_rate=np.array([t.turn_rate for t in used], float),
         axis=tuple(t.axis for t in used if t.axis is not None),
-        noise=noise_of_means(windows, sizes),
-        up=np.array(up),
+        noise=noise_of_means(windows, [blocks[t.recording] for t in used]),
+        up=np.array([_points_up(part, AXES.index(t.axis or "x")) for part, t in zip(parts, used, strict=True)]),
         unit=unit,
         time=middles(records, used),
     )
@@ -135,20 +116,24 @@ def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> Flo
     return np.column_stack([make_smoothing_spline(own, column, lam=stiffness)(own) for column in values.T])
 
 
-def _settled(record: Record, turn: Turn, settle_s: float) -> Record:
+def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
+    if record.gyro is None or record.gyro_unit != unit:
+        raise InputError(
+            f"rate table: wanted gyroscope readings in {unit} in every recording, got "
+            f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}; map the columns alike"
+        )
     part = record.part(turn.start, turn.stop)
-    start = int(np.searchsorted(part.time, part.time[0] + settle_s))
-    if len(part) - start < _LEAST_SAMPLES:
+    part = part.part(int(np.searchsorted(part.time, part.time[0] + settle_s)), len(part))
+    if len(part) < _LEAST_SAMPLES:
         raise InputError(
             f"dwell [{turn.start}, {turn.stop}): wanted {_LEAST_SAMPLES} samples or more after {settle_s:g} s of settling, got "
-            f"{len(part) - start}; dwell longer"
+            f"{len(part)}; dwell longer"
         )
-    part = part.part(start, len(part))
-    gap = np.isnan(part.gyro).any(axis=1) if part.gyro is not None else np.zeros(len(part), bool)
-    if gap.any():
-        raise InputError(
-            f"dwell [{turn.start}, {turn.stop}): wanted readings without gaps, got {int(gap.sum())}; shorten it"
-        )
+    values = np.asarray(part.gyro)
+    gaps = int(np.isnan(values).any(axis=1).sum())
+    if gaps:
+        raise InputError(f"dwell [{turn.start}, {turn.stop}): wanted readings without gaps, got {gaps}; shorten it")
+    check_saturation(values, f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
     return part
 
 
@@ -188,10 +173,13 @@ def linearity(reading: FloatArray, turn_rate: FloatArray, axis: Axis) -> Lineari
         )
     order = np.argsort(turn_rate)
     rate, value = turn_rate[order], reading[order]
-    line = np.column_stack((np.ones_like(rate), rate))
-    offset, slope = np.linalg.lstsq(line, value, rcond=None)[0]
+    offset, slope = np.linalg.lstsq(np.column_stack((np.ones_like(rate), rate)), value, rcond=None)[0]
     error = (value - offset - slope * rate) / slope
-    worst = float(np.abs(error).max())
+    worst, asymmetry = float(np.abs(error).max()), float("nan")
+    if len(np.unique(rate)) > 2 and rate[0] < 0.0 < rate[-1]:
+        bent = np.column_stack((np.ones_like(rate), np.maximum(rate, 0.0), np.minimum(rate, 0.0)))
+        _, plus, minus = np.linalg.lstsq(bent, value, rcond=None)[0]
+        asymmetry = float(2.0 * (plus - minus) / (plus + minus))
     return Linearity(
         axis=axis,
         turn_rate=rate,
@@ -200,24 +188,14 @@ def linearity(reading: FloatArray, turn_rate: FloatArray, axis: Axis) -> Lineari
         offset=float(offset),
         scale_factor_nonlinearity=worst,
         scale_factor_nonlinearity_percent=100.0 * worst / float(np.abs(rate).max()),
-        scale_factor_asymmetry=_asymmetry(value, rate),
+        scale_factor_asymmetry=asymmetry,
     )
-
-
-def _asymmetry(reading: FloatArray, rate: FloatArray) -> float:
-    if len(np.unique(rate)) < 3 or not ((rate > 0.0).any() and (rate < 0.0).any()):
-        return float("nan")
-    bent = np.column_stack((np.ones_like(rate), np.maximum(rate, 0.0), np.minimum(rate, 0.0)))
-    _, plus, minus = np.linalg.lstsq(bent, reading, rcond=None)[0]
-    return float(2.0 * (plus - minus) / (plus + minus))
 
 
 # ---- fit of the dwells
 
-_AXES: tuple[Axis, ...] = ("x", "y", "z")
-OWN_SCALE = (
-    0.05  # a part that is trimmed in the factory is within 1 to 3 % of its sensitivity; no datasheet allows more
-)
+# A part that is trimmed in the factory is within 1 to 3 % of its sensitivity; no datasheet allows more.
+OWN_SCALE = 0.05
 
 RateTableMode = Literal["paper", "affine"]
 
@@ -229,9 +207,7 @@ class RateTableSettings:
     mode: RateTableMode = "affine"  # paper or affine
     # Where the table stands, deg, to add the Earth's rate to a vertical axis; None leaves it out
     latitude_deg: float | None = None
-    # Sensitivity the maker states, reading per rad/s; None takes the unit's own where it is physical
-    stated_scale: float | None = None
-    scale_tolerance: float = 0.25  # Relative tolerance of the sensitivity: 0.03 for a part of +-3 %
+    scale_tolerance: float = 0.25  # Relative tolerance of a physical unit's own scale: 0.03 for a part of +-3 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -273,30 +249,23 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
             missing=tuple(lacking),
         )
     rates = imposed_rates(dwells, settings.latitude_deg)
-    method = f"rate-table/{settings.mode}"
-    verdict = Verdict()
+    verdict, names = Verdict(), {"method": f"rate-table/{settings.mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
     if settings.mode == "paper":
-        fit = fit_paper(rates, dwells.reading, dwells.noise, method=method, unit_in=dwells.unit, unit_out="rad/s")
+        fit = fit_paper(rates, dwells.reading, dwells.noise, **names)
         verdict = offset_verdict(fit, rates, dwells.reading, dwells.noise)
     else:
-        forward = fit_forward(rates, dwells.reading, dwells.noise)
         span = (float(rates.min()), float(rates.max()))
-        fit = triad_from_forward(
-            forward, method=method, unit_in=dwells.unit, unit_out="rad/s", valid_range=span, verdict=verdict
-        )
+        fit = triad_from_forward(fit_forward(rates, dwells.reading, dwells.noise), valid_range=span, **names)
     check_axis_order(fit.model.forward_matrix, "rate table", against="turns")
-    _check_scale(fit.model.scale_factor, dwells.unit, settings, "gyroscope")
+    check_own_scale(fit.model.scale_factor, dwells.unit, "rate", settings.scale_tolerance, "gyroscope")
+    rows = [np.array(dwells.axis) == axis for axis in AXES]
     return RateTableFit(
         model=fit.model,
         residuals=fit.residuals,
         verdict=verdict,
         axis=dwells.axis,
         turn_rate=dwells.turn_rate,
-        linearity=tuple(
-            linearity(dwells.reading[rows, own], dwells.turn_rate[rows], axis)
-            for own, axis in enumerate(_AXES)
-            for rows in (np.array([a == axis for a in dwells.axis]),)
-        ),
+        linearity=tuple(linearity(dwells.reading[rows[k], k], dwells.turn_rate[rows[k]], AXES[k]) for k in range(3)),
     )
 
 
@@ -311,10 +280,8 @@ def fit_rate_axis(dwells: DwellMeans, settings: RateTableSettings = RateTableSet
     design = np.column_stack((rate, np.ones_like(rate)))
     theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
     residuals = dwells.reading - design @ theta
-    spare = len(rate) - 2
-    variance = (residuals**2).sum(axis=0) / (spare - 2 if spare > 2 else np.nan)
-    _check_scale(np.abs(theta[0, own : own + 1]), dwells.unit, settings, f"gyroscope {axis}")
-    others = tuple(a for a in AXES if a != axis)
+    variance = [student_variance(column, len(rate) - 2) for column in residuals.T]
+    check_own_scale(abs(theta[0, own]), dwells.unit, "rate", settings.scale_tolerance, f"gyroscope {axis}")
     return RateAxisFit(
         axis=axis,
         column=theta[0],
@@ -323,8 +290,13 @@ def fit_rate_axis(dwells: DwellMeans, settings: RateTableSettings = RateTableSet
         residuals=residuals,
         linearity=table,
         unit_in=dwells.unit,
-        verdict=Verdict.of(finding("rate_table.axes_missing", "warn", turned=(axis,), missing=others)),
+        verdict=Verdict.of(_axes_missing((axis,))),
     )
+
+
+def _axes_missing(turned: tuple[Axis, ...]) -> Finding:
+    missing = tuple(axis for axis in AXES if axis not in turned)
+    return finding("rate_table.axes_missing", "warn", turned=turned, missing=missing)
 
 
 def fit_rate_axes(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> tuple[RateAxisFit, ...]:
@@ -384,14 +356,6 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     return rates
 
 
-def _check_scale(scale: FloatArray, unit: str, settings: RateTableSettings, what: str) -> None:
-    stated = settings.stated_scale
-    if stated is None and is_physical(unit):
-        stated = 1.0 / si_factor(unit, "rate")
-    if stated is not None:
-        check_scale_factor(scale, stated, settings.scale_tolerance, what)
-
-
 def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
     up = np.broadcast_to(dwells.up, len(dwells.axis))
     return replace(
@@ -417,16 +381,11 @@ def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
 # than chance makes them once in a thousand (h' C^-1 h, chi-square of 9 degrees of freedom); without them it is the affine model.
 
 CHANCE = 1e-3
-# Limits of a verdict: above the first it is marginal, above the second bad.
-UNCERTAIN_PERCENT = (
-    0.5,
-    5.0,
-)  # of scale, 1 sigma: 0.5 % is 2 deg in a full turn; 5 % is no better than most datasheets
-DRIFT_DPS = (0.1, 2.0)  # in a minute: 0.1 deg/s ends 3 deg off after that minute; no warm-up reaches 2 deg/s
-RESIDUAL_PERCENT = (
-    0.5,
-    3.0,
-)  # rms, of the largest rate: parts are linear within 0.2 %; 3 % is a false rate or a stuck table
+# Limits of a verdict, above the first it is marginal, above the second bad:
+# of scale, 1 sigma: 0.5 % is 2 deg in a full turn; 5 % is no better than most datasheets;
+# in a minute: 0.1 deg/s ends 3 deg off after that minute; no warm-up reaches 2 deg/s;
+# rms, of the largest rate: parts are linear within 0.2 %; 3 % is a false rate or a stuck table
+UNCERTAIN_PERCENT, DRIFT_DPS, RESIDUAL_PERCENT = (0.5, 5.0), (0.1, 2.0), (0.5, 3.0)
 _STAYS = 0.5  # of the walk: what is left of it with an offset for each axis of the table, where it went with the axis
 _MINUTE_S = 60.0
 _ROUNDING = 1e-9  # of the largest reading: a mean is not known better than the filter's arithmetic, whatever its noise
@@ -449,38 +408,48 @@ def fit_with_rests(
     """Refine an affine fit: let its offset drift, and add a g-sensitivity where dwells and rests show one."""
     if dwells.noise is None:
         return fit
-    rates = imposed_rates(dwells, latitude_deg)
-    readings, sigma = dwells.reading, np.broadcast_to(dwells.noise, dwells.reading.shape)
-    time, forces = dwells.time, None
+    plain, full, readings = _equations(dwells, imposed_rates(dwells, latitude_deg), rests)
+    sigma, time = np.broadcast_to(dwells.noise, dwells.reading.shape), dwells.time
     if rests is not None:
-        rates = np.vstack((rates, np.zeros_like(rests.reading)))
-        readings, sigma = np.vstack((readings, rests.reading)), np.vstack((sigma, rests.noise))
+        sigma = np.vstack((sigma, rests.noise))
         time = None if time is None else np.concatenate((time, rests.time))
-        forces = np.vstack((rests.dwell_force, rests.force))
     sigma = np.maximum(sigma, _ROUNDING * np.abs(readings).max(axis=0))
-    if forces is not None:
-        full = np.column_stack((rates, forces, np.ones(len(rates))))
-        if scaled_condition(full)[0] == 7:
-            found = [fit_with_walk(full, readings[:, k], sigma[:, k], time) for k in range(3)]
-            size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
-            if size > _chance(9) * _excess(found, readings.size - 21):
-                return _refined(fit, full, readings, found)
-    plain = np.column_stack((rates, np.ones(len(rates))))
-    found = [fit_with_walk(plain, readings[:, k], sigma[:, k], time) for k in range(3)]
-    by_axis = _by_axis(dwells, rates, sigma) if forces is None and any(one.walk > 0.0 for one in found) else None
+    if full is not None:
+        found = _walks(full, readings, sigma, time)
+        size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
+        if size > _chance(9) * _excess(found, readings.size - 21):
+            return _refined(fit, full, readings, found)
+    found, by_axis = _walks(plain, readings, sigma, time), None
+    if rests is None and time is not None and any(one.walk > 0.0 for one in found):
+        by_axis = _by_axis(dwells, plain[:, :3], sigma, time)
     return _refined(fit, plain, readings, found, by_axis)
 
 
-def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray) -> list[WalkFit] | None:
+def _equations(
+    dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None
+) -> tuple[FloatArray, FloatArray | None, FloatArray]:
+    """Return rows (w, 1) and (w, a, 1) of dwells, then rests, and their readings; no (w, a, 1) where w and a do not differ."""
+    if rests is None:
+        return np.column_stack((rates, np.ones(len(rates)))), None, dwells.reading
+    rates = np.vstack((rates, np.zeros_like(rests.reading)))
+    one = np.ones(len(rates))
+    full = np.column_stack((rates, np.vstack((rests.dwell_force, rests.force)), one))
+    seen = scaled_condition(full)[0] == 7
+    return np.column_stack((rates, one)), full if seen else None, np.vstack((dwells.reading, rests.reading))
+
+
+def _walks(design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None) -> list[WalkFit]:
+    return [fit_with_walk(design, readings[:, k], sigma[:, k], time) for k in range(3)]
+
+
+def _by_axis(dwells: DwellMeans, rates: FloatArray, sigma: FloatArray, time: FloatArray) -> list[WalkFit] | None:
     """Fit an offset for each axis of the table, parameters 4 to 6, and a trend; None where time explains the offsets."""
-    if dwells.time is None:
-        return None
     own = (np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]).astype(float)
-    away = dwells.time - dwells.time.mean()
+    away = time - time.mean()
     design = np.column_stack((rates, own, away))
     if scaled_condition(design)[0] < 7:
         return None
-    solved = [fit_with_walk(design, dwells.reading[:, k], sigma[:, k], dwells.time) for k in range(3)]
+    solved = _walks(design, dwells.reading, sigma, time)
     trend = np.array([one.theta[6] for one in solved]) * float(np.ptp(away @ own / own.sum(axis=0)))
     apart = np.array([np.ptp(one.theta[3:6]) for one in solved])
     return None if (np.abs(trend) > _STAYS * apart)[np.argmax(apart)] else solved
@@ -503,26 +472,24 @@ def _refined(
     residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     rank, condition = scaled_condition(design)
     widen = _excess(found, readings.size - theta.size)
-    covariance = [one.covariance * widen for one in found]
     model = replace(
-        _model(fit.model, theta, covariance),
+        _model(fit.model, theta, [one.covariance * widen for one in found]),
         rms_residual=float(np.sqrt((residuals**2).mean())),
         count=readings.size,
         rank=3 * rank,
         condition=condition,
     )
-    largest = float(np.abs(fit.turn_rate).max())
-    verdict = fit.verdict.also(Verdict.of(*_judged(model, (found, by_axis), widen, largest)))
+    residual = 100.0 * model.rms_residual / float(np.abs(fit.turn_rate).max())
+    verdict = fit.verdict.also(Verdict.of(*_judged(model, found, by_axis, widen, residual)))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
 
 
 def _judged(
-    model: TriadModel, solved: tuple[list[WalkFit], list[WalkFit] | None], widen: float, largest: float
+    model: TriadModel, found: list[WalkFit], by_axis: list[WalkFit] | None, widen: float, residual: float
 ) -> Iterator[Finding]:
     if model.g_sensitivity is not None:
         size = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
         yield finding("rate_table.g_sensitivity", "info", dps_per_g=size)
-    found, by_axis = solved
     gain = float(np.linalg.norm(model.matrix, 2)) / RADIAN_PER_DEGREE
     walk, within = (gain * max(one.walk for one in part) for part in (found, by_axis or found))
     if walk > 0.0 and (by_axis is None or within > _STAYS * walk):
@@ -532,10 +499,9 @@ def _judged(
         offsets = np.array([one.theta[3:6] for one in by_axis])  # sensor, axis of the table
         apart = float(np.ptp(model.matrix @ offsets, axis=1).max()) / RADIAN_PER_DEGREE
         yield finding("rate_table.axis_offset", level_of(apart, DRIFT_DPS), offset_dps=apart, wanted=DRIFT_DPS[0])
-    residual, limits = 100.0 * model.rms_residual / largest, RESIDUAL_PERCENT
-    if widen > 1.0 or residual > limits[0]:
-        level = level_of(residual, limits)
-        yield finding("rate_table.scatter", level, ratio=widen**0.5, residual_percent=residual, wanted=limits[0])
+    if widen > 1.0 or residual > RESIDUAL_PERCENT[0]:
+        level, wanted = level_of(residual, RESIDUAL_PERCENT), RESIDUAL_PERCENT[0]
+        yield finding("rate_table.scatter", level, ratio=widen**0.5, residual_percent=residual, wanted=wanted)
     uncertain = 100.0 * model.relative_uncertainty
     if uncertain > UNCERTAIN_PERCENT[0]:
         level = level_of(uncertain, UNCERTAIN_PERCENT)
@@ -552,13 +518,11 @@ def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> Triad
     """Return the inverse model of forward rows (K_k, H_k, b_k) or (K_k, b_k)."""
     gravity = theta.shape[1] == 7
     matrix, offset = np.linalg.inv(theta[:, :3]), theta[:, -1]
-    size = 21 if gravity else 12
-    covariance = np.zeros((size, size))  # of K row by row, b, H row by row
-    for k in range(3):
+    jacobian, covariance = np.eye(21 if gravity else 12), np.zeros((21 if gravity else 12,) * 2)
+    for k in range(3):  # covariance: of K row by row, b, H row by row
         of_h = [12 + 3 * k, 13 + 3 * k, 14 + 3 * k] if gravity else []
         places = np.array([3 * k, 3 * k + 1, 3 * k + 2, *of_h, 9 + k])
         covariance[np.ix_(places, places)] = own[k]
-    jacobian = np.eye(size)
     jacobian[:9, :9] = inverse_jacobian(matrix)
     names, g = (*MATRIX_NAMES, *OFFSET_NAMES), None
     if gravity:
@@ -566,14 +530,8 @@ def _model(plain: TriadModel, theta: FloatArray, own: list[FloatArray]) -> Triad
         jacobian[12:, :9] = -np.kron(matrix, g.T)
         jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
         names = (*names, *G_NAMES)
-    return replace(
-        plain,
-        matrix=matrix,
-        offset=offset,
-        g_sensitivity=g,
-        parameters=names,
-        covariance=jacobian @ covariance @ jacobian.T,
-    )
+    covariance = jacobian @ covariance @ jacobian.T
+    return replace(plain, matrix=matrix, offset=offset, g_sensitivity=g, parameters=names, covariance=covariance)
 
 
 # ---- false dwells: a rate stated with a wrong sign, value or axis
@@ -596,7 +554,8 @@ def check_dwells(
     dwells: DwellMeans, rates: FloatArray, *, rests: RestMeans | None = None, numbers: tuple[int, ...] | None = None
 ) -> None:
     """Raise when the reading of a dwell contradicts all the others; rates (N, 3), rad/s."""
-    design, reading = _equations(dwells, rates, rests)
+    plain, full, reading = _equations(dwells, rates, rests)
+    design = plain if full is None or len(full) - 7 < _LEAST_SPARE else full
     spare = len(design) - design.shape[1]
     if spare < _LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
@@ -617,17 +576,6 @@ def check_dwells(
             "sign, value, axis and times, or leave it out",
             turns=tuple(numbers[k] for k in wrong),
         )
-
-
-def _equations(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None) -> tuple[FloatArray, FloatArray]:
-    if rests is None:
-        return np.column_stack((rates, np.ones(len(rates)))), dwells.reading
-    imposed = np.vstack((rates, np.zeros_like(rests.reading)))
-    reading = np.vstack((dwells.reading, rests.reading))
-    plain = np.column_stack((imposed, np.ones(len(imposed))))
-    full = np.column_stack((plain, np.vstack((rests.dwell_force, rests.force))))
-    enough = len(full) - full.shape[1] >= _LEAST_SPARE and scaled_condition(full)[0] == full.shape[1]
-    return (full if enough else plain), reading
 
 
 def _named(dwells: DwellMeans, read: FloatArray, k: int, number: int) -> str:
@@ -655,37 +603,33 @@ def _least_deviations(design: FloatArray, reading: FloatArray) -> FloatArray:
 
 def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns at known rates; an entry of FITS."""
+    session, own = seen.session, seen.settings
     settings = RateTableSettings(
         mode="paper" if mode == "paper" else "affine",
-        latitude_deg=seen.settings.latitude_deg,
-        scale_tolerance=seen.settings.scale_tolerance,
+        latitude_deg=own.latitude_deg,
+        scale_tolerance=own.scale_tolerance,
     )
-    session, own = seen.session, seen.settings
-    dwells = dwell_means(
-        session.records, session.turns, DwellSettings(settle_s=own.settle_s, cutoff_hz=own.spline_cutoff_hz)
-    )
+    dwells = dwell_means(session.records, session.turns, settle_s=own.settle_s, cutoff_hz=own.spline_cutoff_hz)
     turned = tuple(sorted(set(dwells.axis)))
     if 0 < len(turned) < 3:
         shown = fit_rate_axes(dwells, settings)
         off = (scale_verdict(np.array([fit.scale_factor]), dwells.unit, fit.axis) for fit in shown)
-        missing = tuple(axis for axis in AXES if axis not in turned)
-        found = finding("rate_table.axes_missing", "warn", turned=turned, missing=missing)
-        return Outcome(findings=(found, *map(axis_finding, shown), *(f for verdict in off for f in verdict.findings)))
+        found = (*map(axis_finding, shown), *(f for verdict in off for f in verdict.findings))
+        return Outcome(findings=(_axes_missing(turned), *found))
     rests = None if accel is None else _rest_means(seen, accel.model)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, settings.latitude_deg), rests=rests, numbers=numbers)
-    if settings.mode == "affine" or not own.remove_offset:
-        fit = fit_rate_table(dwells, settings)
-        if settings.mode == "affine":
-            fit = fit_with_rests(fit, dwells, rests, latitude_deg=settings.latitude_deg)
-        return Outcome(fit=fit, method="rate-table")
-    offset, variance = seen.rest_rate()
-    if np.isnan(offset).any():
-        offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
-        variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
-    return Outcome(
-        fit=with_offset(fit_rate_table(dwells.less(offset), settings), offset, variance), method="rate-table"
-    )
+    if settings.mode == "paper" and own.remove_offset:
+        offset, variance = seen.rest_rate()
+        if np.isnan(offset).any():
+            offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
+            variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
+        fit = fit_rate_table(replace(dwells, reading=dwells.reading - offset), settings)
+        return Outcome(fit=with_offset(fit, offset, variance), method="rate-table")
+    fit = fit_rate_table(dwells, settings)
+    if settings.mode == "affine":
+        fit = fit_with_rests(fit, dwells, rests, latitude_deg=settings.latitude_deg)
+    return Outcome(fit=fit, method="rate-table")
 
 
 def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:

@@ -12,7 +12,7 @@ the readings are corrected by an affine fit first. Six faces leave six spare equ
 the fit is averaged over all values they allow. Its 95 % intervals cover 93-97 % at any tilt.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,8 +23,8 @@ from undrift.calibration.checks import (
     check_faces,
     check_gravity,
     check_handedness,
+    check_own_scale,
     check_saturation,
-    check_scale_factor,
     face_vectors,
     missing_faces,
 )
@@ -78,8 +78,9 @@ def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: Fo
     level = (reading - plain.offset) @ inverse.T
     sigma = np.sqrt(noise**2 @ (inverse**2).T)
     gravity = float(np.linalg.norm(up, axis=1).max())
-    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, np.full(3, gravity))
-    if reading.size <= 12 or int(np.argmax(likelihood)) == 0:
+    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity)
+    best = int(np.argmax(likelihood))
+    if reading.size <= 12 or best == 0:
         return plain, 0.0
     small = float(np.median(sigma)) / gravity
     step = np.gradient(tilts)
@@ -94,35 +95,28 @@ def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: Fo
     jacobian[:9, :9], jacobian[9:, 9:] = np.kron(plain.matrix, np.eye(3)), plain.matrix
     matrix = plain.matrix @ theta[:9].reshape(3, 3)
     offset = plain.matrix @ theta[9:] + plain.offset
-    residuals = reading - up @ matrix.T - offset
+    covariance = jacobian @ covariance @ jacobian.T
     fit = replace(
-        plain, matrix=matrix, offset=offset, covariance=jacobian @ covariance @ jacobian.T, residuals=residuals
+        plain, matrix=matrix, offset=offset, covariance=covariance, residuals=reading - up @ matrix.T - offset
     )
-    return fit, _most_likely_tilt(tilts, likelihood)
+    shows = 2.0 * (likelihood[best] - likelihood[0]) >= _EVIDENCE
+    return fit, geometric_peak(tilts, likelihood, best) if shows else 0.0
 
 
-def _most_likely_tilt(tilts: FloatArray, likelihood: FloatArray) -> float:
-    best = int(np.argmax(likelihood))
-    if 2.0 * (likelihood[best] - likelihood[0]) < _EVIDENCE or best == 0:
-        return 0.0
-    return geometric_peak(tilts, likelihood, best)
-
-
-def tilted_sigma(up: FloatArray, noise: FloatArray, gain: FloatArray, tilt: float) -> FloatArray:
-    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad: up and noise (P, 3), gain (3,)."""
+def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float) -> FloatArray:
+    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad: up and noise (P, 3), gain per g."""
     return np.asarray(np.hypot(noise, gain * np.where(up != 0.0, tilt * tilt, tilt)))
 
 
 def _solved(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, gain: FloatArray
+    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
-    smallest = 0.02 * float(np.median(noise)) / float(np.median(gain))
+    smallest = 0.02 * float(np.median(noise)) / length
     tilts = np.concatenate(([0.0], np.geomspace(max(smallest, 1e-9), _LARGEST, _GRID)))
-    length = float(np.linalg.norm(up, axis=1).max())
     design = np.column_stack((up / length, np.ones(len(up))))
     unit = np.array([length, length, length, 1.0])
-    sigma = np.stack([tilted_sigma(up, noise, gain, float(t)) for t in tilts])
+    sigma = np.stack([tilted_sigma(up, noise, length, float(t)) for t in tilts])
     theta, covariance, likelihood = np.zeros((len(tilts), 12)), np.zeros((len(tilts), 12, 12)), np.zeros(len(tilts))
     for row in range(3):
         weight = 1.0 / sigma[:, :, row] ** 2
@@ -153,8 +147,6 @@ class SixFaceSettings:
     mode: SixFaceMode = "levelled"  # paper, affine or levelled
     window_s: float = 6.0  # Longest stretch used from the middle of each still phase, s. The note takes 6 s
     polynomial_degree: int = 1  # Degree of the polynomial in time that filters each window before it is averaged
-    stated_scale: float | None = None  # Sensitivity the maker states, reading per m/s2; None leaves it unchecked
-    scale_tolerance: float = 0.1  # Relative tolerance of ``stated_scale``
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,65 +170,78 @@ class SixFaceFit(TriadFit):
 def fit_six_face(poses: FaceMeans, *, gravity: float, settings: SixFaceSettings = SixFaceSettings()) -> SixFaceFit:
     """Fit accelerometers to mean readings of their faces."""
     _check(poses, gravity, settings)
-    up = gravity * face_vectors(poses.faces)
-    method = f"six-face/{settings.mode}"
+    up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
+    names = {"method": f"six-face/{settings.mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
+    known = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
+    plain, tilt = fit_forward(up, reading, known), float("nan")
+    forward = plain
+    if known is not None and settings.mode != "affine":
+        forward, tilt = fit_tilted(up, reading, known, plain)
+    found = Verdict.of(*_judged(poses, plain, known, tilt, settings.mode))
     if settings.mode == "paper":
-        plain = fit_paper(up, poses.reading, poses.noise, method=method, unit_in=poses.unit, unit_out="m/s2")
-        verdict = offset_verdict(plain, up, poses.reading, poses.noise).also(_tilt_left_out(poses, up))
-        tilt = float("nan")
+        fit, tilt = fit_paper(up, reading, noise, **names), float("nan")
+        found = offset_verdict(fit, up, reading, noise).also(found)
     else:
-        forward, tilt, verdict = _affine(poses, up, settings)
-        plain = triad_from_forward(
-            forward,
-            method=method,
-            unit_in=poses.unit,
-            unit_out="m/s2",
-            valid_range=(-gravity, gravity),
-            verdict=verdict,
-        )
-    fit = SixFaceFit(model=plain.model, residuals=plain.residuals, verdict=verdict, tilt=tilt)
+        fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
     check_handedness(fit.model.forward_matrix, "accelerometer")
-    if settings.stated_scale is not None:
-        check_scale_factor(fit.model.scale_factor, settings.stated_scale, settings.scale_tolerance, "accelerometer")
-    return fit
+    return SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=found, tilt=tilt)
+
+
+def _judged(
+    poses: FaceMeans, plain: ForwardFit, noise: FloatArray | None, tilt: float, mode: SixFaceMode
+) -> Iterator[Finding]:
+    tilt_deg, spare = tilt / RADIAN_PER_DEGREE, plain.residuals.size - 12
+    if mode == "paper":  # the closed form assumes level faces, and so does its covariance
+        if tilt > 0.0:
+            yield finding("six_face.tilt_left_out", "warn", tilt_deg=tilt_deg, gain_share=tilt)
+        return
+    for face in missing_faces(poses.faces):
+        yield finding("six_face.face_missing", "warn", face=face)
+    if tilt > _LARGE_TILT:
+        yield finding("six_face.tilt_large", "warn", tilt_deg=tilt_deg)
+    elif tilt > 0.0:
+        yield finding("six_face.tilt_small", "info", tilt_deg=tilt_deg)
+    if mode == "affine" and noise is not None and spare > 0:
+        ratio = float(np.sqrt(((plain.residuals / noise) ** 2).sum() / spare))
+        if ratio >= 3.0:
+            yield finding("six_face.scatter", "warn", ratio=ratio)
 
 
 def face_means(
     records: Sequence[Record], stills: Sequence[Still], settings: SixFaceSettings = SixFaceSettings()
 ) -> FaceMeans:
     """Filter and average the labelled still phases of a session."""
-    means: list[FloatArray] = []
-    windows: list[FloatArray] = []
-    sizes: list[int] = []
-    faces: list[Face] = []
+    used = [s for s in stills if s.face is not None]
     unit = records[stills[0].recording].accel_unit if stills else "m/s2"
-    for still in stills:
-        record = records[still.recording]
-        if still.face is None:
-            continue
-        if record.accel is None or record.accel_unit != unit:
-            raise InputError(
-                f"six faces: wanted accelerometer readings in {unit} in every recording, got "
-                f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}; map the columns alike"
-            )
-        window = record.accel[still.start : still.stop]
-        wanted = max(2, round(settings.window_s * record.sample_rate_hz))
-        skip = max(0, (len(window) - wanted) // 2)
-        window = window[skip : skip + wanted]
-        window = window[~np.isnan(window).any(axis=1)]
-        if len(window) <= settings.polynomial_degree + 1:
-            raise InputError(
-                f"six faces: wanted more than {settings.polynomial_degree + 1} readings on face {still.face}, got {len(window)}; "
-                "choose another stretch"
-            )
-        check_saturation(window, f"accelerometer on face {still.face}")
-        filtered, rest = polynomial_filter(window, settings.polynomial_degree)
-        means.append(filtered.mean(axis=0))
-        windows.append(rest)
-        sizes.append(block_size(record.sample_rate_hz))
-        faces.append(still.face)
-    noise = noise_of_means(windows, sizes, removed=settings.polynomial_degree + 1)
-    return FaceMeans(reading=np.array(means).reshape(-1, 3), faces=tuple(faces), noise=noise, unit=unit)
+    windows = [_window(records[s.recording], s, unit, settings) for s in used]
+    filtered = [polynomial_filter(window, settings.polynomial_degree) for window in windows]
+    sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
+    return FaceMeans(
+        reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
+        faces=tuple(s.face for s in used if s.face is not None),
+        noise=noise_of_means([rest for _, rest in filtered], sizes, removed=settings.polynomial_degree + 1),
+        unit=unit,
+    )
+
+
+def _window(record: Record, still: Still, unit: str, settings: SixFaceSettings) -> FloatArray:
+    if record.accel is None or record.accel_unit != unit:
+        raise InputError(
+            f"six faces: wanted accelerometer readings in {unit} in every recording, got "
+            f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}; map the columns alike"
+        )
+    window = record.accel[still.start : still.stop]
+    wanted = max(2, round(settings.window_s * record.sample_rate_hz))
+    skip = max(0, (len(window) - wanted) // 2)
+    window = window[skip : skip + wanted]
+    window = window[~np.isnan(window).any(axis=1)]
+    if len(window) <= settings.polynomial_degree + 1:
+        raise InputError(
+            f"six faces: wanted more than {settings.polynomial_degree + 1} readings on face {still.face}, got {len(window)}; "
+            "choose another stretch"
+        )
+    check_saturation(window, f"accelerometer on face {still.face}")
+    return window
 
 
 def polynomial_filter(values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
@@ -270,43 +275,6 @@ def _check(poses: FaceMeans, gravity: float, settings: SixFaceSettings) -> None:
         )
 
 
-def _affine(poses: FaceMeans, up: FloatArray, settings: SixFaceSettings) -> tuple[ForwardFit, float, Verdict]:
-    reading, noise = poses.reading, poses.noise
-    missing = missing_faces(poses.faces)
-    verdict = Verdict.of(*(finding("six_face.face_missing", "warn", face=face) for face in missing))
-    if noise is not None:
-        noise = np.maximum(noise, _ROUNDING * np.abs(reading).max())
-    plain = fit_forward(up, reading, noise)
-    if settings.mode == "affine" or noise is None:
-        return plain, float("nan"), verdict.also(_scatter_verdict(plain, noise))
-    forward, tilt = fit_tilted(up, reading, noise, plain)
-    tilt_deg = tilt / RADIAN_PER_DEGREE
-    if tilt > _LARGE_TILT:
-        verdict = verdict.also(Verdict.of(finding("six_face.tilt_large", "warn", tilt_deg=tilt_deg)))
-    elif tilt > 0.0:
-        verdict = verdict.also(Verdict.of(finding("six_face.tilt_small", "info", tilt_deg=tilt_deg)))
-    return forward, tilt, verdict
-
-
-def _tilt_left_out(poses: FaceMeans, up: FloatArray) -> Verdict:
-    # The closed form assumes level faces, and so does its covariance.
-    if poses.noise is None:
-        return Verdict()
-    noise = np.maximum(poses.noise, _ROUNDING * np.abs(poses.reading).max())
-    tilt = fit_tilted(up, poses.reading, noise, fit_forward(up, poses.reading, noise))[1]
-    if tilt == 0.0:
-        return Verdict()
-    return Verdict.of(finding("six_face.tilt_left_out", "warn", tilt_deg=tilt / RADIAN_PER_DEGREE, gain_share=tilt))
-
-
-def _scatter_verdict(plain: ForwardFit, noise: FloatArray | None) -> Verdict:
-    spare = plain.residuals.size - 12
-    if noise is None or spare < 1:
-        return Verdict()
-    ratio = float(np.sqrt(((plain.residuals / noise) ** 2).sum() / spare))
-    return Verdict() if ratio < 3.0 else Verdict.of(finding("six_face.scatter", "warn", ratio=ratio))
-
-
 # ---- from a session
 
 
@@ -317,21 +285,19 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         window_s=seen.settings.window_s,
         polynomial_degree=seen.settings.polynomial_degree,
     )
-    unit = seen.session.records[0].accel_unit
-    if is_physical(unit):
-        scale = 1.0 / si_factor(unit, "accel")
-        settings = replace(settings, stated_scale=scale, scale_tolerance=seen.settings.scale_tolerance)
     poses = face_means(seen.session.records, seen.stills, settings)
     found: tuple[Finding, ...] = ()
     if settings.mode == "levelled" and poses.noise is None:
-        settings = replace(settings, mode="affine")
-        found = (finding("six_face.short_faces", "warn"),)
-    gravity = seen.session.gravity_m_s2
-    if settings.mode != "paper" or not seen.settings.remove_offset:
-        return Outcome(fit=fit_six_face(poses, gravity=gravity, settings=settings), method="six-face", findings=found)
-    # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
-    faces = np.array(poses.faces)
-    offset = np.mean([poses.reading[faces == face].mean(axis=0) for face in sorted(set(poses.faces))], axis=0)
-    variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(faces)
-    fit = fit_six_face(replace(poses, reading=poses.reading - offset), gravity=gravity, settings=settings)
-    return Outcome(fit=with_offset(fit, offset, variance), method="six-face", findings=found)
+        settings, found = replace(settings, mode="affine"), (finding("six_face.short_faces", "warn"),)
+    offset = None
+    if settings.mode == "paper" and seen.settings.remove_offset:
+        # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
+        faces = np.array(poses.faces)
+        offset = np.mean([poses.reading[faces == face].mean(axis=0) for face in sorted(set(poses.faces))], axis=0)
+        poses = replace(poses, reading=poses.reading - offset)
+    fit: TriadFit = fit_six_face(poses, gravity=seen.session.gravity_m_s2, settings=settings)
+    check_own_scale(fit.model.scale_factor, poses.unit, "accel", seen.settings.scale_tolerance, "accelerometer")
+    if offset is not None:
+        variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
+        fit = with_offset(fit, offset, variance)
+    return Outcome(fit=fit, method="six-face", findings=found)

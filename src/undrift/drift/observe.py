@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.rate_table import DwellSettings, dwell_means
+from undrift.calibration.rate_table import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.fit.least_squares import block_size
 from undrift.record import Record, Session, Still, Turn
@@ -397,7 +397,7 @@ def _slope(time: FloatArray, temp: FloatArray, middle: float, span_s: float) -> 
 
 
 def _steps(session: Session, turns: list[Turn], temps: Sequence[FloatArray], settings: ObserveSettings) -> RateSteps:
-    dwells = dwell_means(session.records, turns, DwellSettings(settle_s=settings.settle_s))
+    dwells = dwell_means(session.records, turns, settle_s=settings.settle_s)
     count = len(turns)
     temp, accel = np.zeros(count), np.full((count, 3), np.nan)
     for k, turn in enumerate(turns):

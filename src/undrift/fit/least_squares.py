@@ -258,7 +258,7 @@ def student_variance(residuals: FloatArray, spare: int) -> float:
 
 
 def triad_from_forward(
-    forward: ForwardFit, *, method: str, unit_in: str, unit_out: str, valid_range: tuple[float, float], verdict: Verdict
+    forward: ForwardFit, *, method: str, unit_in: str, unit_out: str, valid_range: tuple[float, float]
 ) -> TriadFit:
     """Turn a forward fit into the inverse model that corrects readings."""
     matrix = np.linalg.inv(forward.matrix)
@@ -279,7 +279,7 @@ def triad_from_forward(
         condition=forward.condition,
         valid_range=valid_range,
     )
-    return TriadFit(model=model, residuals=residuals, verdict=verdict)
+    return TriadFit(model=model, residuals=residuals, verdict=Verdict())
 
 
 def fit_paper(

@@ -39,7 +39,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate, calibrate_to_references
 from undrift.errors import AlignmentError, CalibrationError, InputError
 from undrift.fit.least_squares import fit_forward, triad_from_forward
-from undrift.model import Calibration, TriadModel, Verdict
+from undrift.model import Calibration, TriadModel
 from undrift.orientation import sagittal_pitch
 from undrift.record import Record, Reference, Session, Still
 from undrift.rig.programme import Protocol, rate_grid
@@ -198,7 +198,6 @@ def _driven(bench: _Bench, kind: Literal["trolley", "piston"]) -> _Found:
                 unit_in=record.accel_unit,
                 unit_out="m/s2",
                 valid_range=(-reach, reach),
-                verdict=Verdict(),
             ).model
             best = (size, model)
     return _Found(None, None if best is None else best[1], notes, _stills(session), _length_s(motion))

@@ -1,0 +1,22 @@
+"""Accelerometers from mean readings in free poses, without a recording."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from undrift.calibration.multi_position import check_count, fit_norm, judged
+from undrift.fit.least_squares import TriadFit
+
+
+def fit_poses(
+    means: ArrayLike,
+    *,
+    gravity: float,
+    standard_errors: ArrayLike | None = None,
+    unit_in: str = "count",
+    cross_axis: bool = True,
+) -> TriadFit:
+    """Fit to mean readings (K, 3) of any direction, with standard errors where known."""
+    reading = np.asarray(means, float)
+    variances = None if standard_errors is None else np.asarray(standard_errors, float) ** 2
+    check_count(reading, 9 if cross_axis else 6, known_noise=variances is not None)
+    return judged(fit_norm(reading, gravity=gravity, variances=variances, cross_axis=cross_axis), reading, unit_in)
