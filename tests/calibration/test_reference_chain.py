@@ -5,7 +5,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from undrift.calibration.reference import Recording, Windows, _sine_transform, _whitened, solve_chain
+from undrift.calibration.reference import Recording, Windows, _whitened, solve_chain
 from undrift.errors import NotObservable
 
 
@@ -45,14 +45,6 @@ def test_whitening_undoes_the_covariance_of_a_chain_with_a_gap() -> None:
     table = np.repeat(np.eye(n)[:, None, :], 3, axis=1)  # (n, 3, n): each column one unit step
     white = _whitened([table], [linked], kappa)[::3]  # the whitener itself, one body axis
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-14)
-
-
-def test_sine_waves_are_the_eigenvectors_of_an_unbroken_chain() -> None:
-    n = 6
-    waves = _sine_transform(np.eye(n)[:, :, None])[:, :, 0]
-    tied = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    value = 2.0 - 2.0 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1))
-    np.testing.assert_allclose(waves @ tied @ waves.T, np.diag(value), atol=1e-14)
 
 
 def test_parameters_held_fixed_stay_and_one_bad_pose_moves_little() -> None:

@@ -374,9 +374,6 @@ def _provenance(session: Session, settings: CalibrateSettings, accel: str, gyro:
 
 # ---- calibrate from recordings with an orientation reference: no rig, no poses, only motion
 
-REFERENCE_SETTINGS = ReferenceSettings()
-LAG_SETTINGS = LagSettings()
-
 
 def calibrate_to_references(
     records: Sequence[Record],
@@ -384,8 +381,8 @@ def calibrate_to_references(
     *,
     adc: Literal["auto", "none"] = "auto",
     method: str = "reference",
-    settings: ReferenceSettings = REFERENCE_SETTINGS,
-    lag_settings: LagSettings = LAG_SETTINGS,
+    settings: ReferenceSettings = ReferenceSettings(),
+    lag_settings: LagSettings = LagSettings(),
 ) -> Calibration:
     """Calibrate the gyroscopes of one device from recordings with an orientation reference.
 

@@ -30,7 +30,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.checks import check_gravity, check_own_scale, check_range
-from undrift.calibration.multi_position_gyro import fit_gyro_between_stills, still_moments
+from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
@@ -303,6 +303,8 @@ class StillVariance:
     level: FloatArray  # (N,), s2, raw unit squared; infinite at the ends and next to gaps
     gyro_level: FloatArray | None  # (N,), the same of the gyroscopes, their unit squared; None without gyroscopes
     at_rest: float  # Value of ``level`` at rest, raw unit squared
+    sums: FloatArray  # (2, N + 1, 3), running sums of the readings less ``centre``, and of their squares
+    centre: FloatArray  # (3,), raw unit
 
     def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
         """Return the stretches [start, stop) below a threshold."""
@@ -321,6 +323,14 @@ class StillVariance:
             kept.append((start + int(first), start + int(last)) if last - first >= least else (start, stop))
         return kept
 
+    def moments(self, stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
+        """Return the mean reading (K, 3) of each still and its variance (K, 3), the noise pooled over all."""
+        start, stop = np.array([s.start for s in stills]), np.array([s.stop for s in stills])
+        count = (stop - start)[:, None].astype(float)
+        sums, squares = self.sums[:, stop] - self.sums[:, start]
+        within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(stills))
+        return sums / count + self.centre, np.maximum(within, 0.0) / count
+
 
 def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> StillVariance:
     """Return the windowed variance of a record's accelerometer and its level at rest."""
@@ -333,29 +343,32 @@ def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> 
             + ("" if rest_s is None else f" and its opening rest of {rest_s:g} s")
             + f", got {record.duration_s:.2f} s; shorten them"
         )
-    level = _windowed(record.accel, half)
+    level, sums, centre = _windowed(record.accel, half)
     if rest_s is None:
         finite = level[np.isfinite(level)]
         at_rest = float(np.quantile(finite, QUIETEST)) if len(finite) else np.inf
     else:
         rest = int(np.searchsorted(record.time, record.time[0] + rest_s))
         at_rest = float(np.linalg.norm(np.nanvar(record.accel[:rest], axis=0, ddof=1)))
-    gyro_level = None if record.gyro is None else _windowed(record.gyro, half)
-    return StillVariance(values=record.accel, level=level, gyro_level=gyro_level, at_rest=at_rest)
+    gyro_level = None if record.gyro is None else _windowed(record.gyro, half)[0]
+    return StillVariance(
+        values=record.accel, level=level, gyro_level=gyro_level, at_rest=at_rest, sums=sums, centre=centre
+    )
 
 
-def _windowed(values: FloatArray, half: int) -> FloatArray:
-    """Return the level over windows of 2 half + 1 samples by running sums."""
+def _windowed(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the level over windows of 2 half + 1 samples, running sums of first and second powers, and their centre."""
     width = 2 * half + 1
     gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
-    u = np.where(gap[:, None], 0.0, values - (values[~gap].mean(axis=0) if not gap.all() else 0.0))
-    s, q, lost = (
-        total[width - 1 :] - np.concatenate((np.zeros_like(total[:1]), total[:-width]))
-        for total in (np.cumsum(u, axis=0), np.cumsum(u * u, axis=0), np.cumsum(gap))
-    )
+    centre = values[~gap].mean(axis=0) if not gap.all() else np.zeros(3)
+    u, sums = np.where(gap[:, None], 0.0, values - centre), np.zeros((2, len(values) + 1, 3))
+    np.cumsum((u, u * u), axis=1, out=sums[:, 1:])
+    s, q = sums[:, width:] - sums[:, :-width]
+    lost = np.concatenate(([0], np.cumsum(gap)))
     level = np.full(len(u), np.inf)
-    level[half:-half] = np.where(lost > 0, np.inf, np.linalg.norm((q - s * s / width) / (width - 1), axis=1))
-    return level
+    level[half:-half] = np.linalg.norm((q - s * s / width) / (width - 1), axis=1)
+    level[half:-half][lost[width:] > lost[:-width]] = np.inf
+    return level, sums, centre
 
 
 # ---- the whole method
@@ -507,9 +520,7 @@ def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[Floa
     for number, level in enumerate(levels):
         rows = [k for k, s in enumerate(stills) if s.recording == number]
         if rows:
-            start, stop = (np.array([getattr(stills[k], end) for k in rows]) for end in ("start", "stop"))
-            means[rows], pooled, count = still_moments(level.values, start, stop)
-            variances[rows] = pooled / count[:, None]
+            means[rows], variances[rows] = level.moments([stills[k] for k in rows])
     return means, variances
 
 

@@ -128,15 +128,6 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GyroGuess:
-    """Present values of the parameters."""
-
-    matrix: FloatArray  # (3, 3), M, rad/s per raw unit
-    constant: FloatArray  # (3,), d, rad/s
-    g_sensitivity: FloatArray  # (3, 3), G, rad/s per m/s2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Windows:
     """Equations of one recording."""
 
@@ -146,39 +137,34 @@ class Windows:
 
 
 def prepare(
-    record: Record,
-    reference: Reference,
-    *,
-    stride_s: float,
-    adc: AdcModel | None,
-    with_accel: bool,
-    lag_settings: LagSettings,
+    record: Record, reference: Reference, settings: ReferenceSettings, adc: AdcModel | None, lag_settings: LagSettings
 ) -> Recording:
     """Find lag, motion, rest and poses of one recording."""
     poses = native_poses(reference)
     lag = find_lag(record, poses, lag_settings)
-    readings = record.gyro
-    if readings is None or (with_accel and record.accel is None):
+    if record.gyro is None or (settings.g_sensitivity and record.accel is None):
         raise InputError("reference: wanted gyro and accel for a g-sensitivity, got one only; map the other's columns")
-    gyro = restored(readings, adc)
+    gyro, time = restored(record.gyro, adc), record.time
     motion = find_motion(record, poses, lag_s=lag.seconds)
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
-    step = np.diff(record.time)
+    step = np.diff(time)
     late = np.concatenate(([False], step > LONGEST_STEP * np.median(step)))
-    rest, rest_uncertainty = _rest(record.time, gyro, motion)
-    half_sample = 0.5 * float(np.median(step))  # strapdown holds each reading over the step before its stamp
-    at, q = _window_poses(poses, lag.seconds - half_sample, stride_s, motion, record.time)
+    rest, rest_uncertainty = _rest(time, gyro, motion)
+    # Strapdown holds each reading over the step before its stamp: half a sample.
+    at = poses.time + (lag.seconds - 0.5 * float(np.median(step)))
+    inside = (at >= max(motion.start_s - _MARGIN_S, time[0])) & (at <= min(motion.stop_s + _MARGIN_S, time[-1]))
+    chosen = np.flatnonzero(inside)[:: max(1, round(settings.stride_s * poses.sample_rate_hz))]
     return Recording(
-        time=record.time,
+        time=time,
         gyro=np.where(gap[:, None], 0.0, gyro),
-        accel=record.in_units(record.gyro_unit, "m/s2").accel if with_accel else None,
+        accel=record.in_units(record.gyro_unit, "m/s2").accel if settings.g_sensitivity else None,
         gaps=np.cumsum(gap | late),
         lag=lag,
         motion=motion,
         rest_offset=rest,
         rest_uncertainty=rest_uncertainty,
-        at=at,
-        q_nb=q,
+        at=np.ascontiguousarray(at[chosen]),
+        q_nb=np.ascontiguousarray(poses.q_nb[chosen]),
     )
 
 
@@ -189,17 +175,16 @@ def restored(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
     return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
 
 
-def window_equations(recording: Recording, guess: GyroGuess, offset: FloatArray, reach: int) -> Windows:
-    """Return the equations of all windows that span ``reach`` strides."""
+def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray, reach: int) -> Windows:
+    """Return the equations of all windows that span ``reach`` strides, at M row by row, d and, with accel readings, G."""
     from undrift.kernels.rotation import accumulate
 
     u = recording.gyro - offset
-    rate = u @ guess.matrix.T - guess.constant
+    rate = u @ guess[:9].reshape(3, 3).T - guess[9:12]
     columns: list[FloatArray] = [u, np.ones((len(u), 1))]
     if recording.accel is not None:
-        accel = np.nan_to_num(recording.accel)
-        rate = rate - accel @ guess.g_sensitivity.T
-        columns.append(accel)
+        columns.append(np.nan_to_num(recording.accel))
+        rate = rate - columns[2] @ guess[12:].reshape(3, 3).T
     regressors = np.concatenate(columns, axis=1)
     points, channels = len(recording.at), regressors.shape[1]
     q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
@@ -220,9 +205,7 @@ def window_equations(recording: Recording, guess: GyroGuess, offset: FloatArray,
     back = quaternion_conjugate(q[last])[:, None, None, :]
     design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
     n = len(first)
-    blocks = [design[..., :3].reshape(n, 3, 9), -design[..., 3]]
-    if recording.accel is not None:
-        blocks.append(-design[..., 4:].reshape(n, 3, 9))
+    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], -design[..., 4:].reshape(n, 3, -1))
     return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
 
 
@@ -246,16 +229,6 @@ def _rest(time: FloatArray, gyro: FloatArray, motion: Motion) -> tuple[FloatArra
     blocks = np.flatnonzero(np.concatenate(([True], np.diff(second) > 0)))
     means = np.add.reduceat(readings, blocks) / np.diff(np.append(blocks, len(readings)))[:, None]
     return readings.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(means))
-
-
-def _window_poses(
-    poses: Reference, shift_s: float, stride_s: float, motion: Motion, time: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    at = poses.time + shift_s
-    inside = (at >= max(motion.start_s - _MARGIN_S, time[0])) & (at <= min(motion.stop_s + _MARGIN_S, time[-1]))
-    step = max(1, round(stride_s * poses.sample_rate_hz))
-    chosen = np.flatnonzero(inside)[::step]
-    return np.ascontiguousarray(at[chosen]), np.ascontiguousarray(poses.q_nb[chosen])
 
 
 # ---- robust least squares of overlapping windows
@@ -412,9 +385,11 @@ def _in_level(recording: Recording, steps: Windows, kept: IntArray) -> FloatArra
 
 
 def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> float:
-    """Return kappa by golden section over its logit."""
+    """Return kappa by golden section over its logit; sine waves diagonalise the covariance of an unbroken run."""
+    from scipy.fft import dst
+
     runs = [run for t, linked in zip(tables, links, strict=True) for run in np.split(t, np.flatnonzero(~linked) + 1)]
-    waves = np.concatenate([_sine_transform(run).reshape(-1, run.shape[2]) for run in runs])
+    waves = np.concatenate([dst(run, type=1, axis=0, norm="ortho").reshape(-1, run.shape[2]) for run in runs])
     value = np.concatenate([2.0 - 2.0 * np.cos(np.pi * np.arange(1, len(r) + 1) / (len(r) + 1)) for r in runs])
     y, a = waves[:, 0], waves[:, 1:]
 
@@ -428,50 +403,27 @@ def _most_likely(tables: Sequence[FloatArray], links: Sequence[BoolArray]) -> fl
         return float((len(y) - a.shape[1]) * np.log(square) + np.log(variance).sum() + np.linalg.slogdet(normal)[1])
 
     low, high = -12.0, 12.0
-    inner, outer = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    cost_inner, cost_outer = cost(inner), cost(outer)
     for _ in range(_SEARCH):
-        if cost_inner < cost_outer:
-            high, outer, cost_outer = outer, inner, cost_inner
-            inner = high - _GOLDEN * (high - low)
-            cost_inner = cost(inner)
-        else:
-            low, inner, cost_inner = inner, outer, cost_outer
-            outer = low + _GOLDEN * (high - low)
-            cost_outer = cost(outer)
+        inner, outer = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        low, high = (low, outer) if cost(inner) < cost(outer) else (inner, high)
     return float(1.0 / (1.0 + np.exp(-0.5 * (low + high))))
-
-
-def _sine_transform(run: FloatArray) -> FloatArray:
-    """Return the orthonormal sine transform (type I) over axis 0, by an FFT of the odd continuation."""
-    n = len(run)
-    zero = np.zeros_like(run[:1])
-    odd = np.concatenate((zero, run, zero, -run[::-1]))
-    waves: FloatArray = np.fft.rfft(odd, axis=0)[1 : n + 1].imag * (-np.sqrt(0.5 / (n + 1)))
-    return waves
 
 
 def _whitened(tables: Sequence[FloatArray], links: Sequence[BoolArray], kappa: float) -> FloatArray:
     """Return rows (3 n, 1 + P) with covariance s^2 I, each of them local in time, so that one bad pose stays few rows."""
+    from scipy.linalg import cholesky_banded, solve_banded
+
     blocks = []
-    diagonal = 2.0 * (1.0 - kappa) + kappa
     for table, linked in zip(tables, links, strict=True):
-        white = np.empty_like(table)
-        root, before = 1.0, np.zeros_like(table[0])
-        for k in range(len(table)):
-            shared = -(1.0 - kappa) if k and linked[k - 1] else 0.0
-            below = shared / root
-            root = float(np.sqrt(diagonal - below * below))
-            white[k] = (table[k] - below * before) / root
-            before = white[k]
-        blocks.append(white.reshape(-1, table.shape[2]))
+        if len(table):
+            band = np.vstack((np.full(len(table), 2.0 - kappa), np.append((kappa - 1.0) * linked, 0.0)))
+            white = solve_banded((1, 0), cholesky_banded(band, lower=True), table.reshape(len(table), -1))
+            blocks.append(white.reshape(-1, table.shape[2]))
     return np.concatenate(blocks)
 
 
 # ---- fit
 
-LAG_SETTINGS = LagSettings()
-REFERENCE_SETTINGS = ReferenceSettings()
 _REFINEMENTS = 2  # passes at the longest window
 _MOUNTING = 0.05  # matrices of single recordings may differ by this share before their mounting is taken to differ
 
@@ -480,29 +432,28 @@ def fit_reference(
     records: Sequence[Record],
     references: Sequence[Reference],
     *,
-    settings: ReferenceSettings = REFERENCE_SETTINGS,
+    settings: ReferenceSettings = ReferenceSettings(),
     adc: AdcModel | None = None,
-    lag_settings: LagSettings = LAG_SETTINGS,
+    lag_settings: LagSettings = LagSettings(),
 ) -> ReferenceFit:
     """Fit matrix, in-motion offset and, on request, g-sensitivity of a gyroscope to references."""
-    prepared = prepare_all(records, references, settings=settings, adc=adc, lag_settings=lag_settings)
-    return _fit(prepared, settings, records[0].gyro_unit)
+    return _fit(prepare_all(records, references, settings, adc, lag_settings), settings, records[0].gyro_unit)
 
 
 def leave_one_out(
     records: Sequence[Record],
     references: Sequence[Reference],
     *,
-    settings: ReferenceSettings = REFERENCE_SETTINGS,
+    settings: ReferenceSettings = ReferenceSettings(),
     adc: AdcModel | None = None,
-    lag_settings: LagSettings = LAG_SETTINGS,
+    lag_settings: LagSettings = LagSettings(),
 ) -> tuple[HeldOut, ...]:
     """Fit each recording's model to all others of the device, and evaluate it there."""
     if len(records) < 2:
         raise InputError(
             f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
         )
-    prepared = prepare_all(records, references, settings=settings, adc=adc, lag_settings=lag_settings)
+    prepared = prepare_all(records, references, settings, adc, lag_settings)
     unit = records[0].gyro_unit
     return tuple(
         _held_out(i, prepared[i], _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit), settings)
@@ -513,7 +464,6 @@ def leave_one_out(
 def prepare_all(
     records: Sequence[Record],
     references: Sequence[Reference],
-    *,
     settings: ReferenceSettings,
     adc: AdcModel | None,
     lag_settings: LagSettings,
@@ -528,17 +478,7 @@ def prepare_all(
         raise InputError(
             f"reference: wanted one unit for all recordings of a device, got {', '.join(units)}; convert them"
         )
-    return [
-        prepare(
-            record,
-            reference,
-            stride_s=settings.stride_s,
-            adc=adc,
-            with_accel=settings.g_sensitivity,
-            lag_settings=lag_settings,
-        )
-        for record, reference in zip(records, references, strict=True)
-    ]
+    return [prepare(*pair, settings, adc, lag_settings) for pair in zip(records, references, strict=True)]
 
 
 def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) -> ReferenceFit:
@@ -553,14 +493,15 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
         if solution is not None and independent_windows(windows, reach) <= keep.sum() / 3.0:
             break  # too short for longer windows: stay with the last ones
         solution, used = solve(windows, keep=keep, huber=settings.huber, reach=reach), length
-        guess = _moved(guess, solution.step)
+        guess = guess + solution.step
     for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
         windows = [window_equations(p, guess, o, 1) for p, o in zip(prepared, offsets, strict=True)]
         solution, used = solve_chain(prepared, windows, keep=keep, huber=settings.huber), settings.stride_s
-        guess = _moved(guess, solution.step)
-    if solution is None or np.linalg.det(guess.matrix) <= 0.0:
+        guess = guess + solution.step
+    determinant = np.linalg.det(guess[:9].reshape(3, 3))
+    if solution is None or determinant <= 0.0:
         raise Implausible(
-            f"reference: wanted a right-handed matrix, got a determinant of {np.linalg.det(guess.matrix):.3g}; "
+            f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
     return _result(prepared, settings, unit, guess, solution, used)
@@ -570,14 +511,12 @@ def _lengths(settings: ReferenceSettings) -> list[float]:
     lengths = [settings.window_s]
     if settings.weights == "noise":
         return lengths  # a start for the chain
-    while lengths[-1] * 2.0 <= settings.longest_window_s:
-        lengths.append(lengths[-1] * 2.0)
-    if lengths[-1] < settings.longest_window_s:
-        lengths.append(settings.longest_window_s)
+    while lengths[-1] < settings.longest_window_s:
+        lengths.append(min(2.0 * lengths[-1], settings.longest_window_s))
     return lengths + [lengths[-1]] * _REFINEMENTS
 
 
-def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> GyroGuess:
+def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> FloatArray:
     # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
     matrices = np.array([p.lag.matrix for p in prepared])
     matrix = matrices.mean(axis=0)
@@ -595,42 +534,38 @@ def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> 
         else -p.lag.constant - matrix @ p.rest_offset * (settings.offset == "motion")
         for p in prepared
     ]
-    return GyroGuess(matrix=matrix, constant=np.mean(constants, axis=0), g_sensitivity=np.zeros((3, 3)))
-
-
-def _moved(guess: GyroGuess, step: FloatArray) -> GyroGuess:
-    g = step[12:].reshape(3, 3) if len(step) > 12 else np.zeros((3, 3))
-    return GyroGuess(
-        matrix=guess.matrix + step[:9].reshape(3, 3),
-        constant=guess.constant + step[9:12],
-        g_sensitivity=guess.g_sensitivity + g,
-    )
+    g = np.zeros(9 if settings.g_sensitivity else 0)
+    return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), g))
 
 
 def _result(
     prepared: Sequence[Recording],
     settings: ReferenceSettings,
     unit: str,
-    guess: GyroGuess,
+    guess: FloatArray,
     solution: Solution,
     window_s: float,
 ) -> ReferenceFit:
-    inverse = np.linalg.inv(guess.matrix)
-    motion_offset = inverse @ guess.constant
+    matrix = guess[:9].reshape(3, 3)
+    inverse = np.linalg.inv(matrix)
+    motion_offset = inverse @ guess[9:12]
     rest = np.array([p.rest_offset for p in prepared])
     base = np.zeros(3) if settings.offset == "common" else rest.mean(axis=0)
-    covariance = _carried(guess, inverse, solution.covariance)
+    # From (M, d, G) to (M, o, G) with o = M^-1 d: do = M^-1 dd - M^-1 dM o.
+    jacobian = np.eye(len(guess))
+    jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, motion_offset)
+    covariance = np.asarray(jacobian @ solution.covariance @ jacobian.T)
     if settings.offset != "common":
         spread = np.array([p.rest_uncertainty for p in prepared])
         covariance[range(9, 12), range(9, 12)] += (spread**2).sum(axis=0) / len(prepared) ** 2
-    seen = [(p.gyro[m] - base - motion_offset) @ guess.matrix.T for p in prepared for m in (_moving(p),)]
+    seen = [(p.gyro[m] - base - motion_offset) @ matrix.T for p in prepared for m in (_moving(p),)]
     model = TriadModel(
         method=f"reference/{settings.offset}",
         unit_in=unit,
         unit_out="rad/s",
-        matrix=guess.matrix,
+        matrix=matrix,
         offset=base + motion_offset,
-        g_sensitivity=guess.g_sensitivity if settings.g_sensitivity else None,
+        g_sensitivity=guess[12:].reshape(3, 3) if settings.g_sensitivity else None,
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *(G_NAMES if settings.g_sensitivity else ())),
         covariance=covariance,
         rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
@@ -650,14 +585,6 @@ def _result(
         window_rms=solution.scale,
         offset_mode=settings.offset,
     )
-
-
-def _carried(guess: GyroGuess, inverse: FloatArray, covariance: FloatArray) -> FloatArray:
-    # From (M, d, G) to (M, o, G) with o = M^-1 d: do = M^-1 dd - M^-1 dM o.
-    jacobian = np.eye(len(covariance))
-    jacobian[9:12, 9:12] = inverse
-    jacobian[9:12, :9] = -np.kron(inverse, inverse @ guess.constant)
-    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _moving(recording: Recording) -> BoolArray:
@@ -680,9 +607,9 @@ def _judged(model: TriadModel, rest: FloatArray, settings: ReferenceSettings) ->
 def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: ReferenceSettings) -> HeldOut:
     model = fit.model_at_rest_offset(recording.rest_offset)
     reach = max(1, round(settings.window_s / settings.stride_s))
-    g = np.zeros((3, 3)) if model.g_sensitivity is None else model.g_sensitivity
-    plain = GyroGuess(matrix=_rigid(model.matrix), constant=np.zeros(3), g_sensitivity=np.zeros((3, 3)))
-    fitted = GyroGuess(matrix=model.matrix, constant=np.zeros(3), g_sensitivity=g)
+    g = np.zeros(0) if model.g_sensitivity is None else model.g_sensitivity.reshape(-1)
+    plain = np.concatenate((_rigid(model.matrix).reshape(-1), np.zeros(3), 0.0 * g))
+    fitted = np.concatenate((model.matrix.reshape(-1), np.zeros(3), g))
     before = _rms(window_equations(recording, plain, recording.rest_offset, reach))
     after = _rms(window_equations(recording, fitted, model.offset, reach))
     rate = np.abs((recording.gyro[_moving(recording)] - model.offset) @ model.matrix.T)
