@@ -383,11 +383,58 @@ CATALOGUE: dict[str, Entry] = {
     "noise.not_observable": Entry(
         3, "{triad} {axes}: {term} not observable", "record of {duration_s:.0f} s", "record longer at rest"
     ),
+    "noise.no_quantization": Entry(3, "not observable", "no part of the curve falls with the averaging time itself"),
+    "noise.no_random_walk": Entry(
+        3, "not observable", "no part of the curve falls with the square root of the averaging time"
+    ),
+    "noise.no_flat_part": Entry(3, "not observable", "no flat part of the curve stands out", "record longer"),
+    "noise.no_rise": Entry(
+        3, "not observable", "no certain rise of the curve up to {longest_s:.3g} s", "record longer"
+    ),
     "noise.model_error": Entry(
         1,
         "{triad}: Allan curve departs from the model",
         "by {error_percent:.0f} % of the variance; the readings are filtered or disturbed",
         "record raw readings on a bench without vibration",
+    ),
+    # ---- converters
+    "adc.no_grid": Entry(
+        3,
+        "ADC not identified",
+        "the readings lie on no grid: they were filtered, resampled or calibrated before they were written",
+    ),
+    "adc.offset_subtracted": Entry(
+        3,
+        "ADC not identified",
+        "an offset was subtracted from the codes",
+        "record the raw device in brisk motion to identify the rounding",
+    ),
+    "adc.few_axes": Entry(
+        3,
+        "ADC not identified",
+        "fewer than two axes sweep through code 0",
+        "record the raw device in brisk motion to identify the rounding",
+    ),
+    "adc.few_samples": Entry(
+        3,
+        "ADC not identified",
+        "too few samples sweep through code 0",
+        "record the raw device in brisk motion to identify the rounding",
+    ),
+    "adc.toward_zero": Entry(
+        4,
+        "Codes truncated toward zero",
+        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as its neighbours",
+    ),
+    "adc.nearest": Entry(
+        4,
+        "Codes rounded to nearest or floor, which differ by half a step that the offset takes up",
+        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as its neighbours",
+    ),
+    "adc.uncertain": Entry(
+        3,
+        "ADC not identified",
+        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as its neighbours: neither 1 nor 2 for certain",
     ),
     # ---- drift: sessions and temperature
     "calibration.nominal": Entry(
@@ -817,7 +864,6 @@ CATALOGUE: dict[str, Entry] = {
         "noise at rest shows no low-pass below half the sample rate, {nyquist_hz:.0f} Hz",
         "sample faster to find it",
     ),
-    "twin.codes": Entry(3, "ADC not identified", "{evidence}"),
     # ---- export
     "imucal.uncertainty": Entry(
         2,

@@ -19,19 +19,25 @@ from undrift.errors import InputError
 Options = tuple[tuple[str, str], ...]
 
 
-def names_in(table: Mapping[str, str], group: str) -> tuple[str, ...]:
+def names_in(table: Mapping[str, object], group: str) -> tuple[str, ...]:
     """Return all names of a table and of the group of entry points that extends it."""
     return (*table, *(point.name for point in entry_points(group=group) if point.name not in table))
 
 
-def load_named(name: str, table: Mapping[str, str], group: str) -> Any:
-    """Return the object of a name; KeyError where neither table nor entry points have it."""
+def load_named(name: str, table: Mapping[str, str], group: str, kind: type = object) -> Any:
+    """Return the object of a name, of a kind; KeyError where neither table nor entry points have it."""
     place = table.get(name) or {point.name: point.value for point in entry_points(group=group)}[name]
     module, _, attribute = place.partition(":")
     try:
-        return getattr(importlib.import_module(module), attribute)
+        found = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
         raise InputError(f"{name}: wanted {place}, got '{error}'; install the package that has it") from error
+    if not isinstance(found, kind):
+        raise InputError(
+            f"{name}: wanted a {kind.__name__} from {place}, got {type(found).__name__}; correct the entry point of the group "
+            f"{group}"
+        )
+    return found
 
 
 def split_address(text: str, what: str, table: Mapping[str, str], group: str, advice: str) -> tuple[str, str, Options]:

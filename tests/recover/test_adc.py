@@ -57,7 +57,7 @@ def test_a_minute_of_motion_says_that_it_is_too_short() -> None:
     rng = np.random.default_rng(1)
     found = identify_adc(simulate_trial("free", random_device(rng, grade="wearable"), rng=rng).record.gyro)  # type: ignore[arg-type]
     assert found.rounding is None
-    assert "sweep through code 0" in found.reason
+    assert "sweep through code 0" in found.finding.text
 
 
 def test_readings_that_were_never_codes_lie_on_no_grid() -> None:

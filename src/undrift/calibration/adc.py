@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.findings import Finding, finding
 from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
@@ -35,26 +36,23 @@ class AdcFinding:
     rounding: Rounding | None  # toward_zero; nearest (which stands for floor too); None where not identifiable
     ratio: FloatArray  # (3,), count at code 0 over the expected one; NaN where too few samples are near zero
     ratio_uncertainty: FloatArray  # (3,), scatter that ``ratio`` would have if it were 1
-    reason: str  # The evidence, or why there is none
+    finding: Finding  # The evidence, or why there is none
 
 
 def identify_adc(values: FloatArray) -> AdcFinding:
     """Find the step and the rounding of a triad (N, 3)."""
     grids = [code_grid(column) for column in values.T]
     steps, phases = np.array([g[0] for g in grids]), np.array([g[1] for g in grids])
-    nothing = np.full(3, np.nan)
     if np.isnan(steps).any():
-        reason = "the readings lie on no grid: they were filtered, resampled or calibrated before they were written"
-        return AdcFinding(lsb=None, rounding=None, ratio=nothing, ratio_uncertainty=nothing, reason=reason)
+        why, nothing = finding("adc.no_grid", "info"), np.full(3, np.nan)
+        return AdcFinding(lsb=None, rounding=None, ratio=nothing, ratio_uncertainty=nothing, finding=why)
     counts = [
         _sweeping(column, step) if abs(phase) < 0.05 else np.zeros(2 * _SIDE + 1)
         for column, step, phase in zip(values.T, steps, phases, strict=True)
     ]
-    evidence = np.array([_zero_ratio(c) for c in counts])
-    rounding, reason = _judge(*_zero_ratio(np.sum(counts, axis=0)), _obstacle(phases, evidence[:, 0]))
-    return AdcFinding(
-        lsb=steps, rounding=rounding, ratio=evidence[:, 0], ratio_uncertainty=evidence[:, 1], reason=reason
-    )
+    ratio, uncertainty = np.array([_zero_ratio(c) for c in counts]).T
+    rounding, why = _judge(*_zero_ratio(np.sum(counts, axis=0)), phases, ratio)
+    return AdcFinding(lsb=steps, rounding=rounding, ratio=ratio, ratio_uncertainty=uncertainty, finding=why)
 
 
 def identify_record_adc(record: Record) -> AdcModel | None:
@@ -66,17 +64,14 @@ def identify_record_adc(record: Record) -> AdcModel | None:
 
 def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | None:
     """Return the model of the triads whose rounding is certain; None where none is."""
-    (gyro_lsb, gyro_rounding), (accel_lsb, accel_rounding) = (
-        (None, None) if found is None or found.rounding is None else (found.lsb, found.rounding)
-        for found in (gyro, accel)
-    )
-    if gyro_rounding is None and accel_rounding is None:
+    gyro, accel = (None if found is None or found.rounding is None else found for found in (gyro, accel))
+    if gyro is None and accel is None:
         return None
     return AdcModel(
-        gyro_lsb=gyro_lsb,
-        accel_lsb=accel_lsb,
-        gyro_rounding=gyro_rounding or "nearest",
-        accel_rounding=accel_rounding or "nearest",
+        gyro_lsb=gyro and gyro.lsb,
+        accel_lsb=accel and accel.lsb,
+        gyro_rounding=(gyro and gyro.rounding) or "nearest",
+        accel_rounding=(accel and accel.rounding) or "nearest",
     )
 
 
@@ -127,24 +122,20 @@ def _zero_ratio(counts: FloatArray) -> tuple[float, float]:
     return float(counts[_SIDE]) / expected, float(np.sqrt(uneven / expected))
 
 
-def _obstacle(phases: FloatArray, ratio: FloatArray) -> str:
+def _judge(pooled: float, sigma: float, phases: FloatArray, ratio: FloatArray) -> tuple[Rounding | None, Finding]:
     if (np.abs(phases) >= 0.05).any():
-        return "an offset was subtracted from the codes"
-    return "fewer than two axes sweep through code 0" if np.isfinite(ratio).sum() < 2 else ""
-
-
-def _judge(ratio: float, sigma: float, obstacle: str) -> tuple[Rounding | None, str]:
-    if obstacle or np.isnan(ratio):
-        why = obstacle or "too few samples sweep through code 0"
-        return None, f"{why}: record the raw device in brisk motion to identify the rounding"
-    figures = f"code 0 occurs {ratio:.2f} +- {sigma:.2f} times as often as its neighbours"
+        return None, finding("adc.offset_subtracted", "info")
+    if np.isfinite(ratio).sum() < 2:
+        return None, finding("adc.few_axes", "info")
+    if np.isnan(pooled):
+        return None, finding("adc.few_samples", "info")
     sure_1 = _SURE * sigma * np.sqrt(1.0 + 1.0 / (2 * _SIDE))  # scatter of the ratio if it were 1, and if it were 2
     sure_2 = _SURE * sigma * np.sqrt(2.0 + 4.0 / (2 * _SIDE))
-    if abs(ratio - 2.0) < max(0.3, sure_2) and ratio - 1.0 > sure_1:
-        return "toward_zero", f"{figures}: truncated toward zero"
-    if abs(ratio - 1.0) < max(0.3, sure_1) and 2.0 - ratio > sure_2:
-        return "nearest", f"{figures}: nearest or floor, which differ by half a step that the offset takes up"
-    return None, f"{figures}: neither 1 nor 2 for certain"
+    if abs(pooled - 2.0) < max(0.3, sure_2) and pooled - 1.0 > sure_1:
+        return "toward_zero", finding("adc.toward_zero", "info", ratio=pooled, uncertainty=sigma)
+    if abs(pooled - 1.0) < max(0.3, sure_1) and 2.0 - pooled > sure_2:
+        return "nearest", finding("adc.nearest", "info", ratio=pooled, uncertainty=sigma)
+    return None, finding("adc.uncertain", "info", ratio=pooled, uncertainty=sigma)
 
 
 def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) -> FloatArray:

@@ -31,6 +31,7 @@ from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit
 from undrift.model import AdcModel, Calibration, Provenance, TriadModel, Verdict
+from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference, Session
 from undrift.sync import LagSettings
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
@@ -95,24 +96,13 @@ ENTRY_POINTS = "undrift.fits"  # other packages add a FitMethod under this group
 
 def find_fit(name: str, kind: Literal["accel", "gyro", "reference"]) -> Callable[..., Any]:
     """Return the fit of a name from FITS, else from the entry points of other packages."""
-    from importlib.metadata import entry_points
-
     method = FITS.get(name)
-    if method is None:
-        others = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
-        if name in others:
-            loaded = others[name].load()
-            if not isinstance(loaded, FitMethod):
-                raise InputError(
-                    f"calibrate: wanted a FitMethod from {others[name].value}, got {type(loaded).__name__}; correct the entry "
-                    f"point '{name}' of the group {ENTRY_POINTS}"
-                )
-            method = loaded
+    if method is None and name in names_in(FITS, ENTRY_POINTS):
+        method = load_named(name, {}, ENTRY_POINTS, FitMethod)
     fit = None if method is None else getattr(method, kind)
     if fit is None:
-        own = [known for known, entry in FITS.items() if getattr(entry, kind) is not None]
-        added = [point.name for point in entry_points(group=ENTRY_POINTS) if point.name not in FITS]
-        raise InputError(f"calibrate: wanted {kind} one of {', '.join((*own, *added))}, got '{name}'; name one of them")
+        known = [own for own in names_in(FITS, ENTRY_POINTS) if own not in FITS or getattr(FITS[own], kind) is not None]
+        raise InputError(f"calibrate: wanted {kind} one of {', '.join(known)}, got '{name}'; name one of them")
     return fit  # type: ignore[no-any-return]
 
 

@@ -54,21 +54,22 @@ _STRIDES = 64  # overlaps finer than this carry no more information
 class AllanDeviation:
     """Deviation over averaging time, with confidence."""
 
-    estimator: Estimator  # Which of the six
     taus_s: FloatArray  # (M,), averaging times, s
     deviation: FloatArray  # (M,), unit of the readings
     lower: FloatArray  # (M,), confidence limits, unit of the readings
     upper: FloatArray
     edf: FloatArray  # (M,), equivalent degrees of freedom
     noise: IntArray  # (M,), power of frequency: 2 white phase, 1 flicker phase, 0 white, -1 flicker, -2 random walk
-    confidence: float  # Probability that the limits enclose the truth
+
+
+Taus = Literal["octave", "decade", "all"] | Sequence[float] | FloatArray
 
 
 def allan_deviation(
     x: ArrayLike,
     sample_rate_hz: float,
     *,
-    taus: Literal["octave", "decade", "all"] | Sequence[float] | FloatArray = "octave",
+    taus: Taus = "octave",
     estimator: Estimator = "oadev",
     confidence: float = 0.95,
 ) -> AllanDeviation:
@@ -88,27 +89,14 @@ def allan_deviation(
     m = _averages(taus, len(y), sample_rate_hz, estimator)
     phase = np.concatenate(([0.0], np.cumsum(y - y.mean())))
     deviation = _deviations(phase, m, estimator)
-    noise = _kinds(phase, m, 2 if _ORDER[estimator] == 2 else 3)
+    noise = _kinds(phase, m, _ORDER[estimator])
     edf = np.array([_edf(int(mk), int(a), len(phase), estimator) for mk, a in zip(m, noise, strict=True)])
     lower, upper = _limits(deviation, edf, confidence)
-    return AllanDeviation(
-        estimator=estimator,
-        taus_s=m / sample_rate_hz,
-        deviation=deviation,
-        lower=lower,
-        upper=upper,
-        edf=edf,
-        noise=noise,
-        confidence=confidence,
-    )
+    taus_s = m / sample_rate_hz
+    return AllanDeviation(taus_s=taus_s, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
 
 
-def _averages(
-    taus: Literal["octave", "decade", "all"] | Sequence[float] | FloatArray,
-    count: int,
-    rate: float,
-    estimator: Estimator,
-) -> IntArray:
+def _averages(taus: Taus, count: int, rate: float, estimator: Estimator) -> IntArray:
     """Return the averaging times in samples."""
     longest = count // 4
     if isinstance(taus, str):
@@ -170,15 +158,15 @@ def _kinds(phase: FloatArray, m: IntArray, order: int) -> IntArray:
 
 
 def _power(z: FloatArray) -> int:
-    for differences in range(4):
+    differences = 0
+    while True:
         away = z - z.mean()
         square = float(away @ away)
         lag = float(away[1:] @ away[:-1]) / square if square > 0.0 else 0.0
         delta = lag / (1.0 + lag)
         if delta < 0.25 or differences == 3:
             return -2 * differences - round(2.0 * delta)
-        z = np.diff(z)
-    return 0
+        z, differences = np.diff(z), differences + 1
 
 
 def _edf(m: int, alpha: int, phases: int, estimator: Estimator) -> float:
@@ -202,29 +190,23 @@ def _edf(m: int, alpha: int, phases: int, estimator: Estimator) -> float:
 
 def _autocovariance(t: FloatArray, filtered: int, alpha: int, order: int) -> FloatArray:
     """Return the generalised autocovariance of the differenced phase at shifts t (in units of m)."""
-    rows = {2: (6.0, -4.0, 1.0), 3: (20.0, -15.0, 6.0, -1.0)}[order]
-    total = rows[0] * _averaged(t, filtered, alpha)
-    for shift, weight in enumerate(rows[1:], start=1):
-        total = total + weight * (_averaged(t - shift, filtered, alpha) + _averaged(t + shift, filtered, alpha))
-    return total
-
-
-def _averaged(t: FloatArray, filtered: int, alpha: int) -> FloatArray:
     f = float(filtered)
-    value: FloatArray = (
-        f * f * (2.0 * _power_law(t, alpha) - _power_law(t - 1.0 / f, alpha) - _power_law(t + 1.0 / f, alpha))
-    )
-    return value
 
-
-def _power_law(t: FloatArray, alpha: int) -> FloatArray:
-    size = np.abs(t)
-    exponent = 3 - alpha
-    if exponent % 2:
+    def power(t: FloatArray) -> FloatArray:
+        size, exponent = np.abs(t), 3 - alpha
         value: FloatArray = size**exponent
-    else:
-        value = size**exponent * np.log(np.where(size > 0.0, size, 1.0))
-    return value if alpha in (0, 1, -3, -4) else -value
+        if exponent % 2 == 0:
+            value = value * np.log(np.where(size > 0.0, size, 1.0))
+        return value if alpha in (0, 1, -3, -4) else -value
+
+    def averaged(t: FloatArray) -> FloatArray:
+        return np.asarray(f * f * (2.0 * power(t) - power(t - 1.0 / f) - power(t + 1.0 / f)))
+
+    first, *rows = {2: (6.0, -4.0, 1.0), 3: (20.0, -15.0, 6.0, -1.0)}[order]
+    total = first * averaged(t)
+    for shift, weight in enumerate(rows, start=1):
+        total = total + weight * (averaged(t - shift) + averaged(t + shift))
+    return total
 
 
 def _limits(deviation: FloatArray, edf: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
@@ -239,17 +221,10 @@ def _limits(deviation: FloatArray, edf: FloatArray, confidence: float) -> tuple[
 # ---- coefficients
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
+_NAMES = ("angle_random_walk", "bias_instability", "rate_random_walk")
 TERMS = {  # an accelerometer has other terms for the same slopes
-    "gyro": {
-        "angle_random_walk": "angle random walk",
-        "bias_instability": "bias instability",
-        "rate_random_walk": "rate random walk",
-    },
-    "accel": {
-        "angle_random_walk": "velocity random walk",
-        "bias_instability": "bias instability",
-        "rate_random_walk": "acceleration random walk",
-    },
+    "gyro": dict(zip(_NAMES, ("angle random walk", "bias instability", "rate random walk"), strict=True)),
+    "accel": dict(zip(_NAMES, ("velocity random walk", "bias instability", "acceleration random walk"), strict=True)),
 }
 SIGNIFICANT = 2.0  # standard deviations above zero
 SHORTEST = 64  # samples
@@ -263,7 +238,12 @@ class NoiseCoefficient:
     value: float  # NaN where the record does not show it
     interval: tuple[float, float]  # Lower and upper limit; (0, upper limit) where it is not shown
     unit: str  # Unit of all three
-    reason: str = ""  # Why it is not shown; "" when it is
+    finding: Finding | None = None  # Why it is not shown; None when it is
+
+    @property
+    def reason(self) -> str:
+        """The finding as a text; "" where it is shown."""
+        return "" if self.finding is None else self.finding.text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -328,23 +308,15 @@ class NoiseFit:
         InputError
             The readings are counts or volts.
         """
+        values = []
         for axes, unit in ((self.gyro, self.gyro_unit), (self.accel, self.accel_unit)):
             if axes and not is_physical(unit):
                 raise InputError(
                     f"noise model: wanted rad/s and m/s2, got {unit}; correct the record with its calibration first"
                 )
-
-        def coefficient(axes: tuple[AxisNoise, ...], name: str) -> FloatArray:
-            return np.array([getattr(axis, name).value for axis in axes] or (np.nan,) * 3)
-
-        return NoiseModel(
-            angle_random_walk=coefficient(self.gyro, "angle_random_walk"),
-            bias_instability=coefficient(self.gyro, "bias_instability"),
-            rate_random_walk=coefficient(self.gyro, "rate_random_walk"),
-            velocity_random_walk=coefficient(self.accel, "angle_random_walk"),
-            accel_bias_instability=coefficient(self.accel, "bias_instability"),
-            accel_random_walk=coefficient(self.accel, "rate_random_walk"),
-        )
+            values += [np.array([getattr(axis, name).value for axis in axes] or (np.nan,) * 3) for name in _NAMES]
+        names = (*_NAMES, "velocity_random_walk", "accel_bias_instability", "accel_random_walk")
+        return NoiseModel(**dict(zip(names, values, strict=True)))
 
 
 def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
@@ -383,19 +355,18 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
             f"noise: wanted {SHORTEST} evenly spaced samples or more, got {len(record)} with "
             f"{int((np.diff(record.time) > 1.5 / rate).sum())} drop-outs; cut out a stretch without drop-outs"
         )
-    gyro, gyro_unit, gyro_curves = _triad(record.gyro, record.gyro_unit, "rate", record, confidence)
-    accel, accel_unit, accel_curves = _triad(record.accel, record.accel_unit, "accel", record, confidence)
-    taus = (gyro_curves or accel_curves)[0].taus_s
+    gyro, gyro_unit, gyro_curves, taus_s = _triad(record, "rate", confidence)
+    accel, accel_unit, accel_curves, accel_taus_s = _triad(record, "accel", confidence)
     return NoiseFit(
         gyro=gyro,
         accel=accel,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
-        taus_s=taus,
-        gyro_adev=_columns(gyro_curves, len(taus))[0],
-        accel_adev=_columns(accel_curves, len(taus))[0],
-        gyro_limits=_columns(gyro_curves, len(taus))[1:],
-        accel_limits=_columns(accel_curves, len(taus))[1:],
+        taus_s=taus_s if gyro else accel_taus_s,
+        gyro_adev=gyro_curves[0],
+        accel_adev=accel_curves[0],
+        gyro_limits=gyro_curves[1:],
+        accel_limits=accel_curves[1:],
         duration_s=record.duration_s,
         confidence=confidence,
         verdict=Verdict.of(*_judged(gyro, accel, record.duration_s)),
@@ -403,36 +374,40 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
 
 
 def _triad(
-    values: FloatArray | None, unit: str, quantity: Quantity, record: Record, confidence: float
-) -> tuple[tuple[AxisNoise, ...], str, list[AllanDeviation]]:
-    si = "rad/s" if quantity == "rate" else "m/s2"
+    record: Record, quantity: Quantity, confidence: float
+) -> tuple[tuple[AxisNoise, ...], str, FloatArray, FloatArray]:
+    """Return the noise of each axis, its unit, deviations with lower and upper limits (3, M, axes), and averaging times (M,)."""
+    what, values, unit = ("gyro", record.gyro, record.gyro_unit)
+    if quantity == "accel":
+        what, values, unit = ("accel", record.accel, record.accel_unit)
     if values is None:
-        return (), si, []
-    factor, unit = (si_factor(unit, quantity), si) if is_physical(unit) else (1.0, unit)
-    what = "gyro" if quantity == "rate" else "accel"
+        taus_s = _averages("octave", len(record), record.sample_rate_hz, "oadev") / record.sample_rate_hz
+        return (), SI_UNIT[quantity], np.empty((3, len(taus_s), 0)), taus_s
     if np.isnan(values).any():
         raise InputError(
             f"noise: wanted {what} readings without gaps, got {int(np.isnan(values).any(axis=1).sum())} rows of NaN; "
             "cut out a stretch without gaps"
         )
-    _check_rest(values, record, what)
-    curves = [allan_deviation(values[:, k] * factor, record.sample_rate_hz, confidence=confidence) for k in range(3)]
-    axes = tuple(_axis(curve, axis, unit, record, confidence) for curve, axis in zip(curves, AXES, strict=True))
-    return axes, unit, curves
+    factor = si_factor(unit, quantity) if is_physical(unit) else None
+    _check_rest(values, record, what, quantity, factor)
+    shown = unit if factor is None else SI_UNIT[quantity]
+    scaled = values * (1.0 if factor is None else factor)
+    curves = [allan_deviation(column, record.sample_rate_hz, confidence=confidence) for column in scaled.T]
+    axes = tuple(_axis(curve, axis, shown, record, confidence) for curve, axis in zip(curves, AXES, strict=True))
+    limits = np.stack([np.column_stack([getattr(c, k) for c in curves]) for k in ("deviation", "lower", "upper")])
+    return axes, shown, limits, curves[0].taus_s
 
 
-def _check_rest(values: FloatArray, record: Record, what: str) -> None:
+def _check_rest(values: FloatArray, record: Record, what: str, quantity: Quantity, factor: float | None) -> None:
     """Raise where the spread within one-second windows is ten times the usual, or where a channel is stuck."""
     width = min(max(16, round(record.sample_rate_hz)), len(values) // 4)
-    count = len(values) // width
-    spread = values[: count * width].reshape(count, width, 3).std(axis=1)
-    usual = np.median(spread, axis=0)
-    if (values.std(axis=0) == 0.0).any():
-        axis = AXES[int(np.flatnonzero(values.std(axis=0) == 0.0)[0])]
+    count, whole = len(values) // width, values.std(axis=0)
+    if (whole == 0.0).any():
         raise InputError(
-            f"noise: wanted readings that vary, got one value throughout in {what} {axis}; check the column"
+            f"noise: wanted readings that vary, got one value throughout in {what} {AXES[int(np.argmin(whole))]}; check the column"
         )
-    moved = np.flatnonzero((spread > 10.0 * np.maximum(usual, values.std(axis=0) * 1e-3)).any(axis=1))
+    spread = values[: count * width].reshape(count, width, 3).std(axis=1)
+    moved = np.flatnonzero((spread > 10.0 * np.maximum(np.median(spread, axis=0), whole * 1e-3)).any(axis=1))
     if len(moved):
         at = float(record.time[int(moved[0]) * width])
         raise InputError(
@@ -440,11 +415,9 @@ def _check_rest(values: FloatArray, record: Record, what: str) -> None:
             "cut out a stretch at rest",
             first_s=at,
         )
-    unit = record.gyro_unit if what == "gyro" else record.accel_unit
-    if is_physical(unit):
-        quantity: Quantity = "rate" if what == "gyro" else "accel"
-        motion, noise = (spread * si_factor(unit, quantity) for spread in _slow_motion(values, width))
-        limit = BENCH_RATE_LIMIT if what == "gyro" else BENCH_ACCEL_LIMIT
+    if factor is not None:
+        motion, noise = (part * factor for part in _slow_motion(values, width))
+        limit = BENCH_RATE_LIMIT if quantity == "rate" else BENCH_ACCEL_LIMIT
         if motion > max(limit, 3.0 * noise):
             raise InputError(
                 f"noise: wanted a device at rest, got {what} readings that vary by {motion:.3g} {SI_UNIT[quantity]} within "
@@ -462,15 +435,6 @@ def _slow_motion(values: FloatArray, width: int) -> tuple[float, float]:
     return float(np.median(np.sqrt(means.var(axis=1).sum(axis=1)))), white
 
 
-def _columns(curves: list[AllanDeviation], count: int) -> FloatArray:
-    """Return deviations, lower and upper limits, (3, M, axes)."""
-    if not curves:
-        return np.empty((3, count, 0))
-    return np.stack(
-        [np.column_stack(part) for part in zip(*((c.deviation, c.lower, c.upper) for c in curves), strict=True)]
-    )
-
-
 def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidence: float) -> AxisNoise:
     from scipy.special import ndtri
 
@@ -478,33 +442,23 @@ def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidenc
     design = np.column_stack((3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER), tau / 3.0))
     kept, squares, errors, misfit = _fit(curve, design, record)
     wide = float(ndtri(0.5 + 0.5 * confidence))
-    roots = f"{unit}/sqrt(Hz)", unit, f"{unit}/sqrt(s)", f"{unit} s"
-    why = (
-        "no part of the curve falls with the square root of the averaging time",
-        "no flat part of the curve stands out: record longer",
-        f"no certain rise of the curve up to {tau[-1]:.3g} s: record longer",
-        "no part of the curve falls with the averaging time itself",
+    rows: tuple[tuple[int, str, str, Finding], ...] = (
+        (0, "quantization", f"{unit} s", finding("noise.no_quantization", "info")),
+        (1, "angle_random_walk", f"{unit}/sqrt(Hz)", finding("noise.no_random_walk", "info")),
+        (2, "bias_instability", unit, finding("noise.no_flat_part", "info")),
+        (3, "rate_random_walk", f"{unit}/sqrt(s)", finding("noise.no_rise", "info", longest_s=tau[-1])),
     )
-    found: dict[int, NoiseCoefficient] = {}
-    for term, name, reason in zip((1, 2, 3, 0), roots, why, strict=True):
-        high = float(np.sqrt(max(squares[term], 0.0) + wide * errors[term]))
+    found: dict[str, NoiseCoefficient] = {}
+    for term, name, of, why in rows:
         if term in kept:
             value = float(np.sqrt(squares[term]))
             relative = 0.5 * wide * errors[term] / squares[term]  # of the root; limits by the logarithm stay positive
             interval = (value * float(np.exp(-relative)), value * float(np.exp(relative)))
-            found[term] = NoiseCoefficient(value=value, interval=interval, unit=name)
+            found[name] = NoiseCoefficient(value=value, interval=interval, unit=of)
         else:
-            found[term] = NoiseCoefficient(
-                value=np.nan, interval=(0.0, high), unit=name, reason=f"not observable: {reason}"
-            )
-    return AxisNoise(
-        axis=axis,
-        angle_random_walk=found[1],
-        bias_instability=found[2],
-        rate_random_walk=found[3],
-        quantization=found[0],
-        model_error=misfit,
-    )
+            high = float(np.sqrt(max(squares[term], 0.0) + wide * errors[term]))
+            found[name] = NoiseCoefficient(value=np.nan, interval=(0.0, high), unit=of, finding=why)
+    return AxisNoise(axis=axis, model_error=misfit, **found)
 
 
 def _fit(
@@ -548,25 +502,14 @@ def _significant(
     measured: FloatArray, design: FloatArray, covariance: FloatArray
 ) -> tuple[tuple[int, ...], FloatArray, float]:
     """Return the best set of terms that all stand out from zero: least chi-square plus four for each term."""
-    best: tuple[float, tuple[int, ...], FloatArray, float] | None = None
-    for size in range(1, 5):
-        for terms in itertools.combinations(range(4), size):
-            if size > len(measured):
-                continue
-            value, cov, chi = _weighted(measured, design[:, terms], covariance)
-            if (value <= SIGNIFICANT * np.sqrt(np.diag(cov))).any():
-                continue
-            score = chi + SIGNIFICANT**2 * size
-            if best is None or score < best[0]:
-                squares = np.zeros(4)
-                squares[list(terms)] = value
-                best = (score, terms, squares, chi)
-    if best is None:  # nothing stands out: the white term is what there is
-        value, _, chi = _weighted(measured, design[:, (1,)], covariance)
-        squares = np.zeros(4)
-        squares[1] = float(value[0])
-        return (), squares, chi
-    return best[1], best[2], best[3]
+    tried = [terms for size in range(1, min(4, len(measured)) + 1) for terms in itertools.combinations(range(4), size)]
+    fits = [(terms, *_weighted(measured, design[:, terms], covariance)) for terms in tried]
+    seen = [one for one in fits if (one[1] > SIGNIFICANT * np.sqrt(np.diag(one[2]))).all()]
+    # Where nothing stands out, the white term is what there is.
+    terms, value, _, chi = min(seen, key=lambda one: one[3] + SIGNIFICANT**2 * len(one[0]), default=fits[1])
+    squares = np.zeros(4)
+    squares[list(terms)] = value
+    return terms if seen else (), squares, chi
 
 
 def _weighted(measured: FloatArray, design: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -609,7 +552,7 @@ def _covariance(
 def _judged(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration_s: float) -> Iterator[Finding]:
     for triad, axes in (("gyro", gyro), ("accel", accel)):
         for name, term in TERMS[triad].items():
-            missing = tuple(a.axis for a in axes if getattr(a, name).reason)
+            missing = tuple(a.axis for a in axes if getattr(a, name).finding)
             if missing:
                 level: Level = "warn" if name == "angle_random_walk" else "info"
                 yield finding(

@@ -489,9 +489,8 @@ def _noise_parameters(prefix: str, noise: RestNoise | None, unit: str, rate: flo
 def _adc(prefix: str, codes: AdcFinding | None, rounding: str | None, unit: str) -> list[TwinParameter]:
     if codes is None:
         return []
-    why = finding("twin.codes", "info", evidence=codes.reason)
     if codes.lsb is None:
-        return [unknown(f"{prefix}_lsb", unit, why)]
+        return [unknown(f"{prefix}_lsb", unit, codes.finding)]
     rounding = rounding or codes.rounding
     step = known(f"{prefix}_lsb", float(codes.lsb.mean()), float(codes.lsb.std()), unit)
     word = TwinParameter(
@@ -499,6 +498,6 @@ def _adc(prefix: str, codes: AdcFinding | None, rounding: str | None, unit: str)
         value=rounding or float("nan"),
         standard_error=float("nan"),
         unit="",
-        finding=None if rounding else why,
+        finding=None if rounding else codes.finding,
     )
     return [step, word]
