@@ -55,11 +55,10 @@ def identify_adc(values: FloatArray) -> AdcFinding:
     return AdcFinding(lsb=steps, rounding=rounding, ratio=ratio, ratio_uncertainty=uncertainty, finding=why)
 
 
-def identify_record_adc(record: Record) -> AdcModel | None:
-    """Find the ADC of both triads of a raw record."""
-    gyro = None if record.gyro is None else identify_adc(record.gyro)
-    accel = None if record.accel is None else identify_adc(record.accel)
-    return adc_model(gyro, accel)
+def identify_record_adc(*records: Record) -> AdcModel | None:
+    """Find the ADC of both triads of a device from its raw records, all together."""
+    triads = ([r.gyro for r in records if r.gyro is not None], [r.accel for r in records if r.accel is not None])
+    return adc_model(*(identify_adc(np.concatenate(parts)) if parts else None for parts in triads))
 
 
 def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | None:

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from undrift.calibration.adc import adc_model, identify_adc, identify_record_adc, without_truncation
+from undrift.calibration.adc import identify_record_adc, without_truncation
 from undrift.calibration.checks import missing_faces
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import calibrate_moves, calibrate_poses, calibrate_scale_alone
@@ -167,8 +167,8 @@ def calibrate(
             "recording"
         )
     session, other_temperatures = at_one_temperature(in_one_unit(session))
-    adc = _adc(session) if settings.identify_adc else None
-    seen = observe(_untruncated(session, adc), settings)
+    adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
+    seen = observe(replace(session, records=tuple(_restored(r, adc) for r in session.records)), settings)
     of_accel = _calibrate_accel(seen, accel, mode)
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
@@ -195,17 +195,15 @@ def calibrate(
 
 def each_once(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings, those that differ in their triad alone as one with both triads."""
-    kept: dict[tuple[str, str, str], Finding] = {}
-    triads: dict[tuple[str, str, str], dict[str, None]] = {}
+    alike: dict[tuple[str, str, str], list[Finding]] = {}
     for item in findings:
         others = {name: value for name, value in item.values.items() if name != "triad"}
-        key = (item.code, item.level, repr(others))
-        kept[key] = item
-        if "triad" in item.values:
-            names = triads.setdefault(key, {})
-            names[str(item.values["triad"])] = None
-            kept[key] = replace(item, values={**item.values, "triad": " and ".join(names)})
-    return tuple(kept.values())
+        alike.setdefault((item.code, item.level, repr(others)), []).append(item)
+    return tuple(
+        replace(group[-1], values={**group[-1].values, "triad": " and ".join(names)}) if names else group[-1]
+        for group in alike.values()
+        for names in ({str(item.values["triad"]): None for item in group if "triad" in item.values},)
+    )
 
 
 def _calibrate_accel(seen: Observed, method: str | None, mode: Mode | None) -> Outcome:
@@ -290,12 +288,10 @@ def _offset_in_counts(seen: Observed) -> Iterator[Finding]:
 
 
 def _mode_not_used(mode: Mode | None, triad: Triad, outcome: Outcome) -> Iterator[Finding]:
-    if outcome.fit is None or mode not in ("paper", "levelled"):
-        return
-    needs = "rests on all six faces" if triad == "accelerometer" else "turns by known rates or angles"
-    if (triad == "accelerometer" and outcome.method != "six-face") or (
-        triad == "gyroscope" and mode == "paper" and outcome.method == "multi-position"
-    ):
+    accel = triad == "accelerometer"
+    without = outcome.method != "six-face" if accel else mode == "paper" and outcome.method == "multi-position"
+    if outcome.fit is not None and mode in ("paper", "levelled") and without:
+        needs = "rests on all six faces" if accel else "turns by known rates or angles"
         yield finding("paper_mode.not_used", "warn", mode=mode, triad=triad, method=outcome.method, needs=needs)
 
 
@@ -319,20 +315,9 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
         yield finding("session.unknown_temperature", "info")
 
 
-def _adc(session: Session) -> AdcModel | None:
-    raw = [r for r in session.records if r.state == "raw"]
-    gyro = [r.gyro for r in raw if r.gyro is not None]
-    accel = [r.accel for r in raw if r.accel is not None]
-    return adc_model(
-        identify_adc(np.concatenate(gyro)) if gyro else None, identify_adc(np.concatenate(accel)) if accel else None
-    )
-
-
-def _untruncated(session: Session, adc: AdcModel | None) -> Session:
-    return session if adc is None else replace(session, records=tuple(_restored(r, adc) for r in session.records))
-
-
-def _restored(record: Record, adc: AdcModel) -> Record:
+def _restored(record: Record, adc: AdcModel | None) -> Record:
+    if adc is None:
+        return record
     gyro, accel = record.gyro, record.accel
     if gyro is not None and adc.gyro_lsb is not None:
         gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
@@ -344,19 +329,12 @@ def _restored(record: Record, adc: AdcModel) -> Record:
 def _provenance(session: Session, settings: CalibrateSettings, accel: str, gyro: str, mode: Mode | None) -> Provenance:
     from importlib.metadata import version
 
+    names = ("window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg")
+    numbers = ((name, getattr(settings, name)) for name in names)
+    shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(
         inputs=session.inputs,
-        settings=(
-            ("accel", accel),
-            ("gyro", gyro),
-            ("mode", mode or "default"),
-            ("window_s", f"{settings.window_s:g}"),
-            ("polynomial_degree", str(settings.polynomial_degree)),
-            ("settle_s", f"{settings.settle_s:g}"),
-            ("spline_cutoff_hz", "none" if settings.spline_cutoff_hz is None else f"{settings.spline_cutoff_hz:g}"),
-            ("latitude_deg", "none" if settings.latitude_deg is None else f"{settings.latitude_deg:g}"),
-            ("angle_uncertainty_deg", f"{settings.angle_uncertainty_deg:g}"),
-        ),
+        settings=(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown),
         versions=tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )

@@ -4,16 +4,16 @@ A fit calls these before it trusts its data and after it has an answer. Every ch
 """
 
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray
 from undrift.errors import Implausible
 from undrift.model import AXES
-from undrift.record import FACES, Axis, Face
+from undrift.record import FACES, Face
+from undrift.segments import runs
 from undrift.units import Quantity, is_physical, si_factor
 
 # ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?
@@ -32,10 +32,9 @@ Against = Literal["accelerometer", "turns"]
 def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
     """Return the signed permutation (3, 3) nearest to a forward matrix (3, 3)."""
     gain = forward / np.linalg.norm(forward, axis=1)[:, None]
-    order = max(itertools.permutations(range(3)), key=lambda p: sum(abs(gain[i, p[i]]) for i in range(3)))
-    nearest = np.zeros((3, 3))
-    for row, column in enumerate(order):
-        nearest[row, column] = 1.0 if gain[row, column] >= 0.0 else -1.0
+    order = list(max(itertools.permutations(range(3)), key=lambda p: sum(abs(gain[i, p[i]]) for i in range(3))))
+    nearest, rows = np.zeros((3, 3)), np.arange(3)
+    nearest[rows, order] = np.where(gain[rows, order] >= 0.0, 1.0, -1.0)
     return nearest
 
 
@@ -117,14 +116,19 @@ def check_range(windows: list[FloatArray], what: str) -> None:
         if len(np.unique(finite)) < _LEAST_VALUES or _longest_inside(finite) >= _RUN:
             continue
         for end in (finite.max(), finite.min()):
-            stuck = finite == end
-            if _longest_run(stuck) >= _RUN and _piles_up(finite, end):
-                raise Implausible(
-                    f"{what}: wanted {name} readings inside the range, got {int(stuck.sum())} samples stuck at {end:g}; choose a "
-                    "wider range or move more slowly",
-                    samples=int(stuck.sum()),
-                    extreme=float(end),
-                )
+            if _piles_up(finite, end):
+                _check_end(finite, end, f"{what}: wanted {name}")
+
+
+def _check_end(finite: FloatArray, end: float, start: str) -> None:
+    stuck = finite == end
+    if int(np.diff(runs(stuck)).max(initial=0)) >= _RUN:
+        raise Implausible(
+            f"{start} readings inside the range, got {int(stuck.sum())} samples stuck at {end:g}; choose a wider range or move "
+            "more slowly",
+            samples=int(stuck.sum()),
+            extreme=float(end),
+        )
 
 
 def _piles_up(finite: FloatArray, end: float) -> bool:
@@ -146,22 +150,19 @@ def _longest_inside(finite: FloatArray) -> int:
 
 # A gain this close to a whole factor is a unit, a range or a sample rate, not a sensor.
 _FACTORS = (2.0, 4.0, 8.0, 16.0)
-_SATURATED_RUN = 5  # samples in a row at the same extreme reading
 _REPEAT_APART = 0.5  # g; 29 deg: no repeated face leans so far
 _FAR_FROM_REST = 50.0  # steps between the extreme and the median before a run counts as saturation
 
 
 def face_vectors(faces: Sequence[Face]) -> FloatArray:
     """Return the direction of +g in s for each face, one unit vector a row, (P, 3)."""
-    up = np.zeros((len(faces), 3))
-    for row, face in enumerate(faces):
-        up[row, AXES.index(face[1])] = 1.0 if face[0] == "+" else -1.0
-    return up
+    sign = np.array([1.0 if face[0] == "+" else -1.0 for face in faces]).reshape(-1, 1)
+    return axis_vectors([face[1] for face in faces]) * sign
 
 
-def axis_vectors(axes: Sequence[Axis]) -> FloatArray:
+def axis_vectors(axes: Sequence[str]) -> FloatArray:
     """Return the unit vector of each axis, one a row, (R, 3)."""
-    return np.eye(3)[[AXES.index(axis) for axis in axes]].reshape(-1, 3)
+    return np.eye(3)[["xyz".index(axis) for axis in axes]].reshape(-1, 3)
 
 
 def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:
@@ -190,11 +191,17 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
             )
     _check_repeats(means, faces, radius)
     present = [f for f in FACES if f in faces]
-    before = _affine_misfit(means, up)
+    before = _affine(means, up)[1]
     if len(present) < 5 or before < 0.2 * radius:
-        _check_opposites(means, up, faces)
+        _check_opposites(means, up)
         return
-    pair = _explaining_swap(means, faces, present, 0.2 * before)
+    # Several swaps may fit alike, all but one of them with axes exchanged: take the one whose sensors read their own axes.
+    swapped = {
+        (one, other): _affine(means, face_vectors([{one: other, other: one}.get(f, f) for f in faces]))
+        for one, other in itertools.combinations(present, 2)
+    }
+    fitting = [pair for pair, (_, misfit) in swapped.items() if misfit < 0.2 * before]
+    pair = max(fitting, key=lambda one: swapped[one][0], default=None)
     what = f"faces {pair[0]} and {pair[1]} are swapped" if pair else "labels do not fit the readings"
     raise Implausible(
         f"six faces: wanted readings that follow their labels, got a misfit of {before / radius:.2f} g rms; {what}: "
@@ -202,6 +209,14 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
         misfit_g=before / radius,
         swapped=pair,
     )
+
+
+def _affine(means: FloatArray, up: FloatArray) -> tuple[float, float]:
+    """Return how much the sensors read their own axes, and the rms misfit, of an affine fit."""
+    design = np.column_stack((up, np.ones(len(up))))
+    solution = np.linalg.lstsq(design, means, rcond=None)[0]
+    misfit = np.sqrt(((means - design @ solution) ** 2).sum(axis=1).mean())
+    return float(np.trace(solution[:3])), float(misfit)
 
 
 def check_handedness(forward: FloatArray, what: str) -> None:
@@ -245,22 +260,14 @@ def check_saturation(values: FloatArray, what: str) -> None:
         steps = np.unique(np.abs(np.diff(np.unique(finite))))
         if not len(steps):
             continue
-        for extreme in (finite.max(), finite.min()):
-            stuck = finite == extreme
-            far = abs(extreme - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(extreme))
-            if far and _longest_run(stuck) >= _SATURATED_RUN:
-                raise Implausible(
-                    f"{what} {axis}: wanted readings inside the range, got {int(stuck.sum())} samples stuck at {extreme:g}; "
-                    "choose a wider range or move more slowly",
-                    samples=int(stuck.sum()),
-                    extreme=float(extreme),
-                )
+        for end in (finite.max(), finite.min()):
+            if abs(end - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(end)):
+                _check_end(finite, end, f"{what} {axis}: wanted")
 
 
 def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
     """Return the faces that a session lacks."""
-    have = Counter(faces)
-    return tuple(f for f in FACES if not have[f])
+    return tuple(face for face in FACES if face not in faces)
 
 
 def _check_repeats(means: FloatArray, faces: Sequence[Face], radius: float) -> None:
@@ -277,7 +284,7 @@ def _check_repeats(means: FloatArray, faces: Sequence[Face], radius: float) -> N
             )
 
 
-def _check_opposites(means: FloatArray, up: FloatArray, faces: Sequence[Face]) -> None:
+def _check_opposites(means: FloatArray, up: FloatArray) -> None:
     # The affine fit cannot see +x and -x exchanged: the gain merely turns negative. Axes are named by the readings' columns.
     for axis, name in enumerate(AXES):
         plus, minus = means[up[:, axis] > 0.0], means[up[:, axis] < 0.0]
@@ -292,39 +299,9 @@ def _check_opposites(means: FloatArray, up: FloatArray, faces: Sequence[Face]) -
                 )
 
 
-def _explaining_swap(
-    means: FloatArray, faces: Sequence[Face], present: list[Face], enough: float
-) -> tuple[Face, Face] | None:
-    # Several swaps may fit alike, all but one of them with axes exchanged: take the one whose sensors read their own axes.
-    best: tuple[Face, Face] | None = None
-    most = -np.inf
-    for one, other in itertools.combinations(present, 2):
-        up = face_vectors([_exchange(f, one, other) for f in faces])
-        design = np.column_stack((up, np.ones(len(up))))
-        own = float(np.trace(np.linalg.lstsq(design, means, rcond=None)[0][:3]))
-        if own > most and _affine_misfit(means, up) < enough:
-            best, most = (one, other), own
-    return best
-
-
-def _affine_misfit(means: FloatArray, up: FloatArray) -> float:
-    design = np.column_stack((up, np.ones(len(up))))
-    residual = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
-    return float(np.sqrt((residual**2).sum(axis=1).mean()))
-
-
-def _exchange(face: Face, one: Face, other: Face) -> Face:
-    return other if face == one else one if face == other else face
-
-
 def _likely_factor(ratio: float) -> str:
     size = max(abs(ratio), 1.0 / max(abs(ratio), 1e-12))
     for factor in _FACTORS:
         if abs(size / factor - 1.0) < 0.06:
             return f"readings are {factor:g} times too {'small' if abs(ratio) < 1.0 else 'large'}: "
     return ""
-
-
-def _longest_run(flag: BoolArray) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
-    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0

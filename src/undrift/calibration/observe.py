@@ -8,7 +8,6 @@ reading counts twice. ``at_one_temperature`` keeps the pieces of one set-point: 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from undrift.segments import (
     sliding_moments,
     still_means,
 )
-from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- rest: does the device rest where a session states it, and is no stretch counted twice?
 #
@@ -50,34 +49,32 @@ _SHARED = 0.1  # of the shorter of two stretches: more than this is counting twi
 _WARM = 10.0  # K between stills: offsets may then differ
 
 
-class _Excess(NamedTuple):
-    """How far a still is over a limit: the limit's multiple, and the figure itself."""
-
-    multiple: float
-    still: int
-    value: float
-    unit: str
+_Excess = tuple[float, int, float, str]  # multiple of the limit, number of the still, the figure and its unit
 
 
 def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[Finding, ...]:
     """Compare every still with a device at rest; raise where it is far from it."""
-    sways, tilts = (_sways(session, stills), _tilts(session, stills)) if stated else ([], [])
-    groups = {"rate": _rates(session, stills, stated=stated), "sway": sways, "tilt": tilts}
-    worst = {kind: max(group, key=lambda one: one.multiple) for kind, group in groups.items() if group}
-    found: dict[str, Finding] = {}
-    for kind, one in worst.items():
-        still, stills_over = piece_name(session, stills[one.still], one.still, stated=stated), len(groups[kind])
-        if kind == "rate":
-            found[kind] = finding("still.rate", "warn", still=still, rate=one.value, unit=one.unit, stills=stills_over)
-        elif kind == "sway":
-            found[kind] = finding("still.sway", "warn", still=still, sway=one.value, unit=one.unit, stills=stills_over)
-        else:
-            found[kind] = finding("still.tilt", "warn", still=still, tilt_deg=one.value, stills=stills_over)
-    for kind, one in sorted(worst.items(), key=lambda item: -item[1].multiple):
-        if one.multiple > _FAR:
-            at, why = found[kind].values["still"], found[kind]
-            raise Implausible(f"{at}: wanted a device at rest, got {why.detail}; {why.action}", still=one.still)
-    return tuple(found.values())
+    groups = {"rate": _rates(session, stills, stated=stated)}
+    if stated:
+        groups |= {"sway": _sways(session, stills), "tilt_deg": _tilts(session, stills)}
+    found: list[tuple[float, int, Finding]] = []
+    for kind, group in groups.items():
+        if group:
+            multiple, number, value, unit = max(group, key=lambda one: one[0])
+            item = finding(
+                {"rate": "still.rate", "sway": "still.sway", "tilt_deg": "still.tilt"}[kind],
+                "warn",
+                still=piece_name(session, stills[number], number, stated=stated),
+                stills=len(group),
+                **{kind: value} | ({} if kind == "tilt_deg" else {"unit": unit}),
+            )
+            found.append((multiple, number, item))
+    if found:
+        multiple, number, item = max(found, key=lambda one: one[0])
+        if multiple > _FAR:
+            at = item.values["still"]
+            raise Implausible(f"{at}: wanted a device at rest, got {item.detail}; {item.action}", still=number)
+    return tuple(item for _, _, item in found)
 
 
 def check_counted_once(session: Session) -> None:
@@ -114,51 +111,35 @@ def _same(one: Record, two: Record) -> bool:
     if len(one) != len(two):
         return False
     pairs = ((one.gyro, two.gyro), (one.accel, two.accel))
-    if any((a is None) != (b is None) for a, b in pairs):
-        return False
-    return all(a is None or b is None or np.array_equal(a, b, equal_nan=True) for a, b in pairs) and any(
-        a is not None and float(np.nanstd(a)) > 0.0 for a, _ in pairs
-    )
+    alike = all(a is b if a is None or b is None else np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+    return alike and any(a is not None and float(np.nanstd(a)) > 0.0 for a, _ in pairs)
 
 
 def _sways(session: Session, stills: tuple[Still, ...]) -> list[_Excess]:
     over: list[_Excess] = []
     for rate in (True, False):
         spreads = np.array([_spread(session.records[s.recording], s, rate) for s in stills])
-        seen = np.isfinite(spreads)
-        unit = _unit(session, rate)
-        if not seen.any():
-            continue
+        seen, unit = np.isfinite(spreads), _unit(session, rate)
         if is_physical(unit):
             limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
         elif seen.sum() > 2:
-            limit = _OTHERS * float(np.median(spreads[seen]))
+            limit = max(_OTHERS * float(np.median(spreads[seen])), 1e-300)
         else:
             continue
         over += [
-            _Excess(float(spreads[number]) / max(limit, 1e-300), int(number), *_shown(spreads[number], unit))
-            for number in np.flatnonzero(seen & (spreads > limit))
+            (float(spreads[k]) / limit, int(k), *_shown(spreads[k], unit)) for k in np.flatnonzero(spreads > limit)
         ]
     return over
 
 
 def _tilts(session: Session, stills: tuple[Still, ...]) -> list[_Excess]:
-    if not is_physical(_unit(session, False)):
-        return []
     over: list[_Excess] = []
-    for number, still in enumerate(stills):
-        accel = session.records[still.recording].accel
-        third = (still.stop - still.start) // 3
-        if accel is None or not third:
-            continue
-        ends = [accel[still.start : still.start + third], accel[still.stop - third : still.stop]]
-        ends = [end[~np.isnan(end).any(axis=1)] for end in ends]
-        if not all(len(end) for end in ends):
-            continue
-        first, last = (end.mean(axis=0) for end in ends)
+    for number, still in enumerate(stills if is_physical(_unit(session, False)) else ()):
+        accel, third = session.records[still.recording].accel, (still.stop - still.start) // 3
+        first, last = (_mean(accel, start, start + third) for start in (still.start, still.stop - third))
         tilt_deg = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE
-        if tilt_deg > _TILT_LIMIT_DEG:
-            over.append(_Excess(tilt_deg / _TILT_LIMIT_DEG, number, tilt_deg, "deg"))
+        if tilt_deg > _TILT_LIMIT_DEG:  # not where one of them is a gap
+            over.append((tilt_deg / _TILT_LIMIT_DEG, number, tilt_deg, "deg"))
     return over
 
 
@@ -166,17 +147,14 @@ def _rates(session: Session, stills: tuple[Still, ...], *, stated: bool) -> list
     unit = _unit(session, True)
     if len(stills) < 3 or not is_physical(unit) or session.kind == "thermal" or _warmed(session, stills):
         return []
-    means = np.array([_mean(session.records[s.recording].gyro, s) for s in stills])
+    means = np.array([_mean(session.records[s.recording].gyro, s.start, s.stop) for s in stills])
     if not np.isfinite(means).any():
         return []
     off = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1)
     limit = BENCH_RATE_LIMIT / si_factor(unit, "rate")
     # Stills that were found in one recording may drift with its warming; whole recordings apart have different units.
     most = np.inf if stated or len(session.records) > 1 else _FAR
-    return [
-        _Excess(min(float(off[number]) / limit, most), int(number), *_shown(off[number], unit))
-        for number in np.flatnonzero(off > limit)
-    ]
+    return [(min(float(off[k]) / limit, most), int(k), *_shown(off[k], unit)) for k in np.flatnonzero(off > limit)]
 
 
 def _warmed(session: Session, stills: tuple[Still, ...]) -> bool:
@@ -185,24 +163,20 @@ def _warmed(session: Session, stills: tuple[Still, ...]) -> bool:
     return len(known) > 1 and float(np.ptp(known)) > _WARM
 
 
-def _mean(values: FloatArray | None, still: Still) -> FloatArray:
-    part = np.zeros((0, 3)) if values is None else values[still.start : still.stop]
+def _mean(values: FloatArray | None, start: int, stop: int) -> FloatArray:
+    part = np.zeros((0, 3)) if values is None else values[start:stop]
     part = part[~np.isnan(part).any(axis=1)]
     return np.asarray(part.mean(axis=0)) if len(part) else np.full(3, np.nan)
 
 
 def _spread(record: Record, still: Still, rate: bool) -> float:
     values = record.gyro if rate else record.accel
-    if values is None:
-        return float("nan")
-    values = values[still.start : still.stop]
     smooth = max(1, round(0.1 * record.sample_rate_hz))
-    window = min(sample_count(1.0, record.sample_rate_hz), len(values) - smooth + 1)
-    if window < 2:
+    window = min(sample_count(1.0, record.sample_rate_hz), still.stop - still.start - smooth + 1)
+    if values is None or window < 2:
         return float("nan")
-    spread = sliding_moments(values, window, smooth)[1]
-    spread = spread[np.isfinite(spread)]
-    return float(spread.max()) if len(spread) else float("nan")
+    spread = sliding_moments(values[still.start : still.stop], window, smooth)[1]
+    return float(spread.max(where=np.isfinite(spread), initial=-np.inf)) if np.isfinite(spread).any() else float("nan")
 
 
 def _unit(session: Session, rate: bool) -> str:
@@ -272,9 +246,8 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     Where stills and turns fall into groups more than 3 K apart, the group nearest to 25 degC is used, of those that hold at least
     half as many pieces as the largest.
     """
-    pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
-    temps = np.array([piece_temperature(session, piece) for piece in pieces])
-    if len(pieces) < 2 or np.isnan(temps).any() or np.ptp(temps) <= APART_C:
+    temps = np.array([piece_temperature(session, piece) for piece in (*session.stills, *session.turns)])
+    if len(temps) < 2 or np.isnan(temps).any() or np.ptp(temps) <= APART_C:
         return session, ()
     order = np.argsort(temps)
     group = np.empty(len(temps), dtype=np.int64)
@@ -394,12 +367,8 @@ class Observed:
 
     def rest_means(self) -> FloatArray:
         """Return the mean rate reading of each still, shape (P, 3)."""
-        means = [
-            still_means(record.gyro, [s for s in self.stills if s.recording == number])
-            for number, record in enumerate(self.session.records)
-            if record.gyro is not None
-        ]
-        return np.concatenate(means)
+        own = [(r.gyro, [s for s in self.stills if s.recording == k]) for k, r in enumerate(self.session.records)]
+        return np.concatenate([still_means(gyro, stills) for gyro, stills in own if gyro is not None])
 
     def rest_rate(self) -> tuple[FloatArray, FloatArray]:
         """Return the mean rate reading over all rests and its variance, (3,) each."""
@@ -408,20 +377,15 @@ class Observed:
             record = self.session.records[still.recording]
             if record.gyro is not None:
                 window = record.gyro[still.start : still.stop]
-                window = window[~np.isnan(window).any(axis=1)]
-                if len(window):
-                    windows.append(window)
-                    sizes.append(block_size(record.sample_rate_hz))
-        if not windows:
-            return np.full(3, np.nan), np.full(3, np.nan)
-        return mean_of_rests(windows, sizes)
+                windows.append(window[~np.isnan(window).any(axis=1)])
+                sizes.append(block_size(record.sample_rate_hz))
+        pairs = [(window, size) for window, size in zip(windows, sizes, strict=True) if len(window)]
+        return mean_of_rests(*zip(*pairs, strict=True)) if pairs else (np.full(3, np.nan), np.full(3, np.nan))
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns."""
-        pieces: tuple[Still | Turn, ...] = (*self.stills, *self.session.turns)
-        values = [piece_temperature(self.session, piece) for piece in pieces]
-        known = [value for value in values if np.isfinite(value)]
-        return float(np.mean(known)) if known else float("nan")
+        values = [piece_temperature(self.session, piece) for piece in (*self.stills, *self.session.turns)]
+        return float(np.mean(np.array(values)[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
 
     def full_turns(self) -> tuple[Turn, ...]:
         """Return three full turns about x, y and z found between rests, with their angles."""
@@ -474,27 +438,23 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
 
 def in_one_unit(session: Session) -> Session:
     """Return the session with each triad in one unit: that of the first recording that has the triad."""
-    quantities: tuple[Quantity, Quantity] = ("rate", "accel")
-    wanted = [_common_unit(session, quantity) for quantity in quantities]
+    gyro, accel = (_common_unit(session, rate=rate) for rate in (True, False))
     records = tuple(
-        replace(r.in_units(wanted[0], wanted[1]), gyro_unit=wanted[0], accel_unit=wanted[1])
-        if (r.gyro_unit, r.accel_unit) != (wanted[0], wanted[1])
-        else r
+        r
+        if (r.gyro_unit, r.accel_unit) == (gyro, accel)
+        else replace(r.in_units(gyro, accel), gyro_unit=gyro, accel_unit=accel)
         for r in session.records
     )
     return replace(session, records=records)
 
 
-def _common_unit(session: Session, quantity: Quantity) -> str:
-    rate = quantity == "rate"
+def _common_unit(session: Session, *, rate: bool) -> str:
     units = [
         (number, record.gyro_unit if rate else record.accel_unit)
         for number, record in enumerate(session.records)
         if (record.gyro if rate else record.accel) is not None
     ]
-    if not units:
-        return session.records[0].gyro_unit if rate else session.records[0].accel_unit
-    first, unit = units[0]
+    first, unit = units[0] if units else (0, _unit(session, rate))
     for number, other in units:
         if other != unit and not (is_physical(other) and is_physical(unit)):
             raise InputError(
@@ -525,11 +485,7 @@ def _labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
         return stills
     if not stills or (not is_physical(unit) and len(stills) < 5):
         return stills  # counts have no known zero, unless poses share a sphere
-    means = [
-        still_means(accel, [still])[0]
-        for still in stills
-        if (accel := session.records[still.recording].accel) is not None
-    ]
+    means = [still_means(np.asarray(session.records[still.recording].accel), [still])[0] for still in stills]
     faces = faces_of(np.array(means), centred=is_physical(unit))
     return tuple(replace(still, face=face) for still, face in zip(stills, faces, strict=True))
 
