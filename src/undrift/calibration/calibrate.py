@@ -29,8 +29,8 @@ from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_r
 from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit
-from undrift.model import AdcModel, Calibration, Provenance, TriadModel, Verdict
+from undrift.fit.least_squares import TriadFit, triad_fit
+from undrift.model import AdcModel, Calibration, Provenance, Verdict
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference, Session
 from undrift.sync import LagSettings
@@ -55,21 +55,20 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
     covariance[9:, 9:] = np.diag(variance)
     factor = si_factor(unit, "rate")
     residuals = (seen.rest_means() - offset) * factor
-    model = TriadModel(
+    fit = triad_fit(
+        residuals,
+        Verdict.of(finding("gyro.offset_alone", "warn")),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
         matrix=factor * np.eye(3),
         offset=offset,
         covariance=covariance,
-        rms_residual=float(np.sqrt((residuals**2).mean())),
-        count=residuals.size,
         rank=3,
         condition=1.0,
         valid_range=(0.0, 0.0),
     )
-    verdict = Verdict.of(finding("gyro.offset_alone", "warn"))
-    return Outcome(fit=TriadFit(model=model, residuals=residuals, verdict=verdict), method="rest")
+    return Outcome(fit=fit, method="rest")
 
 
 class FitMethod(NamedTuple):

@@ -39,7 +39,7 @@ from undrift.calibration.observe import Observed, Outcome
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit, inverse_jacobian, scaled_condition
+from undrift.fit.least_squares import TriadFit, inverse_jacobian, scaled_condition, triad_fit
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
@@ -143,7 +143,12 @@ def fit_known_rotation(
     residuals = np.concatenate((at_rest, turned - turns @ forward.T)) @ matrix.T
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
     fastest = float(np.abs(data.angle / data.duration).max())
-    model = TriadModel(
+    found = [finding("known_rotation.no_spare_equations", "info")]
+    if settings.angle_uncertainty == 0.0:
+        found.append(finding("known_rotation.angles_exact", "info"))
+    return triad_fit(
+        residuals,
+        Verdict.of(*found),
         method=f"known-rotation/{settings.mode}",
         unit_in=data.rest.unit,
         unit_out="rad/s",
@@ -152,16 +157,10 @@ def fit_known_rotation(
         g_sensitivity=matrix @ rest[1:].T,
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
         covariance=_covariance(data, to_rest, turns, forward, rest[1:].T, settings),
-        rms_residual=float(np.sqrt((residuals**2).mean())),
-        count=residuals.size,
         rank=3 * rank + 9,
         condition=condition,
         valid_range=(-fastest, fastest),
     )
-    findings = [finding("known_rotation.no_spare_equations", "info")]
-    if settings.angle_uncertainty == 0.0:
-        findings.append(finding("known_rotation.angles_exact", "info"))
-    return TriadFit(model=model, residuals=residuals, verdict=Verdict.of(*findings))
 
 
 def rotation_data(

@@ -34,8 +34,8 @@ from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition
-from undrift.model import AXES, TriadModel, Verdict, level_of
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
+from undrift.model import AXES, Verdict, level_of
 from undrift.record import Record, Still
 from undrift.segments import runs
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
@@ -244,21 +244,22 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         )
     carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
     carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
-    model = TriadModel(
+    rms_mg = float(np.sqrt(np.mean(fit.residuals**2))) / MG
+    made = triad_fit(
+        fit.residuals,
+        Verdict.of(*_judged(fit, rms_mg)),
         method="multi-position",
         unit_in=unit,
         unit_out="m/s2",
         matrix=fit.matrix,
         offset=fit.offset,
         covariance=carry @ fit.covariance @ carry.T,
-        rms_residual=float(np.sqrt(np.mean(fit.residuals**2))),
-        count=len(reading),
         rank=int((np.diag(fit.covariance) > 0.0).sum()),
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
     )
-    check_own_scale(model.scale_factor, unit, "accel", TOLERANCE, "accel")
-    return TriadFit(model=model, residuals=fit.residuals, verdict=Verdict.of(*_judged(fit, model.rms_residual / MG)))
+    check_own_scale(made.model.scale_factor, unit, "accel", TOLERANCE, "accel")
+    return made
 
 
 def _judged(fit: NormFit, rms_mg: float) -> Iterator[Finding]:

@@ -18,7 +18,7 @@ Two ways to weigh them:
    equipments", ICRA 2014, eqs. 11-15.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,8 +26,8 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range
 from undrift.errors import InputError, NotObservable, PoorFit
-from undrift.findings import finding
-from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition
+from undrift.findings import Finding, finding
+from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE
@@ -468,32 +468,33 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     rate = (moves.gyro[_inside(moves)] - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
     check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
-    model = TriadModel(
+    size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
+    uncertain = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
+    drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
+    fit = triad_fit(
+        residuals,
+        Verdict.of(*_judged(rms_angle, uncertain, drift)),
         method="multi-position",
         unit_in=unit_in,
         unit_out="rad/s",
         matrix=matrix,
         offset=offset,
         covariance=total,
-        rms_residual=float(np.sqrt(np.mean(residuals**2))),
-        count=2 * len(moves.first),
         rank=problem.free,
         condition=scaled_condition(missed.jacobian[:, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
-    check_own_scale(model.scale_factor, unit_in, "rate", TOLERANCE, "gyro")
-    size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))
-    uncertain = float(np.sqrt(np.diag(covariance)[:9].max())) / size * 100.0
-    drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
-    findings = []
-    if rms_angle > MISS_DEG[0]:
-        level = level_of(rms_angle, MISS_DEG)
-        findings.append(finding("multi_position.moves_miss", level, rms_deg=rms_angle, wanted=MISS_DEG[0]))
-    if uncertain > UNCERTAIN_PERCENT[0]:
-        level = level_of(uncertain, UNCERTAIN_PERCENT)
-        wanted = UNCERTAIN_PERCENT[0]
-        findings.append(finding("multi_position.gyro_uncertainty", level, uncertainty_percent=uncertain, wanted=wanted))
-    if drift > DRIFT_DPS[0]:
-        level = level_of(drift, DRIFT_DPS)
-        findings.append(finding("multi_position.gyro_drift", level, drift_dps=drift, wanted=DRIFT_DPS[0]))
-    return TriadFit(model=model, residuals=residuals, verdict=Verdict.of(*findings))
+    check_own_scale(fit.model.scale_factor, unit_in, "rate", TOLERANCE, "gyro")
+    return fit
+
+
+def _judged(rms_deg: float, percent: float, drift_dps: float) -> Iterator[Finding]:
+    if rms_deg > MISS_DEG[0]:
+        level = level_of(rms_deg, MISS_DEG)
+        yield finding("multi_position.moves_miss", level, rms_deg=rms_deg, wanted=MISS_DEG[0])
+    if percent > UNCERTAIN_PERCENT[0]:
+        level, wanted = level_of(percent, UNCERTAIN_PERCENT), UNCERTAIN_PERCENT[0]
+        yield finding("multi_position.gyro_uncertainty", level, uncertainty_percent=percent, wanted=wanted)
+    if drift_dps > DRIFT_DPS[0]:
+        level = level_of(drift_dps, DRIFT_DPS)
+        yield finding("multi_position.gyro_drift", level, drift_dps=drift_dps, wanted=DRIFT_DPS[0])

@@ -34,6 +34,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
     ForwardFit,
     TriadFit,
+    averaged,
     block_size,
     fit_forward,
     fit_paper,
@@ -83,14 +84,8 @@ def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: Fo
     if reading.size <= 12 or best == 0:
         return plain, 0.0
     small = float(np.median(sigma)) / gravity
-    step = np.gradient(tilts)
-    step[[0, -1]] *= 0.5  # trapezoids
-    by_likelihood = np.exp(likelihood - likelihood.max()) * step
-    share, likely = by_likelihood / (tilts + small), by_likelihood / (tilts + _SMALL_TILT * small)
-    share, likely = share / share.sum(), likely / likely.sum()
-    theta = likely @ thetas
-    apart = thetas - theta
-    covariance = np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart
+    over = (tilts + small, tilts + _SMALL_TILT * small)
+    theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
     jacobian = np.zeros((12, 12))
     jacobian[:9, :9], jacobian[9:, 9:] = np.kron(plain.matrix, np.eye(3)), plain.matrix
     matrix = plain.matrix @ theta[:9].reshape(3, 3)

@@ -11,13 +11,14 @@ equations: the variance of Student's t, so that 95 % intervals of 1.96 standard 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Level, finding
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Status, TriadModel, Verdict
+from undrift.model import TriadModel, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,6 +28,14 @@ class TriadFit:
     model: TriadModel  # The inverse model, with covariance, count, rank, condition and range
     residuals: FloatArray  # (E,), residual of each equation, unit_out
     verdict: Verdict
+
+
+def triad_fit(residuals: FloatArray, verdict: Verdict = Verdict(), **of_model: Any) -> TriadFit:
+    """Return a fit by its residuals (E,), unit_out, its verdict, and the fields of its TriadModel that these do not give."""
+    rms = float(np.sqrt((residuals**2).mean()))
+    return TriadFit(
+        model=TriadModel(rms_residual=rms, count=residuals.size, **of_model), residuals=residuals, verdict=verdict
+    )
 
 
 def inverse_jacobian(matrix: FloatArray) -> FloatArray:
@@ -144,20 +153,26 @@ def fit_with_walk(design: FloatArray, reading: FloatArray, sigma: FloatArray, ti
     thetas, covariances, squares, likelihood = _solved(basis.T @ x, basis.T @ y, gain.clip(0.0), spread)
     best = int(np.argmax(likelihood))
     shows = 2.0 * (likelihood[best] - likelihood[0]) > _EVIDENCE
-    step = np.gradient(spread)
+    theta, covariance = averaged(spread, likelihood, thetas, covariances, (1.0, spread + _SMALL_WALK))
+    walk = unit * (float(spread[best]) if best < 2 else geometric_peak(spread, likelihood, best)) if shows else 0.0
+    return WalkFit(theta=theta, covariance=covariance, walk=walk, square=float(squares[best]))
+
+
+def averaged(
+    grid: FloatArray,
+    likelihood: FloatArray,
+    thetas: FloatArray,
+    covariances: FloatArray,
+    over: tuple[FloatArray | float, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Return theta and covariance averaged over a grid (T,): E0 weighs by the likelihood over the first of two, E1 the second."""
+    step = np.gradient(grid)
     step[[0, -1]] *= 0.5  # trapezoids
-    share = np.exp(likelihood - likelihood[best]) * step
-    likely = share / (spread + _SMALL_WALK)
-    share, likely = share / share.sum(), likely / likely.sum()
+    by_likelihood = np.exp(likelihood - likelihood.max()) * step
+    share, likely = (part / part.sum() for part in (by_likelihood / over[0], by_likelihood / over[1]))
     theta = likely @ thetas
     apart = thetas - theta
-    peak = float(spread[best]) if best < 2 else geometric_peak(spread, likelihood, best)
-    return WalkFit(
-        theta=theta,
-        covariance=np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart,
-        walk=unit * peak if shows else 0.0,
-        square=float(squares[best]),
-    )
+    return theta, np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart
 
 
 def _solved(
@@ -236,12 +251,10 @@ def fit_forward(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | No
     for row in range(3):
         weighted = design / spread[:, row, None]
         theta[row] = np.linalg.lstsq(weighted, readings[:, row] / spread[:, row], rcond=None)[0]
-        covariance[np.ix_(_places(row), _places(row))] = np.linalg.inv(weighted.T @ weighted)
+        covariance[_block(row)] = np.linalg.inv(weighted.T @ weighted)
     residuals = readings - design @ theta.T
-    if sigma is None:
-        scale = np.repeat([student_variance(residuals[:, row], len(inputs) - 4) for row in range(3)], 4)
-        order = np.concatenate([_places(row) for row in range(3)])
-        covariance[np.ix_(order, order)] *= scale[:, None]
+    for row in range(3) if sigma is None else ():
+        covariance[_block(row)] *= student_variance(residuals[:, row], len(inputs) - 4)
     return ForwardFit(
         matrix=theta[:, :3],
         offset=theta[:, 3],
@@ -264,22 +277,18 @@ def triad_from_forward(
     matrix = np.linalg.inv(forward.matrix)
     jacobian = np.eye(12)
     jacobian[:9, :9] = inverse_jacobian(matrix)
-    residuals = forward.residuals @ matrix.T
-    model = TriadModel(
+    return triad_fit(
+        forward.residuals @ matrix.T,
         method=method,
         unit_in=unit_in,
         unit_out=unit_out,
         matrix=matrix,
         offset=forward.offset,
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
         covariance=jacobian @ forward.covariance @ jacobian.T,
-        rms_residual=float(np.sqrt((residuals**2).mean())),
-        count=residuals.size,
         rank=forward.rank,
         condition=forward.condition,
         valid_range=valid_range,
     )
-    return TriadFit(model=model, residuals=residuals, verdict=Verdict())
 
 
 def fit_paper(
@@ -305,20 +314,18 @@ def fit_paper(
         noise = matrix @ np.diag((np.broadcast_to(sigma, readings.shape) ** 2).mean(axis=0)) @ matrix.T
     covariance = np.zeros((12, 12))
     covariance[:9, :9] = np.kron(noise, gram)
-    model = TriadModel(
+    return triad_fit(
+        residuals,
         method=method,
         unit_in=unit_in,
         unit_out=unit_out,
         matrix=matrix,
         offset=np.zeros(3),
         covariance=covariance,
-        rms_residual=float(np.sqrt((residuals**2).mean())),
-        count=residuals.size,
         rank=3 * rank,
         condition=condition,
         valid_range=(float(inputs.min()), float(inputs.max())),
     )
-    return TriadFit(model=model, residuals=residuals, verdict=Verdict())
 
 
 def offset_verdict(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> Verdict:
@@ -334,12 +341,11 @@ def offset_verdict(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigm
     left = np.linalg.solve(forward.matrix, forward.offset)
     share = len(inputs) / float((inputs**2).sum(axis=0).mean()) * float(left @ left)
     loss = share / (1.0 + share)
-    unit = fit.model.unit_out
-    status: Status = "bad" if loss > 0.01 else "marginal" if loss > 1e-4 else "good"
-    level: Level = "fail" if status == "bad" else "warn" if status == "marginal" else "info"
-    found = finding("paper_mode.offset_left", level, offset=left, unit=unit, loss_percent=100.0 * loss)
-    return Verdict(status=status, findings=(found,))
+    level: Level = "fail" if loss > 0.01 else "warn" if loss > 1e-4 else "info"
+    unit, percent = fit.model.unit_out, 100.0 * loss
+    return Verdict.of(finding("paper_mode.offset_left", level, offset=left, unit=unit, loss_percent=percent))
 
 
-def _places(row: int) -> IntArray:
-    return np.array([3 * row, 3 * row + 1, 3 * row + 2, 9 + row], dtype=np.int64)
+def _block(row: int) -> tuple[IntArray, ...]:
+    places = [3 * row, 3 * row + 1, 3 * row + 2, 9 + row]
+    return np.ix_(places, places)

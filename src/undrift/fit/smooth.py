@@ -39,18 +39,19 @@ _POINTS = 9  # of the grid along each hyperparameter, in each of two rounds
 _ENDS = np.array([-0.5, -0.4, 0.4, 0.5])  # scaled temperature: where the slope at either end of the data is taken
 
 
+# What a curve is taken to be before the data: its slope changes by as much as the mean slope over this span, degC, for the
+# parabola and the random bends, with this standard deviation of the logarithm of q.
+_BEND_SPAN_C, _BEND_SPREAD = 50.0, 2.3
+_GROUPS = 12  # of neighbours that are left out in turn where no groups are given; at most one a point
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SmoothSettings:
-    """What a curve is taken to be before the data."""
+    """What is known of the scatter before the data."""
 
-    # The slope changes by as much as the mean slope over this span, degC: for the parabola and the random bends. Shorter
-    # allows more of both where data are few
-    bend_span_c: float = 50.0
-    bend_spread: float = 2.3  # standard deviation of the logarithm of q about that; larger leaves more to the data
     # Standard deviation of the logarithm of s2 about a stated one: hundreds of blocks show that within a tenth, and the
     # law by which it is carried to hours within a factor of two
     scatter_spread: float = 0.7
-    groups: int = 12  # of neighbours that are left out in turn where no groups are given; at most one a point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,10 +81,8 @@ class Problem:
         bow = parabola(self.x)
         own = self.shared + self.bow * np.outer(bow, bow)
         own = own + np.diag(self.variance + _JITTER * max(float(np.var(self.y)), 1e-300))
-        made: FloatArray = (
-            bend[:, None, None] * bending(self.x, self.x) + own + scatter[:, None, None] * self.correlation
-        )
-        return made
+        rest = scatter[:, None, None] * self.correlation
+        return np.asarray(bend[:, None, None] * bending(self.x, self.x) + own + rest)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,8 +120,7 @@ class NodeValues:
     def uncertainty(self) -> FloatArray:
         """Standard uncertainty of each node, shape (m, k)."""
         variance = np.diagonal(self.covariance, axis1=1, axis2=2).T
-        deviation: FloatArray = np.sqrt(np.maximum(variance, 0.0))
-        return deviation
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,11 +154,8 @@ class SmoothSpline:
             bow = beyond * (slopes[1] - slopes[0])  # the curvature continues outside
             values.append(mean[:n])
             covariances.append(both[:n, :n] + np.outer(bow, bow))
-        return NodeValues(
-            temp_c=np.array(temp_c, float),
-            value=np.stack(values, axis=1),
-            covariance=self.widening * np.array(covariances),
-        )
+        covariance = self.widening * np.array(covariances)
+        return NodeValues(temp_c=np.array(temp_c, float), value=np.stack(values, axis=1), covariance=covariance)
 
 
 def fit_smooth(
@@ -190,25 +185,25 @@ def fit_smooth(
             f"spline: wanted rows that determine a line and {basis.shape[1] - 2} effects, got {len(x)} rows that do not; "
             "record more temperatures"
         )
-    groups = neighbours(temp_c, settings.groups) if groups is None else groups
+    groups = neighbours(temp_c, _GROUPS) if groups is None else groups
     correlation = np.eye(len(x)) if scatter.correlation is None else scatter.correlation
     parts = []
     for column in range(value.shape[1]):
+        y, v = value[:, column], variance[:, column]
         problem = Problem(
             x=x,
-            y=value[:, column],
-            variance=variance[:, column],
+            y=y,
+            variance=v,
             basis=basis,
             correlation=correlation,
             groups=groups,
             shared=0.0 if scatter.shared is None else scatter.shared[column],
-            bow=bow_variance(value[:, column], variance[:, column], span, settings),
+            bow=(span / (8.0 * _BEND_SPAN_C)) ** 2 * _size(y, v),
         )
-        parts.append(
-            weigh(problem, None if scatter.variance is None else float(scatter.variance[column]), span, settings)
-        )
-    known = 0.0 if scatter.variance is None else 2.0 / settings.scatter_spread**2
-    widening = widening_of(max(len(x) - basis.shape[1] - 1, 0) + known)
+        known = None if scatter.variance is None else float(scatter.variance[column])
+        parts.append(weigh(problem, known, span, settings.scatter_spread))
+    freedom = 0.0 if scatter.variance is None else 2.0 / settings.scatter_spread**2
+    widening = widening_of(max(len(x) - basis.shape[1] - 1, 0) + freedom)
     return SmoothSpline(
         origin_c=origin,
         span_c=span,
@@ -247,39 +242,38 @@ def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, node
 # ---- which stiffness: pairs (q, s2) on a grid, weighed by leave-out error
 
 
-def weigh(problem: Problem, known: float | None, span: float, settings: SmoothSettings) -> Weighed:
+def weigh(problem: Problem, known: float | None, span: float, scatter_spread: float) -> Weighed:
     """Return the pairs of hyperparameters that count; known is s2 where something is known of it beforehand."""
     size = _size(problem.y, problem.variance)
-    middle, width, stated = _scatter_prior(problem, known, size, settings)
-    centre = prior = (float(np.log(size * span / settings.bend_span_c)), middle)  # logarithms of q and s2
-    spread = prior_spread = (settings.bend_spread, width)
-    steps = np.linspace(-3.0, 3.0, _POINTS)
-    for last in (False, True):
-        bend, scatters = (
-            grid.ravel() for grid in np.meshgrid(centre[0] + spread[0] * steps, centre[1] + spread[1] * steps)
-        )
-        made = solved(problem, np.exp(bend), np.exp(scatters))
-        density = -0.5 * ((bend - prior[0]) / prior_spread[0]) ** 2
-        if stated:
-            density = density - 0.5 * ((scatters - prior[1]) / prior_spread[1]) ** 2
+    stated = known is not None and known > 0.0
+    if known is not None and stated:
+        middle, width = float(np.log(known)), scatter_spread
+    else:
+        middle, width = _scatter_range(problem, size)
+    # Logarithms of q and s2; that of s2 is no prior but a range for the grid unless it is stated.
+    prior, prior_spread = np.array([np.log(size * span / _BEND_SPAN_C), middle]), np.array([_BEND_SPREAD, width])
+    centre, spread, steps = prior, prior_spread, np.linspace(-3.0, 3.0, _POINTS)
+    for _ in range(2):
+        grid = np.array([g.ravel() for g in np.meshgrid(*(centre[:, None] + spread[:, None] * steps))])
+        made = solved(problem, *np.exp(grid))
+        off = -0.5 * ((grid - prior[:, None]) / prior_spread[:, None]) ** 2
         score, square = leave_out(problem, made)
         if len(np.unique(problem.groups)) < _LEAST_GROUPS:
             score = restricted_likelihood(problem, made)
-        total = score + density
+        total = score + (off[0] + off[1] if stated else off[0])
         weight = np.exp(total - total.max())
         weight = weight / weight.sum()
-        centre = (float(weight @ bend), float(weight @ scatters))
-        spread = (_deviation(bend, weight, spread[0]), _deviation(scatters, weight, spread[1]))
-        if last:
-            break
+        centre = np.array([weight @ g for g in grid])
+        own = np.array([np.sqrt(weight @ (g - middle) ** 2) for g, middle in zip(grid, centre, strict=True)])
+        spread = np.maximum(own, spread * 3.0 / (_POINTS - 1))  # no finer than its own step resolves
     kept = weight > _NEGLIGIBLE
     weight = weight[kept] / weight[kept].sum()
     beta, covariance = made.beta[kept, 2:], np.diagonal(made.beta_covariance[kept], axis1=1, axis2=2)[:, 2:]
     coefficient = weight @ beta
     return Weighed(
         problem=problem,
-        bend=np.exp(bend[kept]),
-        scatter=np.exp(scatters[kept]),
+        bend=np.exp(grid[0, kept]),
+        scatter=np.exp(grid[1, kept]),
         weight=weight,
         coefficient=coefficient,
         uncertainty=np.sqrt(weight @ (covariance + (beta - coefficient) ** 2)),
@@ -287,24 +281,13 @@ def weigh(problem: Problem, known: float | None, span: float, settings: SmoothSe
     )
 
 
-def _scatter_prior(
-    problem: Problem, known: float | None, size: float, settings: SmoothSettings
-) -> tuple[float, float, bool]:
-    """Return middle and spread of the logarithm of s2, and whether it is a prior or only a range for the grid."""
-    if known is not None and known > 0.0:
-        return float(np.log(known)), settings.scatter_spread, True
+def _scatter_range(problem: Problem, size: float) -> tuple[float, float]:
+    """Return middle and spread of the logarithm of s2 where nothing is known of it."""
     left = problem.y - problem.basis @ np.linalg.lstsq(problem.basis, problem.y, rcond=None)[0]
     noise = float(np.median(problem.variance))
     most = max(4.0 * float(np.mean(left**2)), noise, 1e-12 * size)
     least = max(1e-2 * noise, 1e-6 * most)
-    middle, half = 0.5 * np.log(most * least), 0.5 * np.log(most / least)
-    return float(middle), max(float(half) / 3.0, 0.3), False
-
-
-def bow_variance(value: FloatArray, variance: FloatArray, span: float, settings: SmoothSettings) -> float:
-    """Return g2: a slope that changes evenly, by the mean slope over ``bend_span_c``; value, variance (n,)."""
-    share = span / (8.0 * settings.bend_span_c)
-    return share**2 * _size(value, variance)
+    return float(0.5 * np.log(most * least)), max(float(0.5 * np.log(most / least)) / 3.0, 0.3)
 
 
 def widening_of(freedom: float) -> float:
@@ -317,12 +300,6 @@ def widening_of(freedom: float) -> float:
 def _size(value: FloatArray, variance: FloatArray) -> float:
     """Return the square of how far the values range, no less than their noise makes them."""
     return max(float(np.ptp(value)) ** 2, 4.0 * float(np.median(variance)), 1e-300)
-
-
-def _deviation(grid: FloatArray, weight: FloatArray, spread: float) -> float:
-    """Standard deviation over a weighted grid, no finer than its own step resolves."""
-    own = float(np.sqrt(weight @ (grid - weight @ grid) ** 2))
-    return max(own, spread * 3.0 / (_POINTS - 1))
 
 
 # ---- the algebra of curves that bend at random
@@ -343,8 +320,7 @@ def parabola(x: FloatArray) -> FloatArray:
     """Return p: a parabola between the ends of the data, its tangents outside; (n,) -> (n,)."""
     size = np.abs(x)
     inside = np.minimum(size, 0.5)
-    p: FloatArray = 4.0 * (inside**2 + size - inside)
-    return p
+    return np.asarray(4.0 * (inside**2 + size - inside))
 
 
 def solved(problem: Problem, bend: FloatArray, scatter: FloatArray) -> Solved:
@@ -380,9 +356,8 @@ def leave_out(problem: Problem, made: Solved) -> tuple[FloatArray, FloatArray]:
 def restricted_likelihood(problem: Problem, made: Solved) -> FloatArray:
     """Return the log restricted likelihood, (G,), up to a constant; serves where too few groups can be left out."""
     misfit = np.einsum("n,gnm,m->g", problem.y, made.projected, problem.y)
-    log_det: FloatArray = np.linalg.slogdet(made.inverse)[1] + np.linalg.slogdet(made.beta_covariance)[1]
-    likelihood: FloatArray = 0.5 * (log_det - misfit)
-    return likelihood
+    log_det = np.linalg.slogdet(made.inverse)[1] + np.linalg.slogdet(made.beta_covariance)[1]
+    return np.asarray(0.5 * (log_det - misfit))
 
 
 def curve_at(problem: Problem, made: Solved, bend: FloatArray, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
