@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.faces import faces_at
 from undrift.errors import InputError
 from undrift.record import Record, Still
-from undrift.segments import StillSettings, find_still, find_turns, label_faces, sliding_moments, still_means
+from undrift.segments import StillSettings, find_still, find_turns, sliding_moments, still_means
 
 FS = 100.0
 DPS = np.pi / 180.0
@@ -143,23 +144,21 @@ def test_rotations_between_stills_carry_their_angle():
     np.testing.assert_allclose(turns.rotation_angle[:, 0], 8.0 / np.pi, rtol=0.01)
 
 
-def test_turns_need_a_gyroscope_and_faces_an_accelerometer():
+def test_turns_need_a_gyroscope():
     time = np.arange(500) / FS
     with pytest.raises(InputError, match="wanted a gyroscope, got a record without; map the gyro columns"):
         find_turns(Record(time=time, accel=np.zeros((500, 3))), ())
-    with pytest.raises(InputError, match="wanted an accelerometer, got a record without; map the accel columns"):
-        label_faces(Record(time=time, gyro=np.zeros((500, 3))), (Still(start=0, stop=100),))
 
 
 def test_faces_are_named_after_the_axis_that_points_up_and_free_poses_are_not():
     directions = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (0.6, 0.8, 0.0)]
     record = poses(np.random.default_rng(6), directions)
-    named = label_faces(record, find_still(record).stills)
-    assert [s.face for s in named] == ["+x", "-x", "+y", "-y", "+z", "-z", None]
+    stills = find_still(record).stills
+    assert faces_at(record, stills) == ["+x", "-x", "+y", "-y", "+z", "-z", None]
     counts = Record(time=record.time, accel=record.accel * 400.0 + 32768.0, accel_unit="count")
-    assert [s.face for s in label_faces(counts, named)] == ["+x", "-x", "+y", "-y", "+z", "-z", None]
+    assert faces_at(counts, stills) == ["+x", "-x", "+y", "-y", "+z", "-z", None]
     with pytest.raises(InputError, match="wanted five poses or more to find the zero of readings in counts, got 2"):
-        label_faces(counts, named[:2])
+        faces_at(counts, stills[:2])
 
 
 def test_a_phase_that_is_all_gap_has_no_mean():
@@ -208,7 +207,7 @@ def test_the_hand_held_ferraris_session_shows_six_faces_and_three_full_turns(mis
         show("integrals of the three turns, deg", largest, "353.7 359.4 370.0 +- 0.5")
         np.testing.assert_allclose(largest, [353.7, 359.4, 370.0], atol=0.5)
     if missing != "accel":
-        assert {s.face for s in label_faces(record, found.stills)} == {"+x", "-x", "+y", "-y", "+z", "-z"}
+        assert set(faces_at(record, found.stills)) == {"+x", "-x", "+y", "-y", "+z", "-z"}
 
 
 @pytest.mark.parametrize(

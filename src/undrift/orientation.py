@@ -29,6 +29,7 @@ from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
+from undrift.segments import find_still, runs
 from undrift.units import STANDARD_GRAVITY, si_factor
 
 # ---- Initial tilt
@@ -43,12 +44,12 @@ class Tilt:
 
     q_nb: FloatArray  # (4,), b to n, w-x-y-z
     specific_force: FloatArray  # (3,), mean over the still phase, m/s2, frame b
-    covariance: FloatArray  # (3, 3), of that mean, (m/s2)^2: its scatter and the calibration's uncertainty
-    inclination_uncertainty: float  # Standard uncertainty of the direction of gravity, both level axes together, rad
+    # Standard uncertainty of the direction of gravity by scatter and calibration, both level axes together, rad
+    inclination_uncertainty: float
     scatter_uncertainty: float  # The share of it that comes from the scatter of the samples, rad
 
     def __post_init__(self) -> None:
-        for name, shape in (("q_nb", (4,)), ("specific_force", (3,)), ("covariance", (3, 3))):
+        for name, shape in (("q_nb", (4,)), ("specific_force", (3,))):
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Tilt.{name}"))
 
 
@@ -65,12 +66,10 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0, accel_mo
         )
     scatter = np.diag([mean_variance(axis) for axis in force.T])
     covariance = scatter if accel_model is None else scatter + _model_covariance(accel_model, mean)
-    half = 0.5 * heading
-    turn = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+    turn = np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
     return Tilt(
         q_nb=quaternion_product(turn, shortest_rotation_up(mean)),
         specific_force=mean,
-        covariance=covariance,
         inclination_uncertainty=_direction_uncertainty(mean, covariance),
         scatter_uncertainty=_direction_uncertainty(mean, scatter),
     )
@@ -86,8 +85,7 @@ def shortest_rotation_up(force: FloatArray) -> FloatArray:
         q = np.array([level, y / level * (1.0 - z), -x / level * (1.0 - z), 0.0])
     else:
         q = np.array([0.0, 1.0, 0.0, 0.0])
-    unit: FloatArray = q / np.linalg.norm(q)
-    return unit
+    return np.asarray(q / np.linalg.norm(q))
 
 
 def mean_variance(x: FloatArray) -> float:
@@ -129,9 +127,9 @@ def _direction_uncertainty(mean: FloatArray, covariance: FloatArray) -> float:
 
 def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
     """Covariance of the corrected mean that comes from the model: f = M (s - o), df = dM (s - o) - M do."""
-    matrix = model.matrix * si_factor(model.unit_out, "accel")
-    centred = np.linalg.solve(matrix, force)
     factor = si_factor(model.unit_out, "accel")
+    matrix = model.matrix * factor
+    centred = np.linalg.solve(matrix, force)
     jacobian = np.zeros((3, len(model.parameters)))
     for column, name in enumerate(model.parameters):
         kind, _, axes = name.partition("_")
@@ -139,8 +137,7 @@ def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
             jacobian[AXES.index(axes[0]), column] = factor * centred[AXES.index(axes[1])]
         elif kind == "offset":
             jacobian[:, column] = -matrix[:, AXES.index(axes)]
-    covariance: FloatArray = jacobian @ model.covariance @ jacobian.T
-    return covariance
+    return np.asarray(jacobian @ model.covariance @ jacobian.T)
 
 
 # ---- Strapdown
@@ -149,11 +146,10 @@ def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
 def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
     """Refuse a rate (N, 3) with gaps: no orientation can be carried over one."""
     gap: BoolArray = ~np.isfinite(gyro_b).all(axis=1).reshape(-1)
-    if not gap.any():
+    stretches = runs(gap)
+    if not len(stretches):
         return
-    first = int(gap.argmax())
-    after = np.flatnonzero(~gap[first:])
-    last = first + int(after[0]) - 1 if len(after) else len(gap) - 1
+    first, last = stretches[0] - [0, 1]
     raise InputError(
         f"{what}: wanted a rate at every sample, got a gap (NaN) at {int(gap.sum())} of {len(gap)}, the first stretch from "
         f"{time[first]:.6g} to {time[last]:.6g} s; after a gap the orientation is unknown: correct without gaps (policy hold, "
@@ -233,16 +229,14 @@ def inclination_of(q_nb: FloatArray) -> FloatArray:
     """Return the angle between the body's z and the vertical, rad."""
     w, x, y, z = np.moveaxis(q_nb, -1, 0)
     # The arc cosine loses half its digits near zero.
-    angle: FloatArray = 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
-    return angle
+    return np.asarray(2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z)))
 
 
 def heading_of(q_nb: FloatArray) -> FloatArray:
     """Return the turn about the vertical, rad."""
     w, _, _, z = np.moveaxis(q_nb, -1, 0)
     flip = np.where(w < 0.0, -1.0, 1.0)  # q and -q are one orientation
-    angle: FloatArray = 2.0 * np.arctan2(flip * z, flip * w)
-    return angle
+    return np.asarray(2.0 * np.arctan2(flip * z, flip * w))
 
 
 def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -> FloatArray:
@@ -253,14 +247,8 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
             "name the axes that point forward and up"
         )
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
-    along, upward = _component(vertical, forward), _component(vertical, up)
-    pitch: FloatArray = np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
-    return pitch
-
-
-def _component(vector: FloatArray, face: Face) -> FloatArray:
-    part: FloatArray = vector[..., "xyz".index(face[1])] * (1.0 if face[0] == "+" else -1.0)
-    return part
+    along, upward = (vertical[..., AXES.index(face[1])] * (1.0 if face[0] == "+" else -1.0) for face in (forward, up))
+    return np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
 
 
 # ---- A whole record
@@ -322,16 +310,9 @@ class Orientation:
     offset: FloatArray
 
     def __post_init__(self) -> None:
-        n = len(self.time)
-        shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
-            ("time", (n,)),
-            ("q_nb", (n, 4)),
-            ("inclination", (n,)),
-            ("heading", (n,)),
-            ("pitch", (n,)),
-            ("offset", (3,)),
-        )
-        for name, shape in shapes:
+        one, three, four = (len(self.time),), (3,), (len(self.time), 4)
+        names = ("time", "q_nb", "inclination", "heading", "pitch", "offset")
+        for name, shape in zip(names, (one, four, one, one, one, three), strict=True):
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Orientation.{name}"))
 
 
@@ -416,8 +397,6 @@ def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
 
 
 def _first_still(record: Record) -> Still:
-    from undrift.segments import find_still
-
     found = find_still(record)
     if not found.stills:
         reason = found.reason.removeprefix("no still phase: ")

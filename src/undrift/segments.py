@@ -1,6 +1,6 @@
 """Segments: where in a record the device stood still, turned at a steady rate, or was moved from one pose to the next.
 
-``find_still`` -> Still, ``find_turns`` -> Turn, ``label_faces`` names the axis that points up. Ranges are [start, stop).
+``find_still`` -> Still, ``find_turns`` -> Turn, ``faces_of`` names the axis that points up. Ranges are [start, stop).
 
 Stillness of a triad at sample k is the sliding standard deviation of its smoothed reading y, three axes together::
 
@@ -138,24 +138,25 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
         )
     quiet = np.ones(len(record) - window - smooth + 2, bool)
     thresholds: list[StillThreshold] = []
-    for channel, given in (("gyro", settings.gyro_threshold), ("accel", settings.accel_threshold)):
-        values = record.gyro if channel == "gyro" else record.accel
+    triads = (
+        (record.gyro, record.gyro_unit, settings.gyro_threshold),
+        (record.accel, record.accel_unit, settings.accel_threshold),
+    )
+    for is_gyro, (values, unit, given) in zip((True, False), triads, strict=True):
         if values is None:
             continue
         mean, spread = sliding_moments(values, window, smooth)
-        unit = record.gyro_unit if channel == "gyro" else record.accel_unit
-        found = _threshold(spread, channel == "gyro", unit, given)
+        found = _threshold(spread, is_gyro, unit, given)
         if found.basis == "all still" and not is_physical(unit):
             # The spread of white noise alone after smoothing, from the steps between neighbouring samples.
             white = float(np.sqrt(np.nanvar(np.diff(values, axis=0), axis=0).sum() / 2.0 / smooth))
             if float(np.median(spread)) > _WHITE * white:
                 found = replace(found, value=np.nan, basis="none")
         thresholds.append(found)
-        if found.basis == "none":
-            continue
-        quiet &= spread <= found.value
-        if channel == "gyro":
-            quiet &= ~_turning(mean, spread, found)
+        if found.basis != "none":
+            quiet &= spread <= found.value
+            if is_gyro:
+                quiet &= ~_turning(mean, spread, found)
     if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
         quiet[:] = False
     edge = (window + smooth - 1) // 2
@@ -195,10 +196,11 @@ def _running_mean(values: FloatArray, width: int) -> FloatArray:
 def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None) -> StillThreshold:
     finite = spread[np.isfinite(spread)]
     floor = float(np.quantile(finite, FLOOR_QUANTILE)) if len(finite) else np.inf
-    channel: Literal["gyro", "accel"] = "gyro" if is_gyro else "accel"
+    found = StillThreshold(
+        channel="gyro" if is_gyro else "accel", value=np.nan, unit=unit, noise_floor=floor, basis="none"
+    )
     if given is not None:
-        return StillThreshold(channel=channel, value=given, unit=unit, noise_floor=floor, basis="given")
-    found = StillThreshold(channel=channel, value=np.nan, unit=unit, noise_floor=floor, basis="none")
+        return replace(found, value=given, basis="given")
     if not len(finite):
         return found
     value = _gap_above(finite, floor)
@@ -255,13 +257,11 @@ def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> Boo
 
 
 def _phases(quiet: BoolArray, count: int, edge: int, shortest: int, recording: int) -> tuple[Still, ...]:
-    stills: list[Still] = []
-    for first, last in runs(quiet):
-        start = 0 if first == 0 else int(first) + edge
-        stop = count if last == len(quiet) else int(last) + edge
-        if stop - start >= shortest:
-            stills.append(Still(start=start, stop=stop, recording=recording))
-    return tuple(stills)
+    spans = [
+        (0 if first == 0 else int(first) + edge, count if last == len(quiet) else int(last) + edge)
+        for first, last in runs(quiet)
+    ]
+    return tuple(Still(start=a, stop=b, recording=recording) for a, b in spans if b - a >= shortest)
 
 
 def runs(flag: BoolArray) -> IntArray:
@@ -272,10 +272,9 @@ def runs(flag: BoolArray) -> IntArray:
 
 def _why_none(thresholds: list[StillThreshold], settings: StillSettings) -> str:
     floors = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
-    if any(t.basis == "limit" and t.value < t.noise_floor for t in thresholds):
-        why = "a device at rest varies less than " + " and ".join(
-            f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor
-        )
+    over = [f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor]
+    if over:
+        why = f"a device at rest varies less than {' and '.join(over)}"
     elif all(t.basis == "none" for t in thresholds):
         why = "no gap separates rest from motion"
     else:
@@ -284,6 +283,9 @@ def _why_none(thresholds: list[StillThreshold], settings: StillSettings) -> str:
 
 
 # ---- faces: the sensor axis that points up, by gravity
+
+
+_FACE_DEG = 15.0  # a face is this near to the vertical
 
 
 def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
@@ -296,33 +298,21 @@ def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
     return np.array([np.nanmean(values[s.start : s.stop], axis=0) for s in stills]).reshape(-1, 3)
 
 
-def label_faces(record: Record, stills: Sequence[Still], *, margin_deg: float = 15.0) -> tuple[Still, ...]:
-    """Name the sensor axis that points up in each still phase."""
-    if record.accel is None:
-        raise InputError("label_faces: wanted an accelerometer, got a record without; map the accel columns")
-    if not stills:
-        return ()
-    faces = faces_of(still_means(record.accel, stills), centred=is_physical(record.accel_unit), margin_deg=margin_deg)
-    return tuple(replace(still, face=face) for still, face in zip(stills, faces, strict=True))
-
-
-def faces_of(means: FloatArray, *, centred: bool, margin_deg: float = 15.0) -> tuple[Face | None, ...]:
+def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
     """Name the axis that points up for each mean reading (P, 3); None where none is near the vertical."""
     up = means if centred else means - _sphere_centre(means)
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
-    faces: list[Face | None] = []
-    for direction in up:
-        axis = int(np.argmax(np.abs(direction)))
-        near = abs(direction[axis]) >= np.cos(margin_deg * RADIAN_PER_DEGREE)
-        faces.append(FACES[2 * axis + (0 if direction[axis] > 0.0 else 1)] if near else None)
-    return tuple(faces)
+    axis = np.abs(up).argmax(axis=1)
+    most = up[np.arange(len(up)), axis]
+    near = np.abs(most) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)
+    return tuple(FACES[2 * a + (m < 0.0)] if n else None for a, m, n in zip(axis, most, near, strict=True))
 
 
 def _sphere_centre(points: FloatArray) -> FloatArray:
     # |p|^2 = 2 c.p + (r^2 - |c|^2): linear in c.
     if len(points) < 5:
         raise InputError(
-            f"label_faces: wanted five poses or more to find the zero of readings in counts, got {len(points)}; "
+            f"faces: wanted five poses or more to find the zero of readings in counts, got {len(points)}; "
             "label the faces in session.toml"
         )
     shift = points.mean(axis=0)
@@ -395,30 +385,24 @@ def find_turns(record: Record, stills: Sequence[Still], settings: TurnSettings =
     fs = record.sample_rate_hz
     window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
     mean, spread = sliding_moments(record.gyro, window, smooth)
-    offset, floor = _rest(record.gyro, stills, mean, spread)
-    plateaus, rates = _plateaus(record.gyro, mean - offset, spread, (offset, floor), stills, settings, fs)
+    seen = np.isfinite(spread)
+    floor = float(np.quantile(spread[seen], FLOOR_QUANTILE))
+    rest = [record.gyro[s.start : s.stop] for s in stills]
+    offset = np.nanmean(np.concatenate(rest), axis=0) if rest else np.median(mean[seen], axis=0)
+    plateaus, rates = _plateaus(record, (mean, spread), (offset, floor), stills, settings)
     rotations, angles = _rotations(record, stills, offset, settings.least_floors * floor)
     return TurnSearch(plateaus=plateaus, plateau_rate=rates, rotations=rotations, rotation_angle=angles)
 
 
-def _rest(gyro: FloatArray, stills: Sequence[Still], mean: FloatArray, spread: FloatArray) -> tuple[FloatArray, float]:
-    floor = float(np.quantile(spread[np.isfinite(spread)], FLOOR_QUANTILE))
-    if stills:
-        rest = np.concatenate([gyro[s.start : s.stop] for s in stills])
-        return np.nanmean(rest, axis=0), floor
-    return np.median(mean[np.isfinite(spread)], axis=0), floor
-
-
 def _plateaus(
-    gyro: FloatArray,
-    rate: FloatArray,
-    spread: FloatArray,
+    record: Record,
+    moments: tuple[FloatArray, FloatArray],
     rest: tuple[FloatArray, float],
     stills: Sequence[Still],
     settings: TurnSettings,
-    fs: float,
 ) -> tuple[tuple[Turn, ...], FloatArray]:
-    offset, floor = rest
+    (mean, spread), (offset, floor), gyro = moments, rest, np.asarray(record.gyro)
+    rate, shortest = mean - offset, sample_count(settings.min_duration_s, record.sample_rate_hz)
     edge = (len(gyro) - len(rate)) // 2
     size = np.linalg.norm(rate, axis=1)
     steady = (size > settings.least_floors * floor) & (spread <= np.maximum(settings.steadiness * size, 4.0 * floor))
@@ -432,7 +416,7 @@ def _plateaus(
         for start, stop in runs(own <= max(4.0 * float(np.quantile(own, 0.25)), 4.0 * floor)):
             begin = int(first + start) + edge if first + start else 0
             end = int(first + stop) + edge if first + stop < len(rate) else len(gyro)
-            if end - begin < sample_count(settings.min_duration_s, fs):
+            if end - begin < shortest:
                 continue
             reading = np.nanmean(gyro[begin:end], axis=0) - offset
             axis: Axis = ("x", "y", "z")[int(np.argmax(np.abs(reading)))]
@@ -446,11 +430,10 @@ def _rotations(
 ) -> tuple[tuple[Turn, ...], FloatArray]:
     turns: list[Turn] = []
     angles: list[FloatArray] = []
-    gyro = record.gyro
     for before, after in itertools.pairwise(stills):
-        if gyro is None or after.start <= before.stop:
+        if after.start <= before.stop:
             continue
-        reading = gyro[before.stop : after.start] - offset
+        reading = np.asarray(record.gyro)[before.stop : after.start] - offset
         if not np.nanmax(np.linalg.norm(reading, axis=1)) > least:
             continue
         angle = np.asarray(np.trapezoid(np.nan_to_num(reading), record.time[before.stop : after.start], axis=0))

@@ -1,7 +1,7 @@
 """Sync: bring a record and a reference onto one clock, before any fit or comparison.
 
-``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag`` and
-``find_axis_lag`` find how late the record's samples are, ``find_motion`` finds where rest ends and begins again.
+``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag`` finds how
+late the record's samples are, ``find_motion`` where rest ends and begins again.
 
 With w the body rate of the reference and u the readings, the model over all neighbouring poses, both sides averaged over
 the same stretches, is::
@@ -127,8 +127,7 @@ def _offset(gyro: FloatArray) -> FloatArray:
     change = np.abs(np.diff(seen, axis=0)).sum(axis=1)
     quiet = seen[1:][change <= np.quantile(change, 0.1)]
     spread = np.linalg.norm(quiet - np.median(quiet, axis=0), axis=1)
-    offset: FloatArray = np.median(quiet[spread <= np.median(spread)], axis=0)
-    return offset
+    return np.asarray(np.median(quiet[spread <= np.median(spread)], axis=0))
 
 
 def _cells(
@@ -194,12 +193,17 @@ def native_poses(reference: Reference) -> Reference:
     first = np.ceil(frequency * reference.time[0] - phase)
     last = np.floor(frequency * reference.time[-1] - phase)
     frames: FloatArray = (np.arange(first, last + 1.0) + phase) / frequency
-    q, position = _poses_at(reference, rates, frames, 1.0 / frequency)
+    # Where the line before a frame has a gap, the line after it.
+    after = np.searchsorted(reference.time, frames)
+    before = _drawn_to(reference, rates, frames, after - 2, (frames - 1.0 / frequency, frames))
+    drawn = np.where(
+        np.isfinite(before), before, _drawn_to(reference, rates, frames, after, (frames, frames + 1.0 / frequency))
+    )
     moving = None
     if reference.moving is not None:
-        nearest = np.clip(np.searchsorted(reference.time, frames), 0, len(reference) - 1)
-        moving = reference.moving[nearest]
-    return Reference(time=frames, q_nb=q, position=position, moving=moving, name=reference.name)
+        moving = reference.moving[np.clip(after, 0, len(reference) - 1)]
+    position = None if reference.position is None else drawn[:, 4:]
+    return Reference(time=frames, q_nb=drawn[:, :4], position=position, moving=moving, name=reference.name)
 
 
 def _repeats(rates: PoseRates) -> tuple[BoolArray, float]:
@@ -232,31 +236,19 @@ def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
     return frequency, float(phase % 1.0), float(abs(total))
 
 
-def _poses_at(
-    reference: Reference, rates: PoseRates, frames: FloatArray, interval: float
-) -> tuple[FloatArray, FloatArray | None]:
-    after = np.searchsorted(reference.time, frames)
-    left = _drawn_to(reference, rates, frames, after - 2, (frames - interval, frames))
-    right = _drawn_to(reference, rates, frames, after, (frames, frames + interval))
-    q = np.where(np.isfinite(left[0]), left[0], right[0])
-    if left[1] is None or right[1] is None:
-        return q, None
-    return q, np.where(np.isfinite(left[1]), left[1], right[1])
-
-
 def _drawn_to(
     reference: Reference, rates: PoseRates, frames: FloatArray, pair: IntArray, span: tuple[FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray | None]:
-    # The line through samples pair, pair + 1, drawn to the frame; NaN unless both lie within the span between two frames.
+) -> FloatArray:
+    # The line through samples pair, pair + 1, drawn to the frame, q_nb beside position; NaN unless both lie within the span.
     k = np.clip(pair, 0, len(rates.rate) - 1)
     inside = (pair == k) & rates.valid[k]
     inside &= (rates.start[k] >= span[0] - _NEAR_FRAME) & (rates.stop[k] <= span[1] + _NEAR_FRAME)
     ahead = (frames - rates.start[k])[:, None]
-    q = np.where(inside[:, None], quaternion_product(reference.q_nb[k], quaternion_of(rates.rate[k] * ahead)), np.nan)
-    if reference.position is None:
-        return q, None
-    velocity = (reference.position[k + 1] - reference.position[k]) / (rates.stop[k] - rates.start[k])[:, None]
-    return q, np.where(inside[:, None], reference.position[k] + velocity * ahead, np.nan)
+    drawn = quaternion_product(reference.q_nb[k], quaternion_of(rates.rate[k] * ahead))
+    if reference.position is not None:
+        velocity = (reference.position[k + 1] - reference.position[k]) / (rates.stop[k] - rates.start[k])[:, None]
+        drawn = np.column_stack((drawn, reference.position[k] + velocity * ahead))
+    return np.where(inside[:, None], drawn, np.nan)
 
 
 # ---- lag to a fraction of a sample
@@ -276,9 +268,10 @@ class LagSettings:
     least_correlation: float = 0.7
 
 
-# Steps of a stepper or a servo ring; one axis shows one direction of the readings, the others are noise.
-AXIS_SETTINGS = LagSettings(average_s=0.1)
-_ONE_AXIS, _THREE_AXES = 0.05, 1e-6  # least singular value kept, of the largest
+_ONE_AXIS, _THREE_AXES = (
+    0.05,
+    1e-6,
+)  # least singular value kept, of the largest: with one axis the other readings are noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -287,7 +280,6 @@ class Lag:
 
     seconds: float  # A reading stamped t was true at t - seconds on the reference's clock, s
     standard_uncertainty: float  # Of ``seconds``, s, from half-second blocks of residuals
-    method: str  # "vector rate" or "axis rate"
     correlation_before: float  # multiple correlation of reference rate and readings without a shift; 0 without overlap
     correlation_after: float  # the same with the shift
     matrix: FloatArray  # (A, 3), reference rate per reading: scale and mounting, rad/s per unit of the readings
@@ -299,32 +291,20 @@ def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSe
     """Find how late the readings of a gyroscope are against poses of the same body."""
     if record.gyro is None:
         raise InputError("lag: wanted a record with a gyroscope, got none; map its columns")
-    rates = pose_rates(native_poses(reference))
-    return _lag_of(record.time, record.gyro, rates, settings, "vector rate")
+    return lag_of(record.time, record.gyro, pose_rates(native_poses(reference)), settings)
 
 
-def find_axis_lag(record: Record, time: FloatArray, angle: FloatArray, settings: LagSettings = AXIS_SETTINGS) -> Lag:
-    """Find how late the readings of a gyroscope are against the angle (M,), rad, of a table with one axis."""
-    if record.gyro is None:
-        raise InputError("lag: wanted a record with a gyroscope, got none; map its columns")
-    step = np.diff(time)
-    valid = np.isfinite(np.diff(angle)) & (step <= LONGEST_STEP * np.median(step))
-    rate = np.where(valid, np.diff(angle) / step, 0.0)[:, None]
-    rates = PoseRates(start=time[:-1], stop=time[1:], rate=rate, valid=valid)
-    return _lag_of(record.time, record.gyro, rates, settings, "axis rate")
-
-
-def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings, method: str) -> Lag:
-    start = coarse_lag(time, gyro, rates, settings.longest_lag_s)
+def lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings) -> Lag:
+    """Find how late readings are against mean rates about three axes or one."""
+    lag = coarse_lag(time, gyro, rates, settings.longest_lag_s)
     known = RunningIntegral(time, gyro)
     wanted = _averaged(rates, settings.average_s)
-    before, _ = _aligned(known, wanted, 0.0)
-    lag, fit = start, None
+    before, fit = _aligned(known, wanted, 0.0)[0], None
+    limit = settings.average_s  # the linear model reaches about one averaging length
     for _ in range(_STEPS):
         fit, step = _aligned(known, wanted, lag)
         if fit is None or not abs(step) < settings.longest_lag_s:
             break
-        limit = settings.average_s  # the linear model reaches about one averaging length
         step = float(np.clip(step, -limit, limit))
         lag += step
         if abs(step) < 1e-7:
@@ -337,8 +317,7 @@ def _lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagS
             "files belong together, or widen longest_lag_s (--max-lag-s)",
             correlation=correlation,
         )
-    at_zero = 0.0 if before is None else before.correlation_after
-    return replace(fit, seconds=lag, method=method, correlation_before=at_zero)
+    return replace(fit, seconds=lag, correlation_before=0.0 if before is None else before.correlation_after)
 
 
 def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
@@ -357,11 +336,10 @@ def _aligned(known: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag
     if inside.sum() < 30:
         return None, 0.0
     width = 0.25 * float(np.median(wanted.stop - wanted.start))
-    late, late_in = known.mean(wanted.start + lag + width, wanted.stop + lag + width)
-    early, early_in = known.mean(wanted.start + lag - width, wanted.stop + lag - width)
-    inside &= late_in & early_in
+    late, early = (known.mean(wanted.start + lag + by, wanted.stop + lag + by) for by in (width, -width))
+    inside &= late[1] & early[1]
     u, w = mean[inside], wanted.rate[inside]
-    slope = (late[inside] - early[inside]) / (2.0 * width)
+    slope = (late[0][inside] - early[0][inside]) / (2.0 * width)
     centre_u, centre_w = u.mean(axis=0), w.mean(axis=0)
     rcond = _ONE_AXIS if w.shape[1] == 1 else _THREE_AXES
     a, *_ = np.linalg.lstsq(u - centre_u, w - centre_w, rcond=rcond)
@@ -374,7 +352,6 @@ def _aligned(known: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag
     fit = Lag(
         seconds=lag,
         standard_uncertainty=uncertainty,
-        method="",
         correlation_before=0.0,
         correlation_after=float(np.sqrt(max(0.0, 1.0 - unexplained / power))),
         matrix=a.T,
@@ -440,11 +417,8 @@ def _between_stills(record: Record) -> Motion:
             + "; give a reference with a motion mark, or record a rest first"
         )
     first, last = long[0], search.stills[-1]
-    if last.stop < len(record) - 1 - record.sample_rate_hz * LEAST_REST_S or last is first:
-        stop = float(record.time[-1])  # it moves to the end
-    else:
-        stop = float(record.time[last.start])
-    start = float(record.time[first.stop - 1])
+    to_the_end = last.stop < len(record) - 1 - record.sample_rate_hz * LEAST_REST_S or last is first
+    start, stop = float(record.time[first.stop - 1]), float(record.time[-1 if to_the_end else last.start])
     if stop - start < 1.0:
         raise AlignmentError("motion: wanted a motion after the first rest, got none; the device lay still throughout")
     return Motion(start_s=start, stop_s=stop, basis="still phases of the record")

@@ -7,13 +7,13 @@ sensitivity (30.5 instead of 35 mdeg/s a code): the fit must find it, and call i
 import numpy as np
 import pytest
 
+from testkit.axis_lag import find_axis_lag
 from testkit.data import data_path, show
 from testkit.findings import only
 from undrift.calibration.rate_table import RateTableSettings, dwell_means, fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable
 from undrift.record import Record, Turn
 from undrift.segments import runs
-from undrift.sync import find_axis_lag
 
 RUNS = ("giro_test_filt", "giro_test_non_filt")
 # The stepper swings for about a second after each ramp: that second is left out for the BNO. On the LSM vibration of 10-50 deg/s

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from testkit.axis_lag import find_axis_lag
 from testkit.data import data_path, show
 from undrift.record import Record
-from undrift.sync import find_axis_lag
 
 RUNS = ("giro_test_filt", "giro_test_non_filt", "slow_range_data")
 

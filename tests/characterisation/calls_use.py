@@ -25,6 +25,7 @@ from characterisation.shared import (
     undrift,
 )
 from testkit.data import DATA, data_path
+from testkit.faces import faces_at
 from testkit.full_calibration import WILD, device, record, tables
 from undrift.correction.correct import correct_checked
 from undrift.correction.stream import Corrector
@@ -35,7 +36,7 @@ from undrift.io.store import read_calibration, write_calibration
 from undrift.model import AdcModel
 from undrift.orientation import orient
 from undrift.record import FACES
-from undrift.segments import find_still, find_turns, label_faces, still_means
+from undrift.segments import find_still, find_turns, still_means
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import PoseSettings, motion_from_poses
@@ -337,7 +338,7 @@ def segments() -> Result:
         found[name] = {
             "stills": [[s.start, s.stop] for s in search.stills],
             "means": still_means(readings.accel, search.stills),
-            "faces": [FACES.index(s.face) if s.face else -1 for s in label_faces(readings, search.stills)],
+            "faces": [FACES.index(face) if face else -1 for face in faces_at(readings, search.stills)],
             "plateaus": [[t.start, t.stop] for t in turns.plateaus],
             "plateau_rate": turns.plateau_rate,
             "rotations": [[t.start, t.stop] for t in turns.rotations],

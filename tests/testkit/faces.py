@@ -1,0 +1,14 @@
+"""The axis that points up in each still phase of a record."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from undrift.record import Face, Record, Still
+from undrift.segments import faces_of, still_means
+from undrift.units import is_physical
+
+
+def faces_at(record: Record, stills: Sequence[Still]) -> list[Face | None]:
+    """Name it for each; None for a free pose."""
+    return list(faces_of(still_means(np.asarray(record.accel), stills), centred=is_physical(record.accel_unit)))
