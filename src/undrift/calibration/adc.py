@@ -63,15 +63,12 @@ def identify_record_adc(*records: Record) -> AdcModel | None:
 
 def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | None:
     """Return the model of the triads whose rounding is certain; None where none is."""
-    gyro, accel = (None if found is None or found.rounding is None else found for found in (gyro, accel))
-    if gyro is None and accel is None:
+    known = [found if found is not None and found.rounding is not None else None for found in (gyro, accel)]
+    if known == [None, None]:
         return None
-    return AdcModel(
-        gyro_lsb=gyro and gyro.lsb,
-        accel_lsb=accel and accel.lsb,
-        gyro_rounding=(gyro and gyro.rounding) or "nearest",
-        accel_rounding=(accel and accel.rounding) or "nearest",
-    )
+    steps = [None if found is None else found.lsb for found in known]
+    roundings: list[Rounding] = [found.rounding or "nearest" if found else "nearest" for found in known]
+    return AdcModel(gyro_lsb=steps[0], accel_lsb=steps[1], gyro_rounding=roundings[0], accel_rounding=roundings[1])
 
 
 def code_grid(column: FloatArray) -> tuple[float, float]:

@@ -32,8 +32,9 @@ Against = Literal["accelerometer", "turns"]
 def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
     """Return the signed permutation (3, 3) nearest to a forward matrix (3, 3)."""
     gain = forward / np.linalg.norm(forward, axis=1)[:, None]
-    order = list(max(itertools.permutations(range(3)), key=lambda p: sum(abs(gain[i, p[i]]) for i in range(3))))
-    nearest, rows = np.zeros((3, 3)), np.arange(3)
+    rows, orders = np.arange(3), [list(order) for order in itertools.permutations(range(3))]
+    order = max(orders, key=lambda p: float(np.abs(gain[rows, p]).sum()))
+    nearest = np.zeros((3, 3))
     nearest[rows, order] = np.where(gain[rows, order] >= 0.0, 1.0, -1.0)
     return nearest
 
@@ -157,7 +158,7 @@ _FAR_FROM_REST = 50.0  # steps between the extreme and the median before a run c
 def face_vectors(faces: Sequence[Face]) -> FloatArray:
     """Return the direction of +g in s for each face, one unit vector a row, (P, 3)."""
     sign = np.array([1.0 if face[0] == "+" else -1.0 for face in faces]).reshape(-1, 1)
-    return axis_vectors([face[1] for face in faces]) * sign
+    return np.asarray(axis_vectors([face[1] for face in faces]) * sign)
 
 
 def axis_vectors(axes: Sequence[str]) -> FloatArray:

@@ -158,7 +158,7 @@ def _rates(session: Session, stills: tuple[Still, ...], *, stated: bool) -> list
 
 
 def _warmed(session: Session, stills: tuple[Still, ...]) -> bool:
-    temps = np.array([piece_temperature(session, still) for still in stills])
+    temps = piece_temperatures(session, stills)
     known = temps[np.isfinite(temps)]
     return len(known) > 1 and float(np.ptp(known)) > _WARM
 
@@ -246,7 +246,7 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     Where stills and turns fall into groups more than 3 K apart, the group nearest to 25 degC is used, of those that hold at least
     half as many pieces as the largest.
     """
-    temps = np.array([piece_temperature(session, piece) for piece in (*session.stills, *session.turns)])
+    temps = piece_temperatures(session, (*session.stills, *session.turns))
     if len(temps) < 2 or np.isnan(temps).any() or np.ptp(temps) <= APART_C:
         return session, ()
     order = np.argsort(temps)
@@ -271,6 +271,11 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
         temp_c=means[chosen],
     )
     return replace(session, stills=stills, turns=turns), (used,)
+
+
+def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the temperature of each still or turn."""
+    return np.array([piece_temperature(session, piece) for piece in pieces])
 
 
 def piece_temperature(session: Session, piece: Still | Turn) -> float:
@@ -384,8 +389,8 @@ class Observed:
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns."""
-        values = [piece_temperature(self.session, piece) for piece in (*self.stills, *self.session.turns)]
-        return float(np.mean(np.array(values)[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
+        values = piece_temperatures(self.session, (*self.stills, *self.session.turns))
+        return float(np.mean(values[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
 
     def full_turns(self) -> tuple[Turn, ...]:
         """Return three full turns about x, y and z found between rests, with their angles."""

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.kernels.rotation import matrix_of, turned
 
 # ---- Kernels of the Allan variance: mean square of second and third differences.
 
@@ -133,50 +134,24 @@ def rotations_between(
     for j in range(first.size):
         out = sums[36 * j : 36 * j + 36]
         ox, oy, oz = offset[0] + drift[3 * j], offset[1] + drift[3 * j + 1], offset[2] + drift[3 * j + 2]
-        r0, r1, r2, r3, r4, r5, r6, r7, r8 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+        r = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
         qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
         for k in range(first[j] + 1, last[j] + 1):
-            dt = time[k] - time[k - 1]
-            dx = gyro[3 * k] - ox
-            dy = gyro[3 * k + 1] - oy
-            dz = gyro[3 * k + 2] - oz
-            half = 0.5 * dt
+            half = 0.5 * (time[k] - time[k - 1])
+            dx, dy, dz = gyro[3 * k] - ox, gyro[3 * k + 1] - oy, gyro[3 * k + 2] - oz
             ax = (m0 * dx + m1 * dy + m2 * dz) * half
             ay = (m3 * dx + m4 * dy + m5 * dz) * half
             az = (m6 * dx + m7 * dy + m8 * dz) * half
-            square = ax * ax + ay * ay + az * az
-            if square < 0.01:  # half angle under 0.1 rad: series to 1e-12
-                s = 1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0)))
-                c = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)))
-            else:
-                angle = math.sqrt(square)
-                s = math.sin(angle) / angle
-                c = math.cos(angle)
-            ax, ay, az = s * ax, s * ay, s * az
-            nw = qw * c - qx * ax - qy * ay - qz * az
-            nx = qw * ax + qx * c + qy * az - qz * ay
-            ny = qw * ay - qx * az + qy * c + qz * ax
-            nz = qw * az + qx * ay - qy * ax + qz * c
-            unit = 1.5 - 0.5 * (nw * nw + nx * nx + ny * ny + nz * nz)  # one Newton step back to length one
-            qw, qx, qy, qz = nw * unit, nx * unit, ny * unit, nz * unit
-            t0, t1, t2 = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)
-            t3, t4, t5 = 2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)
-            t6, t7, t8 = 2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
-            # The mean of the step's two ends stands for its middle.
-            h0, h1, h2 = half * (r0 + t0), half * (r1 + t1), half * (r2 + t2)
-            h3, h4, h5 = half * (r3 + t3), half * (r4 + t4), half * (r5 + t5)
-            h6, h7, h8 = half * (r6 + t6), half * (r7 + t7), half * (r8 + t8)
-            out[0], out[1], out[2] = out[0] + h0, out[1] + h1, out[2] + h2
-            out[3], out[4], out[5] = out[3] + h3, out[4] + h4, out[5] + h5
-            out[6], out[7], out[8] = out[6] + h6, out[7] + h7, out[8] + h8
-            for b in range(3):
-                d = dx if b == 0 else (dy if b == 1 else dz)
-                at = 9 * b + 9
-                out[at], out[at + 1], out[at + 2] = out[at] + d * h0, out[at + 1] + d * h1, out[at + 2] + d * h2
-                out[at + 3], out[at + 4], out[at + 5] = out[at + 3] + d * h3, out[at + 4] + d * h4, out[at + 5] + d * h5
-                out[at + 6], out[at + 7], out[at + 8] = out[at + 6] + d * h6, out[at + 7] + d * h7, out[at + 8] + d * h8
-            r0, r1, r2, r3, r4, r5, r6, r7, r8 = t0, t1, t2, t3, t4, t5, t6, t7, t8
-        base = 9 * j
-        rotation[base], rotation[base + 1], rotation[base + 2] = r0, r1, r2
-        rotation[base + 3], rotation[base + 4], rotation[base + 5] = r3, r4, r5
-        rotation[base + 6], rotation[base + 7], rotation[base + 8] = r6, r7, r8
+            qw, qx, qy, qz = turned(qw, qx, qy, qz, ax, ay, az)
+            unit = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)  # one Newton step back to length one
+            qw, qx, qy, qz = qw * unit, qx * unit, qy * unit, qz * unit
+            t = matrix_of(qw, qx, qy, qz)
+            for e in range(9):
+                h = half * (r[e] + t[e])  # the mean of the step's two ends stands for its middle
+                out[e] += h
+                out[9 + e] += dx * h
+                out[18 + e] += dy * h
+                out[27 + e] += dz * h
+            r = t
+        for e in range(9):
+            rotation[9 * j + e] = r[e]

@@ -19,7 +19,7 @@ from undrift.arrays import FloatArray
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def _turned(
+def turned(
     qw: float, qx: float, qy: float, qz: float, hx: float, hy: float, hz: float
 ) -> tuple[float, float, float, float]:
     # q exp(2 h): h is half the rotation vector, rad.
@@ -41,6 +41,18 @@ def _turned(
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def matrix_of(
+    w: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    # the rotation matrix of a unit quaternion, row by row
+    return (
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+    )  # fmt: skip
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def accumulate(
     rate: FloatArray,
     regressors: FloatArray,
@@ -55,7 +67,6 @@ def accumulate(
     width = 9 * channels
     total = np.zeros(width)
     part = np.empty(width)
-    r = np.empty(9)
     qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
     p = 0
     while p < points and at[p] <= time[0]:
@@ -67,31 +78,23 @@ def accumulate(
         dt = time[k] - time[k - 1]
         wx, wy, wz = rate[3 * k], rate[3 * k + 1], rate[3 * k + 2]
         quarter = 0.25 * dt
-        mw, mx, my, mz = _turned(qw, qx, qy, qz, wx * quarter, wy * quarter, wz * quarter)
-        r[0] = 1.0 - 2.0 * (my * my + mz * mz)
-        r[1] = 2.0 * (mx * my - mw * mz)
-        r[2] = 2.0 * (mx * mz + mw * my)
-        r[3] = 2.0 * (mx * my + mw * mz)
-        r[4] = 1.0 - 2.0 * (mx * mx + mz * mz)
-        r[5] = 2.0 * (my * mz - mw * mx)
-        r[6] = 2.0 * (mx * mz - mw * my)
-        r[7] = 2.0 * (my * mz + mw * mx)
-        r[8] = 1.0 - 2.0 * (mx * mx + my * my)
+        mw, mx, my, mz = turned(qw, qx, qy, qz, wx * quarter, wy * quarter, wz * quarter)
+        r = matrix_of(mw, mx, my, mz)
         for e in range(9):
-            turned = r[e] * dt
+            scaled = r[e] * dt
             for c in range(channels):
-                part[e * channels + c] = turned * regressors[k * channels + c]
+                part[e * channels + c] = scaled * regressors[k * channels + c]
         while p < points and at[p] <= time[k]:
             x = (at[p] - time[k - 1]) / dt
             half = 0.5 * x * dt
-            q_out[4 * p], q_out[4 * p + 1], q_out[4 * p + 2], q_out[4 * p + 3] = _turned(
+            q_out[4 * p], q_out[4 * p + 1], q_out[4 * p + 2], q_out[4 * p + 3] = turned(
                 qw, qx, qy, qz, wx * half, wy * half, wz * half
             )
             for e in range(width):
                 sum_out[p * width + e] = total[e] + x * part[e]
             p += 1
         half = 0.5 * dt
-        qw, qx, qy, qz = _turned(qw, qx, qy, qz, wx * half, wy * half, wz * half)
+        qw, qx, qy, qz = turned(qw, qx, qy, qz, wx * half, wy * half, wz * half)
         scale = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)
         qw, qx, qy, qz = qw * scale, qx * scale, qy * scale, qz * scale
         for e in range(width):
