@@ -214,7 +214,6 @@ class RateTableSettings:
 class RateTableFit(TriadFit):
     """Gyroscopes fitted to a rate table; ``residuals`` are corrected less imposed rate, rad/s, one row a dwell."""
 
-    axis: tuple[Axis, ...]  # Axis of each dwell
     turn_rate: FloatArray  # (N,), achieved rate of each dwell, rad/s
     linearity: tuple[Linearity, ...]  # Own-axis table, nonlinearity and asymmetry of each axis
 
@@ -263,7 +262,6 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
         model=fit.model,
         residuals=fit.residuals,
         verdict=verdict,
-        axis=dwells.axis,
         turn_rate=dwells.turn_rate,
         linearity=tuple(linearity(dwells.reading[rows[k], k], dwells.turn_rate[rows[k]], AXES[k]) for k in range(3)),
     )
