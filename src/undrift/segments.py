@@ -317,12 +317,14 @@ def _sphere_centre(points: FloatArray) -> FloatArray:
         )
     shift = points.mean(axis=0)
     p = points - shift
-    design = np.column_stack((2.0 * p, np.ones(len(p))))
-    solution = np.linalg.lstsq(design, (p * p).sum(axis=1), rcond=None)[0]
+    solution = np.linalg.lstsq(np.column_stack((2.0 * p, np.ones(len(p)))), (p * p).sum(axis=1), rcond=None)[0]
     return np.asarray(solution[:3] + shift)
 
 
 # ---- turns: plateaus of constant rate, and rotations from one still phase to the next
+
+
+_AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -419,7 +421,7 @@ def _plateaus(
             if end - begin < shortest:
                 continue
             reading = np.nanmean(gyro[begin:end], axis=0) - offset
-            axis: Axis = ("x", "y", "z")[int(np.argmax(np.abs(reading)))]
+            axis = _AXES[int(np.argmax(np.abs(reading)))]
             turns.append(Turn(start=begin, stop=end, axis=axis, recording=stills[0].recording if stills else 0))
             rates.append(reading)
     return tuple(turns), np.array(rates).reshape(-1, 3)
@@ -428,17 +430,12 @@ def _plateaus(
 def _rotations(
     record: Record, stills: Sequence[Still], offset: FloatArray, least: float
 ) -> tuple[tuple[Turn, ...], FloatArray]:
-    turns: list[Turn] = []
-    angles: list[FloatArray] = []
+    found: list[tuple[Turn, FloatArray]] = []
     for before, after in itertools.pairwise(stills):
-        if after.start <= before.stop:
-            continue
         reading = np.asarray(record.gyro)[before.stop : after.start] - offset
-        if not np.nanmax(np.linalg.norm(reading, axis=1)) > least:
-            continue
-        angle = np.asarray(np.trapezoid(np.nan_to_num(reading), record.time[before.stop : after.start], axis=0))
-        share = np.abs(angle) / max(float(np.linalg.norm(angle)), np.finfo(float).tiny)
-        axis: Axis | None = ("x", "y", "z")[int(np.argmax(share))] if share.max() > 0.9 else None
-        turns.append(Turn(start=before.stop, stop=after.start, axis=axis, recording=before.recording))
-        angles.append(angle)
-    return tuple(turns), np.array(angles).reshape(-1, 3)
+        if len(reading) and np.nanmax(np.linalg.norm(reading, axis=1)) > least:
+            angle = np.asarray(np.trapezoid(np.nan_to_num(reading), record.time[before.stop : after.start], axis=0))
+            share = np.abs(angle) / max(float(np.linalg.norm(angle)), np.finfo(float).tiny)
+            axis: Axis | None = _AXES[int(np.argmax(share))] if share.max() > 0.9 else None
+            found.append((Turn(start=before.stop, stop=after.start, axis=axis, recording=before.recording), angle))
+    return tuple(turn for turn, _ in found), np.array([angle for _, angle in found]).reshape(-1, 3)

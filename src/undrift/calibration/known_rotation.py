@@ -54,7 +54,6 @@ from undrift.units import RADIAN_PER_DEGREE
 LARGEST_MISS_DEG = 20.0  # rms: hand moves and offset drift miss by a few degrees, an exchanged axis by 60 and more
 _CLEARLY = 0.5  # another order must miss by less than this share to be named
 _LEAST_MOVES = 3
-_SIGNS = tuple(itertools.product((1.0, -1.0), repeat=3))
 
 
 def check_turns_gravity(
@@ -68,11 +67,8 @@ def check_turns_gravity(
     own = _miss_deg(moves, n, gyro.matrix, gyro.offset)
     if own <= LARGEST_MISS_DEG:
         return
-    orders = [
-        np.eye(3)[list(order)] * np.array(signs)[:, None]
-        for order in itertools.permutations(range(3))
-        for signs in _SIGNS
-    ]
+    every = itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3))
+    orders = [np.eye(3)[list(order)] * np.array(signs)[:, None] for order, signs in every]
     misses = [_miss_deg(moves, n, order.T @ gyro.matrix, gyro.offset) for order in orders]
     best = int(np.argmin(misses))
     if misses[best] < _CLEARLY * own and not np.array_equal(orders[best], np.eye(3)):
@@ -218,36 +214,29 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
 
 
 def _check_complete(data: RotationData) -> None:
-    missing = missing_faces(data.rest.faces)
-    if missing:
-        raise NotObservable(
-            f"known rotation: wanted rest on all six faces, got none for {', '.join(missing)}; record the missing faces",
-            missing=missing,
-        )
-    lacking = [axis for axis in AXES if axis not in data.axis]
-    if lacking:
-        raise NotObservable(
-            f"known rotation: wanted a turn about each axis, got none about {', '.join(lacking)}; "
-            f"turn the device about {', '.join(lacking)} by a known angle",
-            missing=tuple(lacking),
-        )
+    faces, axes = missing_faces(data.rest.faces), tuple(axis for axis in AXES if axis not in data.axis)
+    for missing, wanted, about, action in (
+        (faces, "rest on all six faces", "for", "record the missing faces"),
+        (axes, "a turn about each axis", "about", f"turn the device about {', '.join(axes)} by a known angle"),
+    ):
+        if missing:
+            raise NotObservable(
+                f"known rotation: wanted {wanted}, got none {about} {', '.join(missing)}; {action}", missing=missing
+            )
 
 
 def _check_turns(forward: FloatArray, data: RotationData, settings: KnownRotationSettings) -> None:
     seen = nearest_signed_permutation(forward)
     if not np.diag(seen).all():
         check_axis_order(forward, "known rotation", against="turns")
-    reversed_ = [k for k in range(3) if seen[k, k] < 0.0]
+    reversed_ = tuple(AXES[k] for k in range(3) if seen[k, k] < 0.0)
     if reversed_:
-        axes = ", ".join(AXES[k] for k in reversed_)
-        angles = ", ".join(
-            f"{AXES[k]} {-data.angle[data.axis.index(AXES[k])] / RADIAN_PER_DEGREE:+g} deg" for k in reversed_
-        )
+        turned = ((axis, -data.angle[data.axis.index(axis)] / RADIAN_PER_DEGREE) for axis in reversed_)
         raise Implausible(
-            f"known rotation: wanted gyroscopes that read + for a turn about their +axis, got the turn about {axes} reversed; "
-            f"if the device was turned the other way give its angle as {angles}, else change the sign of "
-            "that column",
-            reversed=tuple(AXES[k] for k in reversed_),
+            f"known rotation: wanted gyroscopes that read + for a turn about their +axis, got the turn about "
+            f"{', '.join(reversed_)} reversed; if the device was turned the other way give its angle as "
+            f"{', '.join(f'{axis} {angle:+g} deg' for axis, angle in turned)}, else change the sign of that column",
+            reversed=reversed_,
         )
     scale = np.linalg.norm(forward, axis=1)
     check_own_scale(scale, data.rest.unit, "rate", settings.scale_tolerance, "gyroscope turned by hand")
@@ -275,18 +264,15 @@ def _covariance(
         total[np.ix_(bg, bg)] = rest
         total[np.ix_(k, bg)] = -per_turn @ leak @ rest
         total[np.ix_(bg, k)] = total[np.ix_(k, bg)].T
-    for turn, axis in enumerate(data.axis):
-        shift = np.outer(forward[:, AXES.index(axis)], per_turn[:, turn]).reshape(
-            -1
-        )  # one wrong angle moves a whole column
+    for turn, axis in enumerate(data.axis):  # one wrong angle moves a whole column
+        shift = np.outer(forward[:, AXES.index(axis)], per_turn[:, turn]).reshape(-1)
         total[:9, :9] += settings.angle_uncertainty**2 * np.outer(shift, shift)
     matrix = np.linalg.inv(forward)
     jacobian = np.eye(21)
     jacobian[:9, :9] = inverse_jacobian(matrix)
     jacobian[12:, :9] = np.kron(np.eye(3), g_forward.T) @ jacobian[:9, :9]
     jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
-    covariance: FloatArray = jacobian @ total @ jacobian.T
-    return covariance
+    return np.asarray(jacobian @ total @ jacobian.T)
 
 
 # ---- from a session

@@ -75,12 +75,8 @@ def allan_deviation(
 ) -> AllanDeviation:
     """Return the Allan deviation of one channel (N,), or a relative of it."""
     y = frozen(x, (None,), "x")
-    if (
-        estimator not in get_args(Estimator)
-        or np.isnan(y).any()
-        or not sample_rate_hz > 0.0
-        or not 0.0 < confidence < 1.0
-    ):
+    able = estimator in get_args(Estimator) and sample_rate_hz > 0.0 and 0.0 < confidence < 1.0
+    if not able or np.isnan(y).any():
         raise InputError(
             f"allan_deviation: wanted readings without gaps, a sample rate, a confidence within (0, 1) and one of "
             f"{', '.join(get_args(Estimator))}, got {int(np.isnan(y).sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
@@ -100,10 +96,9 @@ def _averages(taus: Taus, count: int, rate: float, estimator: Estimator) -> IntA
     """Return the averaging times in samples."""
     longest = count // 4
     if isinstance(taus, str):
-        powers = np.arange(64)
         grids = {
-            "octave": 2.0 ** powers[:40],
-            "decade": np.outer(10.0 ** powers[:12], (1, 2, 4)).reshape(-1),
+            "octave": 2.0 ** np.arange(40),
+            "decade": np.outer(10.0 ** np.arange(12), (1, 2, 4)).reshape(-1),
             "all": np.arange(1, longest + 1),
         }
         if taus not in grids or longest < 1:
@@ -127,7 +122,6 @@ def _deviations(phase: FloatArray, m: IntArray, estimator: Estimator) -> FloatAr
     """Return deviations in the unit of the readings; the phase counts in readings, so tau is m."""
     from undrift.kernels.calibrate import second_difference, third_difference
 
-    size = m.astype(float)
     if estimator in ("hdev", "ohdev"):
         square = [third_difference(phase, int(k), int(k) if estimator == "hdev" else 1) / 3.0 for k in m]
     elif estimator == "mdev":
@@ -140,21 +134,18 @@ def _deviations(phase: FloatArray, m: IntArray, estimator: Estimator) -> FloatAr
         square = [second_difference(longer[inner + 1 - int(k) : 2 * inner + 1 + int(k)], int(k), 1) for k in m]
     else:
         square = [second_difference(phase, int(k), int(k) if estimator == "adev" else 1) for k in m]
-    deviation: FloatArray = np.sqrt(np.array(square) / 2.0) / size
-    return deviation
+    return np.asarray(np.sqrt(np.array(square) / 2.0) / m.astype(float))
 
 
 def _kinds(phase: FloatArray, m: IntArray, order: int) -> IntArray:
     """Return the power of frequency at each averaging time, from the lag-1 autocorrelation (SP 1065, 5.5.6)."""
-    least = -2 if order == 2 else -4
-    kinds = np.zeros(len(m), np.int64)
-    kind = 0
-    for at, k in enumerate(m):
+    kinds, kind = [], 0
+    for k in m:
         z = np.diff(phase[:: int(k)])
         if len(z) >= 30:
-            kind = int(np.clip(_power(z), least, 2))
-        kinds[at] = kind
-    return kinds
+            kind = int(np.clip(_power(z), -2 if order == 2 else -4, 2))
+        kinds.append(kind)
+    return np.array(kinds, np.int64)
 
 
 def _power(z: FloatArray) -> int:
@@ -466,17 +457,16 @@ def _fit(
 ) -> tuple[tuple[int, ...], FloatArray, FloatArray, float]:
     """Return the terms kept, the squares of the coefficients, their standard errors, and the model error."""
     measured = curve.deviation**2
-    model: FloatArray = measured.copy()
     spectra, squared_gain = _spectra(curve.taus_s, record)
-    covariance: FloatArray = np.diag(2.0 * model**2 / curve.edf)
-    total, misfit, kept, squares = _stretched(measured, design, covariance, model)
+    covariance: FloatArray = np.diag(2.0 * measured**2 / curve.edf)
+    total, misfit, kept, squares = _stretched(measured, design, covariance, measured)
     for _ in range(5):
-        model = np.maximum(design @ squares, 1e-3 * measured)
+        model: FloatArray = np.maximum(design @ squares, 1e-3 * measured)
         covariance = _covariance(squares, model, curve.edf, spectra, squared_gain)
         total, misfit, kept, squares = _stretched(measured, design, covariance, model)
     errors = np.zeros(4)
     for term in range(4):  # a dropped term's limit comes from a fit with it added
-        chosen = kept if term in kept else tuple(sorted((*kept, term)))
+        chosen = sorted({*kept, term})
         value, cov, _ = _weighted(measured, design[:, chosen], total)
         at = chosen.index(term)
         errors[term] = float(np.sqrt(cov[at, at]))
@@ -545,19 +535,17 @@ def _covariance(
     size = np.sqrt(np.diag(gram))
     correlation = 0.999 * gram / np.outer(size, size) + 0.001 * np.eye(len(size))
     spread = model * np.sqrt(2.0 / edf)
-    covariance: FloatArray = correlation * np.outer(spread, spread)
-    return covariance
+    return np.asarray(correlation * np.outer(spread, spread))
 
 
 def _judged(gyro: tuple[AxisNoise, ...], accel: tuple[AxisNoise, ...], duration_s: float) -> Iterator[Finding]:
     for triad, axes in (("gyro", gyro), ("accel", accel)):
         for name, term in TERMS[triad].items():
-            missing = tuple(a.axis for a in axes if getattr(a, name).finding)
-            if missing:
+            lost = tuple(a.axis for a in axes if getattr(a, name).finding)
+            if lost:
                 level: Level = "warn" if name == "angle_random_walk" else "info"
-                yield finding(
-                    "noise.not_observable", level, triad=triad, axes=missing, term=term, duration_s=duration_s
-                )
+                more = {"axes": lost, "term": term, "duration_s": duration_s}
+                yield finding("noise.not_observable", level, triad=triad, **more)
         worst = max((a.model_error for a in axes), default=0.0)
         if worst >= 0.1:
             yield finding("noise.model_error", "warn", triad=triad, error_percent=100.0 * worst)
