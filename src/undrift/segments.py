@@ -1,16 +1,10 @@
 """Segments: where in a record the device stood still, turned at a steady rate, or was moved from one pose to the next.
 
-``find_still`` -> Still, ``find_turns`` -> Turn, ``faces_of`` names the axis that points up. Ranges are [start, stop).
-
-Stillness of a triad at sample k is the sliding standard deviation of its smoothed reading y, three axes together::
-
-    y_k = mean of u over smooth_s            d_k^2 = sum over axes of var(y over the window centred at k)
-
-The smoothing averages white noise out and keeps what a hand or a body does. The threshold comes from the data: at rest log d
-has one narrow peak at the noise floor, motion lies decades above, and the threshold is the emptiest place between the two.
-Without such a gap there is no still phase.
-
-A steady turn is a stretch where the smoothed rate r, less the offset at rest, is far from zero and steady::
+Ranges are [start, stop). Stillness of a triad at sample k is the sliding standard deviation of its reading y, smoothed over
+``smooth_s``: d_k^2 = sum over axes of var(y over the window centred at k). Smoothing averages white noise out and keeps what a
+hand or a body does. The threshold comes from the data: at rest log d has one narrow peak at the noise floor, motion lies
+decades above, and the threshold is the emptiest place between the two. Without such a gap there is no still phase. A steady
+turn is a stretch where the smoothed rate r, less the offset at rest, is far from zero and steady::
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)
 """

@@ -1,16 +1,14 @@
 """Sync: bring a record and a reference onto one clock, before any fit or comparison.
 
 ``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag`` finds how
-late the record's samples are, ``find_motion`` where rest ends and begins again.
-
-With w the body rate of the reference and u the readings, the model over all neighbouring poses, both sides averaged over
-the same stretches, is::
+late the record's samples are, ``find_motion`` where rest ends and begins again. With w the body rate of the reference and u the
+readings, both averaged over the same stretches::
 
     w(t) = A u(t + lag) + c                    A (3 x 3) and c free: scale, mounting and offset do not disturb the lag
 
 First the length of u is correlated with the length of w at every lag of a wide search: no mounting is needed for that. Then
 Gauss-Newton on A, c and lag together: the change of u with time is one more column of the design. A reading is the rate at
-its time stamp. Where each sample instead holds over the interval before it, as in strapdown, the lag is half a sample shorter.
+its time stamp. Where each sample holds over the interval before it, as in strapdown, the lag is half a sample shorter.
 """
 
 from dataclasses import dataclass, replace

@@ -1,15 +1,12 @@
-"""Known rotation: six faces, then one turn by a known angle about each axis. No rate table.
+"""Known rotation: six faces, then one turn by a known angle about each axis; no rate table.
 
-Forward model of the gyroscopes, with a the true specific force::
+    s = K w + b + G a          forward model of the gyroscopes, a the true specific force
 
-    s = K w + b + G a
-
-At rest on face p (w = 0) the mean reading is b + G a_p. Over the turn about axis j by the angle t_j the sum of readings is
-K e_j t_j + b T + G A_j, T its duration and A_j the integral of the calibrated specific force.
+At rest on face p the mean reading is b + G a_p. Over the turn about axis j by the angle t_j the sum of readings is K e_j t_j +
+b T + G A_j, T its duration and A_j the integral of the calibrated specific force.
 
     paper      G from half the difference of opposite faces, b from the mean of all samples at rest, K from the turns [1]_
-    affine     G and b by least squares over the faces, weighted by their samples: the same for windows of equal length, and
-               free of bias for unequal ones
+    affine     G and b by least squares over the faces, weighted by their samples: free of bias for windows of unequal length
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.

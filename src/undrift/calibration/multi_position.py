@@ -1,24 +1,13 @@
-"""Calibration without equipment: hold the device still in many poses, turn it by hand between them.
+"""Calibration without equipment: hold the device still in many poses, turn it by hand between them (Tedaldi et al., ICRA 2014).
 
-::
-
-    |M_a (u_k - o_a)| = g                accelerometer, over k = 1 .. K still poses; u_k mean raw reading, M_a upper triangular
+    |M_a (u_k - o_a)| = g                over k = 1 .. K still poses; u_k mean raw reading, M_a upper triangular
     C(M_g, o_g) n_before = n_after       gyroscopes, over the moves between     calibration/multi_position_gyro.py
 
-A common rotation of all readings does not change their length, so three of the twelve parameters are a choice of axes: M is
-upper triangular, that is, the sensor's z axis is the case's z axis and its y axis lies in the case's y-z plane. Written as
-scale and misalignment, M = T D with T unit upper triangular and D diagonal: D_j = M_jj, T_ij = M_ij / M_jj ([1]_, eqs. 2-4).
-
-Where a still begins and ends is a choice: the variance of the accelerometer over a sliding window, as the length of the
-vector of its three variances, must stay below a multiple of what it is at rest [1]_. Several multiples are tried:
-
-- ``coverage``: of the multiples that keep nine tenths of the different poses, the one that leaves a corrected reading least
-  uncertain. A low threshold loses poses, a high one lets motion in, and both show in that figure.
-- ``published``: the one with the smallest summed cost over the first second of each still, the opening rest giving the level
-  and the gyroscopes' offset [1]_. A summed cost falls with every pose that is lost, so it may keep few poses.
-
-.. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
-   equipments", ICRA 2014, section IV.
+A common rotation of all readings keeps their length, so three of twelve parameters are a choice of axes: the sensor's z axis is the
+case's, its y axis lies in the case's y-z plane. A still is where the sliding variance of the accelerometer is below a multiple of
+that at rest. Of several multiples, rule ``coverage`` takes, among those that keep nine tenths of the different poses, the one that
+leaves a corrected reading least uncertain: a low threshold loses poses, a high one lets motion in. Rule ``published`` takes the
+smallest summed cost over the first second of each still, which may keep few poses.
 """
 
 from collections.abc import Iterator, Sequence
@@ -149,24 +138,25 @@ def _descend(
     """Return the minimum and whether there is one; the start again where the steps run away."""
     from undrift.kernels.calibrate import norm_equations
 
-    flat, square, size = v.reshape(-1), np.ix_(free, free), np.array([1.0] * 6 + [gravity] * 3)
-    normal, gradient, trial_normal, trial_gradient = np.empty(81), np.empty(9), np.empty(81), np.empty(9)
-    p = start
-    cost = norm_equations(flat, weight, p, gravity, normal, gradient)
-    damping = 1e-9
+    size = np.array([1.0] * 6 + [gravity] * 3)
+
+    def equations(p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        normal, gradient = np.empty(81), np.empty(9)
+        cost = norm_equations(v.reshape(-1), weight, p, gravity, normal, gradient)
+        return cost, normal.reshape(9, 9)[np.ix_(free, free)], gradient[free]
+
+    p, damping = start, 1e-9
+    cost, normal, gradient = equations(p)
     for _ in range(100):
-        block = normal.reshape(9, 9)[square]
         step = np.zeros(9)
-        step[free] = np.linalg.solve(block + damping * np.diag(np.diag(block) + 1e-12 * len(v)), -gradient[free])
-        trial = p + step
-        trial_cost = norm_equations(flat, weight, trial, gravity, trial_normal, trial_gradient)
-        settled = float(np.abs(step / size).max()) < 1e-11
-        if trial_cost <= cost:
-            p, cost, damping = trial, trial_cost, max(0.1 * damping, 1e-12)
-            normal, trial_normal, gradient, trial_gradient = trial_normal, normal, trial_gradient, gradient
+        step[free] = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12 * len(v)), -gradient)
+        trial = equations(p + step)
+        if trial[0] <= cost:
+            p, damping = p + step, max(0.1 * damping, 1e-12)
+            cost, normal, gradient = trial
         else:
             damping = max(10.0 * damping, 1e-6)
-        if settled or damping > 1e9:
+        if float(np.abs(step / size).max()) < 1e-11 or damping > 1e9:
             return p, True
         if float(np.abs(p / size).max()) > 30.0:
             break

@@ -1,21 +1,13 @@
-"""Gyroscopes from hand turns between still poses: integrate from one gravity direction to the next.
-
-::
+"""Gyroscopes from hand turns between still poses: integrate from one gravity direction to the next (Tedaldi et al., ICRA 2014).
 
     C_j(M, o) n_j = n_(j+1)        C_j turns the body frame at the end of still j into that at the start of still j+1,
                                    integrated from w = M (u - o); n_j direction of gravity in still j, from the accelerometer
 
-M is a full 3x3 matrix in the accelerometer's axes [1]_. A turn shows two angles; the one about the vertical is not observable.
-Two ways to weigh them:
-
-- by the covariance of the missed angles, with the noise of both still phases (a still between two turns ties
-  them together), the uncertainty of the accelerometer's calibration, the gyroscopes' white noise over the turn, the
-  drift of their offset between stills, and an excess that the residuals show. The offset is a parameter; the stills' readings
-  are observations of it.
-- ``equal``, every turn alike and the offset fixed at the mean of the opening rest, as published in [1]_.
-
-.. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
-   equipments", ICRA 2014, eqs. 11-15.
+M is a full matrix in the accelerometer's axes. A turn shows two angles; the one about the vertical is not observable. Turns
+weigh by the covariance of the missed angles: noise of both stills (a still between two turns ties them together), uncertainty
+of the accelerometer's calibration, white noise over the turn, drift of the offset between stills, and an excess that the
+residuals show; the stills' readings are observations of the offset. With ``equal``, as published, every turn counts alike and
+the offset is the mean of the opening rest.
 """
 
 from collections.abc import Iterator, Sequence

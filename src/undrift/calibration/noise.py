@@ -1,14 +1,11 @@
 """Noise of a device at rest: coefficients of the Allan variance, each with its interval, or the reason why there is none.
 
-::
-
     sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3          IEEE Std 952-1997, annex C
 
-N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. The overlapping
-Allan variances at octaves of tau are fitted by generalised least squares, linear in Q^2, N^2, B^2, K^2 >= 0: their variances
-from the equivalent degrees of freedom, their correlations from the spectrum of the model itself (neighbouring octaves share
-half their samples). A term that is not two standard deviations above zero is dropped and reported as not observable,
-with an upper limit: a short record does not show the rise at long tau.
+N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. The overlapping variances at
+octaves of tau are fitted by generalised least squares, linear in Q^2, N^2, B^2, K^2 >= 0: variances from the equivalent degrees of
+freedom, correlations from the spectrum of the model itself (neighbouring octaves share half their samples). A term that is not two
+standard deviations above zero is not observable and gets an upper limit: a short record does not show the rise at long tau.
 
 .. [1] C. A. Greenhall and W. J. Riley, "Uncertainty of stability variances based on finite differences", PTTI 2003.
 .. [2] W. J. Riley, "Handbook of frequency stability analysis", NIST SP 1065, 2008, sections 5.2-5.5.

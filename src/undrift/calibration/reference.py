@@ -1,15 +1,13 @@
 """Gyroscope against an orientation reference: mocap, a robot arm, anything that gives poses of the same body.
 
-For readings u, the model is w = M (u - o) - G a with w the body rate of the reference. Rates are never differentiated from
-poses: the readings are integrated over windows and compared with how far the reference turned, so pose noise enters twice a
-window whatever the rate. Windows grow from 2 s, where the linearisation is safe for a raw device, by doubling to 16 s: pose
-errors of 0.1 deg at both ends do not grow with the window, the rotation that an error of M or o causes does. Recordings of one
-device are pooled. Long windows suit real optics, whose errors drift with the pose; where pose and reading noise are white,
-``weights="noise"`` reaches the least error that the poses allow, a quarter less than long windows.
-
-The offset at rest and the offset in motion differ on real devices (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s). So
-the offset of a recording is its own mean at rest plus a change from rest to motion that all recordings of the device share,
-fitted jointly with M. A new recording needs only its own rest for the fit to apply.
+w = M (u - o) - G a, with w the body rate of the reference. Rates are never differentiated from poses: readings are integrated
+over windows and compared with how far the reference turned, so pose noise enters twice a window whatever the rate. Windows grow
+from 2 s, where the linearisation is safe for a raw device, by doubling to 16 s: pose errors do not grow with the window, the
+rotation that an error of M or o causes does. Recordings of one device are pooled. Long windows suit real optics, whose errors
+drift with the pose; where pose and reading noise are white, ``weights="noise"`` reaches the least error that the poses allow, a
+quarter less. Offsets at rest and in motion differ (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s), so a recording's
+offset is its own mean at rest plus a change to motion that all recordings share, fitted with M: a new recording needs its own
+rest alone.
 """
 
 from collections.abc import Iterator, Sequence
@@ -120,7 +118,7 @@ class Recording:
     accel: FloatArray | None  # (N, 3), m/s2, where a g-sensitivity is wanted
     gaps: IntArray  # (N,), gaps counted from the start: a window without one has the same count at both ends
     lag: Lag  # Of the record against the reference
-    motion: Motion  # On the record's clock
+    moving: BoolArray  # (N,), between the first and the last rest
     rest_offset: FloatArray  # (3,), mean reading at rest before the motion, raw unit
     rest_uncertainty: FloatArray  # (3,), standard uncertainty of that mean, raw unit, from blocks of one second
     at: FloatArray  # (L,), times of the poses at which windows start and end, s, record clock
@@ -160,7 +158,7 @@ def prepare(
         accel=record.in_units(record.gyro_unit, "m/s2").accel if settings.g_sensitivity else None,
         gaps=np.cumsum(gap | late),
         lag=lag,
-        motion=motion,
+        moving=(time >= motion.start_s) & (time < motion.stop_s),
         rest_offset=rest,
         rest_uncertainty=rest_uncertainty,
         at=np.ascontiguousarray(at[chosen]),
@@ -558,7 +556,7 @@ def _result(
     if settings.offset != "common":
         spread = np.array([p.rest_uncertainty for p in prepared])
         covariance[range(9, 12), range(9, 12)] += (spread**2).sum(axis=0) / len(prepared) ** 2
-    seen = [(p.gyro[m] - base - motion_offset) @ matrix.T for p in prepared for m in (_moving(p),)]
+    seen = [(p.gyro[p.moving] - base - motion_offset) @ matrix.T for p in prepared]
     model = TriadModel(
         method=f"reference/{settings.offset}",
         unit_in=unit,
@@ -587,10 +585,6 @@ def _result(
     )
 
 
-def _moving(recording: Recording) -> BoolArray:
-    return np.asarray((recording.time >= recording.motion.start_s) & (recording.time < recording.motion.stop_s))
-
-
 def _judged(model: TriadModel, rest: FloatArray, settings: ReferenceSettings) -> Iterator[Finding]:
     sigma, scale = model.standard_uncertainty, float(np.linalg.norm(model.matrix, 2))
     uncertain = float(sigma[:9].max()) / scale
@@ -610,9 +604,11 @@ def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: Re
     g = np.zeros(0) if model.g_sensitivity is None else model.g_sensitivity.reshape(-1)
     plain = np.concatenate((_rigid(model.matrix).reshape(-1), np.zeros(3), 0.0 * g))
     fitted = np.concatenate((model.matrix.reshape(-1), np.zeros(3), g))
-    before = _rms(window_equations(recording, plain, recording.rest_offset, reach))
-    after = _rms(window_equations(recording, fitted, model.offset, reach))
-    rate = np.abs((recording.gyro[_moving(recording)] - model.offset) @ model.matrix.T)
+    before, after = (
+        float(np.sqrt((window_equations(recording, guess, offset, reach).turn ** 2).sum(axis=1).mean()))
+        for guess, offset in ((plain, recording.rest_offset), (fitted, model.offset))
+    )
+    rate = np.abs((recording.gyro[recording.moving] - model.offset) @ model.matrix.T)
     limit = max(abs(model.valid_range[0]), abs(model.valid_range[1]))
     beyond = float((rate > limit).any(axis=1).mean())
     rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
@@ -632,7 +628,3 @@ def _rigid(matrix: FloatArray) -> FloatArray:
     scale = float(np.exp(np.log(singular).mean()))
     nominal = 1.0 if 0.5 < scale < 2.0 else scale
     return np.asarray(nominal * left @ right)
-
-
-def _rms(windows: Windows) -> float:
-    return float(np.sqrt((windows.turn**2).sum(axis=1).mean()))

@@ -6,10 +6,9 @@ The axis that points up reads +g: face "+x" is the column (g, 0, 0) of L, face "
     affine     s = K a + b by least squares, 12 parameters
     levelled   the same, but the plane is level only to sigma_tilt, which is estimated
 
-A face that is tilted by d reads g d on the two axes that should read nothing and g (1 - d^2 / 2) on its own. So the on-axis
-equations keep the sigma of the noise, and the cross-axis ones have hypot(noise, g sigma_tilt), along the axes of the case:
-the readings are corrected by an affine fit first. Six faces leave six spare equations to estimate sigma_tilt, which is few, so
-the fit is averaged over all values they allow. Its 95 % intervals cover 93-97 % at any tilt.
+A face tilted by d reads g d on the two axes that should read nothing and g (1 - d^2 / 2) on its own: on-axis equations keep the
+sigma of the noise, cross-axis ones have hypot(noise, g sigma_tilt). Six spare equations hardly estimate sigma_tilt, so the fit
+is averaged over all values they allow; its 95 % intervals cover 93-97 % at any tilt.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,28 +1,15 @@
-"""Curves over temperature, with their covariance: through every point, or as stiff as the data allow.
+"""Curves over temperature, with their covariance: through every point (``not_a_knot``), or as stiff as the data allow.
 
-``not_a_knot``   the note's cubic spline through set-point means; linear in the data, so its covariance is B V B'
-``fit_smooth``   a smoothing spline, of curves that bend at random::
+    y = f(x) + Z c + e     f = a + b x + g p(x) + sqrt(q) * integral of a Wiener process,  cov e = diag(v) + s2 C
+    x = (T - T_0) / span, T_0 the middle; p = 4 x^2 between the ends, its tangents outside; v, C known, q and s2 to be found
 
-    y = f(x) + Z c + e       f = a + b x + g p(x) + sqrt(q) * integral of a Wiener process
-                             x = (T - T_0) / span, T_0 the middle; p = 4 x^2 between the ends, its tangents outside
-    cov e = diag(v) + s2 C   v known, C known, q and s2 to be found
-
-The mean of f given y is the cubic smoothing spline with stiffness s2 / q, and its covariance is known everywhere: small among
-the data, growing with the cube of the distance outside [1]_. a, b and c have no prior; g, the bow, has a wide one about 0, as most
-drift curves are parabolas first of all: without it five values would leave the whole bow to chance between them. With
-K = q k(x, x') + g2 p p' + cov e, H = (1, x, Z) and P = K^-1 - K^-1 H (H' K^-1 H)^-1 H' K^-1, rows I that are left out are
-predicted with the error P_II^-1 (P y)_I of covariance P_II^-1: the leave-out error needs no second fit.
-
-One pair (q, s2) is seldom certain. Every pair on a grid gets the weight exp(sum of the log densities of what was left out), times
-a wide prior on the bend: that the slope changes by as much as it is over 50 degC, give or take a factor of ten. The grid is laid
-twice: over the prior, then about what the first round left. Value and covariance are those of the mixture, widened by Student's
-factor for few rows. s2 is the floor under the variance of a cell: a thousand blocks at the hot end of a warm-up count no more than
-the scatter between cells lets them.
-
-References
-----------
-.. [1] G. Wahba, "Improper priors, spline smoothing and the problem of guarding against model errors in regression", J. R.
-   Statist. Soc. B 40, 1978, 364-372.
+The mean of f given y is the cubic smoothing spline with stiffness s2 / q; its covariance grows with the cube of the distance
+outside the data (Wahba 1978). a, b, c have no prior; g, the bow, a wide one about 0, as drift curves are parabolas first of
+all. With K = q k + g2 p p' + cov e, H = (1, x, Z) and P = K^-1 - K^-1 H (H' K^-1 H)^-1 H' K^-1, rows I left out are predicted
+with the error P_II^-1 (P y)_I of covariance P_II^-1: no second fit. One pair (q, s2) is seldom certain: every pair on a grid
+weighs by the density of what was left out, times a wide prior on the bend; the grid is laid over the prior, then about what the
+first round left. Value and covariance are those of the mixture, widened by Student's factor. s2 is the floor under the variance
+of a cell with a thousand blocks.
 """
 
 from dataclasses import dataclass

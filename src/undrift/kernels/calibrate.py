@@ -1,16 +1,9 @@
-"""Kernels of the multi-position fit: norm of gravity over poses, and rotation between stills.
+"""Kernels of calibration: Allan variance, thermometer lag, norm of gravity over poses, rotation between stills.
 
-Shapes and units: reading flat (3 K,) raw unit, p (9,) = m_xx m_xy m_xz m_yy m_yz m_zz o_x o_y o_z, weight (K,); gyro flat
-(3 N,) raw unit, time (N,) s. The free parameters of the accelerometer are scaled by the caller so that all are near one.
-
-Kernels of the Allan variance: mean square of second and third differences.
-
-Shapes and units: phase (N,), any unit (the running sum of the reading times the sample period); differences over m samples.
-
-Lag kernel: a thermometer's time constant taken off by a causal lead, sample by sample over uneven steps.
-
-Shapes and units: temp, time, out (N,) degC, s, degC, out not the same memory; lag, smooth s; state (4,): time and value of the
-last reading, the low-passed value, and the last output; NaN before the first reading; changed in place.
+Shapes and units. Differences: phase (N,), any unit, over m samples. Lag: temp, time, out (N,) degC, s, degC, out not the same
+memory; lag, smooth s; state (4,): time and value of the last reading, the low-passed value, the last output; NaN before the first
+reading; changed in place. Norm: reading flat (3 K,) raw unit, p (9,) = m_xx m_xy m_xz m_yy m_yz m_zz o_x o_y o_z, scaled by the
+caller so that all are near one, weight (K,). Moves: gyro flat (3 N,) raw unit, time (N,) s.
 """
 
 import math
@@ -21,7 +14,7 @@ from numba import njit
 from undrift.arrays import FloatArray, IntArray
 from undrift.kernels.rotation import matrix_of, turned
 
-# ---- Kernels of the Allan variance: mean square of second and third differences.
+# ---- Allan variance: mean square of second and third differences
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -46,7 +39,7 @@ def third_difference(phase: FloatArray, m: int, stride: int) -> float:
     return total / count
 
 
-# ---- Lag kernel: a thermometer's time constant taken off by a causal lead, sample by sample over uneven steps.
+# ---- a thermometer's time constant taken off by a causal lead, sample by sample over uneven steps
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -71,7 +64,7 @@ def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth
     state[0], state[1], state[2], state[3] = last, x, z, y
 
 
-# ---- calibrate
+# ---- norm of gravity over poses, rotation between stills
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")

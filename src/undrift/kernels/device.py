@@ -1,14 +1,10 @@
-"""Kernel of the emulated servo: profile, sampled filter, amplifier, motor and friction, one sample of the card at a time.
+"""Kernels of simulated hardware: dwells through a low-pass and a converter, and the servo of an emulated card, sample by sample.
 
-Shapes and units: state (SIZE,) as indexed below; counts are encoder counts, angles rad, torque N m. tell (m,) the last m encoder
-counts, a ring; log_time, log_angle, log_rate (h,) a ring of s, rad, rad/s, one entry each ``stride`` samples.
-
-Kernel of dwells: white noise through the low-pass and the converter about a steady value, averaged.
-
-Shapes and units: steady (N, 3) signal before the low-pass, nominal input units; samples (N,) per dwell; white (3,) standard
-deviation of a sample; b, a (3, 3) difference equation of the low-pass, b[:, 0] = 1 and the rest 0 for none; converter (5,) gain
-and null in steps, first and last code, rounding: 0 none, 1 nearest, 2 down; rails (2,) unit of the signal. Out: mean and variance
-of the samples (N, 3).
+Dwells: steady (N, 3) signal before the low-pass, nominal input units; samples (N,) per dwell; white (3,) standard deviation of
+a sample; b, a (3, 3) difference equation of the low-pass, b[:, 0] = 1 and the rest 0 for none; converter (5,) gain and null in
+steps, first and last code, rounding: 0 none, 1 nearest, 2 down; rails (2,) unit of the signal. Out: mean and variance of the
+samples (N, 3). Servo: state (SIZE,) as indexed below; counts are encoder counts, angles rad, torque N m; tell (m,) the last m
+encoder counts, a ring; log_time, log_angle, log_rate (h,) a ring of s, rad, rad/s, one entry each ``stride`` samples.
 """
 
 import math
@@ -66,7 +62,7 @@ def follow(x: FloatArray, keep: FloatArray) -> None:
             x[j, i] = keep[j - 1] * x[j - 1, i] + fresh * x[j, i]
 
 
-# ---- device
+# ---- servo
 
 # state
 ANGLE, RATE = 0, 1  # the axis itself: rad, rad/s

@@ -1,11 +1,8 @@
-"""Rotation kernels: integrate rates into quaternions.
+"""Rotation kernels: integrate rates into quaternions, and their sensitivity to the parameters of a triad.
 
-Shapes and units: gyro flat (3 N,) rad/s, time (N,) s, q (4,) w-x-y-z, out flat (4 N,).
-
-Rotation and its sensitivity to the parameters of a triad, both read off at given times.
-
-Shapes and units: rate flat (3 N,) rad/s, regressors flat (C N,), time (N,) s, at (L,) s increasing within the record,
-q_out flat (4 L,) w-x-y-z, sum_out flat (9 C L,): [a, b, c] holds the sum of R_mid[a, b] regressor_c dt from the start on.
+Shapes and units: gyro or rate flat (3 N,) rad/s, time (N,) s, q (4,) w-x-y-z, out flat (4 N,); regressors flat (C N,), at (L,) s
+increasing within the record, q_out flat (4 L,), sum_out flat (9 C L,): [a, b, c] holds the sum of R_mid[a, b] regressor_c dt from
+the start on.
 """
 
 import math
@@ -15,7 +12,7 @@ from numba import njit
 
 from undrift.arrays import FloatArray
 
-# ---- Rotation and its sensitivity to the parameters of a triad, both read off at given times.
+# ---- rotation and its sensitivity, both read off at given times
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -101,7 +98,7 @@ def accumulate(
             total[e] += part[e]
 
 
-# ---- rotation
+# ---- strapdown
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 BLOCK = 32  # samples whose increments are made together; the series below runs on vector units, the product cannot
