@@ -50,17 +50,33 @@ _START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 class NormFit:
     """Scaled solution of the norm equations."""
 
-    matrix: FloatArray  # (3, 3), M, m/s2 per raw unit
-    offset: FloatArray  # (3,), o, raw unit
-    # (12, 12), of m_xx .. m_zz and o; zeros where held, NaN where the equations are singular
-    covariance: FloatArray
+    center: FloatArray  # (3,), c, raw unit
+    scale: float  # k, m/s2 per raw unit
+    p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
+    covariance: FloatArray  # (9, 9), of p; zeros where held, NaN where the equations are singular
     residuals: FloatArray  # (K,), length less gravity, m/s2
-    uncertainty: float  # Standard uncertainty of a corrected reading of gravity, rms over all directions, m/s2
     condition: float  # Condition number of the design, columns scaled to one
     # Least rms change of length, in g, that one unit of any combination of parameters makes (1, and g for offsets)
     weakest: float
     unseen: tuple[str, ...]  # The parameters that take part in that weakest combination
     gravity: float  # m/s2
+
+    @property
+    def matrix(self) -> FloatArray:
+        """M, m/s2 per raw unit, shape (3, 3)."""
+        return self.scale * _upper(self.p)
+
+    @property
+    def offset(self) -> FloatArray:
+        """o, raw unit, shape (3,)."""
+        return np.asarray(self.center + self.p[6:] / self.scale)
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of a corrected reading of gravity, root mean square over all directions, m/s2."""
+        variance = np.diag(self.covariance)
+        total = float(self.gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum())
+        return float(np.sqrt(total)) if np.isfinite(total) else np.inf
 
     def corrected(self, reading: FloatArray) -> FloatArray:
         """Return readings (K, 3) in m/s2."""
@@ -98,16 +114,12 @@ def fit_norm(
         )
     covariance = np.zeros((9, 9))
     covariance[np.ix_(free, free)] = _inverse(design[:, free] / np.sqrt(variance)[:, None])
-    spread = np.diag(covariance)
-    total = float(gravity**2 / 3.0 * spread[:6].sum() + spread[6:].sum())
-    carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
-    carry[SEEN, np.arange(9)] = [scale] * 6 + [1.0 / scale] * 3
     return NormFit(
-        matrix=scale * _upper(p),
-        offset=center + p[6:] / scale,
-        covariance=carry @ covariance @ carry.T,
+        center=center,
+        scale=scale,
+        p=p,
+        covariance=covariance,
         residuals=residuals,
-        uncertainty=float(np.sqrt(total)) if np.isfinite(total) else np.inf,
         condition=scaled_condition(design[:, free])[1],
         weakest=weakest,
         unseen=tuple(NAMES[i] for i in free[share > 0.3 * share.max()]),
@@ -218,6 +230,8 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
             weakest=fit.weakest,
             parameters=fit.unseen,
         )
+    carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
+    carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
     rms_mg = float(np.sqrt(np.mean(fit.residuals**2))) / MG
     made = triad_fit(
         fit.residuals,
@@ -227,7 +241,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         unit_out="m/s2",
         matrix=fit.matrix,
         offset=fit.offset,
-        covariance=fit.covariance,
+        covariance=carry @ fit.covariance @ carry.T,
         rank=int((np.diag(fit.covariance) > 0.0).sum()),
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
@@ -244,7 +258,7 @@ def _judged(fit: NormFit, rms_mg: float) -> Iterator[Finding]:
     if uncertain_mg > UNCERTAIN_MG[0]:
         level = level_of(uncertain_mg, UNCERTAIN_MG)
         yield finding("multi_position.uncertainty", level, uncertainty_mg=uncertain_mg, wanted=UNCERTAIN_MG[0])
-    if not np.triu(fit.matrix, 1).any():
+    if fit.p[1] == fit.p[2] == fit.p[4] == 0.0:
         yield finding("multi_position.cross_axis_fixed", "info")
 
 
