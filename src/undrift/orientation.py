@@ -111,7 +111,7 @@ def mean_variance(x: FloatArray) -> float:
 def _readings_at_rest(record: Record, still: Still) -> FloatArray:
     if record.accel is None:
         raise InputError("tilt: wanted accelerometer readings, got none; map the columns that hold them")
-    force = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
+    force: FloatArray = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
     if len(force) < FEWEST:
         raise InputError(f"tilt: wanted {FEWEST} samples at rest or more, got {len(force)}; give a longer still phase")
     if np.isnan(force).any():
@@ -130,14 +130,8 @@ def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
     factor = si_factor(model.unit_out, "accel")
     matrix = model.matrix * factor
     centred = np.linalg.solve(matrix, force)
-    jacobian = np.zeros((3, len(model.parameters)))
-    for column, name in enumerate(model.parameters):
-        kind, _, axes = name.partition("_")
-        if kind == "m":
-            jacobian[AXES.index(axes[0]), column] = factor * centred[AXES.index(axes[1])]
-        elif kind == "offset":
-            jacobian[:, column] = -matrix[:, AXES.index(axes)]
-    return np.asarray(jacobian @ model.covariance @ jacobian.T)
+    jacobian = np.hstack((np.kron(np.eye(3), factor * centred), -matrix))
+    return np.asarray(jacobian @ model.covariance[:12, :12] @ jacobian.T)
 
 
 # ---- Strapdown

@@ -107,14 +107,14 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     reach = min(int(longest_lag_s / (cell * CELL_S)) + 1, len(x) - 1)
     correlation, overlap = _masked_correlation(x, m, y, n, reach)
     enough = overlap >= LEAST_OVERLAP * min(m.sum(), n.sum())
-    if enough.any() and not np.isfinite(correlation[enough]).any():
-        raise AlignmentError(
-            "lag: wanted both sides to turn, got one that does not; there is no common motion to align by"
-        )
     if not enough.any():
         raise AlignmentError(
             f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
             "of search, got less; check their clocks, or widen longest_lag_s (--max-lag-s)"
+        )
+    if not np.isfinite(correlation[enough]).any():
+        raise AlignmentError(
+            "lag: wanted both sides to turn, got one that does not; there is no common motion to align by"
         )
     best = int(np.nanargmax(np.where(enough, correlation, np.nan)))
     return float((best - reach) * cell * CELL_S)
@@ -154,12 +154,10 @@ def _masked_correlation(
     count = np.maximum(np.round(summed(2, 2)), 0.0)
     safe = np.maximum(count, 1.0)
     mean_x, mean_y = summed(0, 2) / safe, summed(2, 0) / safe
-    var_x = summed(1, 2) / safe - mean_x**2
-    var_y = summed(2, 1) / safe - mean_y**2
-    covariance = summed(0, 0) / safe - mean_x * mean_y
+    var_x, var_y = summed(1, 2) / safe - mean_x**2, summed(2, 1) / safe - mean_y**2
     good = (count > 10.0) & (var_x > 1e-12 * var_x.max()) & (var_y > 1e-12 * var_y.max())
     product = np.sqrt(np.where(good, var_x * var_y, 1.0))
-    return np.where(good, covariance / product, np.nan), count
+    return np.where(good, (summed(0, 0) / safe - mean_x * mean_y) / product, np.nan), count
 
 
 # ---- poses as the instrument took them: undo a linear up-sampling of the reference
@@ -340,14 +338,13 @@ def _aligned(known: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag
     slope = (late[0][inside] - early[0][inside]) / (2.0 * width)
     centre_u, centre_w = u.mean(axis=0), w.mean(axis=0)
     rcond = _ONE_AXIS if w.shape[1] == 1 else _THREE_AXES
-    a, *_ = np.linalg.lstsq(u - centre_u, w - centre_w, rcond=rcond)
+    a = np.linalg.lstsq(u - centre_u, w - centre_w, rcond=rcond)[0]
     residual = w - centre_w - (u - centre_u) @ a
-    power = float(((w - centre_w) ** 2).sum())
-    unexplained = float((residual**2).sum())
+    power, unexplained = float(((w - centre_w) ** 2).sum()), float((residual**2).sum())
     if not power > 0.0:
         return None, 0.0
     step, uncertainty = _lag_step(slope @ a, u - centre_u, residual, wanted.start[inside])
-    fit = Lag(
+    return Lag(
         seconds=lag,
         standard_uncertainty=uncertainty,
         correlation_before=0.0,
@@ -355,8 +352,7 @@ def _aligned(known: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag
         matrix=a.T,
         constant=centre_w - a.T @ centre_u,
         residual_rms=float(np.sqrt(unexplained / residual.size)),
-    )
-    return fit, step
+    ), step
 
 
 def _lag_step(slope: FloatArray, u: FloatArray, residual: FloatArray, t: FloatArray) -> tuple[float, float]:

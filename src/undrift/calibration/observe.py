@@ -16,6 +16,7 @@ from undrift.calibration.checks import check_gravity
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
+from undrift.fit.smooth import widening_of
 from undrift.model import Verdict
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.segments import (
@@ -215,10 +216,7 @@ def mean_of_rests(windows: Sequence[FloatArray], sizes: Sequence[int]) -> tuple[
             variances = np.maximum(variances, noise**2)
     if len(means) == 1:
         return means[0], variances[0]
-    from scipy.stats import norm, t
-
-    factor = float((t.ppf(0.975, len(means) - 1) / norm.ppf(0.975)) ** 2)
-    mean, variance = np.zeros(3), np.zeros(3)
+    factor, mean, variance = widening_of(len(means) - 1), np.zeros(3), np.zeros(3)
     for axis in range(3):
         value, own = means[:, axis], variances[:, axis]
         excess, middle = 0.0, float(value.mean())
@@ -274,18 +272,14 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
 
 
 def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return the temperature of each still or turn."""
-    return np.array([piece_temperature(session, piece) for piece in pieces])
-
-
-def piece_temperature(session: Session, piece: Still | Turn) -> float:
-    """Return the temperature of a still or turn."""
-    if piece.temp_c is not None:
-        return piece.temp_c
-    column = session.records[piece.recording].temp_c
-    if column is None or not np.isfinite(column[piece.start : piece.stop]).any():
-        return float("nan")
-    return float(np.nanmean(column[piece.start : piece.stop]))
+    """Return the temperature of each still or turn, as stated or as recorded; NaN where there is none."""
+    temps = []
+    for piece in pieces:
+        column = session.records[piece.recording].temp_c
+        part = np.full(1, np.nan) if column is None else column[piece.start : piece.stop]
+        seen = float(np.nanmean(part)) if np.isfinite(part).any() else float("nan")
+        temps.append(seen if piece.temp_c is None else piece.temp_c)
+    return np.array(temps)
 
 
 # ---- settings, and what a session shows
