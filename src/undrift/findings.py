@@ -404,37 +404,26 @@ CATALOGUE: dict[str, Entry] = {
         "the readings lie on no grid: they were filtered, resampled or calibrated before they were written",
     ),
     "adc.offset_subtracted": Entry(
-        3,
-        "ADC not identified",
-        "an offset was subtracted from the codes",
-        "record the raw device in brisk motion to identify the rounding",
+        3, "ADC not identified", "an offset was subtracted from the codes", "record the raw device in brisk motion"
     ),
     "adc.few_axes": Entry(
-        3,
-        "ADC not identified",
-        "fewer than two axes sweep through code 0",
-        "record the raw device in brisk motion to identify the rounding",
+        3, "ADC not identified", "fewer than two axes sweep through code 0", "record the raw device in brisk motion"
     ),
     "adc.few_samples": Entry(
-        3,
-        "ADC not identified",
-        "too few samples sweep through code 0",
-        "record the raw device in brisk motion to identify the rounding",
+        3, "ADC not identified", "too few samples sweep through code 0", "record the raw device in brisk motion"
     ),
     "adc.toward_zero": Entry(
         4,
         "Codes truncated toward zero",
-        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as its neighbours",
+        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as others near it",
     ),
     "adc.nearest": Entry(
         4,
-        "Codes rounded to nearest or floor, which differ by half a step that the offset takes up",
-        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as its neighbours",
+        "Codes rounded to nearest or floor, half a step that the offset takes up",
+        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as others near it",
     ),
     "adc.uncertain": Entry(
-        3,
-        "ADC not identified",
-        "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as its neighbours: neither 1 nor 2 for certain",
+        3, "ADC not identified", "code 0 occurs {ratio:.2f} +- {uncertainty:.2f} times as often as others near it"
     ),
     # ---- drift: sessions and temperature
     "calibration.nominal": Entry(

@@ -279,18 +279,15 @@ def fit_gyro_between_stills(
             "turn the device by 90 deg or more about another axis between still poses of one recording",
             moves=len(moves.first),
         )
-    check_range(
-        [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)],
-        "gyroscope in moves between poses",
-    )
+    within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
+    check_range(within, "gyroscope in moves between poses")
     prior = offset_prior(moves)
     if equal:
         start = records[0].time[0]
         rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
         opening = moves.gyro[moves.cores[0][0] : moves.cores[1][0]] if rest is None else rest
         prior = replace(prior, mean=opening.mean(axis=0), drift=np.zeros_like(prior.drift))
-    inside = _inside(moves)
-    unit = float(np.sqrt(np.mean((moves.gyro[inside] - prior.mean) ** 2))) or 1.0
+    unit = float(np.sqrt(np.mean((np.concatenate([part[1:] for part in within]) - prior.mean) ** 2))) or 1.0
     problem = _Problem(
         moves=moves,
         directions=gravity_directions(moves, accel),
@@ -408,8 +405,7 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
         total += np.outer(column, column) * np.kron(drift, np.ones((2, 2)))
     matrix = p[:9].reshape(3, 3) / problem.unit
     noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
-    covariance: FloatArray = total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2))
-    return covariance
+    return np.asarray(total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2)))
 
 
 def _tangent(n: FloatArray) -> FloatArray:
@@ -418,11 +414,6 @@ def _tangent(n: FloatArray) -> FloatArray:
     first = np.cross(n, helper)
     first /= np.linalg.norm(first, axis=1)[:, None]
     return np.stack((first, np.cross(n, first)), axis=2)
-
-
-def _inside(moves: Moves) -> FloatArray:
-    """Return the numbers of the samples inside moves."""
-    return np.concatenate([np.arange(a + 1, b + 1) for a, b in zip(moves.first, moves.last, strict=True)])
 
 
 def _check_seen(missed: _Missed, p: FloatArray) -> None:
@@ -457,7 +448,8 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
     total = covariance * np.outer(carry, carry)
     total[9:, 9:] += np.diag((problem.prior.drift**2).mean(axis=0))  # one offset stands for all of the session
-    rate = (moves.gyro[_inside(moves)] - offset) @ matrix.T
+    inside = [moves.gyro[a + 1 : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
+    rate = (np.concatenate(inside) - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]
     check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
     size = float(np.cbrt(abs(np.linalg.det(p[:9].reshape(3, 3)))))

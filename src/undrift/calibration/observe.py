@@ -5,7 +5,7 @@ reading counts twice. ``at_one_temperature`` keeps the pieces of one set-point: 
 ``Outcome`` is what a fit of one triad returns to ``calibrate``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
@@ -23,6 +23,7 @@ from undrift.segments import (
     BENCH_ACCEL_LIMIT,
     BENCH_RATE_LIMIT,
     StillSettings,
+    TurnSearch,
     faces_of,
     find_still,
     find_turns,
@@ -389,11 +390,9 @@ class Observed:
     def full_turns(self) -> tuple[Turn, ...]:
         """Return three full turns about x, y and z found between rests, with their angles."""
         full: list[Turn] = []
-        for number, record in enumerate(self.session.records):
-            stills = [s for s in self.stills if s.recording == number]
-            if record.gyro is None or not is_physical(record.gyro_unit) or len(stills) < 2:
+        for record, search in self._turns():
+            if not is_physical(record.gyro_unit):
                 continue
-            search = find_turns(record, stills)
             angles = search.rotation_angle * si_factor(record.gyro_unit, "rate")
             for turn, angle in zip(search.rotations, angles, strict=True):
                 along = float(angle[np.argmax(np.abs(angle))])
@@ -405,11 +404,12 @@ class Observed:
 
     def plateaus(self) -> int:
         """Return how many steady turns the recordings hold."""
-        return sum(
-            len(find_turns(record, [s for s in self.stills if s.recording == number]).plateaus)
-            for number, record in enumerate(self.session.records)
-            if record.gyro is not None
-        )
+        return sum(len(search.plateaus) for _, search in self._turns())
+
+    def _turns(self) -> Iterator[tuple[Record, TurnSearch]]:
+        for number, record in enumerate(self.session.records):
+            if record.gyro is not None:
+                yield record, find_turns(record, [s for s in self.stills if s.recording == number])
 
 
 def observe(session: Session, settings: CalibrateSettings) -> Observed:

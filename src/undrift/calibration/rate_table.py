@@ -350,21 +350,14 @@ def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Ver
 def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     """Return the true rate of each dwell in b (N, 3), rad/s: L of eq. 4, transposed."""
     earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
-    rates: FloatArray = axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None]
-    return rates
+    return np.asarray(axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None])
 
 
 def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
-    up = np.broadcast_to(dwells.up, len(dwells.axis))
-    return replace(
-        dwells,
-        reading=dwells.reading[rows],
-        turn_rate=dwells.turn_rate[rows],
-        axis=tuple(dwells.axis[k] for k in rows),
-        noise=None if dwells.noise is None else dwells.noise[rows],
-        up=up[rows],
-        time=None if dwells.time is None else dwells.time[rows],
-    )
+    whole = {name: getattr(dwells, name) for name in ("reading", "turn_rate", "noise", "time")}
+    cut = {name: None if values is None else values[rows] for name, values in whole.items()}
+    axis, up = tuple(dwells.axis[k] for k in rows), np.broadcast_to(dwells.up, len(dwells.axis))[rows]
+    return replace(dwells, axis=axis, up=up, **cut)
 
 
 # ---- dwells and rests together: offsets that drift during the session, and g-sensitivity
