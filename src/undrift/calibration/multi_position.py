@@ -308,8 +308,8 @@ class StillVariance:
         kept: list[tuple[int, int]] = []
         for start, stop in stretches:
             quiet = runs(self.gyro_level[start:stop] <= limit)
-            first, last = max(quiet, key=lambda run: run[1] - run[0], default=(0, 0))
-            kept.append((start + int(first), start + int(last)) if last - first >= least else (start, stop))
+            first, last = max(quiet.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
+            kept.append((start + first, start + last) if last - first >= least else (start, stop))
         return kept
 
     def moments(self, stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
@@ -516,11 +516,9 @@ def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[Floa
 def _different(force: FloatArray) -> int:
     """Return how many directions differ from all earlier ones."""
     n = force / np.linalg.norm(force, axis=1)[:, None]
-    near = n @ n.T > np.cos(np.radians(SAME_POSE_DEG))
     kept: list[int] = []
-    for k in range(len(n)):
-        if not near[k, kept].any():
-            kept.append(k)
+    for k, near in enumerate(n @ n.T > np.cos(np.radians(SAME_POSE_DEG))):
+        kept += [] if near[kept].any() else [k]
     return len(kept)
 
 

@@ -320,16 +320,13 @@ def _huber(a: FloatArray, y: FloatArray, k: float) -> tuple[FloatArray, FloatArr
 
 def _long_run(scores: FloatArray, windows: Sequence[Windows], width: int) -> FloatArray:
     size = scores.shape[1]
-    meat = np.zeros((size, size))
-    row = 0
-    for w in windows:
-        if not len(w.first):
-            continue
-        line = np.zeros((int(w.first[-1] - w.first[0]) + 2 * width - 1, size))
-        line[w.first - w.first[0] + width - 1] = scores[row : row + len(w.first)]
-        row += len(w.first)
-        sums = box_sums(line, width)
-        meat += sums.T @ sums / width
+    meat, ends = np.zeros((size, size)), np.cumsum([len(w.first) for w in windows])
+    for w, own in zip(windows, np.split(scores, ends[:-1]), strict=True):
+        if len(own):
+            line = np.zeros((int(w.first[-1] - w.first[0]) + 2 * width - 1, size))
+            line[w.first - w.first[0] + width - 1] = own
+            sums = box_sums(line, width)
+            meat += sums.T @ sums / width
     return meat
 
 
