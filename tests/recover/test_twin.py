@@ -123,7 +123,7 @@ def test_the_codes_and_what_cannot_be_told_are_named():
     assert by_name["gyro_bandwidth"].finding.code == "twin.bandwidth_above"
     assert not any(p.identifiable for p in fitted().parameters if "g_sensitivity" in p.name)
     assert by_name["gyro_g_sensitivity_xx"].finding.code == "twin.g_sensitivity_zero"
-    assert by_name["accel_lsb"].finding.code == "twin.codes"
+    assert by_name["accel_lsb"].finding.code == "adc.no_grid"
     assert "on no grid" in by_name["accel_lsb"].reason
 
 

@@ -11,7 +11,7 @@ over whole turns. Which rates: rig/programme.py.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -355,7 +355,7 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
 
 def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
     whole = {name: getattr(dwells, name) for name in ("reading", "turn_rate", "noise", "time")}
-    cut = {name: None if values is None else values[rows] for name, values in whole.items()}
+    cut: dict[str, Any] = {name: None if values is None else values[rows] for name, values in whole.items()}
     axis, up = tuple(dwells.axis[k] for k in rows), np.broadcast_to(dwells.up, len(dwells.axis))[rows]
     return replace(dwells, axis=axis, up=up, **cut)
 
