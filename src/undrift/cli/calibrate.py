@@ -113,12 +113,9 @@ def calibrate(
         return code
     _show(made)
     show_verdict(made.verdict, details=details)
-    if report is not None:
-        say(f"Wrote {report}")
-    if output is None:
-        say(f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json")
-    else:
-        say(f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet")
+    nothing = f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json"
+    kept = f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet"
+    say(*([] if report is None else [f"Wrote {report}"]), nothing if output is None else kept)
     return code
 
 

@@ -104,11 +104,7 @@ def simulate(
         kind = _thermal_kind(
             motion, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
         )
-        made = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
-        lines = [
-            "{} -> {}: {samples} samples at {sample_rate_hz:.6g} Hz over {duration_s:.0f} s, {temp_c[0]:.1f} to {temp_c[1]:.1f} "
-            "degC, {stills} stills, {turns} turns".format(motion, output, **made)
-        ]
+        made, lines = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
     else:
         with waiting(f"simulating {motion}"):
             moved, where, chosen = _motion(
@@ -154,8 +150,8 @@ def _thermal(
     output: Path,
     given: tuple[float | None, float | None, float],
     rng: "np.random.Generator",
-) -> dict[str, Any]:
-    """Write a thermal session and return what it holds."""
+) -> tuple[dict[str, Any], list[str]]:
+    """Write a thermal session and return what it holds, for JSON and in a line."""
     from dataclasses import replace
 
     from undrift.io.session import write_session
@@ -177,7 +173,12 @@ def _thermal(
     temp_c = session.records[0].temp_c
     span = None if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
     counts = {"stills": len(session.stills), "turns": len(session.turns)}
-    return _held(model, session.records[0]) | {"temp_c": span, **counts}
+    made = _held(model, session.records[0]) | {"temp_c": span, **counts}
+    line = (
+        "{} -> {}: {samples} samples at {sample_rate_hz:.6g} Hz over {duration_s:.0f} s, {temp_c[0]:.1f} to {temp_c[1]:.1f} degC, "
+        "{stills} stills, {turns} turns"
+    )
+    return made, [line.format(f"{THERMAL}{kind}", output, **made)]
 
 
 def _held(model: "DeviceModel", record: "Record") -> dict[str, object]:

@@ -29,6 +29,7 @@ from undrift.errors import InputError
 if TYPE_CHECKING:
     from undrift.model import Calibration
     from undrift.record import Record, Reference
+    from undrift.report.validation import Method
     from undrift.validation.agreement import Validation
     from undrift.validation.trial import Trial, TrialSettings
 
@@ -98,9 +99,6 @@ def validate(
     opening : Opening
         How to read foreign recordings.
     """
-    from undrift.io.store import write_calibration
-    from undrift.model import Verdict
-    from undrift.report.validation import Method, write_validation_report
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
@@ -128,26 +126,8 @@ def validate(
     source = calibration.name if calibration else calibrate_from
     asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     made = _validation_json(result) | asked
-    verdict = Verdict() if model is None or result.held_out else model.verdict
-    for held in result.held_out:
-        verdict = verdict.also(held.fit.triad.verdict)
-    method = Method(
-        recordings=tuple(path.name for path in records),
-        references=tuple(path.name for path in optics.reference),
-        calibration=model,
-        source=calibration.name if calibration else "",
-        leave_one_out=bool(result.held_out),
-        verdict=verdict,
-        settings=settings,
-    )
-    if report is not None:
-        write_validation_report(result, method, report)
-    if output is not None:
-        output.mkdir(exist_ok=True)
-        write_validation_report(result, method, output / "report.html")
-        save_json(output / "validation.json", made)
-        if model is not None and calibration is None:
-            write_calibration(model, output / "calibration.json")
+    method = _method(records, optics.reference, calibration, result, model, settings)
+    _write(output, report, result, made, method)
     if json:
         write_json(made)
         return 0
@@ -157,6 +137,47 @@ def validate(
         *([] if output is None else [f"Wrote {output}: look at report.html"]),
     )
     return 0
+
+
+def _write(
+    folder: Path | None, page: Path | None, result: "Validation", made: dict[str, object], method: "Method"
+) -> None:
+    from undrift.io.store import write_calibration
+    from undrift.report.validation import write_validation_report
+
+    if page is not None:
+        write_validation_report(result, method, page)
+    if folder is not None:
+        folder.mkdir(exist_ok=True)
+        write_validation_report(result, method, folder / "report.html")
+        save_json(folder / "validation.json", made)
+        if method.calibration is not None and not method.source:
+            write_calibration(method.calibration, folder / "calibration.json")
+
+
+def _method(
+    records: tuple[Path, ...],
+    references: tuple[Path, ...],
+    calibration: Path | None,
+    result: "Validation",
+    model: "Calibration | None",
+    settings: "TrialSettings",
+) -> "Method":
+    from undrift.model import Verdict
+    from undrift.report.validation import Method
+
+    verdict = Verdict() if model is None or result.held_out else model.verdict
+    for held in result.held_out:
+        verdict = verdict.also(held.fit.triad.verdict)
+    return Method(
+        recordings=tuple(path.name for path in records),
+        references=tuple(path.name for path in references),
+        calibration=model,
+        source=calibration.name if calibration else "",
+        leave_one_out=bool(result.held_out),
+        verdict=verdict,
+        settings=settings,
+    )
 
 
 def _check_asked(

@@ -70,14 +70,10 @@ class Printer:
         return self._array(f"{self.prefix}_t", name, flat)
 
     def _array(self, kind: str, name: str, cells: list[str]) -> str:
-        lines, line = [], "   "
-        for cell in cells:
-            if len(line) + len(cell) + 2 > WIDTH:
-                lines.append(line)
-                line = "   "
-            line += f" {cell},"
-        lines.append(line.rstrip(","))
-        return f"static const {kind} {self.prefix}_{name}[{len(cells)}] = {{\n" + "\n".join(lines) + "\n};\n"
+        text = textwrap.fill(
+            ", ".join(cells) + ",", WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
+        )
+        return f"static const {kind} {self.prefix}_{name}[{len(cells)}] = {{\n{text.rstrip(',')}\n}};\n"
 
     def lookup(
         self,
@@ -323,64 +319,24 @@ def _header(
     notes: tuple[str, ...],
     lead: Lead | None,
 ) -> str:
-    p = calibration.provenance
-    warm = [view.real.warm_up_table for view in views if view.real.warm_up_table is not None]
-    return str(
-        _environment().get_template("undrift.h.j2").render(
-            title=_title(calibration),
-            comment=[comment_text(line) for line in _comment(views, calibration, settings, costs, notes)],
-            default=settings.default, p=settings.prefix, P=settings.prefix.upper(), triads=views, created=p.created,
-            lead=lead, lag_s=f"{lead.lag_s:g}" if lead else "", smooth_s=f"{lead.smooth_s:g}" if lead else "",
-            warm_up=bool(warm), warm_s=f"{warm[0].temp.stop:g}" if warm else "",
-        )
-    )  # fmt: skip
+    warm = next((view.real.warm_up_table for view in views if view.real.warm_up_table is not None), None)
+    about = {
+        "title": _title(calibration), "default": settings.default, "date": settings.date, "p": settings.prefix,
+        "P": settings.prefix.upper(), "triads": views, "created": calibration.provenance.created, "lead": lead,
+        "verdict": calibration.verdict.status, "costs": costs, "notes": notes, "assumption": ASSUMPTION, "span": _span,
+        "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
+        "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
+        "dps": RADIAN_PER_DEGREE, "g": STANDARD_GRAVITY,
+    }  # fmt: skip
+    lines = _environment().get_template("comment.j2").render(about).splitlines()
+    comment = [comment_text(part) for line in lines for part in wrapped(line)]
+    return str(_environment().get_template("undrift.h.j2").render(about, comment=comment))
 
 
-def _comment(
-    views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], notes: tuple[str, ...]
-) -> list[str]:
-    warming = " and warm-up" if any(view.real.warm_up_table is not None for view in views) else ""
-    lines = [
-        f"Calibrated: {calibration.provenance.created or 'not stated'}. Exported: {settings.date or 'not stated'}.",
-        f"Verdict of the calibration: {calibration.verdict.status}.",
-        "",
-        "Readings in sensor axes s, results in the case frame b: gyroscopes rad/s, accelerometers m/s2, temperature degC.",
-    ]
-    lines += [f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}" for view in views]
-    lines += [
-        f"Order of the steps: 1 half a code step back, 2 offset(T){warming}, 3 matrix M(T), 4 g-sensitivity, "
-        "5 dynamic drift e(w, T).",
-        "Tables are linear between their nodes and held at their ends; the return value says when.",
-        "Input and output may be the same arrays. No allocation, no library, no state; a lookup takes the same time everywhere.",
-        "",
-        f"Builds: define {settings.prefix.upper()}_FLOAT, _DOUBLE or _FIXED; without any: {settings.default}.",
-        "Flash (tables exact, code estimated) and time of one call, estimated:",
-        f"  {ASSUMPTION}",
-    ]
-    lines += [
-        f"  {c.arithmetic:6} {c.table_bytes} + {c.code_bytes} = {c.flash_bytes} bytes, {c.cycles} cycles"
-        + (f", and {c.lead_cycles} of {settings.prefix}_temperature" if c.lead_cycles else "")
-        for c in costs
-    ]
-    lines += [
-        "",
-        "Fixed point: int32, 16 bits behind the point (Q16.16) unless a _RAW_BITS below says fewer. Error against exact",
-    ]
-    lines += ["arithmetic on the same inputs, at most, while no axis exceeds 2000 deg/s and 16 g:"]
-    for view in views:
-        worst, gyro = float(view.fixed.bound.max()), view.name == "gyro"
-        si, unit = ("rad/s", "deg/s") if gyro else ("m/s2", "mg")
-        factor = RADIAN_PER_DEGREE if gyro else STANDARD_GRAVITY / 1e3
-        lines.append(f"  {view.name}_out {worst:.3g} {si} ({worst / factor:.3g} {unit})")
-    if notes:
-        lines += ["", "Not carried, and notes:", *(f"  - {text}" for text in notes)]
-    return [part for line in lines for part in wrapped(line)]
-
-
-def _span(triad: Triad) -> str:
-    if not triad.tables:
+def _span(tables: tuple[Table, ...]) -> str:
+    if not tables:
         return "without a table"
-    low, high = max(t.temp.start for t in triad.tables), min(t.temp.stop for t in triad.tables)
+    low, high = max(t.temp.start for t in tables), min(t.temp.stop for t in tables)
     return f"{low:g} to {high:g} degC"
 
 

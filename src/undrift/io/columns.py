@@ -60,8 +60,8 @@ class Trim:
     true_c: float  # Temperature that it had, degC
 
     def __post_init__(self) -> None:
-        for name in ("reads_c", "true_c"):
-            value, (low, high) = getattr(self, name), LM335_RANGE_C
+        low, high = LM335_RANGE_C
+        for name, value in (("reads_c", self.reads_c), ("true_c", self.true_c)):
             if not low <= value <= high:
                 raise InputError(
                     f"temp_trim.{name}: wanted {low:g} to {high:g} degC, got {value:g}; state the LM335's reading and the "
@@ -326,16 +326,10 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
 # ---- from a table and a map to a Record
 
 # Largest believable size of a reading, in its own unit: it finds a broken cell, not a wrong scale (io/inspect.py does).
-_LARGEST: dict[tuple[Quantity, str], float] = {
-    ("rate", "rad/s"): 500.0,
-    ("rate", "dps"): 30_000.0,
-    ("accel", "m/s2"): 20_000.0,
-    ("accel", "g"): 2_000.0,
-    ("accel", "mg"): 2_000_000.0,
-    ("temp", "degc"): 300.0,
-    ("mag", "ut"): 100_000.0,
-}
-_DEVICE_LARGEST = {"count": 2.0**24, "v": 1000.0}
+_LARGEST = {
+    "rad/s": 500.0, "dps": 30_000.0, "m/s2": 20_000.0, "g": 2_000.0, "mg": 2_000_000.0, "degc": 300.0, "ut": 100_000.0,
+    "count": 2.0**24, "v": 1000.0,
+}  # fmt: skip
 _RATE_AGREES = 0.05
 
 
@@ -371,9 +365,8 @@ def build_record(table: Table, columns: ColumnMap) -> ReadResult:
         state=columns.state,
         device=columns.device,
     )
-    return ReadResult(
-        record=record, dropped_rows=table.dropped, repaired_rows=0 if keep is None else int((~keep).sum())
-    )
+    repaired = 0 if keep is None else int((~keep).sum())
+    return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired)
 
 
 def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
@@ -389,7 +382,7 @@ def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
     if unit == "lm335_v":
         return _lm335(table, columns, wanted[0], scale)
     factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
-    limit = _DEVICE_LARGEST.get(unit) or _LARGEST[QUANTITY[channel], "ut" if channel == "mag" else unit]
+    limit = _LARGEST["ut" if channel == "mag" else unit]
     out = np.empty((len(table), len(wanted)))
     for k, column in enumerate(wanted):
         values = scale.applied(table.numbers(column), k)

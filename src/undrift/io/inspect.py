@@ -31,13 +31,13 @@ from undrift.io.columns import (
     native_columns,
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.mocap import Up
+from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
 from undrift.io.text import MARK, Text, open_text
 from undrift.io.wearables import apdm_sensors
-from undrift.record import Record
+from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- symptoms
@@ -359,7 +359,9 @@ def describe(
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
     """Return what a record holds."""
     record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
-    left_out = (("recording.rows_dropped", read.dropped_rows), ("recording.rows_repaired", read.repaired_rows))
+    left_out = [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
+    if read.repaired_rows:
+        left_out.append(finding("recording.rows_repaired", "warn", count=read.repaired_rows))
     rate = f"{mean:.6g} Hz"
     if abs(mean / usual - 1.0) >= _REGULAR:
         rate = f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
@@ -369,7 +371,7 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
         format=format_name,
         summary=f"{len(record)} samples at {rate}, {record.duration_s:.6g} s"
         + f", {record.device}" * bool(record.device),
-        findings=(*(finding(code, "warn", count=n) for code, n in left_out if n), *find_symptoms(record)),
+        findings=(*left_out, *find_symptoms(record)),
         **_of_records(record),
     )
 
@@ -446,10 +448,8 @@ def _reference(path: Path, name: str) -> Description:
         kind="reference",
         format=name,
         summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen",
-        rows=len(reference),
-        sample_rate_hz=reference.sample_rate_hz,
-        duration_s=float(reference.time[-1] - reference.time[0]),
         gaps=len(reference) - seen,
+        **_of_clock(reference),
     )
 
 
@@ -464,21 +464,23 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
         findings.append(finding("recording.up_axis", "warn"))
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]
-    if never:
-        findings.append(finding("recording.markers_never_seen", "warn", labels=never))
+    findings += [finding("recording.markers_never_seen", "warn", labels=never)] if never else []
     return Description(
         path=str(path),
         kind="markers",
         format=name,
         summary=f"{len(markers.labels)} markers, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
-        rows=len(markers),
-        sample_rate_hz=markers.sample_rate_hz,
-        duration_s=float(markers.time[-1] - markers.time[0]),
         columns=markers.labels,
         units=(("position", SI_UNIT["length"]),),
         gaps=int(gap.any(axis=1).sum()),
         findings=tuple(findings),
+        **_of_clock(markers),
     )
+
+
+def _of_clock(held: Reference | Markers) -> dict[str, Any]:
+    duration_s = float(held.time[-1] - held.time[0])
+    return {"rows": len(held), "sample_rate_hz": held.sample_rate_hz, "duration_s": duration_s}
 
 
 def _session(path: Path) -> Description:
