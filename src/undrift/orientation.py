@@ -130,8 +130,14 @@ def _model_covariance(model: TriadModel, force: FloatArray) -> FloatArray:
     factor = si_factor(model.unit_out, "accel")
     matrix = model.matrix * factor
     centred = np.linalg.solve(matrix, force)
-    jacobian = np.hstack((np.kron(np.eye(3), factor * centred), -matrix))
-    return np.asarray(jacobian @ model.covariance[:12, :12] @ jacobian.T)
+    jacobian = np.zeros((3, len(model.parameters)))
+    for column, name in enumerate(model.parameters):
+        kind, _, axes = name.partition("_")
+        if kind == "m":
+            jacobian["xyz".index(axes[0]), column] = factor * centred["xyz".index(axes[1])]
+        elif kind == "offset":
+            jacobian[:, column] = -matrix[:, "xyz".index(axes)]
+    return np.asarray(jacobian @ model.covariance @ jacobian.T)
 
 
 # ---- Strapdown
