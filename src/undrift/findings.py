@@ -905,6 +905,28 @@ CATALOGUE: dict[str, Entry] = {
     ),
     "recording.markers_never_seen": Entry(3, "Markers never seen", "{labels}"),
     # ---- study
+    "validate.adc": Entry(4, "Quantisation corrected", "gyro codes rounded {rounding}; the mean loss was given back"),
+    "validate.gaps_before": Entry(
+        2, "Gaps before the motion", "{gaps} of {samples} samples are gaps (NaN): the rest is taken from the others"
+    ),
+    "validate.correction": Entry(3, "{text}"),
+    "validate.extrapolated": Entry(
+        2,
+        "Rates extrapolated",
+        "turns at up to {most_dps:.0f} deg/s, {rms_dps:.0f} rms; the fit has seen {seen_dps:.0f} deg/s, {seen_rms_dps:.0f} rms",
+    ),
+    "validate.devices_apart": Entry(
+        1,
+        "Readings at rest up to {spread_dps:.2g} deg/s apart",
+        "several devices, or one that was not warmed up; leave-one-out speaks of one device only",
+    ),
+    "study.one_value": Entry(4, "Not tested", "one value only"),
+    "study.all_alike": Entry(4, "Not tested", "all subjects respond alike"),
+    "study.no_sit_to_stand": Entry(4, "Figure 3", "the study has no sit-to-stand of the library"),
+    "study.rivals_not_asked": Entry(4, "Other ways to calibrate", "not asked for"),
+    "study.part_failed": Entry(3, "{part}", "{reason}"),
+    "study.none_given": Entry(4, "{part}", "none was given"),
+    "study.too_few_for_agreement": Entry(4, "{part}", "{wanted} {unit}or more are needed, {given} were given"),
     "study.subjects_left_out": Entry(
         2, "Subjects left out", "no protocol calibrated the device of subject {subjects} of surface.parquet"
     ),
@@ -966,60 +988,6 @@ CATALOGUE: dict[str, Entry] = {
     ),
     "study.note_not_tried": Entry(4, "The note's protocol was not tried"),
     "study.note_uncalibrated": Entry(3, "The note's protocol left a device uncalibrated"),
-    # ---- export: what a target does not carry, and what the reader of its file must know or do
-    "export.rounding": Entry(1, "half a code step for codes cut off toward zero"),
-    "export.gain": Entry(1, "gains of the {triad}"),
-    "export.cross": Entry(1, "cross-axis terms of the {triad}, up to {most_percent:.2g} %"),
-    "export.g_sensitivity": Entry(1, "g-sensitivity, up to {most_dps_per_g:.2g} deg/s per g"),
-    "export.static": Entry(1, "offsets over temperature (the static table)"),
-    "export.hysteresis": Entry(2, "hysteresis", "the table holds the middle of the loop"),
-    "export.warm_up": Entry(1, "the extra offset after power-on"),
-    "export.scale": Entry(1, "gains and cross-axis terms over temperature (the scale table)"),
-    "export.scale_change": Entry(
-        1,
-        "gains and cross-axis terms over temperature (the scale table)",
-        "the gyroscopes' gains change by {change_percent:.2g} %",
-    ),
-    "export.dynamic": Entry(1, "error over rate and temperature (the dynamic table), up to {most_dps:.2g} deg/s"),
-    "export.lag": Entry(1, "the thermometer's lag of {lag_s:.3g} s", "give the temperature with the lag removed"),
-    "export.uncertainty": Entry(2, "uncertainties, marks of extrapolation and the verdict"),
-    "export.noise": Entry(2, "noise coefficients"),
-    "export.read_at": Entry(2, "tables over temperature are read at {temp_c:g} degC"),
-    "export.no_constants": Entry(3, "no {triad} constants", "the calibration has no model of it"),
-    "export.readings": Entry(4, "{triad} readings are in {unit}"),
-    "export.single_precision": Entry(4, "single precision"),
-    "export.keys_of_node": Entry(4, "no standard names these keys", "map them to those of your node"),
-    "export.misfit": Entry(
-        2,
-        "the cubics depart from the {triad} table by up to {misfit[0]:.2g} / {misfit[1]:.2g} / {misfit[2]:.2g} {unit}, x / y / z",
-    ),
-    "export.constant_moved": Entry(
-        4,
-        "the gyroscopes' constants at {at_c:g} degC, {offset_dps[0]:.6g} / {offset_dps[1]:.6g} / {offset_dps[2]:.6g} deg/s, have "
-        "no place in the cubic",
-        "{parameter} holds the offset at {temp_c:g} degC instead",
-    ),
-    "export.measured_anew": Entry(4, "ArduPilot measures INS_GYROFFS anew at every start unless INS_GYR_CAL is 0"),
-    "export.parameters_single": Entry(4, "{program} keeps parameters in single precision"),
-    "export.device_ids": Entry(
-        4,
-        "set TC_G{sensor}_ID, TC_A{sensor}_ID, CAL_GYRO{sensor}_ID and CAL_ACC{sensor}_ID to the sensor's device id",
-        "no calibration knows it",
-    ),
-    "export.nominal": Entry(
-        3, "{triad} have no model", "nominal values are passed on", "{name}_raw is taken as {unit}"
-    ),
-    "export.lag_removed": Entry(
-        4,
-        "the thermometer's lag of {lag_s:.3g} s is removed by {prefix}_temperature",
-        "pass every reading through it before {prefix}_correct",
-    ),
-    "export.warm_up_removed": Entry(
-        4,
-        "the extra offset after power-on, zero from {over_s:g} s on, is subtracted by {prefix}_correct_since, which takes the time "
-        "since power-on",
-        action="{prefix}_correct leaves it in",
-    ),
     # ---- rig check
     "rig_check.error": Entry(
         1,

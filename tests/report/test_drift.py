@@ -16,8 +16,7 @@ from undrift.report.drift import (
     draw_dynamic,
     draw_offsets,
     draw_scale,
-    offset_heads,
-    offset_rows,
+    offset_table,
     offset_title,
     plus_minus,
     shown_unit,
@@ -53,14 +52,14 @@ def summary(**changes):
 
 
 def test_rows_are_in_the_units_that_people_read():
-    heads, rows = offset_heads(summary()), offset_rows(summary())
+    heads, rows = offset_table(summary())
     assert heads[1] == "slope (deg/s per degC)"
     assert all(len(row) == len(heads) for row in rows)
     assert rows[0] == ("x", "+0.100 +- 0.012", "0.01", "0.02", "+0.0500 +- 0.0040", "0.1")
     assert rows[1][3] == "too few"
-    assert offset_rows(summary(turn_on=np.full(3, np.nan)))[2][5] == "not seen"
+    assert offset_table(summary(turn_on=np.full(3, np.nan)))[1][2][5] == "not seen"
     short = summary(half_loop=None, half_loop_uncertainty=None, turn_on=None)
-    assert len(offset_heads(short)) == len(offset_rows(short)[0]) == 4
+    assert [len(cells) for cells in (offset_table(short)[0], *offset_table(short)[1])] == [4] * 4
     assert shown_unit("m/s2")[0] == "mg"
     assert shown_unit("count") == ("count", 1.0)
 

@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from undrift.findings import finding
 from undrift.report.study import write_study_report
 from undrift.rig.programme import Protocol
-from undrift.study.case import UnitRuns, units_of
+from undrift.study.case import units_of
 from undrift.study.judge import ParameterEffect, effects_at
 from undrift.study.outcome import TaskOutcome, judge_study
 from undrift.study.plan import Space, Study, StudyTask
@@ -41,15 +42,15 @@ def plant(folder: Path, missing: tuple[tuple[int, float], ...] = (), lost: int |
             error = np.full(3, np.nan)
         store.write(
             unit,
-            UnitRuns(
-                cutoff_hz=np.full(3, unit.cutoff_hz),
-                turn_rate_step_dps=np.full(3, 10.0),
-                turn_rate_min_dps=np.full(3, 10.0),
-                turn_rate_max_dps=greatest,
-                error_rms_deg=error,
-                error_max_deg=2.0 * error,
-                rig_minutes=greatest,
-            ),
+            {
+                "cutoff_hz": np.full(3, unit.cutoff_hz),
+                "turn_rate_step_dps": np.full(3, 10.0),
+                "turn_rate_min_dps": np.full(3, 10.0),
+                "turn_rate_max_dps": greatest,
+                "error_rms_deg": error,
+                "error_max_deg": 2.0 * error,
+                "rig_minutes": greatest,
+            },
         )
 
 
@@ -91,7 +92,7 @@ def test_a_whole_study_is_judged_by_analysis_of_variance_and_holms_pairs_as_stat
     assert [(pair.first, pair.second) for pair in effect.pairs] == [(0, 1), (0, 2), (1, 2)]
     np.testing.assert_allclose([pair.p_holm for pair in effect.pairs], multipletests(p, method="holm")[1], rtol=1e-9)
     assert effect_of(task, "cutoff_hz").pairs == ()  # it does not matter, so its values are not compared
-    assert effect_of(task, "turn_rate_step_dps").untested == "one value only"
+    assert effect_of(task, "turn_rate_step_dps").untested == finding("study.one_value", "info")
 
 
 def test_a_missing_unit_is_judged_by_a_mixed_model_as_statsmodels_fits_it(tmp_path: Path) -> None:

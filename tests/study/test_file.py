@@ -16,8 +16,8 @@ from undrift.record import Reference
 from undrift.sim.device.model import write_device
 from undrift.sim.device.presets import preset
 from undrift.sim.motion.tasks import draw_task
-from undrift.study.case import device_of, make_case, read_motion
-from undrift.study.plan import ProtocolEntry, StudyFile, note_study, read_study
+from undrift.study.case import device_of, make_case
+from undrift.study.plan import ProtocolEntry, StudyFile, note_study, read_motion, read_study
 from undrift.study.run import InProcess, run_study
 
 DPS = np.pi / 180.0

@@ -10,7 +10,7 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError, NotObservable
 from undrift.rig.programme import Protocol
-from undrift.study.case import Unit, UnitRuns
+from undrift.study.case import Unit
 from undrift.study.plan import Space, Study, StudyTask
 from undrift.study.run import HalvingSettings, InProcess, halve
 
@@ -29,7 +29,7 @@ STUDY = Study(name="wide", device="enc03j_3031", tasks=(TASK,), subjects=24)
 BEST = (9.0, 6.0, 9.0, 27.0)
 
 
-def planted(unit: Unit) -> UnitRuns:
+def planted(unit: Unit) -> dict[str, np.ndarray]:
     """Errors with a known best protocol, and noise that would fool a look at one subject."""
     table = (
         np.array([(p.turn_rate_step, p.turn_rate_min, p.turn_rate_max) for p in unit.task.candidates(unit.cutoff_hz)])
@@ -40,15 +40,15 @@ def planted(unit: Unit) -> UnitRuns:
     error = (
         0.2 + 0.2 * cost + rng.normal(0.0, 0.08, len(table)) + np.random.default_rng(unit.subject).normal(0.0, 0.3) ** 2
     )
-    return UnitRuns(
-        cutoff_hz=np.full(len(table), unit.cutoff_hz),
-        turn_rate_step_dps=table[:, 0],
-        turn_rate_min_dps=table[:, 1],
-        turn_rate_max_dps=table[:, 2],
-        error_rms_deg=error,
-        error_max_deg=2.0 * error,
-        rig_minutes=np.full(len(table), 100.0),
-    )
+    return {
+        "cutoff_hz": np.full(len(table), unit.cutoff_hz),
+        "turn_rate_step_dps": table[:, 0],
+        "turn_rate_min_dps": table[:, 1],
+        "turn_rate_max_dps": table[:, 2],
+        "error_rms_deg": error,
+        "error_max_deg": 2.0 * error,
+        "rig_minutes": np.full(len(table), 100.0),
+    }
 
 
 class Planted(InProcess):
@@ -68,7 +68,7 @@ class Fails(InProcess):
     def run(self, work: Any, units: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         for place, unit in enumerate(units):
             runs = planted(unit)
-            runs.error_rms_deg[:] = np.nan
+            runs["error_rms_deg"][:] = np.nan
             yield place, runs
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from undrift.findings import finding
 from undrift.report.study import write_study_report
 from undrift.study.case import device_of
 from undrift.study.judge import compare_with_note, find_optimum, other_study
@@ -126,15 +127,17 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
         "sit to stand, cubic: the I-optimal set reaches the error of the note&#39;s grid in",
         "34 rates from -90 to 90, equal shares",
         "25 % at -90, 25 % at -40.3",
-        "Not made: not asked for.",
+        "<strong>Other ways to calibrate</strong>: not asked for",
     ):
         assert wanted in text, wanted
     assert text.count("<svg") == 3 * len(outcome.tasks) + 1
     assert ">nan<" not in text
     assert text.count("EMBC 2007") == 1  # what "the note" is
     assert "0.048, its own" in text
-    write_study_report(replace(outcome, figure3=None, figure3_missing="no sit-to-stand"), tmp_path / "b.html")
-    assert "Not made: no sit-to-stand." in (tmp_path / "b.html").read_text()
+    without = replace(outcome, figure3=None, figure3_missing=finding("study.no_sit_to_stand", "info"))
+    write_study_report(without, tmp_path / "b.html")
+    wanted = "<strong>Figure 3</strong>: the study has no sit-to-stand of the library"
+    assert wanted in (tmp_path / "b.html").read_text()
 
 
 def test_optimal_rates_beat_the_grid_by_their_own_measure_for_the_cohorts_motions(outcome: StudyOutcome) -> None:

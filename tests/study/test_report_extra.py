@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from undrift.findings import finding
 from undrift.report.study import design_sections, real_sections, rival_sections
 from undrift.study.judge import cohort_of, other_study
 from undrift.study.outcome import StudyOutcome
@@ -33,7 +34,7 @@ def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
         motions=(row,),
         sways=(),
         worn=Worn(rows=(), agreement=(("full", pairwise),)),
-        lacks=("x: none",),
+        lacks=(finding("study.part_failed", "info", part="x", reason="none"),),
     )
     trials, captured, worn, lacks = real_sections(real)
     # by hand: differences -0.5, 0, -0.5, 0: bias -0.25, standard deviation 0.2887, limits -0.82 and 0.32
@@ -43,13 +44,13 @@ def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
     assert trials.rows == (("median", "rest", "undone", "1.25", "0.50", "–", "–"),)
     assert captured.rows[0][3:] == ("–", "2.00", "1.00 to 3.00", "")
     assert "a: no squat." in captured.text
-    assert lacks.text == ("x: none.",)
+    assert [item.text for item in lacks.findings] == ["x: none"]
 
 
 def test_nothing_given_is_told_as_not_there() -> None:
     found = judge_real(RealData(devices=(), captures=(), stances=()), note_study(quick=True, subjects=3))
     assert found.worn is None
-    assert "stances: none was given" in found.lacks
+    assert "stances: none was given" in [lack.text for lack in found.lacks]
     assert real_sections(None) == ()
     assert design_sections(()) == ()
 
@@ -74,7 +75,7 @@ def test_a_method_whose_units_were_all_refused_has_no_figure() -> None:
         tasks=(),
         cohorts=(cohort_of(study), cohort_of(other_study(study))),
         figure3=None,
-        figure3_missing="",
+        figure3_missing=None,
         rivals=(row,),
     )
     table, words = rival_sections(outcome)

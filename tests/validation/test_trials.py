@@ -1,5 +1,6 @@
 """Several recordings judged, and fits judged where they were not made."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -59,8 +60,8 @@ def test_extrapolation_is_noted():
     slow = make_recording(np.random.default_rng(5), DEVICE, turn_s=30.0, speed=0.3)
     fast = make_recording(np.random.default_rng(6), DEVICE, turn_s=30.0, speed=1.2)
     held = validate_leave_one_out([slow, fast])
-    assert not any("extrapolated" in note for note in held.trials[0].notes)
-    assert any("extrapolated" in note for note in held.trials[1].notes)
+    assert not any(item.code == "validate.extrapolated" for item in held.trials[0].findings)
+    assert any(item.code == "validate.extrapolated" for item in held.trials[1].findings)
 
 
 def test_the_adc_of_a_device_is_what_most_of_its_recordings_say(pairs):
@@ -94,5 +95,5 @@ def test_a_recording_cannot_judge_itself(pairs):
 def test_recordings_of_two_devices_are_told_apart():
     one = make_recording(np.random.default_rng(4), Device(), turn_s=40.0)
     other = make_recording(np.random.default_rng(5), Device(offset=np.radians([0.0, 0.4, 0.0])), turn_s=40.0)
-    notes = validate_leave_one_out([one, other]).trials[0].notes
-    assert any("apart at rest: several devices" in note for note in notes)
+    notes = validate_leave_one_out([one, other]).trials[0].findings
+    assert any(re.search(r"deg/s apart: several devices", item.text) for item in notes)

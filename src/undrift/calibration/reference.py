@@ -92,7 +92,7 @@ class HeldOut:
     # Root-mean-square rotation that remains over windows of ``window_s`` in the held-out recording, rad
     before: float  # with the rest offset alone
     after: float  # with the model
-    extrapolation: str  # Where the held-out rates exceed what the others saw; "" where they do not
+    extrapolation: Finding | None  # Where the held-out rates exceed what the others saw
 
 
 # ---- window equations: rotation of the gyroscope against rotation of the reference
@@ -610,12 +610,11 @@ def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: Re
     beyond = float((rate > limit).any(axis=1).mean())
     rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
     most = float(fit.turn_rates_rms.max())
-    extrapolation = ""
+    extrapolation = None
     if beyond > 0.0 or rms > 1.5 * most:
-        extrapolation = (
-            f"turns at up to {np.degrees(rate.max()):.0f} deg/s, {np.degrees(rms):.0f} rms; the fit has seen "
-            f"{np.degrees(limit):.0f} deg/s, {np.degrees(most):.0f} rms: extrapolated"
-        )
+        names = ("most_dps", "rms_dps", "seen_dps", "seen_rms_dps")
+        rates = zip(names, np.degrees((rate.max(), rms, limit, most)), strict=True)
+        extrapolation = finding("validate.extrapolated", "warn", **dict(rates))
     return HeldOut(recording=number, fit=fit, model=model, before=before, after=after, extrapolation=extrapolation)
 
 

@@ -1,22 +1,24 @@
 """``undrift rig``: run a protocol on a rate table, stop it from another shell, check a table, or emulate one."""
 
 import sys
-from contextlib import ExitStack, suppress
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from undrift.cli.common import Json, Output, device_at, say, show_verdict, write_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
+    from contextlib import ExitStack
+
     from undrift.rig.check import CheckSettings, RigCheck
+    from undrift.rig.folder import RunFolder
+    from undrift.rig.guard import Guard
     from undrift.rig.programme import Programme
-    from undrift.rig.rig import Limits, RigSettings
-    from undrift.rig.run import Bench, Progress, RunResult, Watch
+    from undrift.rig.rig import RigSettings
+    from undrift.rig.run import Bench, Progress, RunResult, RunSettings, Watch
+    from undrift.sim.device.model import DeviceModel
 
 rig = App(
     name="rig",
@@ -26,6 +28,7 @@ rig = App(
     result_action="return_value",
 )
 LONGEST_SILENCE_S = 60.0  # of a check, s of the host; then it hangs, and the guard stops the table
+Output = Annotated[Path, Parameter(name=["--output", "-o"])]
 
 
 @rig.command
@@ -46,7 +49,7 @@ def run(
     device_lag_s: float = 120.0,
     resume: bool = False,
     yes: bool = False,
-    json: Json = False,
+    json: bool = False,
 ) -> int:
     """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
 
@@ -80,16 +83,30 @@ def run(
         Go on in a folder in which a run was interrupted.
     yes : bool
         Start without asking.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
     """
+    from contextlib import ExitStack
+
     from undrift.rig.folder import RunFolder
-    from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
+    from undrift.rig.guard import StopWatch, stopping_on_signals
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
-    from undrift.rig.rig import RigSettings, check_programme, parse_address
-    from undrift.rig.run import RunSettings, Watch, run_programme
+    from undrift.rig.rig import Limits, RigSettings, check_programme, parse_address
+    from undrift.rig.run import RunSettings, Watch
 
     asked = read_protocol(protocol)
-    limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
+    limits = Limits(
+        turn_rate=highest_turn_rate_dps * RADIAN_PER_DEGREE,
+        acceleration=highest_acceleration_dps2 * RADIAN_PER_DEGREE,
+        travel=None if travel_deg is None else travel_deg * RADIAN_PER_DEGREE,
+    )
     settings = RigSettings(limits=limits, ask=_asked)
+    giving_up = RunSettings(device_lag_s=device_lag_s)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
     by_hand = rig.startswith("manual:")
     if not resume:
@@ -99,25 +116,10 @@ def run(
         check_programme(programme, limits, folder.done, by_hand=by_hand)
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
-        guard = None
-        if (
-            chamber is not None or not by_hand
-        ):  # guarded before they are opened, so that they are closed before the guard goes
-            guard = stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
-        watch = Watch(StopWatch(rig), guard, programme)
+        watch = Watch(StopWatch(rig), _guard(stack, rig, chamber), programme)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         watch.arm()
-        shown = _Shown(watch)
-        stack.callback(shown.end)
-        result = run_programme(
-            programme,
-            bench,
-            folder,
-            report=shown,
-            serial=serial or called,
-            gravity_m_s2=gravity_m_s2,
-            settings=RunSettings(device_lag_s=device_lag_s),
-        )
+        result = _performed(programme, bench, folder, watch, (serial or called, gravity_m_s2), giving_up)
     _result(result, output, json)
     return 0
 
@@ -136,7 +138,7 @@ def emulate(
     gravity_m_s2: float = STANDARD_GRAVITY,
     save_device: Path | None = None,
     seed: int = 0,
-    json: Json = False,
+    json: bool = False,
 ) -> int:
     """Emulate a table, a chamber, a device and an operator on loopback ports; print their addresses and go on until Ctrl-C.
 
@@ -165,48 +167,65 @@ def emulate(
         Write the device there, as device.json: the truth that a calibration should find.
     seed : int
         Of every random draw.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
     """
-    import threading
-
-    import numpy as np
-
     from undrift.rig.guard import stopping_on_signals
     from undrift.sim.device.model import write_device
-    from undrift.sim.device.presets import PRESETS
     from undrift.sim.rig.bench import AirSettings, EmulatedBenchSettings, start_bench
     from undrift.sim.rig.emulator import EmulatorSettings
     from undrift.sim.rig.stream import StreamSettings
 
-    tilt = mount_tilt_deg * RADIAN_PER_DEGREE
+    stream = StreamSettings(
+        sample_rate_hz=sample_rate_hz,
+        mount_tilt_sd=mount_tilt_deg * RADIAN_PER_DEGREE,
+        gravity_m_s2=gravity_m_s2,
+        seed=seed,
+    )
     settings = EmulatedBenchSettings(
         rig=EmulatorSettings(kind=kind, speed=speed, port=port),
         air=AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
-        stream=StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed),
-        device=device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None,
+        stream=stream,
+        device=_device(device, seed),
     )
-    with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
+    with stopping_on_signals(), start_bench(settings) as bench:
         if save_device is not None:
             write_device(bench.device, save_device)
-        addresses = {"rig": bench.rig_address, "device": bench.device_address, "chamber": bench.chamber_address}
-        addresses["operator"] = bench.hands_address
-        if json:
-            write_json({**addresses, "hands": bench.hands_address})  # its name in earlier releases
-        else:
-            sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
-        sys.stdout.flush()
-        threading.Event().wait()
+        _announce(
+            {
+                "rig": bench.rig_address,
+                "device": bench.device_address,
+                "chamber": bench.chamber_address,
+                "operator": bench.hands_address,
+            },
+            json,
+        )
+        _until_interrupted()
     return 0
 
 
 @rig.command
-def stop(*, rig: str, json: Json = False) -> int:
+def stop(*, rig: str, json: bool = False) -> int:
     """Stop the table and switch its motor off, whoever drives it.
 
     Parameters
     ----------
     rig : str
         Address of the table.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
     """
+    from undrift.cli.common import console, write_json
     from undrift.rig.guard import mark_stop, stop_rig
 
     mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
@@ -214,30 +233,48 @@ def stop(*, rig: str, json: Json = False) -> int:
     if json:
         write_json({"rig": rig, "stopped": True, "motor_on": False})
     else:
-        say(f"{rig}: at rest, motor off")
+        console().print(f"{rig}: at rest, motor off", markup=False)
     return 0
 
 
 @rig.command
-def status(*, rig: str, json: Json = False) -> int:
+def status(*, rig: str, json: bool = False) -> int:
     """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed.
 
     Parameters
     ----------
     rig : str
         Address of the table.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
     """
+    from undrift.cli.common import console, write_json
     from undrift.rig.galil import read_status
 
     found = read_status(rig)
-    angle_deg = found.angle / RADIAN_PER_DEGREE
     if json:
-        made = {"rig": rig, "identity": found.identity, "moving": found.moving, "motor_on": found.motor_on}
-        error_deg = found.following_error / RADIAN_PER_DEGREE
-        write_json(made | {"angle_deg": angle_deg, "following_error_deg": error_deg, "fault": found.fault})
+        write_json(
+            {
+                "rig": rig,
+                "identity": found.identity,
+                "moving": found.moving,
+                "motor_on": found.motor_on,
+                "angle_deg": found.angle / RADIAN_PER_DEGREE,
+                "following_error_deg": found.following_error / RADIAN_PER_DEGREE,
+                "fault": found.fault,
+            }
+        )
         return 0
-    words = f"{'moves' if found.moving else 'at rest'}, motor {'on' if found.motor_on else 'off'}"
-    say(f"{found.identity}: {words}, at {angle_deg:.3f} deg, {found.fault or 'no fault'}")
+    words = ("moves" if found.moving else "at rest", f"motor {'on' if found.motor_on else 'off'}")
+    angle_deg = found.angle / RADIAN_PER_DEGREE
+    console().print(
+        f"{found.identity}: {', '.join(words)}, at {angle_deg:.3f} deg, {found.fault or 'no fault'}", markup=False
+    )
     return 0
 
 
@@ -251,7 +288,7 @@ def check(
     limit_deg: float = 0.012,
     travel_deg: float | None = None,
     set_gains: bool = False,
-    json: Json = False,
+    json: bool = False,
 ) -> int:
     """Accept a table: following error in a step wave, crossover and phase margin of its servo loop. The table turns.
 
@@ -271,22 +308,37 @@ def check(
         How far the table may turn either way, deg; without end where not given.
     set_gains : bool
         Set the suggested gains, until the controller is switched off.
+    json : bool
+        One JSON object on stdout.
+
+    Returns
+    -------
+    int
+        Exit code.
     """
+    from contextlib import ExitStack
+
     from undrift.rig.check import CheckSettings, check_rig
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.link import Clock
-    from undrift.rig.rig import RigSettings, open_rig, parse_address
+    from undrift.rig.rig import Limits, RigSettings, open_rig, parse_address
 
-    limits = _limits(turn_rate_dps, acceleration_dps2, travel_deg)
+    dps = RADIAN_PER_DEGREE
     settings = CheckSettings(
-        turn_rate=limits.turn_rate,
+        turn_rate=turn_rate_dps * dps,
         duration_s=seconds,
-        acceleration=limits.acceleration,
-        limit=limit_deg * RADIAN_PER_DEGREE,
+        acceleration=acceleration_dps2 * dps,
+        limit=limit_deg * dps,
         set_gains=set_gains,
     )
     if parse_address(rig)[0] == "manual":
         raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
+    limits = Limits(
+        turn_rate=settings.turn_rate,
+        acceleration=settings.acceleration,
+        travel=None if travel_deg is None else travel_deg * dps,
+    )
+    asked = RigSettings(limits=limits)
     with ExitStack() as stack:
         stack.enter_context(stopping_on_signals())
         stops, guard = StopWatch(rig), stack.enter_context(Guard(rig))
@@ -298,7 +350,7 @@ def check(
             if sys.stderr.isatty():
                 sys.stderr.write(f"\r\x1b[K{line}")
 
-        table = open_rig(rig, RigSettings(limits=limits))
+        table = open_rig(rig, asked)
         stack.callback(table.close)
         guard.arm()
         found = check_rig(table, Clock(speed=parse_address(rig)[2].clock_speed), settings, report)
@@ -306,12 +358,14 @@ def check(
     return 1 if found.passed is False else 0
 
 
-def _limits(turn_rate_dps: float, acceleration_dps2: float, travel_deg: float | None) -> "Limits":
-    from undrift.rig.rig import Limits
+def _guard(stack: "ExitStack", rig: str, chamber: str | None) -> "Guard | None":
+    """Have table and chamber guarded; before they are opened, so that they are closed before the guard goes."""
+    from undrift.rig.guard import Guard
 
-    dps = RADIAN_PER_DEGREE
-    travel = None if travel_deg is None else travel_deg * dps
-    return Limits(turn_rate=turn_rate_dps * dps, acceleration=acceleration_dps2 * dps, travel=travel)
+    by_hand = rig.startswith("manual:")
+    if by_hand and chamber is None:
+        return None
+    return stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
 
 
 def _bench(
@@ -352,6 +406,21 @@ def _bench(
     return made, source.description.device
 
 
+def _device(name: str, seed: int) -> "DeviceModel | None":
+    import numpy as np
+
+    from undrift.sim.device.model import read_device
+    from undrift.sim.device.presets import PRESETS, random_device_of
+
+    if not name:
+        return None
+    if name in PRESETS:
+        return random_device_of(name, np.random.default_rng(seed))
+    if not Path(name).exists():
+        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
+    return read_device(Path(name))
+
+
 def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     """Say on stderr how long each step and the whole takes, and ask whether to start."""
     from undrift.rig.programme import Dwell, Mount
@@ -377,15 +446,39 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
         raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or --yes")
 
 
-class _Shown:
-    """Watches a run and shows where it is on stderr: one line that is written over on a terminal, else a line for each step."""
+def _performed(
+    programme: "Programme",
+    bench: "Bench",
+    folder: "RunFolder",
+    watch: "Watch",
+    what: tuple[str, float],
+    giving_up: "RunSettings",
+) -> "RunResult":
+    from undrift.rig.run import run_programme
 
-    def __init__(self, watch: "Watch") -> None:
-        self._watch, self._live = watch, sys.stderr.isatty()
+    shown = _Shown()
+    serial, gravity_m_s2 = what
+
+    def report(progress: "Progress") -> None:
+        watch(progress)
+        shown(progress)
+
+    try:
+        return run_programme(
+            programme, bench, folder, report=report, serial=serial, gravity_m_s2=gravity_m_s2, settings=giving_up
+        )
+    finally:
+        shown.end()
+
+
+class _Shown:
+    """Shows where a run is on stderr: one line that is written over on a terminal, else a line for each step."""
+
+    def __init__(self) -> None:
+        self._live = sys.stderr.isatty()
         self._last: int | None = None
 
     def __call__(self, progress: "Progress") -> None:
-        self._watch(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         if self._live:
             sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150])
@@ -400,73 +493,117 @@ class _Shown:
 
 
 def _result(result: "RunResult", folder: Path, json: bool) -> None:
+    from undrift.cli.common import console, write_json
+
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     missing = sum(piece.missing for piece in result.pieces)
     if json:
-        rows = [
+        write_json(
             {
-                "axis": piece.axis,
-                "nominal_dps": piece.nominal_turn_rate / RADIAN_PER_DEGREE,
-                "achieved_dps": piece.turn_rate / RADIAN_PER_DEGREE,
-                "standard_uncertainty_dps": piece.turn_rate_uncertainty / RADIAN_PER_DEGREE,
-                "temp_c": piece.temp_c if piece.device_c is None else piece.device_c,
-                "missing_readings": piece.missing,
+                "folder": str(folder),
+                "rig": result.rig,
+                "dwells": len(result.pieces),
+                "added": result.added,
+                "duration_s": result.duration_s,
+                "missing_readings": missing,
+                "turns": [
+                    {
+                        "axis": piece.axis,
+                        "nominal_dps": piece.nominal_turn_rate / RADIAN_PER_DEGREE,
+                        "achieved_dps": piece.turn_rate / RADIAN_PER_DEGREE,
+                        "standard_uncertainty_dps": piece.turn_rate_uncertainty / RADIAN_PER_DEGREE,
+                        "temp_c": piece.temp_c if piece.device_c is None else piece.device_c,
+                        "missing_readings": piece.missing,
+                    }
+                    for piece in turns
+                ],
             }
-            for piece in turns
-        ]
-        made = {"folder": str(folder), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
-        write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows})
+        )
         return
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
-    say(
+    console().print(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
-        f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
+        f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing",
+        markup=False,
     )
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:
+    from dataclasses import asdict
+
+    from undrift.cli.common import console, show_verdict, write_json
     from undrift.io.store import verdict_json
 
-    dps, loop, error, gains = RADIAN_PER_DEGREE, found.loop, found.error, found.gains
+    dps, loop, error = RADIAN_PER_DEGREE, found.loop, found.error
+    verdict = verdict_json(found.verdict)
     if json:
-        verdict = verdict_json(found.verdict)
-        wave = {"turn_rate": settings.turn_rate, "achieved": error.turn_rate}
-        errors = {"rms": error.rms, "max": error.largest, "limit_deg": settings.limit}
-        errors |= {"run_up_max": error.in_run_up, "link_delay": error.unknown}
-        sets = {"read": gains, "suggested": found.suggested, "held": found.held}
         write_json(
             {
                 "kind": "undrift.rig_check",
                 "format": 1,
                 "rig": rig,
                 "identity": found.identity,
-                "wave": {"seconds": settings.duration_s}
-                | {f"{name}_dps": value / dps for name, value in wave.items()}
-                | {"acceleration_dps2": settings.acceleration / dps},
-                "error_deg": {name: value / dps for name, value in errors.items()} | {"pass": found.passed},
+                "wave": {
+                    "seconds": settings.duration_s,
+                    "turn_rate_dps": settings.turn_rate / dps,
+                    "achieved_dps": error.turn_rate / dps,
+                    "acceleration_dps2": settings.acceleration / dps,
+                },
+                "error_deg": {
+                    "rms": error.rms / dps,
+                    "max": error.largest / dps,
+                    "limit_deg": settings.limit / dps,
+                    "pass": found.passed,
+                    "run_up_max": error.in_run_up / dps,
+                    "link_delay": error.unknown / dps,
+                },
                 "crossover_rad_s": loop and loop.crossover,
                 "crossover_standard_uncertainty_rad_s": loop and loop.crossover_uncertainty,
                 "phase_margin_deg": loop and loop.margin / dps,
                 "phase_margin_standard_uncertainty_deg": loop and loop.margin_uncertainty / dps,
-                "gains": {name: each and asdict(each) for name, each in sets.items()},
+                "gains": {
+                    "read": found.gains and asdict(found.gains),
+                    "suggested": found.suggested and asdict(found.suggested),
+                    "held": found.held and asdict(found.held),
+                },
                 "verdict": verdict,
                 "findings": verdict["findings"],
             }
         )
         return
-    say(
+    lines = [
         f"{found.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
         f"following error {error.rms / dps:.4f} deg rms, {error.largest / dps:.4f} deg at most at steady rate; limit "
         f"{settings.limit / dps:g} deg",
-    )
+    ]
     if loop is not None:
-        say(
+        lines.append(
             f"crossover {loop.crossover:.1f} +- {loop.crossover_uncertainty:.1f} rad/s, phase margin {loop.margin / dps:.1f} "
             f"+- {loop.margin_uncertainty / dps:.1f} deg (standard uncertainties)"
         )
-    if gains is not None:
-        say(f"gains KP {gains.kp:g}, KD {gains.kd:g}, KI {gains.ki:g}")
+    if found.gains is not None:
+        lines.append(f"gains KP {found.gains.kp:g}, KD {found.gains.kd:g}, KI {found.gains.ki:g}")
+    for line in lines:
+        console().print(line, markup=False)
     show_verdict(found.verdict, details=True)
+
+
+def _announce(addresses: dict[str, str], json: bool) -> None:
+    from undrift.cli.common import write_json
+
+    if json:
+        write_json({**addresses, "hands": addresses["operator"]})  # its name in earlier releases
+    else:
+        sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
+    sys.stdout.flush()
+
+
+def _until_interrupted() -> None:
+    import contextlib
+    import threading
+
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Event().wait()
 
 
 def _asked(line: str) -> str:

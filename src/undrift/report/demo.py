@@ -72,7 +72,6 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
     from undrift.study.virtual_bench import EXCURSION_K
 
     largest = [trial.figures.max_abs_pitch_deg for trial in trials]
-    notes = dict.fromkeys(note for trial in trials for note in trial.notes)
     figure, (angle, error) = new_figure(2)
     angle.plot(*envelope(trials[0].time, trials[0].reference_pitch / RADIAN_PER_DEGREE), color=OPTICS)
     angle.set_ylabel("pitch (deg)")
@@ -90,8 +89,8 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
             f"Simulated with the same device after half an hour on a person, {EXCURSION_K:g} K above the bench. While the person "
             f"moves, the tables remove {largest[0] - largest[-1]:.2f} deg of the largest pitch error against simulated optics (the "
             "note, Figure 3: more than 3.2). Integration begins half a second before the motion and includes the stance after it.",
-            *(f"{note[0].upper()}{note[1:]}." for note in notes),
         ),
+        findings=tuple(item for trial in trials for item in trial.findings),
         pictures=(svg_of(figure),),
     )
 

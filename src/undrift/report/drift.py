@@ -4,7 +4,7 @@ Warming is red and cooling blue; what no data were near is hatched.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -81,12 +81,12 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
         (state > 0.0, "v", _COOL, "cooling"),
         (state == 0.0, "o", LIMIT, "direction not known"),
     )
-    size, alpha = (9.0, 0.4) if len(temp) > _MANY else (14.0, 0.75)
+    style: Any = {"linewidths": 0.0} | dict(
+        zip(("s", "alpha"), (9.0, 0.4) if len(temp) > _MANY else (14.0, 0.75), strict=True)
+    )
     for which, mark, colour, name in marks:
         if which.any():
-            axes.scatter(
-                temp[which], held[which], marker=mark, s=size, color=colour, alpha=alpha, linewidths=0.0, label=name
-            )
+            axes.scatter(temp[which], held[which], marker=mark, color=colour, label=name, **style)
     return held
 
 
@@ -98,15 +98,8 @@ def _draw_table(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
     axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
     if summary.loop_kept and summary.half_loop is not None:
         for sign, colour, branch in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
-            axes.plot(
-                temp,
-                value + sign * summary.half_loop[k] * factor,
-                color=colour,
-                linestyle="--",
-                linewidth=0.9,
-                label=branch,
-                zorder=3,
-            )
+            course = value + sign * summary.half_loop[k] * factor
+            axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=branch, zorder=3)
 
 
 def _keep_in_view(
@@ -134,17 +127,13 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
     marks = np.concatenate(([False], extrapolated, [False])).astype(int)
     starts, stops = np.flatnonzero(np.diff(marks) == 1), np.flatnonzero(np.diff(marks) == -1) - 1
     half = 0.5 * (temp_c[-1] - temp_c[0]) / (len(temp_c) - 1)
+    hatched: Any = {"facecolor": "#f1f1ee", "edgecolor": "#cfcfca", "hatch": "///", "linewidth": 0.0, "zorder": 0}
     for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
-        axes.axvspan(
+        low, high = (
             max(float(temp_c[start]) - half, float(temp_c[0])),
             min(float(temp_c[stop]) + half, float(temp_c[-1])),
-            facecolor="#f1f1ee",
-            edgecolor="#cfcfca",
-            hatch="///",
-            linewidth=0.0,
-            zorder=0,
-            label="extrapolated" if k == 0 else None,
         )
+        axes.axvspan(low, high, label="extrapolated" if k == 0 else None, **hatched)
 
 
 def draw_scale(summary: "ScaleSummary") -> "Figure":
@@ -153,21 +142,14 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
     for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
         value, doubt = summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
         _shade(axes, summary.temp_c, summary.extrapolated)
+        temp = summary.temp_c
+        band: Any = {"color": LIMIT, "alpha": 0.3, "linewidth": 0.0}
         if np.isfinite(doubt).all():
-            axes.fill_between(
-                summary.temp_c, value - doubt, value + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %"
-            )
-        axes.plot(summary.temp_c, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table")
-        axes.errorbar(
-            summary.soak_temp_c,
-            summary.soak_percent[:, k],
-            yerr=NORMAL_95 * summary.soak_uncertainty[:, k],
-            fmt="o",
-            markersize=3.5,
-            color=DEVICE,
-            linewidth=0.9,
-            label="soaks, 95 %",
-        )
+            axes.fill_between(temp, value - doubt, value + doubt, label="95 %", **band)
+        axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table")
+        soaks, bars = summary.soak_percent[:, k], NORMAL_95 * summary.soak_uncertainty[:, k]
+        style: Any = {"fmt": "o", "markersize": 3.5, "color": DEVICE, "linewidth": 0.9}
+        axes.errorbar(summary.soak_temp_c, soaks, yerr=bars, label="soaks, 95 %", **style)
         axes.set_ylabel(f"{axis} (%)")
         axes.set_xlim(float(summary.temp_c[0]), float(summary.temp_c[-1]))
     panels[-1].set_xlabel("temperature (degC)")
@@ -201,21 +183,14 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
     """Draw the cross-validated error of each choice of tables."""
     figure, (axes,) = new_figure(1, height=1.9)
     rows = [k for k, value in enumerate(alternatives.left_out_rms_dps) if np.isfinite(value)]
+    names = []
     for place, k in enumerate(rows):
-        taken = alternatives.name[k] == alternatives.chosen
-        axes.errorbar(
-            alternatives.left_out_rms_dps[k],
-            place,
-            xerr=min(alternatives.standard_error_dps[k], 0.9 * alternatives.left_out_rms_dps[k]),
-            fmt="o",
-            markersize=7.0 if taken else 5.0,
-            color=ERROR if taken else DEVICE,
-            capsize=3.0,
-        )
-    axes.set_yticks(
-        range(len(rows)),
-        [alternatives.name[k] + (" (chosen)" if alternatives.name[k] == alternatives.chosen else "") for k in rows],
-    )
+        error, taken = alternatives.left_out_rms_dps[k], alternatives.name[k] == alternatives.chosen
+        style: Any = {"markersize": 7.0 if taken else 5.0, "color": ERROR if taken else DEVICE}
+        reach = min(alternatives.standard_error_dps[k], 0.9 * error)
+        axes.errorbar(error, place, xerr=reach, fmt="o", capsize=3.0, **style)
+        names.append(alternatives.name[k] + " (chosen)" * taken)
+    axes.set_yticks(range(len(rows)), names)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xscale("log")
     axes.set_xlabel("error of held-out soaks and rates (deg/s rms, with standard error)")
@@ -225,31 +200,26 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
 # ---- tables
 
 
-def offset_heads(summary: "TriadSummary") -> tuple[str, ...]:
-    """Return the heads of ``offset_rows``."""
-    unit, _ = shown_unit(summary.unit)
-    heads = ["axis", f"slope ({unit} per degC)", f"table +- ({unit})", f"held out, rms ({unit})"]
-    heads += [f"hysteresis half-width ({unit})"] if summary.half_loop is not None else []
-    heads += [f"between sessions ({unit})"] if summary.turn_on is not None else []
-    return tuple(heads)
-
-
-def offset_rows(summary: "TriadSummary") -> tuple[tuple[str, ...], ...]:
-    """Return one row of cells for each axis: slope, uncertainty of the table, cross-validated error, hysteresis, sessions."""
-    _, factor = shown_unit(summary.unit)
+def offset_table(summary: "TriadSummary") -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """Return heads, and a row for each axis: slope, uncertainty of the table, cross-validated error, hysteresis, sessions."""
+    unit, factor = shown_unit(summary.unit)
     rows = []
     for k, axis in enumerate(AXES):
-        row = [axis, plus_minus(summary.slope[k] * factor, summary.slope_uncertainty[k] * factor)]
-        row.append(f"{summary.usual_uncertainty[k] * factor:.2g}")
         left = summary.left_out_rms[k] * factor
-        row.append(f"{left:.2g}" if np.isfinite(left) else "too few")
+        row = {
+            "axis": axis,
+            f"slope ({unit} per degC)": plus_minus(summary.slope[k] * factor, summary.slope_uncertainty[k] * factor),
+            f"table +- ({unit})": f"{summary.usual_uncertainty[k] * factor:.2g}",
+            f"held out, rms ({unit})": f"{left:.2g}" if np.isfinite(left) else "too few",
+        }
         if summary.half_loop is not None and summary.half_loop_uncertainty is not None:
-            row.append(plus_minus(summary.half_loop[k] * factor, summary.half_loop_uncertainty[k] * factor))
+            half = summary.half_loop[k] * factor, summary.half_loop_uncertainty[k] * factor
+            row[f"hysteresis half-width ({unit})"] = plus_minus(*half)
         if summary.turn_on is not None:
             between = summary.turn_on[k] * factor
-            row.append(f"{between:.2g}" if np.isfinite(between) else "not seen")
-        rows.append(tuple(row))
-    return tuple(rows)
+            row[f"between sessions ({unit})"] = f"{between:.2g}" if np.isfinite(between) else "not seen"
+        rows.append(row)
+    return tuple(rows[0]), tuple(tuple(row.values()) for row in rows)
 
 
 def plus_minus(value: float, uncertainty: float) -> str:
@@ -279,15 +249,14 @@ SCALE_HEADS = ("axis", "scale factor (% per degC)", "asymmetry (%)")
 def scale_rows(fit: "DriftFit") -> tuple[tuple[str, ...], ...]:
     """Return one row of cells for each axis: thermal sensitivity of the scale factor, and asymmetry."""
     scale = None if fit.choice is None else fit.choice.scale
-    rows = []
-    for k, axis in enumerate(AXES):
-        sensitivity = asymmetry = "not seen"
-        if scale is not None:
-            sensitivity = plus_minus(scale.percent_per_k[k], scale.percent_per_k_uncertainty[k])
-        if fit.asymmetry is not None:
-            asymmetry = plus_minus(100.0 * fit.asymmetry.mean[k], 100.0 * fit.asymmetry.mean_uncertainty[k])
-        rows.append((axis, sensitivity, asymmetry))
-    return tuple(rows) if scale is not None or fit.asymmetry is not None else ()
+    if scale is None and fit.asymmetry is None:
+        return ()
+    columns = [["not seen"] * 3, ["not seen"] * 3]
+    if scale is not None:
+        columns[0] = list(map(plus_minus, scale.percent_per_k, scale.percent_per_k_uncertainty))
+    if fit.asymmetry is not None:
+        columns[1] = list(map(plus_minus, 100.0 * fit.asymmetry.mean, 100.0 * fit.asymmetry.mean_uncertainty))
+    return tuple(zip(AXES, *columns, strict=True))
 
 
 CHOICE_HEADS = ("tables with offsets", "fitted (deg/s rms)", "held out (deg/s rms)", "chosen")
@@ -298,16 +267,12 @@ def choice_rows(alternatives: "Alternatives") -> tuple[tuple[str, ...], ...]:
     return tuple(
         (
             name,
-            _figure(alternatives.fitted_rms_dps[k]),
+            f"{fitted:.3g}" if np.isfinite(fitted) else "not fitted",
             plus_minus(alternatives.left_out_rms_dps[k], alternatives.standard_error_dps[k]).lstrip("+"),
             "chosen" if name == alternatives.chosen else "",
         )
-        for k, name in enumerate(alternatives.name)
+        for k, (name, fitted) in enumerate(zip(alternatives.name, alternatives.fitted_rms_dps, strict=True))
     )
-
-
-def _figure(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "not fitted"
 
 
 def write_drift_report(fit: "DriftFit", path: Path) -> None:
@@ -328,8 +293,8 @@ def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
         Section(
             title=name,
             text=(offset_title(name.lower(), summary) + ". Standard uncertainties behind +-.",),
-            columns=offset_heads(summary),
-            rows=offset_rows(summary),
+            columns=offset_table(summary)[0],
+            rows=offset_table(summary)[1],
             pictures=(svg_of(draw_offsets(summary)),),
         )
         for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary))

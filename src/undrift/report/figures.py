@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray
 from undrift.calibration.noise import NoiseFit
 from undrift.errors import InputError
 from undrift.files import write_whole
@@ -35,15 +35,13 @@ def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN)
         return time, values
     gaps = np.isnan(values)
     edges = np.linspace(0, len(values), columns + 1).astype(np.int64)
-    low = [a + int(np.argmin(part)) for a, part in _columns(np.where(gaps, np.inf, values), edges)]
-    high = [a + int(np.argmax(part)) for a, part in _columns(np.where(gaps, -np.inf, values), edges)]
+    parts = [slice(a, b) for a, b in pairwise(edges.tolist())]
+    low, high = np.where(gaps, np.inf, values), np.where(gaps, -np.inf, values)
+    ends = [part.start + int(np.argmin(low[part])) for part in parts]
+    ends += [part.start + int(np.argmax(high[part])) for part in parts]
     edge = np.flatnonzero(np.diff(gaps))
-    kept = np.unique(np.concatenate((low, high, edge, edge + 1)))
+    kept = np.unique(np.concatenate((ends, edge, edge + 1)))
     return time[kept], values[kept]
-
-
-def _columns(values: FloatArray, edges: IntArray) -> list[tuple[int, FloatArray]]:
-    return [(int(a), values[a:b]) for a, b in pairwise(edges)]
 
 
 # ---- figures
@@ -51,7 +49,7 @@ def _columns(values: FloatArray, edges: IntArray) -> list[tuple[int, FloatArray]
 DEVICE, OPTICS, ERROR, LIMIT = "#1f5fa8", "#222222", "#d9641e", "#8a8a8a"
 SHADE = "#f1efe8"  # behind a stretch that the figures are taken over
 PICTURES = (".svg", ".png", ".pdf")
-_UNDATED: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}  # the same bytes for the same figure
+_UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same bytes for the same figure
 AXIS_COLOURS = ("#c23b3b", "#2f8f4e", "#2b62b3")  # x, y, z
 _STYLE: Any = {  # matplotlib types every key by name
     "font.size": 9.0,
@@ -82,25 +80,25 @@ def new_figure(
 
 def svg_of(figure: "Figure") -> str:
     """Return a figure as SVG text, the same bytes for the same figure."""
-    import matplotlib as mpl
-
-    buffer = io.StringIO()
-    with mpl.rc_context(_STYLE):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "undrift"})
-    text = buffer.getvalue()
+    text = _saved(figure, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
     return text[text.index("<svg") :]
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure as SVG, PNG or PDF, by the ending of the name."""
-    import matplotlib as mpl
-
     if path.suffix.lower() not in PICTURES:
         raise InputError(f"{path}: wanted a name ending in .svg, .png or .pdf, got another; name the format so")
+    kind = path.suffix[1:].lower()
+    write_whole(path, _saved(figure, dpi=130, format=kind, metadata=_UNDATED.get(kind)))
+
+
+def _saved(figure: "Figure", **how: Any) -> bytes:
+    import matplotlib as mpl
+
     buffer = io.BytesIO()
     with mpl.rc_context(_STYLE):
-        figure.savefig(buffer, dpi=130, format=path.suffix[1:].lower(), metadata=_UNDATED.get(path.suffix.lower()))
-    write_whole(path, buffer.getvalue())
+        figure.savefig(buffer, **how)
+    return buffer.getvalue()
 
 
 def draw_comparison(
@@ -120,25 +118,16 @@ def draw_comparison(
     angle.set_ylabel("pitch (deg)")
     angle.set_title(title, loc="left", fontsize=10)
     angle.legend(loc="lower left", bbox_to_anchor=(0.75, 1.0), ncols=2, borderaxespad=0.2, frameon=False)
-    colours = (ERROR, DEVICE, LIMIT, OPTICS)
-    for (name, course), colour in zip(errors_deg, colours, strict=False):
+    for (name, course), colour in zip(errors_deg, (ERROR, DEVICE, LIMIT, OPTICS), strict=False):
         error.plot(*envelope(time, course), color=colour, label=name)
-    for start, stop in _runs(time, moving):
-        error.axvspan(start, stop, color=SHADE, linewidth=0.0, zorder=0)
+    marks = np.diff(np.concatenate(([False], np.zeros(0) if moving is None else moving > 0.0, [False])).astype(int))
+    for start, stop in zip(np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True):
+        error.axvspan(float(time[start]), float(time[stop]), color=SHADE, linewidth=0.0, zorder=0)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set_ylabel("error (deg)")
     error.set_xlabel("time (s)")
     error.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(errors_deg), borderaxespad=0.2, frameon=False)
     return figure
-
-
-def _runs(time: FloatArray, moving: FloatArray | None) -> list[tuple[float, float]]:
-    """Return first and last instant of each stretch of motion, s."""
-    if moving is None:
-        return []
-    marks = np.diff(np.concatenate(([0.0], moving > 0.0, [0.0])))
-    starts, stops = np.flatnonzero(marks > 0.0), np.flatnonzero(marks < 0.0) - 1
-    return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops, strict=True)]
 
 
 def _without_wraps(angle_deg: FloatArray) -> FloatArray:
@@ -158,9 +147,8 @@ def draw_agreement(
     axes.axhline(bias_deg, color=ERROR)
     for limit in limits_deg:
         axes.axhline(limit, color=LIMIT, linestyle="--")
-    axes.annotate(
-        f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), xycoords=("axes fraction", "data"), ha="right", va="bottom"
-    )
+    where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+    axes.annotate(f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), **where)
     axes.set_xlabel(f"mean of device and optics (deg), one point a {unit}")
     axes.set_ylabel("device - optics (deg)")
     return figure
@@ -182,16 +170,8 @@ def draw_allan(found: NoiseFit, *, title: str) -> "Figure":
         for k, (axis, colour) in enumerate(zip(axes, AXIS_COLOURS, strict=False)):
             course = deviation[:, k]
             reach = np.abs(limits[:, :, k] - course)  # bars are lengths down and up
-            panel.errorbar(
-                taus,
-                course,
-                yerr=reach,
-                color=colour,
-                marker="o",
-                markersize=2.5,
-                elinewidth=0.7,
-                label=f"{name} {axis.axis}",
-            )
+            style: Any = {"color": colour, "marker": "o", "markersize": 2.5, "elinewidth": 0.7}
+            panel.errorbar(taus, course, yerr=reach, label=f"{name} {axis.axis}", **style)
         panel.set_xscale("log")
         panel.set_yscale("log")
         anchor = float(np.nanmedian(deviation[0]))
@@ -226,23 +206,23 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     """Draw the mean error over the protocols: a column for each step d, what is not shown at its best."""
     surface = task.surface
     mean = surface.error(outcome.study.objective).mean(axis=0)
-    steps = np.unique(surface.turn_rate_step_dps)
+    step_of, x_of = surface.turn_rate_step_dps, surface.turn_rate_max_dps
+    steps, (xs, x_at) = np.unique(step_of), np.unique(x_of, return_inverse=True)
     figure, axes = new_figure(2, columns=len(steps), height=2.0, share_x=False)
     low, high = float(np.nanmin(mean)), float(np.nanmax(mean))
     if high < LEAST_CONTRAST * low:
         middle, reach = np.sqrt(low * high), np.sqrt(LEAST_CONTRAST)
         low, high = middle / reach, middle * reach
     mesh: Any = None
-    marks = [(task.optimum.best, "*", DEVICE, 90)]
+    marks = [(task.optimum.best, "*", DEVICE, DEVICE, 90)]
     if task.note is not None and task.note.place is not None:
-        marks.append((task.note.place, "o", OPTICS, 110))
+        marks.append((task.note.place, "o", OPTICS, "none", 110))
     for row, name in enumerate(("cutoff_hz", "turn_rate_min_dps")):
-        ys, xs = np.unique(getattr(surface, name)), np.unique(surface.turn_rate_max_dps)
+        ys, y_at = np.unique(getattr(surface, name), return_inverse=True)
         for column, step in enumerate(steps):
-            panel = axes[row * len(steps) + column]
-            shown = _least(
-                surface.turn_rate_max_dps, getattr(surface, name), mean, surface.turn_rate_step_dps == step, (xs, ys)
-            )
+            panel, shown = axes[row * len(steps) + column], np.full((len(ys), len(xs)), np.nan)
+            own = np.flatnonzero(step_of == step)
+            np.fmin.at(shown, (y_at[own], x_at[own]), mean[own])
             edges = np.arange(len(xs) + 1) - 0.5, np.arange(len(ys) + 1) - 0.5  # one row of cells has a height too
             mesh = panel.pcolormesh(*edges, shown, cmap="YlOrBr", vmin=low, vmax=high)
             panel.grid(False)
@@ -254,26 +234,12 @@ def draw_surface(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
                 panel.set_xlabel(NAMES["turn_rate_max_dps"])
             if column == 0:
                 panel.set_ylabel(NAMES[name])
-            for place, mark, colour, size in marks:
-                if surface.turn_rate_step_dps[place] == step:
-                    at = (
-                        np.searchsorted(xs, surface.turn_rate_max_dps[place]),
-                        np.searchsorted(ys, getattr(surface, name)[place]),
-                    )
-                    face = colour if mark == "*" else "none"
-                    panel.scatter(*at, marker=mark, s=size, facecolor=face, edgecolor=colour, linewidth=1.4, zorder=3)
+            for place, mark, colour, face, size in marks:
+                if step_of[place] == step:
+                    style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": colour}
+                    panel.scatter(x_at[place], y_at[place], linewidth=1.4, zorder=3, **style)
     figure.colorbar(mesh, ax=axes, shrink=0.7, label=f"mean {outcome.study.objective} error (deg)")
     return figure
-
-
-def _least(x: "FloatArray", y: "FloatArray", error: "FloatArray", rows: Any, grid: Any) -> "FloatArray":
-    """Return the least error of the protocols in each cell, NaN where none was tried."""
-    xs, ys = grid
-    shown = np.full((len(ys), len(xs)), np.nan)
-    for place in np.flatnonzero(rows & np.isfinite(error)):
-        at = np.searchsorted(ys, y[place]), np.searchsorted(xs, x[place])
-        shown[at] = np.fmin(shown[at], error[place])
-    return shown
 
 
 def draw_effects(task: "TaskOutcome") -> "Figure":
@@ -281,9 +247,8 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
     figure, axes = new_figure(1, columns=4, height=2.4, share_x=False)
     ends = []
     for panel, effect, reach in zip(axes, task.optimum.effects, task.effect_reach_deg, strict=True):
-        panel.errorbar(
-            effect.values, effect.means_deg, yerr=reach if reach > 0.0 else None, color=DEVICE, marker="o", ms=3.5
-        )
+        bars = reach if reach > 0.0 else None
+        panel.errorbar(effect.values, effect.means_deg, yerr=bars, color=DEVICE, marker="o", ms=3.5)
         panel.set_xlabel(NAMES[effect.name])
         p = f"p {p_text(effect.p_holm)}" if effect.test is not None else "not tested"
         panel.set_title(p, fontsize=9)
@@ -302,40 +267,20 @@ def draw_effects(task: "TaskOutcome") -> "Figure":
 def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     """Draw error against minutes on the rig, one point a protocol."""
     figure, (axes,) = new_figure(1, height=3.0)
-    surface, found = task.surface, task.optimum
-    mean, good = surface.error(outcome.study.objective).mean(axis=0), found.equivalent
+    found, minutes = task.optimum, task.surface.rig_minutes
+    mean, good = task.surface.error(outcome.study.objective).mean(axis=0), found.equivalent
     if not good.all():
-        axes.scatter(surface.rig_minutes[~good], mean[~good], color=LIMIT, s=9, label="worse than the optimum")
-    axes.scatter(surface.rig_minutes[good], mean[good], color=DEVICE, s=11, label="as good as the optimum")
-    axes.plot(
-        surface.rig_minutes[found.pareto], mean[found.pareto], color=ERROR, label="nothing is both shorter and better"
-    )
-    marks = [(found.best, "*", "optimum"), (found.cheapest, "D", "shortest that is as good")]
+        axes.scatter(minutes[~good], mean[~good], color=LIMIT, s=9, label="worse than the optimum")
+    axes.scatter(minutes[good], mean[good], color=DEVICE, s=11, label="as good as the optimum")
+    axes.plot(minutes[found.pareto], mean[found.pareto], color=ERROR, label="nothing is both shorter and better")
+    marks = [(found.best, "*", 130, ERROR, "optimum"), (found.cheapest, "D", 50, ERROR, "shortest that is as good")]
     if found.best == found.cheapest:
-        marks = [(found.best, "*", "optimum, and shortest that is as good")]
-    for place, mark, label in marks:
-        axes.scatter(
-            surface.rig_minutes[place],
-            mean[place],
-            marker=mark,
-            s=130 if mark == "*" else 50,
-            facecolor=ERROR,
-            edgecolor=OPTICS,
-            zorder=4,
-            label=label,
-        )
+        marks = [(found.best, "*", 130, ERROR, "optimum, and shortest that is as good")]
     if task.note is not None and task.note.place is not None:
-        at = task.note.place
-        axes.scatter(
-            surface.rig_minutes[at],
-            mean[at],
-            marker="o",
-            s=90,
-            facecolor="none",
-            edgecolor=OPTICS,
-            zorder=4,
-            label="the note",
-        )
+        marks.append((task.note.place, "o", 90, "none", "the note"))
+    for place, mark, size, face, label in marks:
+        style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": OPTICS}
+        axes.scatter(minutes[place], mean[place], zorder=4, label=label, **style)
     axes.set_ylim(0.0, 1.1 * float(np.nanmax(mean)))
     axes.set_xlabel("session (min)")
     axes.set_ylabel(f"mean {outcome.study.objective} error (deg)")

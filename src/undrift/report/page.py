@@ -51,6 +51,16 @@ def table_section(
     )
 
 
+def rows_section(
+    title: str, rows: Sequence[dict[str, str]], *, text: Sequence[str] = (), pictures: Sequence[str] = ()
+) -> Section:
+    """Return a section with rows that all have the same heads; without rows, with nothing."""
+    if not rows:
+        return Section(title=title)
+    cells = tuple(tuple(row.values()) for row in rows)
+    return Section(title=title, text=tuple(text), columns=tuple(rows[0]), rows=cells, pictures=tuple(pictures))
+
+
 def write_page(
     path: Path, *, title: str, lead: str, sections: tuple[Section, ...], verdict: Verdict | None = None
 ) -> None:

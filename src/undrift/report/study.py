@@ -13,17 +13,16 @@ from undrift.report.figures import (
     p_text,
     svg_of,
 )
-from undrift.report.page import Cells, Section, interval, number, plain_words, table_section, write_page
+from undrift.report.page import Cells, Section, interval, number, plain_words, rows_section, table_section, write_page
 
 if TYPE_CHECKING:
+    from undrift.findings import Finding
     from undrift.study.figure3 import Figure3
-    from undrift.study.judge import Cohort, ParameterEffect, Tested
+    from undrift.study.judge import ParameterEffect
     from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
     from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
     from undrift.study.rivals import DesignRow, RivalRow, Spread
-    from undrift.study.run import Round
-    from undrift.study.statistics import Pair
-    from undrift.validation.trial import Trial
+    from undrift.study.run import Halving, Round, TaskSurface
 
 NOTE = (
     'The note, here and below: D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with '
@@ -49,7 +48,7 @@ def study_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
     sections = (
         _answer(outcome),
         *(Section(title=f"{_name(task)}: findings", findings=task.findings) for task in outcome.tasks),
-        *(_rounds(task) for task in outcome.tasks if task.halving is not None),
+        *(_rounds(task, task.halving) for task in outcome.tasks if task.halving is not None),
         _table_1(outcome),
         _note(outcome),
         _other_cohort(outcome),
@@ -69,24 +68,17 @@ def _name(task: "TaskOutcome") -> str:
     return plain_words(task.surface.task)
 
 
-def rates_of(task: "TaskOutcome", place: int) -> str:
+def rates_of(surface: "TaskSurface", place: int) -> str:
     """Return the rates of a protocol in words."""
-    low, high, step = (
-        f"{getattr(task.surface, name)[place]:.4g}"
-        for name in ("turn_rate_min_dps", "turn_rate_max_dps", "turn_rate_step_dps")
-    )
+    step, low, high = (f"{getattr(surface, name)[place]:.4g}" for name in list(NAMES)[1:])
     return f"{low} to {high} by {step}"
 
 
 def _protocol(task: "TaskOutcome", place: int) -> tuple[str, ...]:
     """Return the four parameters, both errors and the session of a protocol."""
     surface = task.surface
-    return (
-        *(f"{getattr(surface, name)[place]:.4g}" for name in NAMES),
-        f"{surface.error_rms_deg[:, place].mean():.3f}",
-        f"{surface.error_max_deg[:, place].mean():.3f}",
-        f"{surface.rig_minutes[place]:.1f}",
-    )
+    errors = (f"{error[:, place].mean():.3f}" for error in (surface.error_rms_deg, surface.error_max_deg))
+    return (*(f"{getattr(surface, name)[place]:.4g}" for name in NAMES), *errors, f"{surface.rig_minutes[place]:.1f}")
 
 
 _PROTOCOL = (*NAMES.values(), "error, rms (deg)", "largest (deg)", "session (min)")
@@ -99,7 +91,7 @@ def _answer(outcome: "StudyOutcome") -> Section:
     cells: Cells[TaskOutcome] = (
         ("task", _name),
         ("low-pass (Hz)", lambda task: f"{task.surface.cutoff_hz[task.optimum.cheapest]:.4g}"),
-        ("rates of the table (deg/s)", lambda task: rates_of(task, task.optimum.cheapest)),
+        ("rates of the table (deg/s)", lambda task: rates_of(task.surface, task.optimum.cheapest)),
         ("session (min)", lambda task: f"{task.surface.rig_minutes[task.optimum.cheapest]:.0f}"),
         ("pitch error, rms (deg)", lambda task: f"{task.tested[1].error_rms_deg:.3f}"),
         ("95 % interval", lambda task: interval(task.tested[1].interval_rms_deg)),
@@ -113,18 +105,10 @@ def _answer(outcome: "StudyOutcome") -> Section:
     return table_section("Answer: the protocol to use", outcome.tasks, cells, text=text)
 
 
-def _rounds(task: "TaskOutcome") -> Section:
-    halving = task.halving
-    if halving is None:
-        return Section(title="")
-
+def _rounds(task: "TaskOutcome", halving: "Halving") -> Section:
     def best(each: "Round") -> str:
         place = each.candidates[each.mean_deg.argmin()]
-        protocol = halving.protocols[place]
-        every = halving.every
-        rates = (every.turn_rate_min_dps, every.turn_rate_max_dps, every.turn_rate_step_dps)
-        low, high, step = (f"{rate[place]:.4g}" for rate in rates)
-        return f"{protocol.cutoff_hz:.4g} Hz, {low} to {high} by {step} deg/s"
+        return f"{halving.every.cutoff_hz[place]:.4g} Hz, {rates_of(halving.every, place)} deg/s"
 
     cells: Cells[Round] = (
         ("protocols", lambda each: str(len(each.candidates))),
@@ -179,40 +163,40 @@ def _note(outcome: "StudyOutcome") -> Section:
 
 
 def _other_cohort(outcome: "StudyOutcome") -> Section:
-    cells: Cells[tuple[str, Tested]] = (
-        ("protocol", lambda row: row[0]),
-        ("subjects", lambda row: str(row[1].subjects)),
-        ("error, rms (deg)", lambda row: f"{row[1].error_rms_deg:.3f}"),
-        ("95 % interval", lambda row: interval(row[1].interval_rms_deg)),
-        ("largest (deg)", lambda row: f"{row[1].error_max_deg:.3f}"),
-        ("95 % interval", lambda row: interval(row[1].interval_max_deg)),
-        ("not calibrated", lambda row: str(row[1].failed)),
-    )
     rows = [
-        (f"{_name(task)}: {name}", tested)
+        {
+            "protocol": f"{_name(task)}: {name}",
+            "subjects": str(tested.subjects),
+            "error, rms (deg)": f"{tested.error_rms_deg:.3f}",
+            "95 % interval": interval(tested.interval_rms_deg),
+            "largest (deg)": f"{tested.error_max_deg:.3f}",
+            "95 % interval of it": interval(tested.interval_max_deg),
+            "not calibrated": str(tested.failed),
+        }
         for task in outcome.tasks
         for name, tested in zip(("optimum", "shortest that is as good"), task.tested, strict=True)
     ]
     text = ("Other subjects, other units of the device, other temperatures and noise: means over the subjects.",)
-    return table_section("On the other cohort", rows, cells, text=text)
+    return rows_section("On the other cohort", rows, text=text)
 
 
 def _cohorts(outcome: "StudyOutcome") -> Section:
-    def span(low: float, mean: float, high: float, form: str = ".1f") -> str:
+    def span(ends: tuple[float, float, float], factor: float = 1.0, form: str = ".1f") -> str:
+        low, mean, high = (factor * end for end in ends)
         return f"{low:.0f} to {high:.0f}, mean {mean:{form}}"
 
-    def cm(height: tuple[float, float, float]) -> tuple[float, float, float]:
-        return 100.0 * height[0], 100.0 * height[1], 100.0 * height[2]
-
-    cells: Cells[tuple[Cohort, str]] = (
-        ("group", lambda row: f"{row[0].group} ({row[1]})"),
-        ("subjects", lambda row: str(row[0].count)),
-        ("age (years)", lambda row: span(*row[0].age_years)),
-        ("the note's", lambda row: span(*row[0].printed.age_years, form=".0f")),
-        ("height (cm)", lambda row: span(*cm(row[0].height))),
-        ("the note's", lambda row: span(*cm(row[0].printed.height), form=".0f")),
-    )
-    return table_section("Table 2: cohorts", zip(outcome.cohorts, ("chose", "tested"), strict=True), cells)
+    rows = [
+        {
+            "group": f"{cohort.group} ({did})",
+            "subjects": str(cohort.count),
+            "age (years)": span(cohort.age_years),
+            "the note's ages": span(cohort.printed.age_years, form=".0f"),
+            "height (cm)": span(cohort.height, 100.0),
+            "the note's heights": span(cohort.printed.height, 100.0, form=".0f"),
+        }
+        for cohort, did in zip(outcome.cohorts, ("chose", "tested"), strict=True)
+    ]
+    return rows_section("Table 2: cohorts", rows)
 
 
 # ---- one task
@@ -253,42 +237,28 @@ def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     ]
     if not any(effect.pairs for effect in task.optimum.effects):
         text.insert(1, f"No parameter's p is below {outcome.study.level:g}, so its values are not compared in pairs.")
-    return Section(
-        title=f"{_name(task)}: what each parameter does",
-        text=tuple(text),
-        columns=(
-            "parameter",
-            "values tried",
-            "best to worst (deg)",
-            "test",
-            "F (degrees of freedom)",
-            "p after Holm",
-            "partial eta²",
-            "power",
-            "subjects for power 0.8",
-        ),
-        rows=tuple(_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects),
-        pictures=(svg_of(draw_effects(task)),),
-    )
+    title = f"{_name(task)}: what each parameter does"
+    rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
+    return rows_section(title, rows, text=text, pictures=(svg_of(draw_effects(task)),))
 
 
-def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> tuple[str, ...]:
+def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
     test, values = effect.test, ", ".join(f"{value:.4g}" for value in effect.values)
     if len(effect.dropped):
         values += f" (left out, too few calibrated: {', '.join(f'{value:.4g}' for value in effect.dropped)})"
-    if test is None or power is None:
-        return (NAMES[effect.name], values, "", f"none: {effect.untested}", *("",) * 5)
-    return (
-        NAMES[effect.name],
-        values,
-        f"{effect.span_deg:.3f}",
-        "ANOVA" if effect.anova is not None else f"mixed model, {effect.missing} missing",
-        f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})",
-        p_text(effect.p_holm),
-        f"{test.partial_eta_squared:.2f}",
-        f"{power.power:.2f}",
-        "none" if power.subjects is None else str(power.subjects),
-    )
+    named = "ANOVA" if effect.anova is not None else f"mixed model, {effect.missing} missing"
+    needed = "none" if power is None or power.subjects is None else str(power.subjects)
+    return {
+        "parameter": NAMES[effect.name],
+        "values tried": values,
+        "best to worst (deg)": f"{effect.span_deg:.3f}" if test else "",
+        "test": f"none: {effect.untested.detail}" if effect.untested else named,
+        "F (degrees of freedom)": f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})" if test else "",
+        "p after Holm": p_text(effect.p_holm) if test else "",
+        "partial eta²": f"{test.partial_eta_squared:.2f}" if test else "",
+        "power": f"{power.power:.2f}" if power else "",
+        "subjects for power 0.8": needed if test else "",
+    }
 
 
 def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
@@ -308,92 +278,85 @@ def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
 
 def _pairs(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     """Compare the optimum's value with each other value of the parameters that decide."""
-    rows = [
-        (
-            effect,
-            pair,
-            pair.first if pair.second == effect.best else pair.second,
-            1.0 if pair.second == effect.best else -1.0,
-        )
-        for effect in task.optimum.effects
-        for pair in effect.pairs
-        if effect.best in (pair.first, pair.second)
-    ]
-    cells: Cells[tuple[ParameterEffect, Pair, int, float]] = (
-        ("parameter", lambda row: NAMES[row[0].name]),
-        ("optimum", lambda row: f"{row[0].values[row[0].best]:.4g}"),
-        ("value", lambda row: f"{row[0].values[row[2]]:.4g}"),
-        ("difference (deg)", lambda row: f"{row[3] * row[1].difference:.3f}"),
-        ("95 % interval", lambda row: interval(sorted(row[3] * end for end in row[1].interval))),
-        ("t", lambda row: f"{row[3] * row[1].t:.2f}"),
-        ("p after Holm", lambda row: p_text(row[1].p_holm)),
-        ("dz", lambda row: f"{row[3] * row[1].cohen_dz:.2f}"),
-        (f"differs (p < {outcome.study.level:g})", lambda row: "yes" if row[1].p_holm < outcome.study.level else "no"),
-    )
+    rows, level = [], outcome.study.level
+    for effect in task.optimum.effects:
+        for pair in effect.pairs:
+            if effect.best not in (pair.first, pair.second):
+                continue
+            other, sign = (pair.first, 1.0) if pair.second == effect.best else (pair.second, -1.0)
+            row = {
+                "parameter": NAMES[effect.name],
+                "optimum": f"{effect.values[effect.best]:.4g}",
+                "value": f"{effect.values[other]:.4g}",
+                "difference (deg)": f"{sign * pair.difference:.3f}",
+                "95 % interval": interval(sorted(sign * end for end in pair.interval)),
+                "t": f"{sign * pair.t:.2f}",
+                "p after Holm": p_text(pair.p_holm),
+                "dz": f"{sign * pair.cohen_dz:.2f}",
+                f"differs (p < {level:g})": "yes" if pair.p_holm < level else "no",
+            }
+            rows.append(row)
     text = (
         "Paired differences of the error, positive where the value is worse than the optimum's. p after Holm over all pairs of a "
         "parameter's values; the other pairs are in summary.json. Cohen's dz: difference over the standard deviation of the "
         "subjects' differences.",
     )
-    return table_section(
-        f"{_name(task)}: which values differ from the optimum's", rows, cells, text=text if rows else ()
-    )
+    return rows_section(f"{_name(task)}: which values differ from the optimum's", rows, text=text)
 
 
 def _tests(outcome: "StudyOutcome") -> Section:
-    rows: list[tuple[str, ...]] = []
-    for task in outcome.tasks:
-        for effect in task.optimum.effects:
-            name, residual = f"{_name(task)}: {NAMES[effect.name]}", f"{effect.error_variance**0.5:.4f}"
-            if effect.mixed is not None:
-                rows.append((name, p_text(effect.mixed.p_value), "", "", "mixed model", *("",) * 5, residual))
-            elif (found := effect.anova) is not None:
-                form, more = found.sphericity, found.conditions > 2
-                rows.append(
-                    (
-                        name,
-                        *map(p_text, (found.p_uncorrected, found.p_greenhouse_geisser, found.p_huynh_feldt)),
-                        {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction],
-                        f"{form.greenhouse_geisser:.2f}",
-                        f"{form.huynh_feldt:.2f}",
-                        f"{form.mauchly_w:.2f}" if more else "",
-                        p_text(form.p_value) if more else "",
-                        f"{found.generalized_eta_squared:.3f}",
-                        residual,
-                    )
-                )
+    rows = [
+        {"task: parameter": f"{_name(task)}: {NAMES[effect.name]}"} | _test_row(effect)
+        for task in outcome.tasks
+        for effect in task.optimum.effects
+        if effect.test is not None
+    ]
     text = (
         "One-way repeated-measures analysis of variance; p uncorrected, with the degrees of freedom of Greenhouse-Geisser (GG), "
         "and of Huynh-Feldt (HF). The p above is HF where epsilon GG exceeds 0.75, else GG. Mauchly's test needs three values or "
         "more. A mixed model has one p and assumes spherical differences.",
     )
-    return Section(
-        title="The tests in full",
-        text=text if rows else (),
-        columns=(
-            "task: parameter",
-            "p",
-            "p GG",
-            "p HF",
-            "quoted",
-            "epsilon GG",
-            "epsilon HF",
-            "Mauchly's W",
-            "p of Mauchly",
-            "generalised eta²",
-            "residual sd (deg)",
-        ),
-        rows=tuple(rows),
+    return rows_section("The tests in full", rows, text=text)
+
+
+def _test_row(effect: "ParameterEffect") -> dict[str, str]:
+    names = (
+        "p",
+        "p GG",
+        "p HF",
+        "quoted",
+        "epsilon GG",
+        "epsilon HF",
+        "Mauchly's W",
+        "p of Mauchly",
+        "generalised eta²",
     )
+    row, found, residual = dict.fromkeys(names, ""), effect.anova, f"{effect.error_variance**0.5:.4f}"
+    if effect.mixed is not None:
+        row |= {"p": p_text(effect.mixed.p_value), "quoted": "mixed model"}
+    elif found is not None:
+        form = found.sphericity
+        row |= {
+            "p": p_text(found.p_uncorrected),
+            "p GG": p_text(found.p_greenhouse_geisser),
+            "p HF": p_text(found.p_huynh_feldt),
+            "quoted": {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction],
+            "epsilon GG": f"{form.greenhouse_geisser:.2f}",
+            "epsilon HF": f"{form.huynh_feldt:.2f}",
+            "generalised eta²": f"{found.generalized_eta_squared:.3f}",
+        }
+        if found.conditions > 2:
+            row |= {"Mauchly's W": f"{form.mauchly_w:.2f}", "p of Mauchly": p_text(form.p_value)}
+    return row | {"residual sd (deg)": residual}
 
 
 # ---- Figure 3
 
 
-def _figure3(found: "Figure3 | None", missing: str) -> Section:
+def _figure3(found: "Figure3 | None", missing: "Finding | None") -> Section:
     title = "Figure 3: sit-to-stand, simulated and actual device"
     if found is None:
-        return Section(title=title, text=(f"Not made: {missing}.",))
+        return Section(title=title, findings=(missing,) if missing else ())
     columns = {
         "max, simulated (deg)": found.simulated_max_deg,
         "max, actual (deg)": found.actual_max_deg,
@@ -417,20 +380,17 @@ def _figure3(found: "Figure3 | None", missing: str) -> Section:
 
 
 def _figure3_effects(outcome: "StudyOutcome") -> Section:
-    rows = tuple(
-        (plain_words(row.effect), *(f"{v:.2f}" for v in row.simulated_actual_max_deg), f"{row.full_max_deg:.2f}")
+    rows = [
+        {"effect": plain_words(row.effect)}
+        | {f"{name} (deg)": f"{v:.2f}" for name, v in zip(LEVEL_NAMES, row.simulated_actual_max_deg, strict=True)}
+        | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
         for row in outcome.figure3_effects
-    )
+    ]
     text = (
         "The actual device's effects one at a time: largest difference between the two errors at each level of compensation, and "
         "the largest error with both tables. Noise alone is another recording of the same model.",
     )
-    return Section(
-        title="Figure 3: simulated against actual, effect by effect",
-        text=text if rows else (),
-        columns=("effect", *(f"{name} (deg)" for name in LEVEL_NAMES), "largest error, both tables (deg)"),
-        rows=rows,
-    )
+    return rows_section("Figure 3: simulated against actual, effect by effect", rows, text=text)
 
 
 # ---- Rates to dwell at, the note's Discussion as an experiment, real recordings
@@ -501,7 +461,8 @@ def rival_sections(outcome: "StudyOutcome") -> tuple[Section, ...]:
     """Return the sections on other ways to calibrate."""
     title = "The note's Discussion as an experiment: other ways to calibrate"
     if not outcome.rivals:
-        return (Section(title=title, text=(f"Not made: {outcome.rivals_missing}.",)),)
+        missing = outcome.rivals_missing
+        return (Section(title=title, findings=(missing,) if missing else ()),)
     first = outcome.rivals[0]
     kind = "the note's kind, in place of the one device," if outcome.study.worn else outcome.study.device
     cells: Cells[RivalRow] = (
@@ -550,33 +511,24 @@ def real_sections(real: "RealOutcome | None") -> tuple[Section, ...]:
         _compared("Real recordings: captured people and the cohort", real.motions),
         Section(title="") if real.worn is None else _worn(real.worn),
         _compared("Real recordings: stance on a force plate and the cohort's sway", real.sways),
-        Section(title="Real recordings: what is not there", text=tuple(f"{lack}." for lack in real.lacks)),
+        Section(title="Real recordings: what is not there", findings=real.lacks),
     )
-    return tuple(section for section in sections if section.text)
+    return tuple(section for section in sections if section.text or section.findings)
 
 
 def _trials(levels: "tuple[RealErrors, ...]") -> Section:
     if not levels:
         return Section(title="")
-    cells: Cells[tuple[RealErrors, Trial]] = (
-        ("recording", lambda row: row[1].recording),
-        ("level", lambda row: row[0].level),
-        ("converter's rounding", lambda row: row[0].rounding),
-        ("total rms (deg)", lambda row: number(row[1].figures.rmse_total_deg)),
-        ("inclination rms", lambda row: number(row[1].figures.rmse_inclination_deg)),
-        ("largest pitch error", lambda row: number(row[1].figures.max_abs_pitch_deg)),
-        ("total at the end", lambda row: number(row[1].figures.end_total_deg)),
-    )
-    trials = table_section("", [(level, trial) for level in levels for trial in level.trials], cells)
-    medians = tuple(
-        (
-            "median",
-            level.level,
-            level.rounding,
-            *map(number, (level.rmse_total_deg, level.rmse_inclination_deg)),
-            *map(number, (level.max_abs_pitch_deg, level.end_total_deg)),
-        )
-        for level in levels
+    heads = {
+        "rmse_total_deg": "total rms (deg)",
+        "rmse_inclination_deg": "inclination rms",
+        "max_abs_pitch_deg": "largest pitch error",
+        "end_total_deg": "total at the end",
+    }
+    named = [(trial.recording, level, trial.figures) for level in levels for trial in level.trials]
+    rows = tuple(
+        (name, level.level, level.rounding, *(number(getattr(figures, key)) for key in heads))
+        for name, level, figures in (*named, *(("median", level, level) for level in levels))
     )
     rounding = (
         "Converters that truncate leave half a step as an offset. Rounding undone: the half step is corrected at all three "
@@ -596,8 +548,8 @@ def _trials(levels: "tuple[RealErrors, ...]") -> Section:
                 if each.agreement
             ),
         ),
-        columns=trials.columns,
-        rows=(*trials.rows, *medians),
+        columns=("recording", "level", "converter's rounding", *heads.values()),
+        rows=rows,
     )
 
 

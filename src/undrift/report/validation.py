@@ -8,7 +8,7 @@ import numpy as np
 
 from undrift.model import Verdict
 from undrift.report.figures import draw_agreement, draw_comparison, svg_of
-from undrift.report.page import Section, write_page
+from undrift.report.page import Section, rows_section, write_page
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from undrift.arrays import FloatArray
     from undrift.model import Calibration
     from undrift.validation.agreement import Validation
     from undrift.validation.trial import Figures, Trial, TrialSettings
@@ -46,32 +45,25 @@ class Method:
 
 def method_section(method: Method) -> Section:
     """Return what was done, one row a choice."""
-    settings = method.settings
-    rows = [("calibration", _calibration(method))]
-    if method.calibration is not None:
-        rows.append(("its verdict", method.verdict.status))
-    rows += [
-        ("gyroscope's offset", _offset(method)),
-        ("ADC's rounding", _adc(method)),
-        (
-            "start",
-            f"tilt from the specific force, heading from the reference, both over the last {settings.rest_s:g} s of rest or less; "
-            f"from {settings.lead_s:g} s before the motion the gyroscope alone",
-        ),
-        ("pitch", f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)"),
-        (
-            "lag",
-            f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is the "
-            "sensor's own and stays in the figures, a longer one is removed",
-        ),
-        ("mounting", _ALIGNED[settings.align]),
-    ]
-    verdict = Verdict() if method.calibration is None else method.verdict
+    settings, made = method.settings, method.calibration
+    verdict = Verdict() if made is None else method.verdict
+    rows = {
+        "calibration": _calibration(method),
+        "its verdict": "" if made is None else verdict.status,
+        "gyroscope's offset": _offset(method),
+        "ADC's rounding": _adc(method),
+        "start": f"tilt from the specific force, heading from the reference, both over the last {settings.rest_s:g} s of rest or "
+        f"less; from {settings.lead_s:g} s before the motion the gyroscope alone",
+        "pitch": f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)",
+        "lag": f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is "
+        "the sensor's own and stays in the figures, a longer one is removed",
+        "mounting": _ALIGNED[settings.align],
+    }
     return Section(
         title="Method",
         findings=verdict.findings,
         columns=("step", "choice"),
-        rows=tuple(rows),
+        rows=tuple(row for row in rows.items() if row[1]),
         words=True,
     )
 
@@ -79,40 +71,24 @@ def method_section(method: Method) -> Section:
 def recordings_section(method: Method, trials: "tuple[Trial, ...]") -> Section:
     """Return what was found of each recording before it was judged, one row a recording."""
     references = method.references or ("the same file",) * len(trials)
-    return Section(
-        title="Recordings",
-        text=("The motion, over which the errors count, is shaded in each figure of errors.",),
-        columns=(
-            "recording",
-            "reference",
-            "motion (s)",
-            "lag found (ms)",
-            "lag in the figures",
-            "mounting (deg)",
-            "optics seen, whole file (%)",
-        ),
-        rows=tuple(
-            (file, reference, *_found(trial))
-            for file, reference, trial in zip(method.recordings, references, trials, strict=True)
-        ),
-    )
-
-
-def _found(trial: "Trial") -> tuple[str, ...]:
-    lag = trial.lag
-    return (
-        f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}",
-        f"{lag.seconds * 1e3:.2f} +- {lag.standard_uncertainty * 1e3:.2f}",
-        "removed" if trial.lag_undone else "left in",
-        _mounting(trial),
-        f"{100.0 * trial.figures.valid_optics_file:.1f}",
-    )
-
-
-def _mounting(trial: "Trial") -> str:
-    if trial.mounting is None:
-        return "not observable"
-    return f"{trial.mounting.alignment.angle / RADIAN_PER_DEGREE:.1f}, {'removed' if trial.mounting.applied else 'left in'}"
+    rows = []
+    for file, reference, trial in zip(method.recordings, references, trials, strict=True):
+        mounting = "not observable"
+        if trial.mounting is not None:
+            angle_deg = trial.mounting.alignment.angle / RADIAN_PER_DEGREE
+            mounting = f"{angle_deg:.1f}, {'removed' if trial.mounting.applied else 'left in'}"
+        row = {
+            "recording": file,
+            "reference": reference,
+            "motion (s)": f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}",
+            "lag found (ms)": f"{trial.lag.seconds * 1e3:.2f} +- {trial.lag.standard_uncertainty * 1e3:.2f}",
+            "lag in the figures": "removed" if trial.lag_undone else "left in",
+            "mounting (deg)": mounting,
+            "optics seen, whole file (%)": f"{100.0 * trial.figures.valid_optics_file:.1f}",
+        }
+        rows.append(row)
+    text = ("The motion, over which the errors count, is shaded in each figure of errors.",)
+    return rows_section("Recordings", rows, text=text)
 
 
 def _calibration(method: Method) -> str:
@@ -145,14 +121,11 @@ def _adc(method: Method) -> str:
         return "corrected where the codes show it; see the notes of the recording"
     if made.adc is None:
         return "unknown to the calibration: left in"
-    words = [
-        f"{name} {rounding.replace('_', ' ')}"
-        for name, lsb, rounding in (
-            ("gyroscope", made.adc.gyro_lsb, made.adc.gyro_rounding),
-            ("accelerometer", made.adc.accel_lsb, made.adc.accel_rounding),
-        )
-        if lsb is not None
-    ]
+    triads = (
+        ("gyroscope", made.adc.gyro_lsb, made.adc.gyro_rounding),
+        ("accelerometer", made.adc.accel_lsb, made.adc.accel_rounding),
+    )
+    words = [f"{name} {rounding.replace('_', ' ')}" for name, lsb, rounding in triads if lsb is not None]
     return f"corrected by the calibration ({', '.join(words)})"
 
 
@@ -199,37 +172,31 @@ def validation_sections(result: "Validation", method: Method) -> tuple[Section, 
 
 def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures]]" = ()) -> Section:
     """Return the table of errors, one row a trial."""
-    named = [(trial.recording, trial.figures) for trial in trials]
-    return Section(
-        title="Errors",
-        text=(
-            "Root-mean-square over the motion; end errors are medians over the first three seconds after it.",
-            f"{PITCH_DEFINED}.",
-            f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
-        ),
-        columns=("recording", *(head for _, head in COLUMNS), "pitch defined (%)", "optics seen (%)"),
-        rows=tuple(_row(name, figures) for name, figures in (*named, *more)),
+    rows = []
+    for name, figures in (*((trial.recording, trial.figures) for trial in trials), *more):
+        row = {"recording": name} | {head: f"{getattr(figures, key):.2f}" for key, head in COLUMNS}
+        shares = {"pitch defined (%)": figures.pitch_defined, "optics seen (%)": figures.valid_optics}
+        rows.append(row | {head: f"{100.0 * share:.1f}" for head, share in shares.items()})
+    text = (
+        "Root-mean-square over the motion; end errors are medians over the first three seconds after it.",
+        f"{PITCH_DEFINED}.",
+        f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
     )
-
-
-def _row(name: str, figures: "Figures") -> tuple[str, ...]:
-    cells = (f"{getattr(figures, key):.2f}" for key, _ in COLUMNS)
-    return (name, *cells, f"{100.0 * figures.pitch_defined:.1f}", f"{100.0 * figures.valid_optics:.1f}")
+    return rows_section("Errors", rows, text=text)
 
 
 def trial_section(trial: "Trial") -> Section:
     """Return the course of one trial: pitch of device and optics, and the errors."""
-    return Section(title=trial.recording, text=trial.notes, pictures=(svg_of(trial_figure(trial)),))
+    return Section(title=trial.recording, findings=trial.findings, pictures=(svg_of(trial_figure(trial)),))
 
 
 def trial_figure(trial: "Trial") -> "Figure":
     """Draw the course of one trial: pitch of device and optics, and the errors, the motion shaded."""
-    errors = (("total", trial.error.total), ("inclination", trial.error.inclination), ("pitch", trial.error.pitch))
     return draw_comparison(
         trial.time,
-        _degrees(trial.sensor_pitch),
-        _degrees(trial.reference_pitch),
-        [(name, _degrees(course)) for name, course in errors],
+        trial.sensor_pitch / RADIAN_PER_DEGREE,
+        trial.reference_pitch / RADIAN_PER_DEGREE,
+        [(name, getattr(trial.error, name) / RADIAN_PER_DEGREE) for name in ("total", "inclination", "pitch")],
         title=f"{trial.recording}: sagittal pitch",
         moving=trial.moving,
     )
@@ -248,8 +215,3 @@ def _agreement(result: "Validation") -> tuple[Section, ...]:
         f"{absolute.standard_error_of_measurement:.2f} deg. An ICC depends on how much the trials differ."
     )
     return (Section(title="Agreement over trials", text=(text,), pictures=(svg_of(figure),)),)
-
-
-def _degrees(angles: "FloatArray") -> "FloatArray":
-    degrees: FloatArray = angles / RADIAN_PER_DEGREE
-    return degrees

@@ -19,16 +19,16 @@ The study's model is a unit without the effects that a study leaves out; the act
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.drift.fit import fit_drift
 from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables
-from undrift.record import Record, Reference, Session
+from undrift.record import Record, Session
 from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
@@ -37,8 +37,10 @@ from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
 from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
+from undrift.study.case import ROOM_TEMP_C, WORN_S
+from undrift.study.plan import SAMPLE_RATE_HZ
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.trial import TRIAL_SETTINGS, validate_trial
+from undrift.validation.trial import TRIAL_SETTINGS, Trial, validate_trial
 
 # ---- the simulated and the actual device
 
@@ -50,12 +52,11 @@ LEAST_LAG_S = 80.0  # LM335 in still air
 
 def study_model(unit: DeviceModel) -> DeviceModel:
     """Return a unit as a study models it: without the hidden effects."""
-    return replace(
-        unit,
-        gyro=_plain(unit.gyro),
-        accel=_plain(unit.accel),
-        thermometer=replace(unit.thermometer, lag_s=0.0),
-    )
+    chains: dict[str, Any] = {}
+    for name, chain in (("gyro", unit.gyro), ("accel", unit.accel)):
+        adc = chain.adc and replace(chain.adc, inl_lsb=np.zeros(3))
+        chains[name] = replace(chain, hysteresis=None, g_sensitivity=None, adc=adc)
+    return replace(unit, **chains, thermometer=replace(unit.thermometer, lag_s=0.0))
 
 
 def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> DeviceModel:
@@ -77,11 +78,6 @@ def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> Dev
     return replace(made, gyro=gyro, accel=accel, thermometer=thermometer)
 
 
-def _plain(chain: SensorChain) -> SensorChain:
-    adc = None if chain.adc is None else replace(chain.adc, inl_lsb=np.zeros(3))
-    return replace(chain, hysteresis=None, g_sensitivity=None, adc=adc)
-
-
 def _bowed(chain: SensorChain) -> SensorChain:
     return chain if chain.adc is None else replace(chain, adc=replace(chain.adc, inl_lsb=np.full(3, INL_LSB)))
 
@@ -89,11 +85,9 @@ def _bowed(chain: SensorChain) -> SensorChain:
 # ---- the figure
 
 LEVELS = ("none", "static", "full")
-ROOM_TEMP_C = 25.0
 ACQUISITION_S = 4.0
-SAMPLE_RATE_HZ = 100.0
 SETTLED_S = 3600.0  # on for an hour before the bench, and before it is put on
-WORN_S, WARMING_S = 1800.0, 600.0
+WARMING_S = 600.0
 BENCH = BenchSettings(turn_rates=tuple(rate * RADIAN_PER_DEGREE for rate in range(15, 91, 15)), dwell_s=1.5)
 RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's, both ways, at each of the set-points
 THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=RATES))
@@ -110,48 +104,16 @@ class Figure3:
     actual: FloatArray  # (3, N), as above
     lag_ms: tuple[float, float]  # Lag that was removed, simulated and actual
     excursion_k: float  # Board temperature above that of the bench, K
-
-    def __post_init__(self) -> None:
-        n = len(self.time)
-        for name, shape in (("time", (n,)), ("reference_pitch", (n,)), ("simulated", (3, n)), ("actual", (3, n))):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Figure3.{name}"))
-
-    @property
-    def simulated_max_deg(self) -> FloatArray:
-        """Largest error of the simulated device at each level, shape (3,), deg."""
-        return _largest(self.simulated)
-
-    @property
-    def actual_max_deg(self) -> FloatArray:
-        """Largest error of the actual device at each level, shape (3,), deg."""
-        return _largest(self.actual)
-
-    @property
-    def simulated_rms_deg(self) -> FloatArray:
-        """Root mean square of the simulated device's error, shape (3,), deg."""
-        return _rms(self.simulated)
-
-    @property
-    def actual_rms_deg(self) -> FloatArray:
-        """Root mean square of the actual device's error, shape (3,), deg."""
-        return _rms(self.actual)
+    simulated_max_deg: FloatArray  # (3,), largest error of each level, deg
+    actual_max_deg: FloatArray  # (3,), as above
+    simulated_rms_deg: FloatArray  # (3,), root mean square of the error of each level, deg
+    actual_rms_deg: FloatArray  # (3,), as above
+    simulated_actual_max_deg: FloatArray  # (3,), largest difference between the two errors; the note: 0.15 at most
 
     @property
     def decrease_deg(self) -> float:
         """What both tables take off the actual device's largest error, deg; the note: more than 3.2."""
-        largest = self.actual_max_deg
-        return float(largest[0] - largest[2])
-
-    @property
-    def simulated_decrease_deg(self) -> float:
-        """What both tables take off the simulated device's largest error, deg."""
-        largest = self.simulated_max_deg
-        return float(largest[0] - largest[2])
-
-    @property
-    def simulated_actual_max_deg(self) -> FloatArray:
-        """Largest difference between the two devices' errors at each level, shape (3,), deg; the note: 0.15 at most."""
-        return _largest(self.actual - self.simulated)
+        return float(self.actual_max_deg[0] - self.actual_max_deg[2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,7 +135,7 @@ def figure3(
     back: bool = False,
 ) -> Figure3:
     """Make the note's Figure 3."""
-    return _figures(unit, _Wanted(seed, excursion_k, back), (hidden,))[0]
+    return _figures(unit, (hidden,), seed, excursion_k, back)[0]
 
 
 def effect_table(
@@ -188,67 +150,47 @@ def effect_table(
             simulated_actual_max_deg=figure.simulated_actual_max_deg,
             full_max_deg=float(figure.actual_max_deg[2]),
         )
-        for name, figure in zip(names, _figures(unit, _Wanted(seed, excursion_k, back), cases), strict=True)
+        for name, figure in zip(names, _figures(unit, cases, seed, excursion_k, back), strict=True)
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Errors:
-    """Errors of one device at each level on the reference's clock, rad, and the lag that was undone, s."""
-
-    time: FloatArray
-    reference_pitch: FloatArray
-    error: FloatArray
-    start_s: float
-    lag_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    seed: int
-    excursion_k: float
-    back: bool
-
-
-def _figures(unit: DeviceModel | None, wanted: _Wanted, cases: tuple[tuple[Hidden, ...], ...]) -> tuple[Figure3, ...]:
+def _figures(
+    unit: DeviceModel | None, cases: tuple[tuple[Hidden, ...], ...], seed: int, excursion_k: float, back: bool
+) -> tuple[Figure3, ...]:
     """Return a figure for each set of hidden effects; the simulated device, the person and the optics are the same in all."""
     held = unit or preset("enc03j_3031")
-    person = np.random.default_rng([wanted.seed, 0])
+    person = np.random.default_rng([seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
 
-    def errors(device: DeviceModel, stream: int) -> _Errors:
-        sessions, trial = (np.random.default_rng([wanted.seed, stream, part]) for part in range(2))
-        levels = calibrated(device, rng=sessions, back=wanted.back)
-        record = worn_record(device, performed, excursion_k=wanted.excursion_k, rng=trial)
-        return _errors(levels, record, reference)
+    def judged(device: DeviceModel, stream: int) -> tuple[Trial, ...]:
+        sessions, trial = (np.random.default_rng([seed, stream, part]) for part in range(2))
+        levels = calibrated(device, rng=sessions, back=back)
+        record = worn_record(device, performed, excursion_k=excursion_k, rng=trial)
+        return tuple(validate_trial(record, reference, calibration=level) for level in levels)
 
-    simulated = errors(study_model(held), 1)
-    return tuple(_figure(simulated, errors(actual_device(held, hidden), 2), wanted.excursion_k) for hidden in cases)
+    simulated = judged(study_model(held), 1)
+    return tuple(_figure(simulated, judged(actual_device(held, hidden), 2), excursion_k) for hidden in cases)
 
 
-def _figure(simulated: _Errors, actual: _Errors, excursion_k: float) -> Figure3:
-    start_s = max(simulated.start_s, actual.start_s)
-    inside = (actual.time >= start_s) & (actual.time < start_s + ACQUISITION_S)
+def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k: float) -> Figure3:
+    full = actual[-1]
+    ends = (simulated[-1], full)
+    start_s = max(trial.motion.start_s - trial.lag.seconds - TRIAL_SETTINGS.lead_s for trial in ends)
+    inside = (full.time >= start_s) & (full.time < start_s + ACQUISITION_S)
+    errors = {
+        name: np.array([trial.error.pitch[inside] for trial in trials]) / RADIAN_PER_DEGREE
+        for name, trials in (("simulated", simulated), ("actual", actual))
+    }
+    apart = {"simulated_actual": errors["actual"] - errors["simulated"]}
     return Figure3(
-        time=actual.time[inside] - start_s,
-        reference_pitch=actual.reference_pitch[inside] / RADIAN_PER_DEGREE,
-        simulated=simulated.error[:, inside] / RADIAN_PER_DEGREE,
-        actual=actual.error[:, inside] / RADIAN_PER_DEGREE,
-        lag_ms=(1e3 * simulated.lag_s, 1e3 * actual.lag_s),
+        time=full.time[inside] - start_s,
+        reference_pitch=full.reference_pitch[inside] / RADIAN_PER_DEGREE,
+        lag_ms=(1e3 * simulated[-1].lag.seconds, 1e3 * full.lag.seconds),
         excursion_k=excursion_k,
-    )
-
-
-def _errors(levels: tuple[Calibration, ...], record: Record, reference: Reference) -> _Errors:
-    trials = [validate_trial(record, reference, calibration=level) for level in levels]
-    full = trials[-1]
-    return _Errors(
-        time=full.time,
-        reference_pitch=full.reference_pitch,
-        error=np.array([trial.error.pitch for trial in trials]),
-        start_s=full.motion.start_s - full.lag.seconds - TRIAL_SETTINGS.lead_s,
-        lag_s=full.lag.seconds,
+        **errors,
+        **{f"{name}_rms_deg": np.sqrt(np.nanmean(x**2, axis=-1)) for name, x in errors.items()},
+        **{f"{name}_max_deg": np.nanmax(np.abs(x), axis=-1) for name, x in (errors | apart).items()},
     )
 
 
@@ -287,13 +229,3 @@ def worn_record(device: DeviceModel, performed: Task, *, excursion_k: float, rng
         power_on_s=SETTLED_S,
     ).record
     return record.part(before, len(record))
-
-
-def _largest(curves: FloatArray) -> FloatArray:
-    largest: FloatArray = np.nanmax(np.abs(curves), axis=-1)
-    return largest
-
-
-def _rms(curves: FloatArray) -> FloatArray:
-    size: FloatArray = np.sqrt(np.nanmean(curves**2, axis=-1))
-    return size

@@ -1,18 +1,13 @@
 """Judge the surface of a task: the optimum, what each parameter does, the other cohort, the note's row.
 
-The least of many noisy means is biased low. So the error of the optimum is taken from subjects that did not choose it: the
-subjects are split in two, each half chooses, the other half gives the error. A protocol is as good as the optimum where a
-one-sided paired t test over the subjects, after Holm over all protocols, does not tell them apart. Where a quarter are as good
-and no parameter decides, the minimum is flat. The cheapest of them in minutes on the rig is the one to use.
+The least of many noisy means is biased low. So the subjects are split in two: each half chooses, the other half gives the error.
+A protocol is as good as the optimum where a one-sided paired t test, after Holm over all protocols, does not tell them apart.
+Where a quarter are as good and no parameter decides, the minimum is flat. The cheapest in minutes on the rig is the one to use.
 
-A parameter is tested with the others at the optimum. All subjects with a value at all levels: analysis of variance, paired
-tests of the levels. A run missing, because its protocol could not calibrate that subject's device: the mixed model, contrasts
-of the levels. p is after Holm over the parameters; levels are compared where it is below the level of the test, p after Holm
-over all pairs of them. A level that calibrates fewer than half of the devices is left out.
-
-The other cohort (the note's Table 2 has two groups of thirty) has its own seed: device, temperature, performance and noise are
-shared with nothing. The note's row agrees where its protocol is statistically as good as the optimum, whatever the four numbers
-are; where it differs, the four parameters are exchanged one at a time, and the one that takes most of the error off is named.
+A parameter is tested with the others at the optimum: analysis of variance and paired tests of the levels; where a run is missing
+because its protocol could not calibrate that device, the mixed model and its contrasts. p is after Holm over the parameters;
+levels are compared where it is below the level of the test, p after Holm over all pairs. A level that calibrates fewer than half
+of the devices is left out. The other cohort shares nothing with the first. The note's row agrees where its protocol is as good.
 """
 
 from dataclasses import dataclass, replace
@@ -37,6 +32,7 @@ from undrift.study.statistics import (
     compare_pairs,
     compare_pairs_of,
     compare_unbalanced,
+    mean_interval,
 )
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -59,7 +55,7 @@ class ParameterEffect:
     dropped: FloatArray  # Values left out, since they calibrate fewer than half of the devices
     anova: Anova | None  # Where no run is missing
     mixed: MixedModel | None  # Where some are
-    untested: str  # Why neither could be; empty where one was
+    untested: Finding | None  # Why neither could be
     p_holm: float  # p after Holm over the parameters; NaN without a test
     pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
 
@@ -86,80 +82,57 @@ class ParameterEffect:
         return 1.0 if self.anova is None else self.anova.sphericity.greenhouse_geisser
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Levels:
-    """Values of one parameter and the errors with each, shape (S, k)."""
-
-    name: str
-    values: FloatArray
-    best: int
-    dropped: FloatArray
-    error: FloatArray
-
-
 def effects_at(
     surface: TaskSurface, best: int, *, error: FloatArray, allowed: BoolArray, level: float = 0.05
 ) -> tuple[ParameterEffect, ...]:
     """Say what each parameter does about a protocol: error (S, P) deg, allowed (P,)."""
-    held = [_levels(surface, name, best, error, allowed) for name in PARAMETERS]
-    tests = [_tested(each) for each in held]
-    p = np.array([np.nan if isinstance(test, str) else test.p_value for test in tests])
-    known = ~np.isnan(p)
-    holm = np.full(len(p), np.nan)
-    holm[known] = adjust_holm(p[known])
-    return tuple(
-        ParameterEffect(
-            name=each.name,
-            values=each.values,
-            best=each.best,
-            means_deg=test.means if isinstance(test, MixedModel) else np.nanmean(each.error, axis=0),
-            missing=int(np.isnan(each.error).sum()),
-            dropped=each.dropped,
+    columns = {name: np.asarray(getattr(surface, name)) for name in PARAMETERS}
+    same = {name: np.isclose(column, column[best]) for name, column in columns.items()}
+    effects = []
+    for name, column in columns.items():
+        places = np.flatnonzero(allowed & np.all([same[other] for other in PARAMETERS if other != name], axis=0))
+        places = places[np.argsort(column[places])]
+        enough = np.isfinite(error[:, places]).mean(axis=0) >= FEWEST_SHARE
+        kept = places[enough]
+        own = error[:, kept]
+        test = _tested(own)
+        effect = ParameterEffect(
+            name=name,
+            values=column[kept],
+            best=int(np.flatnonzero(kept == best)[0]),
+            means_deg=test.means if isinstance(test, MixedModel) else np.nanmean(own, axis=0),
+            missing=int(np.isnan(own).sum()),
+            dropped=column[places[~enough]],
             anova=test if isinstance(test, Anova) else None,
             mixed=test if isinstance(test, MixedModel) else None,
-            untested=test if isinstance(test, str) else "",
-            p_holm=float(p_holm),
-            pairs=() if isinstance(test, str) or not p_holm < level else _pairs(each, test),
+            untested=test if isinstance(test, Finding) else None,
+            p_holm=float("nan") if isinstance(test, Finding) else test.p_value,
+            pairs=(),
         )
-        for each, test, p_holm in zip(held, tests, holm, strict=True)
-    )
+        effects.append((effect, own))
+    tested = [effect.p_holm for effect, _ in effects if effect.test is not None]
+    holm = iter(adjust_holm(tested))
+    made = []
+    for effect, own in effects:
+        p = float("nan") if effect.test is None else float(next(holm))
+        pairs = (compare_pairs(own) if effect.mixed is None else compare_pairs_of(effect.mixed)) if p < level else ()
+        made.append(replace(effect, p_holm=p, pairs=pairs))
+    return tuple(made)
 
 
-def _levels(surface: TaskSurface, name: str, best: int, error: FloatArray, allowed: BoolArray) -> _Levels:
-    columns = {known: np.asarray(getattr(surface, known)) for known in PARAMETERS}
-    same = np.all([np.isclose(c, c[best]) for known, c in columns.items() if known != name], axis=0)
-    places = np.flatnonzero(same & allowed)
-    places = places[np.argsort(columns[name][places])]
-    enough = np.isfinite(error[:, places]).mean(axis=0) >= FEWEST_SHARE
-    kept = places[enough]
-    return _Levels(
-        name=name,
-        values=columns[name][kept],
-        best=int(np.flatnonzero(kept == best)[0]),
-        dropped=columns[name][places[~enough]],
-        error=error[:, kept],
-    )
-
-
-def _tested(held: _Levels) -> Anova | MixedModel | str:
-    """Return the test that suits, or why there is none."""
-    if len(held.values) < 2:
-        return "one value only"
-    there = np.isfinite(held.error)
+def _tested(error: FloatArray) -> Anova | MixedModel | Finding:
+    """Return the test that suits the errors with each value (S, k), or why there is none."""
+    if error.shape[1] < 2:
+        return finding("study.one_value", "info")
+    there = np.isfinite(error)
     try:
         if there.all():
-            return compare_conditions(held.error)
+            return compare_conditions(error)
         # by value first, so that the model's conditions come in the order of the values
         condition, subject = np.nonzero(there.T)
-        return compare_unbalanced(
-            held.error[subject, condition], [str(s) for s in subject], [str(c) for c in condition]
-        )
+        return compare_unbalanced(error[subject, condition], [str(s) for s in subject], [str(c) for c in condition])
     except InputError:  # nothing to test against
-        return "all subjects respond alike"
-
-
-def _pairs(held: _Levels, test: Anova | MixedModel) -> tuple[Pair, ...]:
-    return compare_pairs_of(test) if isinstance(test, MixedModel) else compare_pairs(held.error)
+        return finding("study.all_alike", "info")
 
 
 # ---- optimum
@@ -171,13 +144,11 @@ FLAT_SHARE = 0.25  # a minimum that a quarter of the protocols share is called f
 class Optimum:
     """What a study says of one task."""
 
-    task: str  # Its name
     best: int  # Place of the protocol with the least mean error
     error_rms_deg: float  # Mean over the subjects of both errors at the optimum, deg
     error_max_deg: float
-    honest_error_deg: float  # Mean of the objective by subjects that did not choose it, and its 95 % interval, deg
-    # Mean of the objective by subjects that did not choose it, and its 95 % interval, deg
-    honest_interval_deg: tuple[float, float]
+    honest_error_deg: float  # Mean of the objective by subjects that did not choose it, deg
+    honest_interval_deg: tuple[float, float]  # Its 95 % interval
     equivalent: BoolArray  # (P,), protocols that are statistically as good
     cheapest: int  # Of those, the one with the shortest session
     flat: bool  # Whether a quarter of all protocols or more are as good, and no parameter decides the error
@@ -206,11 +177,10 @@ def find_optimum(
     among = np.flatnonzero(equivalent)
     cheapest = int(among[np.lexsort((mean[among], surface.rig_minutes[among]))[0]])
     effects = effects_at(surface, best, error=error, allowed=allowed, level=level)
-    honest, interval = _honest(error, usable)
+    honest, interval = mean_interval(_honest(error, usable))
     tested = [effect.p_holm for effect in effects if effect.test is not None]
     deciding = tuple(effect.name for effect in effects if effect.p_holm < level)
     return Optimum(
-        task=surface.task,
         best=best,
         error_rms_deg=float(surface.error_rms_deg[:, best].mean()),
         error_max_deg=float(surface.error_max_deg[:, best].mean()),
@@ -254,19 +224,15 @@ def _equivalent(error: FloatArray, usable: BoolArray, best: int, level: float) -
     return found
 
 
-def _honest(error: FloatArray, usable: BoolArray) -> tuple[float, tuple[float, float]]:
-    """Error of the protocol that the other half of the subjects chose, each subject once."""
-    from scipy.stats import t as t_distribution
-
+def _honest(error: FloatArray, usable: BoolArray) -> FloatArray:
+    """Return the error of the protocol that the other half of the subjects chose, each subject once."""
     places = np.flatnonzero(usable)
     half = np.arange(len(error)) % 2 == 0
     judged = np.empty(len(error))
     for choosing in (half, ~half):
         chosen = places[int(np.argmin(error[np.ix_(choosing, places)].mean(axis=0)))]
         judged[~choosing] = error[~choosing, chosen]
-    mean, spread = float(judged.mean()), float(judged.std(ddof=1) / np.sqrt(len(judged)))
-    reach = float(t_distribution.ppf(0.975, len(judged) - 1)) * spread
-    return mean, (mean - reach, mean + reach)
+    return judged
 
 
 # ---- the other cohort
@@ -276,9 +242,8 @@ def _honest(error: FloatArray, usable: BoolArray) -> tuple[float, tuple[float, f
 class Tested:
     """A protocol on the other cohort."""
 
-    place: int  # Of the protocol on the surface
-    subjects: int  # How many, and for how many of them it could not calibrate the device
-    failed: int
+    subjects: int  # How many
+    failed: int  # For how many of them it could not calibrate the device
     error_rms_deg: float  # Means over the subjects, deg
     error_max_deg: float
     interval_rms_deg: tuple[float, float]  # Their 95 % intervals, deg
@@ -307,68 +272,48 @@ def run_testing(
     study: Study, surfaces: tuple[TaskSurface, ...], optima: tuple[Optimum, ...], folder: Path
 ) -> tuple[tuple[Tested, Tested], ...]:
     """Run each task's optimum and its cheapest equal on the other cohort."""
-    found: list[tuple[Tested, ...]] = []
+    other, found = other_study(study), []
     for name in ("best", "cheapest"):
         places = [int(getattr(optimum, name)) for optimum in optima]
         tasks = tuple(map(_only, study.tasks, surfaces, places))
         # a few seconds' work: shorter than starting workers
-        tested = run_study(replace(other_study(study), tasks=tasks), InProcess(), folder / name)
-        found.append(tuple(_tested_testing(surface, place) for surface, place in zip(tested, places, strict=True)))
-    best, cheapest = found
-    return tuple(zip(best, cheapest, strict=True))
+        found.append(map(_on_others, run_study(replace(other, tasks=tasks), InProcess(), folder / name)))
+    return tuple(zip(*found, strict=True))
 
 
 def cohort_of(study: Study) -> Cohort:
     """Return who was simulated."""
     people = [subject_of(study, number) for number in range(study.subjects)]
     ages, heights = (np.array([getattr(person, name) for person in people]) for name in ("age_years", "height"))
-    return Cohort(
-        group=study.group,
-        count=study.subjects,
-        age_years=_span(ages),
-        height=_span(heights),
-        printed=TABLE_2[study.group],
-    )
+    age, height = ((float(x.min()), float(x.mean()), float(x.max())) for x in (ages, heights))
+    return Cohort(group=study.group, count=study.subjects, age_years=age, height=height, printed=TABLE_2[study.group])
 
 
 def _only(task: StudyTask, surface: TaskSurface, place: int) -> StudyTask:
-    step, low, high = (
-        (float(getattr(surface, f"turn_rate_{name}_dps")[place]) * RADIAN_PER_DEGREE,)
-        for name in ("step", "min", "max")
-    )
-    cutoff = (float(surface.cutoff_hz[place]),)
-    return replace(task, space=Space(cutoff_hz=cutoff, turn_rate_step=step, turn_rate_min=low, turn_rate_max=high))
+    cutoff, *dps = (float(getattr(surface, name)[place]) for name in PARAMETERS)
+    step, low, high = ((value * RADIAN_PER_DEGREE,) for value in dps)
+    return replace(task, space=Space(cutoff_hz=(cutoff,), turn_rate_step=step, turn_rate_min=low, turn_rate_max=high))
 
 
-def _tested_testing(surface: TaskSurface, place: int) -> Tested:
+def _on_others(surface: TaskSurface) -> Tested:
     rms, worst = surface.error_rms_deg[:, 0], surface.error_max_deg[:, 0]
     done = np.isfinite(rms)
+    error_rms, of_rms = mean_interval(rms[done])
+    error_max, of_max = mean_interval(worst[done])
     return Tested(
-        place=place,
         subjects=len(rms),
         failed=int((~done).sum()),
-        error_rms_deg=float(rms[done].mean()) if done.any() else float("nan"),
-        error_max_deg=float(worst[done].mean()) if done.any() else float("nan"),
-        interval_rms_deg=_interval(rms[done]),
-        interval_max_deg=_interval(worst[done]),
+        error_rms_deg=error_rms,
+        error_max_deg=error_max,
+        interval_rms_deg=of_rms,
+        interval_max_deg=of_max,
     )
-
-
-def _interval(values: FloatArray) -> tuple[float, float]:
-    from scipy.stats import t as t_distribution
-
-    if len(values) < 2:
-        return float("nan"), float("nan")
-    reach = float(t_distribution.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / len(values) ** 0.5
-    mean = float(values.mean())
-    return mean - reach, mean + reach
-
-
-def _span(values: FloatArray) -> tuple[float, float, float]:
-    return float(values.min()), float(values.mean()), float(values.max())
 
 
 # ---- comparison with the note's Table 1
+
+
+NoteVerdict = Literal["agrees", "differs", "not tried"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -379,43 +324,33 @@ class NoteComparison:
     place: int | None  # Of the note's protocol on the surface; None where it was not tried
     error_deg: float  # Mean of the objective with the note's protocol, deg
     difference_deg: float  # That minus the optimum's, deg
-    verdict: Literal["agrees", "differs", "not tried"]
+    verdict: NoteVerdict
     finding: Finding  # Why
 
 
 def compare_with_note(
-    surface: TaskSurface, optimum: Optimum, row: NoteRow, *, objective: str = "rms", level: float = 0.05
+    surface: TaskSurface, optimum: Optimum, row: NoteRow, objective: str = "rms", level: float = 0.05
 ) -> NoteComparison:
     """Compare an optimum with the note's: they agree where the note's protocol is statistically as good."""
     wanted = np.array([getattr(row, name) for name in PARAMETERS])
     table = np.stack([getattr(surface, name) for name in PARAMETERS], axis=1)
-    place, nan, error_of = _place(table, wanted), float("nan"), surface.error(objective)
-    mean = error_of.mean(axis=0)
-    if place is None or not np.isfinite(mean[place]):
+    place, errors, best = _place(table, wanted), surface.error(objective), optimum.best
+    mean = errors.mean(axis=0)
+    verdict: NoteVerdict = "agrees"
+    error, ours = float("nan") if place is None else float(mean[place]), float(mean[best])
+    if place is None or not np.isfinite(error):
+        verdict = "not tried"
         why = finding("study.note_not_tried" if place is None else "study.note_uncalibrated", "info")
-        return NoteComparison(row=row, place=place, error_deg=nan, difference_deg=nan, verdict="not tried", finding=why)
-    error, best = float(mean[place]), float(mean[optimum.best])
-    count, tried = int(optimum.equivalent.sum()), len(mean)
-    if place == optimum.best:
-        why = finding("study.note_is_optimum", "info", alike=count - 1, others=tried - 1)
+    elif place == best:
+        why = finding("study.note_is_optimum", "info", alike=optimum.equivalent.sum() - 1, others=len(mean) - 1)
     elif optimum.equivalent[place]:
-        why = finding(
-            "study.note_as_good",
-            "info",
-            error_deg=error,
-            optimum_deg=best,
-            subjects=len(error_of),
-            detectable_deg=_least_seen(error_of[:, place] - error_of[:, optimum.best], tried, level),
-        )
+        least = _least_seen(errors[:, place] - errors[:, best], len(mean), level)
+        numbers = {"error_deg": error, "optimum_deg": ours, "subjects": len(errors), "detectable_deg": least}
+        why = finding("study.note_as_good", "info", **numbers)
     else:
-        why = _worse(table, mean, place, optimum.best)
+        verdict, why = "differs", _worse(table, mean, place, best)
     return NoteComparison(
-        row=row,
-        place=place,
-        error_deg=error,
-        difference_deg=error - best,
-        verdict="agrees" if optimum.equivalent[place] else "differs",
-        finding=why,
+        row=row, place=place, error_deg=error, difference_deg=error - ours, verdict=verdict, finding=why
     )
 
 

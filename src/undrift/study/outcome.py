@@ -11,15 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Literal, cast, get_args
+from typing import Literal, NamedTuple, TypeVar, cast, get_args
 
 import numpy as np
 
 from undrift.errors import InputError, UndriftError
 from undrift.findings import Finding, finding
-from undrift.sim.device.model import DeviceModel
 from undrift.sim.motion.tasks import TaskName
-from undrift.study.case import Unit, device_of, run_unit, seeded, units_of
+from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
 from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
 from undrift.study.judge import (
     PARAMETERS,
@@ -49,8 +48,10 @@ from undrift.study.run import (
     runs_held,
     without_lost,
 )
-from undrift.study.statistics import OptionalStopping, power_of_anova, stopping_of, subjects_needed
+from undrift.study.statistics import Anova, MixedModel, OptionalStopping, power_of_anova, stopping_of, subjects_needed
 from undrift.units import RADIAN_PER_DEGREE
+
+Made = TypeVar("Made")
 
 # ---- forecast
 
@@ -71,8 +72,7 @@ RIVALS_S = 20.0  # units are calibrated by every method once, for all tasks
 TRIAL_S, WORN_S, ROWS_S = 2.5, 3.5, 0.3  # a real trial; the device worn in captures; a capture or stance
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stage:
+class Stage(NamedTuple):
     """One stage of a study and its forecast."""
 
     name: StageName
@@ -95,23 +95,24 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
     if halving:
         grid = study.subjects * sum(len(task.protocols()) for task in study.tasks)
         sessions *= max(count_runs(study) - runs_held(folder), 0) / grid
-    figured = any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks)
-    seconds: dict[StageName, float] = {
-        "calibration sessions": sessions / workers + (POOL_S if left and workers > 1 else 0.0),
-        "the other cohort": cohort,
-        "rates to dwell at": DESIGNS_S * len(study.tasks),
-    }
-    if figured:
-        seconds["Figure 3"] = FIGURE3_S
-    if figured and rivals:
-        seconds["Figure 3, effect by effect"] = EFFECTS_S
-    if rivals:
-        seconds["rival methods"] = RIVALS_S
+    figured, real_s = _has_figure3(study), 0.0
     if real is not None:
-        trials = sum(len(device.pairs) for device in real.devices)
-        rows = len(real.captures) + len(real.stances)
-        seconds["real recordings"] = TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * rows
-    return tuple(Stage(name=name, seconds=value) for name, value in seconds.items())
+        trials, rows = sum(len(device.pairs) for device in real.devices), len(real.captures) + len(real.stances)
+        real_s = TRIAL_S * trials + WORN_S * bool(real.captures) + ROWS_S * rows
+    stages = (
+        Stage("calibration sessions", sessions / workers + (POOL_S if left and workers > 1 else 0.0)),
+        Stage("the other cohort", cohort),
+        Stage("rates to dwell at", DESIGNS_S * len(study.tasks)),
+        Stage("Figure 3", FIGURE3_S if figured else 0.0),
+        Stage("Figure 3, effect by effect", EFFECTS_S if figured and rivals else 0.0),
+        Stage("rival methods", RIVALS_S if rivals else 0.0),
+        Stage("real recordings", real_s),
+    )
+    return tuple(stage for place, stage in enumerate(stages) if place < 3 or stage.seconds > 0.0)
+
+
+def _has_figure3(study: Study) -> bool:
+    return any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks)
 
 
 def _unit_s(unit: Unit) -> float:
@@ -150,8 +151,8 @@ class TaskOutcome:
     stopping: OptionalStopping | None  # Of the parameter with the least p; None with ten subjects or fewer
     stopping_of: str  # That parameter
     note: NoteComparison | None  # With the note's row; None for other tasks
-    untried: tuple[Untried, ...] = ()  # Values of the plan that no protocol has, or none that is short enough
-    halving: Halving | None = None  # Its rounds, where protocols were searched so
+    untried: tuple[Untried, ...]  # Values of the plan that no protocol has, or none that is short enough
+    halving: Halving | None  # Its rounds, where protocols were searched so
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -168,12 +169,12 @@ class StudyOutcome:
     tasks: tuple[TaskOutcome, ...]  # One a task
     cohorts: tuple[Cohort, Cohort]  # Who chose, and who tested
     figure3: Figure3 | None  # For a study with a sit-to-stand
-    figure3_missing: str  # Why there is none
+    figure3_missing: Finding | None  # Why there is none
     # Differences of its two devices, effect by effect; empty where the rivals were not asked for either
     figure3_effects: tuple[EffectRow, ...] = ()
     designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates and the uniform grid, by task
     rivals: tuple[RivalRow, ...] = ()  # Other ways to calibrate; empty where they were not asked for
-    rivals_missing: str = "not asked for"  # Why there are none
+    rivals_missing: Finding | None = None  # Why there are none
     real: RealOutcome | None = None  # Real recordings, where some were given
 
 
@@ -190,12 +191,13 @@ def judge_study(
 ) -> StudyOutcome:
     """Run a study, or what is left of it, and judge it; ``begin`` gets each stage, ``tell`` each round of a halving."""
     begin("calibration sessions")
-    halved: tuple[Halving, ...] = ()
+    halvings: tuple[Halving | None, ...] = (None,) * len(study.tasks)
     if study.search == "halving":
-        halved = halve_study(study, executor, folder, advance=advance, tell=tell)
-        surfaces = tuple(without_lost(each.surface) for each in halved)
+        halvings = halved = halve_study(study, executor, folder, advance=advance, tell=tell)
+        runs, surfaces = sum(each.runs for each in halved), tuple(each.surface for each in halved)
     else:
-        surfaces = tuple(map(without_lost, run_study(study, executor, folder, advance=advance)))
+        runs, surfaces = count_runs(study), run_study(study, executor, folder, advance=advance)
+    surfaces = tuple(map(without_lost, surfaces))
     optima = tuple(
         find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
         for surface in surfaces
@@ -205,32 +207,43 @@ def judge_study(
     begin("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
     begin("Figure 3")
-    figure, missing = _figure3(study)
-    effects: tuple[EffectRow, ...] = ()
+    unit, warmer = typical_unit(study), sum(study.excursion_k) / 2.0
+    figure: Figure3 | None = None
+    missing: Finding | None = finding("study.no_sit_to_stand", "info")
+    if _has_figure3(study):
+        figure, missing = _tried(lambda: figure3(unit, seed=study.seed, excursion_k=warmer), "Figure 3")
+    effects: tuple[EffectRow, ...] | None = None
+    rows: tuple[RivalRow, ...] | None = None
+    rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
     if rivals and figure is not None:
         begin("Figure 3, effect by effect")
-        effects = _figure3_effects(study)
-    rows: tuple[RivalRow, ...] = ()
-    rivals_missing = "not asked for"
+        effects, _ = _tried(lambda: effect_table(unit, seed=study.seed, excursion_k=warmer, back=False), "Figure 3")
     if rivals:
         begin("rival methods")
-        rows, rivals_missing = _rivals(study)
+        rows, rivals_missing = _tried(lambda: _rivals(study), "Other ways to calibrate")
     if real is not None:
         begin("real recordings")
-    halvings = halved or (None,) * len(study.tasks)
     return StudyOutcome(
         study=study,
-        runs=sum(each.runs for each in halved) if halved else count_runs(study),
+        runs=runs,
         tasks=tuple(_judge(study, *held) for held in zip(study.tasks, surfaces, optima, tested, halvings, strict=True)),
         cohorts=(cohort_of(study), cohort_of(other_study(study))),
         figure3=figure,
         figure3_missing=missing,
-        figure3_effects=effects,
+        figure3_effects=effects or (),
         designs=designs,
-        rivals=rows,
+        rivals=rows or (),
         rivals_missing=rivals_missing,
         real=None if real is None else judge_real(real, study),
     )
+
+
+def _tried(make: Callable[[], Made], part: str) -> tuple[Made | None, Finding | None]:
+    """Return what is made, or why not: this device cannot be calibrated so, and the study's own figures stand."""
+    try:
+        return make(), None
+    except UndriftError as error:
+        return None, finding("study.part_failed", "info", part=part, reason=str(error))
 
 
 def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optimum) -> tuple[DesignRow, ...]:
@@ -242,14 +255,11 @@ def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optim
     return design_rows(study, task, found)
 
 
-def _rivals(study: Study) -> tuple[tuple[RivalRow, ...], str]:
+def _rivals(study: Study) -> tuple[RivalRow, ...]:
     """Compare the methods on units of the study's kind, or of the note's where every subject wears one device."""
     known = get_args(TaskName)
     tasks = tuple(cast("TaskName", task.name) for task in study.tasks if task.motion is None and task.name in known)
-    try:
-        return compare_rivals(kind=DEVICE if study.worn else study.device, seed=study.seed, tasks=tasks or TASKS), ""
-    except UndriftError as error:  # this device cannot be calibrated so: the study's own figures stand
-        return (), str(error)
+    return compare_rivals(kind=DEVICE if study.worn else study.device, seed=study.seed, tasks=tasks or TASKS)
 
 
 def _judge(
@@ -267,12 +277,10 @@ def _judge(
         optimum=optimum,
         tested=tested,
         effect_reach_deg=tuple(map(_reach, optimum.effects)),
-        powers=tuple(_power(study, effect) for effect in optimum.effects if effect.test is not None),
+        powers=tuple(_power(study, effect, effect.test) for effect in optimum.effects if effect.test),
         stopping=stopping,
         stopping_of=least,
-        note=None
-        if row is None
-        else compare_with_note(surface, optimum, row, objective=study.objective, level=study.level),
+        note=row if row is None else compare_with_note(surface, optimum, row, study.objective, study.level),
         untried=(*task.space.untried(), *_too_long(study, surface if halving is None else halving.every)),
         halving=halving,
     )
@@ -294,16 +302,12 @@ def _too_long(study: Study, surface: TaskSurface) -> tuple[Untried, ...]:
 def _reach(effect: ParameterEffect) -> float:
     from scipy.stats import t as t_distribution
 
-    found = effect.test
-    if found is None:
+    if (found := effect.test) is None:
         return 0.0
     return float(t_distribution.ppf(0.975, found.dof[1]) * np.sqrt(effect.error_variance / found.subjects))
 
 
-def _power(study: Study, effect: ParameterEffect) -> EffectPower:
-    found = effect.test
-    if found is None:
-        return EffectPower(name=effect.name, power=float("nan"), subjects=None)
+def _power(study: Study, effect: ParameterEffect, found: Anova | MixedModel) -> EffectPower:
     means, variance, epsilon = found.means, effect.error_variance, effect.epsilon
     try:
         count: int | None = subjects_needed(means, variance, epsilon=epsilon, level=study.level)
@@ -328,28 +332,6 @@ def _stopping(study: Study, surface: TaskSurface, optimum: Optimum) -> tuple[str
         return "", None
     rng = seeded(study, "stopping", surface.task)
     return least.name, stopping_of(table, first=FIRST_LOOK, level=study.level, simulations=400, rng=rng)
-
-
-def _figure3(study: Study) -> tuple[Figure3 | None, str]:
-    if not any(task.name == "sit_to_stand" and task.motion is None for task in study.tasks):
-        return None, "the study has no sit-to-stand of the library"
-    try:
-        return figure3(_typical(study), seed=study.seed, excursion_k=sum(study.excursion_k) / 2.0), ""
-    except UndriftError as error:  # this device cannot be calibrated so: the study's own figures stand
-        return None, str(error)
-
-
-def _figure3_effects(study: Study) -> tuple[EffectRow, ...]:
-    try:
-        return effect_table(_typical(study), seed=study.seed, excursion_k=sum(study.excursion_k) / 2.0, back=False)
-    except UndriftError:  # an effect alone can be more than the fit takes: the figure stands without its table
-        return ()
-
-
-def _typical(study: Study) -> DeviceModel:
-    from undrift.sim.device.presets import preset
-
-    return device_of(study, 0) if study.worn else preset(study.device)
 
 
 # ---- findings
@@ -385,11 +367,8 @@ def _findings(task: TaskOutcome) -> tuple[Finding, ...]:
     if halving is not None:
         counts = tuple(len(each.candidates) for each in halving.rounds)
         met = tuple(each.subjects for each in halving.rounds)
-        rows.append(
-            finding(
-                "study.halving", "info", protocols=counts, subjects=met, runs=halving.runs, grid=halving.runs_of_grid
-            )
-        )
+        runs, grid = halving.runs, halving.runs_of_grid
+        rows.append(finding("study.halving", "info", protocols=counts, subjects=met, runs=runs, grid=grid))
     return tuple(rows)
 
 

@@ -1,31 +1,44 @@
-"""Plan of a study: which tasks, whose, with which device, and which protocols are tried.
+"""Plan of a study: which tasks, whose, with which device, and which protocols are tried; recorded motions as tasks.
 
 A candidate is a Protocol: cut-off frequency, omega_m, omega_M and step vary as in the note, the rest comes from the plan. Every
-combination of the four whose step divides the span is a candidate. study.toml holds a plan (docs/study.md shows one):
+combination of the four whose step divides the span is a candidate. study.toml holds a plan (docs/study.md shows one). The note's
+study is a preset; spaces surround its values; dwell, brackets and set-points are choices, since it does not give them.
 
-    [study]  name device subjects group excursion_k objective search level rig_minutes_max seed
-    [[task]] name; [task.space] what is tried; [task.protocol] what is not varied; [task.motion] an own motion
+A recorded motion must begin at rest. Three figures of its first ``rest_s`` seconds, rates and accelerations as means over 0.25 s::
 
-The note's study is a preset: its three tasks, its device, its Table 1. Spaces surround the note's values; dwell, brackets and
-set-points are choices, since the note does not give them.
+    w    |mean of w_b|                          how fast the body turns
+    a    |mean of p''|                          how fast its velocity changes
+    e    angle(mean of f_b, R_nb^T z)           tilt error of a device without errors at the end of that time
 """
 
+import hashlib
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
+import numpy as np
 from pydantic import Field
 
+from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import Entry, read_toml
-from undrift.io.reference import BodyName
+from undrift.frames import quaternion_conjugate, rotate
+from undrift.io.formats import read_markers, read_reference
+from undrift.io.mocap import Up
+from undrift.io.reference import L5_OFFSET, BodyName, device_on, find_body
+from undrift.record import Reference
 from undrift.rig.programme import GridRule, Protocol
+from undrift.sim.device.model import device_json, read_device
 from undrift.sim.device.presets import PRESETS
+from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import Group, TaskName
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 Objective = Literal["rms", "maximum"]
 Search = Literal["grid", "halving"]
@@ -186,10 +199,10 @@ def ends_of(study: Study) -> Study:
 
 DEVICE = "enc03j_3031"
 SET_POINTS_C = (18.0, 30.0, 45.0, 60.0, 75.0)
-CUTOFFS_HZ = (5.0, 7.0, 9.0, 11.1, 13.0, 16.0, 20.0, 25.0, 30.0, 40.0)
+CUTOFFS_HZ = (5.0, 7.0, 9.0, 11.1, 13.0, 16.0, 20.0, 25.0, 30.0, 40.0)  # 11.1: each task's own in its place
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class NoteRow:
     """A row of the note's Table 1."""
 
@@ -202,51 +215,188 @@ class NoteRow:
 
 
 TABLE_1: dict[TaskName, NoteRow] = {
-    "sit_to_stand": NoteRow(
-        cutoff_hz=11.1, turn_rate_step_dps=5.0, turn_rate_min_dps=5.0, turn_rate_max_dps=90.0, p_value=0.048
-    ),
-    "step": NoteRow(
-        cutoff_hz=11.4,
-        turn_rate_step_dps=3.0,
-        turn_rate_min_dps=3.0,
-        turn_rate_max_dps=45.0,
-        p_value=0.040,
-        erratum="printed 111.4 Hz; lies between 11.1 and 11.5",
-    ),
-    "posturography": NoteRow(
-        cutoff_hz=11.5, turn_rate_step_dps=0.1, turn_rate_min_dps=0.1, turn_rate_max_dps=5.0, p_value=0.049
-    ),
+    "sit_to_stand": NoteRow(11.1, 5.0, 5.0, 90.0, 0.048),
+    "step": NoteRow(11.4, 3.0, 3.0, 45.0, 0.040, erratum="printed 111.4 Hz; lies between 11.1 and 11.5"),
+    "posturography": NoteRow(11.5, 0.1, 0.1, 5.0, 0.049),
+}
+Rates = tuple[float, ...]
+TRIED_DPS: dict[TaskName, tuple[Rates, Rates, Rates]] = {  # step, omega_m, omega_M
+    "sit_to_stand": ((5, 10, 15, 20), (5, 10, 15, 20), (50, 60, 70, 80, 90)),
+    "step": ((3, 6, 9, 12), (3, 6, 9, 12), (21, 27, 33, 39, 45)),
+    "posturography": ((0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4), (3.0, 3.5, 4.0, 4.5, 5.0)),
 }
 
 
 def note_study(*, subjects: int = 30, seed: int = 0, quick: bool = False) -> Study:
     """Return the note's study."""
-    tasks = (
-        _task("sit_to_stand", (5, 10, 15, 20), (5, 10, 15, 20), (50, 60, 70, 80, 90), 1.0, quick),
-        _task("step", (3, 6, 9, 12), (3, 6, 9, 12), (21, 27, 33, 39, 45), 1.0, quick),
-        _task("posturography", (1, 2, 3, 4), (1, 2, 3, 4), (30, 35, 40, 45, 50), 0.1, quick),
-    )
-    return Study(name="note", device=DEVICE, tasks=tasks, subjects=subjects, seed=seed)
+    tasks = []
+    for name, (steps, lows, highs) in TRIED_DPS.items():
+        own = TABLE_1[name].cutoff_hz
+        cutoffs = tuple(own if f == 11.1 else f for f in CUTOFFS_HZ)
+        if quick:
+            steps, lows, highs, cutoffs = steps[:2], lows[:1], highs[-3::2], (cutoffs[0], own)
+        base = Protocol(name=name, grid="paper", dwell_s=2.0, bracket_s=6.0, temperatures_c=SET_POINTS_C)
+        tasks.append(StudyTask(name=name, space=_space(cutoffs, steps, lows, highs), base=base))
+    return Study(name="note", device=DEVICE, tasks=tuple(tasks), subjects=subjects, seed=seed)
 
 
-def _task(
-    name: TaskName,
-    steps: tuple[int, ...],
-    lows: tuple[int, ...],
-    highs: tuple[int, ...],
-    unit_dps: float,
-    quick: bool,
-) -> StudyTask:
-    own = TABLE_1[name].cutoff_hz
-    cutoffs = tuple(own if f == CUTOFFS_HZ[3] else f for f in CUTOFFS_HZ)
-    if quick:
-        steps, lows, highs, cutoffs = steps[:2], lows[:1], highs[-3::2], (cutoffs[0], own)
-    in_si = [tuple(round(v * unit_dps, 9) * RADIAN_PER_DEGREE for v in values) for values in (steps, lows, highs)]
-    return StudyTask(
-        name=name,
-        space=Space(cutoff_hz=cutoffs, turn_rate_step=in_si[0], turn_rate_min=in_si[1], turn_rate_max=in_si[2]),
-        base=Protocol(name=name, grid="paper", dwell_s=2.0, bracket_s=6.0, temperatures_c=SET_POINTS_C),
+def _space(cutoff_hz: Rates, steps_dps: Rates, lows_dps: Rates, highs_dps: Rates) -> Space:
+    step, low, high = (tuple(v * RADIAN_PER_DEGREE for v in rates) for rates in (steps_dps, lows_dps, highs_dps))
+    return Space(cutoff_hz=tuple(cutoff_hz), turn_rate_step=step, turn_rate_min=low, turn_rate_max=high)
+
+
+# ---- recorded motion as a task
+
+SAMPLE_RATE_HZ = 100.0
+WINDOW_S = 0.25
+LEAST_REST_S = 0.5  # the tilt at the start is a mean over the rest
+# People who stand quietly keep to 1.4 deg/s, 0.03 m/s2 and 0.6 deg over 5 s at the pelvis; who has begun to rise is at 10 deg/s.
+MOST_TURN_RATE = 5.0 * RADIAN_PER_DEGREE  # rad/s
+MOST_ACCELERATION = 0.3  # m/s2
+MOST_TILT_ERROR = 1.0 * RADIAN_PER_DEGREE  # rad
+SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
+
+
+class Rest(NamedTuple):
+    """How still a body is for a time from the first pose on, and how long it is."""
+
+    turn_rate: float  # Largest, rad/s
+    acceleration: float  # Largest, m/s2
+    tilt_error: float  # Of a device without errors, at the end of the time, rad
+    still_s: float  # How long the body truly is still, s
+
+
+def measure_rest(spline: PoseSpline, rest_s: float) -> Rest:
+    """Measure how still a body is at the beginning of its poses."""
+    start, stop = spline.span_s
+    count = int((stop - start) * SAMPLE_RATE_HZ)
+    motion = spline.at(start + np.arange(count) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
+    swing = rotate(motion.q_nb, motion.force_b) - np.array([0.0, 0.0, STANDARD_GRAVITY])
+    up = rotate(quaternion_conjugate(motion.q_nb), np.array([0.0, 0.0, 1.0]))
+    mean = np.cumsum(motion.force_b, axis=0)
+    tilt = np.arctan2(np.linalg.norm(np.cross(mean, up), axis=1), (mean * up).sum(axis=1))
+    # by the number of samples since the first pose: what the time up to there shows
+    rate, acceleration = (np.maximum.accumulate(_windowed(x)) for x in (motion.rate_b, swing))
+    kept = (rate <= MOST_TURN_RATE) & (acceleration <= MOST_ACCELERATION) & (tilt <= MOST_TILT_ERROR)
+    last = min(round(rest_s * SAMPLE_RATE_HZ), count) - 1
+    still_s = (int(np.flatnonzero(kept)[-1]) + 1) / SAMPLE_RATE_HZ if kept.any() else 0.0
+    return Rest(float(rate[last]), float(acceleration[last]), float(tilt[last]), still_s)
+
+
+def check_rest(spline: PoseSpline, rest_s: float, path: Path) -> None:
+    """Refuse a motion that does not begin with the rest that is stated."""
+    found = measure_rest(spline, rest_s)
+    if (np.array(found[:3]) <= (MOST_TURN_RATE, MOST_ACCELERATION, MOST_TILT_ERROR)).all():
+        return
+    still_s = np.floor(10.0 * found.still_s) / 10.0
+    todo = (
+        f"set rest_s = {still_s:g}"
+        if still_s >= LEAST_REST_S
+        else f"take a recording that begins with {LEAST_REST_S:g} s at rest or more, or set hold = true and rest_s = 6"
     )
+    raise InputError(
+        f"{path}: wanted a body at rest for its first rest_s = {rest_s:g} s, got one that turns at up to "
+        f"{found.turn_rate / RADIAN_PER_DEGREE:.3g} deg/s and accelerates by up to {found.acceleration:.2g} m/s2 (at rest: "
+        f"{MOST_TURN_RATE / RADIAN_PER_DEGREE:g} and {MOST_ACCELERATION:g}), for which the first tilt alone would be wrong by "
+        f"{found.tilt_error / RADIAN_PER_DEGREE:.1f} deg; it is still for {still_s:g} s: {todo}",
+        **found._asdict(),
+    )
+
+
+def _windowed(values: FloatArray) -> FloatArray:
+    """Return the size of the mean over the window that ends at each sample; over what there is before the first whole one."""
+    n, width = len(values), max(round(WINDOW_S * SAMPLE_RATE_HZ), 1)
+    total = np.concatenate((np.zeros((1, 3)), np.cumsum(values, axis=0)))
+    ends = np.arange(1, n + 1)
+    first = np.maximum(ends - width, 0)
+    size: FloatArray = np.linalg.norm((total[ends] - total[first]) / (ends - first)[:, None], axis=1)
+    size[: min(width, n) - 1] = 0.0  # a shorter mean would let the noise of cameras count
+    return size
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedTask:
+    """A recorded motion as a task."""
+
+    spline: PoseSpline  # The poses
+    moving_s: tuple[float, float]  # First and last instant of motion, s from the beginning
+    held_s: float = 0.0  # How long the first pose is held before the recording begins, s
+
+    @property
+    def duration_s(self) -> float:
+        """Length, s."""
+        start, stop = self.spline.span_s
+        return self.held_s + stop - start
+
+    def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
+        """Return the motion at given instants: time (N,)."""
+        start = self.spline.span_s[0]
+        motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
+        if self.held_s == 0.0:
+            return motion
+        first = self.spline.at(np.array([start]), gravity_m_s2).q_nb
+        up = rotate(quaternion_conjugate(first), np.array([0.0, 0.0, gravity_m_s2]))
+        held: dict[str, Any] = {
+            "q_nb": first,
+            "rate_b": 0.0,
+            "mean_rate_b": 0.0,
+            "force_b": up,
+            "moving": 0.0,
+            "valid": 1.0,
+        }
+        if motion.angular_acceleration_b is not None:
+            held["angular_acceleration_b"] = 0.0
+        rows = time < self.held_s
+        own = {name: getattr(motion, name) for name in held}
+        kept = {name: np.where(rows if own[name].ndim == 1 else rows[:, None], held[name], own[name]) for name in held}
+        return replace(motion, **kept)
+
+
+@lru_cache(maxsize=4)
+def read_motion(own: OwnMotion) -> RecordedTask:
+    """Read a recorded motion, and refuse one that does not begin with the rest that is stated."""
+    path, rest_s = Path(own.path), own.rest_s
+    if sha256_of(path) != own.sha256:
+        raise InputError(f"{path}: wanted the file that the study began with, got another content; start a new study")
+    reference = read_poses(path, body=own.body, markers=own.markers, up=own.up)
+    spline = fit_pose_spline(reference, SKIN if own.body else PoseSettings())
+    length = spline.span_s[1] - spline.span_s[0]
+    refused = ""
+    if reference.position is None:
+        refused = "poses with positions, got none; accelerometers cannot be simulated without them"
+    elif len(spline.pieces) > 1:
+        refused = f"poses without long gaps, got {len(spline.pieces) - 1}; cut the recording between gaps"
+    elif own.hold and rest_s < LEAST_REST_S:
+        refused = f"a rest_s of {LEAST_REST_S:g} s or more to hold the first pose for, got {rest_s:g}; 6 is the note's"
+    elif not own.hold and not LEAST_REST_S <= rest_s < length - 1.0:
+        refused = (
+            f"a rest_s of {LEAST_REST_S:g} s to {length - 1.0:.1f} s, got {rest_s:g}; state how long the body is at "
+        )
+        refused += "rest at the beginning"
+    if refused:
+        raise InputError(f"{path}: wanted {refused}")
+    if own.hold:
+        return RecordedTask(spline=spline, moving_s=(rest_s, rest_s + length), held_s=rest_s)
+    check_rest(spline, rest_s, path)
+    return RecordedTask(spline=spline, moving_s=(rest_s, length))
+
+
+def read_poses(path: Path, *, body: BodyName | None, markers: tuple[str, ...], up: Up | None) -> Reference:
+    """Read the poses of a cluster or file, or of a device on a segment: at L5 on a pelvis, at the origin of another."""
+    if body is None:
+        return read_reference(path, labels=markers or None, up=up)
+    if markers or up is None:
+        raise InputError(f"{path}: wanted a body and up, got {'markers too' if markers else 'no up'}; name the two")
+    offset = L5_OFFSET if body == "pelvis" else (0.0, 0.0, 0.0)
+    return device_on(find_body(read_markers(path, up=up), body), offset_b=offset)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the mark of a file's content."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: wanted a file of poses or markers, got {error.strerror}; check the path") from error
 
 
 # ---- study.toml
@@ -323,73 +473,35 @@ class StudyFile(Entry):
 
 def read_study(path: str | Path) -> Study:
     """Read a study."""
-    held = read_toml(path, StudyFile)
-    folder, head = Path(path).parent, held.study
+    held, folder = read_toml(path, StudyFile), Path(path).parent
+    head = held.study
+    given = head.model_dump() | {"name": head.name or Path(path).stem, "excursion_k": tuple(head.excursion_k)}
     try:
-        return Study(
-            name=head.name or Path(path).stem,
-            device=head.device if head.device in PRESETS else Path(head.device).stem,
-            worn="" if head.device in PRESETS else _device_text(folder / head.device, head.device),
-            tasks=tuple(_task_file(entry, folder) for entry in held.task),
-            subjects=head.subjects,
-            group=head.group,
-            excursion_k=(head.excursion_k[0], head.excursion_k[1]),
-            objective=head.objective,
-            search=head.search,
-            level=head.level,
-            rig_minutes_max=head.rig_minutes_max,
-            seed=head.seed,
-        )
+        if head.device not in PRESETS:
+            given |= {"device": Path(head.device).stem, "worn": _device_text(folder / head.device, head.device)}
+        return Study(**given, tasks=tuple(_task_of(entry, folder) for entry in held.task))
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
 
 
-def _task_file(entry: TaskEntry, folder: Path) -> StudyTask:
-    from undrift.study.case import read_motion, sha256_of
-
-    space, base, motion = entry.space, entry.protocol, None
+def _task_of(entry: TaskEntry, folder: Path) -> StudyTask:
+    base = entry.protocol.model_dump(exclude={"set_points_c"})
+    motion = None
     if entry.motion is not None:
         file = (folder / entry.motion.file).resolve()
-        motion = OwnMotion(
-            path=str(file),
-            sha256=sha256_of(file),
-            rest_s=entry.motion.rest_s,
-            markers=tuple(entry.motion.markers),
-            body=entry.motion.body,
-            up=entry.motion.up,
-            hold=entry.motion.hold,
-        )
+        given = entry.motion.model_dump(exclude={"file"}) | {"markers": tuple(entry.motion.markers)}
+        motion = OwnMotion(path=str(file), sha256=sha256_of(file), **given)
         read_motion(motion)  # refused now rather than by a worker
     return StudyTask(
         name=entry.name,
-        space=Space(
-            cutoff_hz=tuple(space.cutoff_hz),
-            turn_rate_step=_si(space.turn_rate_step_dps),
-            turn_rate_min=_si(space.turn_rate_min_dps),
-            turn_rate_max=_si(space.turn_rate_max_dps),
-        ),
-        base=Protocol(
-            name=entry.name,
-            grid=base.grid,
-            dwell_s=base.dwell_s,
-            bracket_s=base.bracket_s,
-            face_s=base.face_s,
-            temperatures_c=tuple(base.set_points_c),
-        ),
+        space=_space(*map(tuple, entry.space.model_dump().values())),
+        base=Protocol(name=entry.name, temperatures_c=tuple(entry.protocol.set_points_c), **base),
         motion=motion,
     )
 
 
-def _si(values_dps: list[float]) -> tuple[float, ...]:
-    return tuple(value * RADIAN_PER_DEGREE for value in values_dps)
-
-
 def _device_text(path: Path, head: str) -> str:
     """Return a device.json in one spelling, after it was read as a device."""
-    import json
-
-    from undrift.sim.device.model import device_json, read_device
-
     if not path.exists():
         raise InputError(f"device: wanted one of {', '.join(PRESETS)} or a device.json, got '{head}'; name one of them")
     return json.dumps(device_json(read_device(path)), sort_keys=True)

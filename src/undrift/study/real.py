@@ -1,57 +1,53 @@
 """Real recordings judged as the study judges simulated ones; real.toml names them (docs/study.md shows one).
 
-Trials beside optics (BROAD, or any recording with its poses), at three levels::
+Trials beside optics (BROAD, or any recording with its poses) at three levels: none, no offset removed; rest, less the mean rate
+of the first rest; calibrated, a gyroscope fit to the other trials of the same device. A truncating converter leaves half a step
+as an offset, worth as much as a level: all levels are judged with the rounding undone and with it left in.
 
-    none         no offset removed
-    rest         less the mean rate of the first rest
-    calibrated   a gyroscope fit to the other trials of the same device
-
-A truncating converter leaves half a step as an offset, worth as much as a level: all three levels are judged with the rounding
-undone and with it left in, and compared with the same treatment alone.
-
-Captured people and the simulated cohort: lean, rates and time of rising at L5. A repetition is found by the rise of the body's
-height past its middle; it begins and ends where the pitch rate falls below 5 deg/s. Quiet stance on a force plate: the centre of
-pressure, and the horizontal force over the mass, which is the acceleration of the body's centre; the cohort's centre of pressure
-is that of the pendulum, p = x - (1.147 h/g) x''. Captured and simulated people differ: nothing is paired, and a figure lies within
-the cohort's 95 % or not.
-
-The study's device worn in the captures, at a board temperature above the bench's: six seconds of rest in the first pose precede
-each, for the tilt at the start.
+Captured people and the simulated cohort: lean, rates and time of rising at L5; a repetition begins and ends where the pitch rate
+falls below 5 deg/s. Quiet stance on a force plate: the centre of pressure, and the horizontal force over the mass; the cohort's
+centre of pressure is that of the pendulum, p = x - (1.147 h/g) x''. Captured and simulated people differ: nothing is paired.
 """
 
+import gzip
+import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError, UndriftError
 from undrift.files import Entry, read_toml
+from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, rotate
+from undrift.io.formats import detect, read_record, read_reference
 from undrift.io.reference import BodyName
-from undrift.model import Calibration
+from undrift.io.session import read_column_map
 from undrift.orientation import sagittal_pitch
 from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.poses import PoseSettings, fit_pose_spline
+from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import GYRATION, Group, Task, TaskName, cohort, draw_task
-from undrift.study.case import Case, device_of, pitch_error, read_poses
-from undrift.study.figure3 import LEVELS, ROOM_TEMP_C, SAMPLE_RATE_HZ, SETTLED_S, calibrated
-from undrift.study.plan import Study
+from undrift.study.case import REST_S, ROOM_TEMP_C, Case, delay_s, pitch_error, typical_unit
+from undrift.study.figure3 import LEVELS, SETTLED_S, calibrated
+from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Study, read_poses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.agreement import (
     LEAST_FOR_AGREEMENT,
     BlandAltman,
     IntraclassCorrelation,
     Pair,
+    Validation,
     bland_altman,
     intraclass_correlation,
+    summed,
     validate_leave_one_out,
     validate_trials,
 )
@@ -69,7 +65,7 @@ class DeviceTrials:
     pairs: tuple[Pair, ...]  # Two or more
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Pairwise:
     """Agreement of two ways to measure one quantity over trials."""
 
@@ -103,53 +99,43 @@ def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, ...]:
         )
     undone, left_in = _levels(devices, "auto"), _levels(devices, "none")
     errors = [
-        [trial.figures.rmse_total_deg for _, trials in levels for trial in trials] for levels in (undone, left_in)
+        [t.figures.rmse_total_deg for held in levels.values() for t in held.trials] for levels in (undone, left_in)
     ]
+    treated: tuple[tuple[Rounding, dict[str, Validation]], ...] = (("undone", undone), ("left in", left_in))
     if np.array_equal(errors[0], errors[1], equal_nan=True):
-        return tuple(_at_level(level, "none found", trials) for level, trials in undone)
-    return (
-        *(_at_level(level, "undone", trials) for level, trials in undone),
-        *(_at_level(level, "left in", trials) for level, trials in left_in),
-    )
+        treated = (("none found", undone),)
+    return tuple(_at_level(level, rounding, held) for rounding, levels in treated for level, held in levels.items())
 
 
-def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> tuple[tuple[str, tuple[Trial, ...]], ...]:
+def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> dict[str, Validation]:
     """Return the trials at the three levels, the codes treated alike in all."""
     pairs = [pair for device in devices for pair in device.pairs]
     names = [name for device in devices for name in device.names]
     settings = TrialSettings(adc=adc)
-    bare = validate_trials(pairs, settings=settings, names=names).trials
-    rest = validate_trials(pairs, settings=TrialSettings(adc=adc, offset="rest"), names=names).trials
     held = [validate_leave_one_out(device.pairs, settings=settings, names=device.names).trials for device in devices]
-    return ("none", bare), ("rest", rest), ("calibrated", tuple(trial for of_device in held for trial in of_device))
+    return {
+        "none": validate_trials(pairs, settings=settings, names=names),
+        "rest": validate_trials(pairs, settings=replace(settings, offset="rest"), names=names),
+        "calibrated": summed(tuple(trial for of_device in held for trial in of_device)),
+    }
 
 
 def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwise | None:
     """Return the agreement of two ways to measure: first (n,), second (n,)."""
     if len(first) < LEAST_FOR_AGREEMENT:
         return None
-    return Pairwise(
-        quantity=quantity,
-        limits=bland_altman(first, second),
-        icc=intraclass_correlation(np.stack((first, second), axis=1), "ICC(2,1)"),
-    )
+    icc = intraclass_correlation(np.stack((first, second), axis=1), "ICC(2,1)")
+    return Pairwise(quantity, bland_altman(first, second), icc)
 
 
-def _at_level(level: str, rounding: Rounding, trials: tuple[Trial, ...]) -> RealErrors:
-    def median(name: str) -> float:
-        return float(np.nanmedian([getattr(trial.figures, name) for trial in trials]))
-
-    tilts = np.array([trial.mean_inclination for trial in trials]) / RADIAN_PER_DEGREE
-    tilts = tilts[np.isfinite(tilts).all(axis=1)]
+def _at_level(level: str, rounding: Rounding, held: Validation) -> RealErrors:
+    names, both = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg"), held.agreement
     return RealErrors(
         level=level,
         rounding=rounding,
-        trials=trials,
-        rmse_total_deg=median("rmse_total_deg"),
-        rmse_inclination_deg=median("rmse_inclination_deg"),
-        max_abs_pitch_deg=median("max_abs_pitch_deg"),
-        end_total_deg=median("end_total_deg"),
-        agreement=agreement_of("mean inclination, deg", tilts[:, 0], tilts[:, 1]),
+        trials=held.trials,
+        agreement=None if both is None else Pairwise("mean inclination, deg", both.limits, both.absolute),
+        **{name: getattr(held.median, name) for name in names},
     )
 
 
@@ -162,8 +148,6 @@ LACKS: dict[Captured, str] = {
     "squat": "the library has no squat: compared with sit-to-stand, which is not a model of it",
     "stairs": "several steps without a rest between; the library has a single step: length is not compared",
 }
-SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
-RATE_HZ = 100.0
 AT_REST = 5.0 * RADIAN_PER_DEGREE  # rad/s
 REACH_S = 1.5  # lean peaks this near to the rise
 
@@ -177,7 +161,7 @@ class Capture:
     device: Reference  # Poses of a device at L5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class CohortComparison:
     """A real figure and the simulated cohort's."""
 
@@ -205,41 +189,37 @@ def motion_rows(
     captures: tuple[Capture, ...], *, subjects: int = 30, seed: int = 0, group: Group = "simulation"
 ) -> tuple[CohortComparison, ...]:
     """Compare captures with the simulated cohort."""
-    names = tuple(dict.fromkeys(LIKE[capture.task] for capture in captures))
     people = cohort(group, rng=np.random.default_rng([seed, 0]))[:subjects]
-    drawn = []
-    for name in names:
-        rng = np.random.default_rng([seed, 1])
-        done = [draw_task(name, rng=rng, subject=person) for person in people]
-        drawn.append(np.array([_of_task(task) for task in done]))
+    drawn: dict[TaskName, FloatArray] = {}
     rows: list[CohortComparison] = []
     for capture in captures:
+        like = LIKE[capture.task]
+        if like not in drawn:
+            rng = np.random.default_rng([seed, 1])
+            figures = []
+            for person in people:
+                performed = draw_task(like, rng=rng, subject=person)
+                start, stop = performed.moving_s
+                time = np.arange(start - 1.0, stop + 1.0, 1.0 / SAMPLE_RATE_HZ)
+                figures.append(_figures_of(performed, time, whole=like == "step")[0])
+            drawn[like] = np.array(figures)
         measures = WHOLE if capture.task == "stairs" else REPETITION
-        found, count = _of_capture(capture)
+        spline = fit_pose_spline(capture.device, SKIN)
+        start, stop = spline.span_s
+        time = start + np.arange(int((stop - start) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+        found, count = _figures_of(spline, time, whole=capture.task == "stairs")
         task = f"{capture.task}, {count} repetitions" if count else capture.task
-        rows += _compared(
-            capture.name, task, measures, found, drawn[names.index(LIKE[capture.task])], LACKS[capture.task]
-        )
+        rows += _compared((capture.name, task), measures, found, drawn[like], LACKS[capture.task])
     return tuple(rows)
 
 
 def _compared(
-    trial: str, task: str, measures: Sequence[tuple[str, str]], real: FloatArray, cohort: FloatArray, note: str
+    what: tuple[str, str], measures: Sequence[tuple[str, str]], real: FloatArray, cohort: FloatArray, note: str
 ) -> list[CohortComparison]:
-    low, median, high = np.percentile(cohort, (2.5, 50.0, 97.5), axis=0).tolist()
+    spans = np.percentile(cohort, (2.5, 50.0, 97.5), axis=0).T.tolist()
     return [
-        CohortComparison(
-            trial=trial,
-            task=task,
-            measure=measure,
-            unit=unit,
-            real=float(real[k]),
-            low=low[k],
-            median=median[k],
-            high=high[k],
-            note=note,
-        )
-        for k, (measure, unit) in enumerate(measures)
+        CohortComparison(*what, measure, unit, value, low, median, high, note)
+        for (measure, unit), value, (low, median, high) in zip(measures, real.tolist(), spans, strict=True)
     ]
 
 
@@ -281,36 +261,17 @@ def _measured(
     return float(lean), float(rates[0]), float(-rates[1]), float(time[stop] - time[start])
 
 
-def _of_task(task: Task) -> FloatArray:
-    time = np.arange(task.moving_s[0] - 1.0, task.moving_s[1] + 1.0, 1.0 / RATE_HZ)
-    motion = task.at(time, STANDARD_GRAVITY)
-    if task.name == "sit_to_stand":
-        return _of_rises(time, motion, task.position(time)[:, 2])[0]
-    return _of_whole(motion)
-
-
-def _of_capture(capture: Capture) -> tuple[FloatArray, int]:
-    """Return the figures of a capture, NaN where it does not tell, and the number of repetitions."""
-    spline = fit_pose_spline(capture.device, SKIN)
-    start, stop = spline.span_s
-    time = start + np.arange(int((stop - start) * RATE_HZ)) / RATE_HZ
-    motion = spline.at(time, STANDARD_GRAVITY)
-    if capture.task == "stairs":
-        return _of_whole(motion), 0
-    return _of_rises(time, motion, spline.position(time)[:, 2])
-
-
-def _of_rises(time: FloatArray, motion: Motion, height: FloatArray) -> tuple[FloatArray, int]:
+def _figures_of(performed: Task | PoseSpline, time: FloatArray, *, whole: bool) -> tuple[FloatArray, int]:
+    """Return the figures of a performance, NaN where it does not show them, and the number of repetitions."""
+    motion = performed.at(time, STANDARD_GRAVITY)
     known = motion.valid > 0.0
     pitch = np.unwrap(sagittal_pitch(motion.q_nb[known]))
-    found = repetitions(time[known], pitch, np.gradient(pitch, time[known]), height[known])
+    if whole:
+        rate = np.abs(motion.rate_b[known])
+        return np.array([np.ptp(pitch), rate[:, 1].max(), rate[:, 0].max()]) / RADIAN_PER_DEGREE, 0
+    height = performed.position(time)[known, 2]
+    found = repetitions(time[known], pitch, np.gradient(pitch, time[known]), height)
     return np.median(found, axis=0) if len(found) else np.full(len(REPETITION), np.nan), len(found)
-
-
-def _of_whole(motion: Motion) -> FloatArray:
-    known = motion.valid > 0.0
-    pitch, rate = np.unwrap(sagittal_pitch(motion.q_nb[known])), np.abs(motion.rate_b[known])
-    return np.array([np.ptp(pitch), rate[:, 1].max(), rate[:, 0].max()]) / RADIAN_PER_DEGREE
 
 
 # ---- quiet stance on a force plate
@@ -347,17 +308,9 @@ class Stance:
     acceleration: FloatArray  # (N, 2), of the body's centre, m/s2
     pressure: FloatArray  # (N, 2), centre of pressure, m
 
-    def __post_init__(self) -> None:
-        n = len(self.time)
-        for name, shape in (("time", (n,)), ("acceleration", (n, 2)), ("pressure", (n, 2))):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Stance.{name}"))
-
 
 def read_stance(path: Path, *, mass_kg: float, condition: Condition) -> Stance:
     """Read a stance from a public force-plate file, tab-separated, gzipped or not."""
-    import gzip
-    import io
-
     if not mass_kg > 0.0:
         raise InputError(f"{path.name}: wanted the person's mass in kg, got {mass_kg:g}; state it")
     try:
@@ -395,33 +348,33 @@ def sway_rows(stances: tuple[Stance, ...], *, subjects: int = 30, seed: int = 0)
     for stance in stances:
         other = stance.condition != "closed on foam"
         note = f"{stance.condition}: the library's stance is eyes closed on foam, which sways more" if other else ""
-        rows += _compared(stance.name, "posturography", MEASURES, sway_figures(stance), simulated, note)
+        rows += _compared((stance.name, "posturography"), MEASURES, sway_figures(stance), simulated, note)
     return tuple(rows)
 
 
 def sway_figures(stance: Stance) -> FloatArray:
     """Measure a stance, (9,)."""
-    count = round(STANCE_S * RATE_HZ)
+    count = round(STANCE_S * SAMPLE_RATE_HZ)
     spare = len(stance.time) - count
     if spare < 0:
         return np.full(len(MEASURES), np.nan)
     middle = slice(spare // 2, spare // 2 + count)
     pressure = 1e3 * (stance.pressure[middle] - stance.pressure[middle].mean(axis=0))
     acceleration = 1e3 * (stance.acceleration[middle] - stance.acceleration[middle].mean(axis=0))
-    coarse = pressure[:: round(RATE_HZ / PATH_HZ)]
+    coarse = pressure[:: round(SAMPLE_RATE_HZ / PATH_HZ)]
     speed = float(np.linalg.norm(np.diff(coarse, axis=0), axis=1).mean()) * PATH_HZ
     frequency = [_mean_frequency(column) for column in pressure.T]
     return np.array([*pressure.std(axis=0), *np.ptp(pressure, axis=0), speed, *frequency, *acceleration.std(axis=0)])
 
 
 def _mean_frequency(x: FloatArray) -> float:
-    power, frequency = np.abs(np.fft.rfft(x * np.hanning(len(x)))) ** 2, np.fft.rfftfreq(len(x), 1.0 / RATE_HZ)
+    power, frequency = np.abs(np.fft.rfft(x * np.hanning(len(x)))) ** 2, np.fft.rfftfreq(len(x), 1.0 / SAMPLE_RATE_HZ)
     band = (frequency >= BAND_HZ[0]) & (frequency <= BAND_HZ[1])
     return float(power[band] @ frequency[band] / power[band].sum())
 
 
 def _simulated(task: Task) -> Stance:
-    time = np.arange(task.moving_s[0] + EDGE_S, task.moving_s[1] - EDGE_S + 1e-9, 1.0 / RATE_HZ)
+    time = np.arange(task.moving_s[0] + EDGE_S, task.moving_s[1] - EDGE_S + 1e-9, 1.0 / SAMPLE_RATE_HZ)
     motion = task.at(time, STANDARD_GRAVITY)
     acceleration = rotate(motion.q_nb, motion.force_b)[:, :2]
     pressure = task.position(time)[:, :2] - GYRATION * task.arm_b[2] / STANDARD_GRAVITY * acceleration
@@ -429,8 +382,6 @@ def _simulated(task: Task) -> Stance:
 
 
 # ---- the simulated device worn in captured motions
-
-REST_S = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -457,56 +408,37 @@ class Worn:
 
 
 def worn_in(
-    captures: tuple[Capture, ...],
-    device: DeviceModel | None = None,
-    *,
-    seed: int = 0,
-    excursion_k: float = 12.5,
+    captures: tuple[Capture, ...], device: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5
 ) -> Worn:
-    """Wear a device in captured motions."""
+    """Wear a device in captured motions, at a board temperature above the bench's."""
     held = device or preset("enc03j_3031")
     levels = calibrated(held, rng=np.random.default_rng([seed, 0]))
-    rows = [
-        row
-        for number, capture in enumerate(captures)
-        for row in _rows(capture, held, levels, excursion_k, np.random.default_rng([seed, 1, number]))
-    ]
+    rows = []
+    for number, capture in enumerate(captures):
+        case, pitch, saturated = _case(capture, held, excursion_k, np.random.default_rng([seed, 1, number]))
+        start, stop = case.moving
+        seen = pitch[start:stop] / RADIAN_PER_DEGREE
+        for level, calibration in zip(LEVELS, levels, strict=True):
+            error = pitch_error(case, calibration) / RADIAN_PER_DEGREE
+            shown = case.pitch[start:stop] / RADIAN_PER_DEGREE + error
+            rows.append(
+                WornRow(
+                    trial=capture.name,
+                    level=level,
+                    error_rms_deg=float(np.sqrt(np.nanmean(error**2))),
+                    error_max_deg=float(np.nanmax(np.abs(error))),
+                    lean_optics_deg=float(np.nanmax(seen) - seen[0]),
+                    lean_device_deg=float(np.nanmax(shown) - shown[0]),
+                    length_s=(stop - start) / SAMPLE_RATE_HZ,
+                    saturated=saturated,
+                )
+            )
     agreement = []
     for level in LEVELS:
         leans = np.array([(row.lean_device_deg, row.lean_optics_deg) for row in rows if row.level == level])
-        pairwise = agreement_of("largest lean, deg", leans[:, 0], leans[:, 1]) if len(leans) else None
-        if pairwise is not None:
+        if (pairwise := agreement_of("largest lean, deg", *leans.reshape(-1, 2).T)) is not None:
             agreement.append((level, pairwise))
     return Worn(rows=tuple(rows), agreement=tuple(agreement))
-
-
-def _rows(
-    capture: Capture,
-    device: DeviceModel,
-    levels: tuple[Calibration, ...],
-    excursion_k: float,
-    rng: np.random.Generator,
-) -> list[WornRow]:
-    case, pitch, saturated = _case(capture, device, excursion_k, rng)
-    start, stop = case.moving
-    seen = pitch[start:stop] / RADIAN_PER_DEGREE
-    rows = []
-    for name, level in zip(LEVELS, levels, strict=True):
-        error = pitch_error(case, level) / RADIAN_PER_DEGREE
-        shown = case.pitch[start:stop] / RADIAN_PER_DEGREE + error
-        rows.append(
-            WornRow(
-                trial=capture.name,
-                level=name,
-                error_rms_deg=float(np.sqrt(np.nanmean(error**2))),
-                error_max_deg=float(np.nanmax(np.abs(error))),
-                lean_optics_deg=float(np.nanmax(seen) - seen[0]),
-                lean_device_deg=float(np.nanmax(shown) - shown[0]),
-                length_s=(stop - start) / SAMPLE_RATE_HZ,
-                saturated=saturated,
-            )
-        )
-    return rows
 
 
 def _case(
@@ -515,9 +447,6 @@ def _case(
     """Return the trial, the pitch that was captured, rad, and the share of readings at the end of the range."""
     spline = fit_pose_spline(capture.device, SKIN)
     first, last = spline.pieces[0].start_s, spline.pieces[0].stop_s  # up to the first long gap
-    low_pass = device.gyro.low_pass
-    delay_s = 0.0 if low_pass is None else float(np.median(low_pass.group_delay_s))
-    delay_s -= 0.5 / SAMPLE_RATE_HZ  # strapdown holds each reading over the step before its stamp
     time = first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     motion = _after_rest(spline.at(time, STANDARD_GRAVITY))
     before = len(motion) - len(time)
@@ -526,7 +455,7 @@ def _case(
     case = Case(
         device=device,
         record=made.record,
-        pitch=np.interp(motion.time - delay_s, motion.time, pitch),
+        pitch=np.interp(motion.time - delay_s(device), motion.time, pitch),
         still=(0, before - round(0.2 * SAMPLE_RATE_HZ)),
         moving=(before, len(motion)),
     )
@@ -536,22 +465,19 @@ def _case(
 def _after_rest(motion: Motion) -> Motion:
     """Return a motion with a rest in its first pose before it."""
     count = round(REST_S * SAMPLE_RATE_HZ)
-    gravity = rotate(quaternion_conjugate(motion.q_nb[:1]), np.array([0.0, 0.0, motion.gravity_m_s2]))
-
-    def behind(rest: FloatArray, x: FloatArray) -> FloatArray:
-        return np.concatenate((np.repeat(rest[:1], count, axis=0), x))
-
-    still, step_s = np.zeros((1, 3)), 1.0 / SAMPLE_RATE_HZ
-    swing = motion.angular_acceleration_b
+    up = rotate(quaternion_conjugate(motion.q_nb[:1]), np.array([0.0, 0.0, motion.gravity_m_s2]))
+    still = np.zeros((1, 3))
+    rest: dict[str, FloatArray] = {"q_nb": motion.q_nb[:1], "rate_b": still, "mean_rate_b": still, "force_b": up}
+    if motion.angular_acceleration_b is not None:
+        rest["angular_acceleration_b"] = still
+    joined: dict[str, Any] = {
+        name: np.concatenate((np.repeat(row, count, axis=0), getattr(motion, name))) for name, row in rest.items()
+    }
     return Motion(
-        time=np.concatenate((motion.time[0] - np.arange(count, 0, -1) * step_s, motion.time)),
-        q_nb=behind(motion.q_nb, motion.q_nb),
-        rate_b=behind(still, motion.rate_b),
-        mean_rate_b=behind(still, motion.mean_rate_b),
-        force_b=behind(gravity, motion.force_b),
+        time=np.concatenate((motion.time[0] - np.arange(count, 0, -1) / SAMPLE_RATE_HZ, motion.time)),
+        moving=np.concatenate((np.zeros(count), np.ones(len(motion)))),
         gravity_m_s2=motion.gravity_m_s2,
-        moving=behind(np.zeros(1), np.ones(len(motion))),
-        angular_acceleration_b=None if swing is None else behind(still, swing),
+        **joined,
     )
 
 
@@ -615,7 +541,7 @@ class RealOutcome:
     motions: tuple[CohortComparison, ...]  # Captures and stances beside the cohort
     sways: tuple[CohortComparison, ...]
     worn: Worn | None  # The study's device worn in the captures
-    lacks: tuple[str, ...]  # What is missing, and why
+    lacks: tuple[Finding, ...]  # What is missing, and why
 
 
 def read_real(path: str | Path) -> RealData:
@@ -637,28 +563,19 @@ def read_real(path: str | Path) -> RealData:
 
 
 def _devices(entries: list[TrialEntry], folder: Path) -> tuple[DeviceTrials, ...]:
-    by: dict[str, list[TrialEntry]] = {}
-    for entry in entries:
-        by.setdefault(entry.device, []).append(entry)
-    few = [name for name, own in by.items() if len(own) < 2]
-    if few:
-        raise InputError(
-            f"trial: wanted two or more of each device, got one of '{few[0]}'; a fit that judges a trial must come from others"
-        )
-    return tuple(
-        DeviceTrials(
-            device=name,
-            names=tuple(Path(entry.recording).name.split(".")[0] for entry in own),
-            pairs=tuple(_pair(entry, folder) for entry in own),
-        )
-        for name, own in by.items()
-    )
+    devices = []
+    for name in dict.fromkeys(entry.device for entry in entries):
+        own = [entry for entry in entries if entry.device == name]
+        if len(own) < 2:
+            raise InputError(
+                f"trial: wanted two or more of each device, got one of '{name}'; a fit that judges a trial must come from others"
+            )
+        names = tuple(Path(entry.recording).name.split(".")[0] for entry in own)
+        devices.append(DeviceTrials(device=name, names=names, pairs=tuple(_pair(entry, folder) for entry in own)))
+    return tuple(devices)
 
 
 def _pair(entry: TrialEntry, folder: Path) -> tuple[Record, Reference]:
-    from undrift.io.formats import detect, read_record, read_reference
-    from undrift.io.session import read_column_map
-
     recording = folder / entry.recording
     if entry.reference is None and detect(recording) != "broad":
         raise InputError(f"{recording}: wanted a reference, got none and no BROAD file, which holds its own; name one")
@@ -676,44 +593,36 @@ def _capture(entry: CaptureEntry, folder: Path) -> Capture:
 
 def judge_real(data: RealData, study: Study) -> RealOutcome:
     """Judge real recordings as the study judges its own."""
-    from undrift.sim.device.presets import preset
+    lacks: list[Finding] = []
 
-    lacks: list[str] = []
-
-    def tried(what: str, judge: Callable[[], Given], given: object, otherwise: Given) -> Given:
+    def tried(what: str, judge: Callable[[], Given], given: Sequence[object]) -> Given | None:
         if not given:
-            lacks.append(f"{what}: none was given")
-            return otherwise
+            lacks.append(finding("study.none_given", "info", part=what))
+            return None
         try:
             return judge()
         except UndriftError as error:
-            lacks.append(f"{what}: {error}")
-            return otherwise
+            lacks.append(finding("study.part_failed", "info", part=what, reason=str(error)))
+            return None
 
-    device = device_of(study, 0) if study.worn else preset(study.device)
-    warmer, count, seed = sum(study.excursion_k) / 2.0, min(study.subjects, 30), study.seed
-    no_errors: tuple[RealErrors, ...] = ()
-    no_rows: tuple[CohortComparison, ...] = ()
-    errors = tried("trials beside optics", lambda: real_errors(data.devices), data.devices, no_errors)
-    if errors and errors[0].agreement is None:
-        lacks.append(
-            f"agreement over trials: {LEAST_FOR_AGREEMENT} trials or more are needed, {len(errors[0].trials)} were given"
+    def counted(what: str, given: int, unit: str) -> None:
+        few = finding(
+            "study.too_few_for_agreement", "info", part=what, wanted=LEAST_FOR_AGREEMENT, unit=unit, given=given
         )
+        lacks.append(few)
+
+    captures, stances, unit = data.captures, data.stances, typical_unit(study)
+    warmer, people, seed = sum(study.excursion_k) / 2.0, min(study.subjects, 30), study.seed
+    errors = tried("trials beside optics", lambda: real_errors(data.devices), data.devices)
+    if errors and errors[0].agreement is None:
+        counted("agreement over trials", len(errors[0].trials), "trials ")
     motions = tried(
-        "captured motions",
-        lambda: motion_rows(data.captures, subjects=count, seed=seed, group=study.group),
-        data.captures,
-        no_rows,
+        "captured motions", lambda: motion_rows(captures, subjects=people, seed=seed, group=study.group), captures
     )
-    worn: Worn | None = tried(
-        "device worn in captured motions",
-        lambda: worn_in(data.captures, device, seed=seed, excursion_k=warmer),
-        data.captures,
-        None,
+    worn = tried(
+        "device worn in captured motions", lambda: worn_in(captures, unit, seed=seed, excursion_k=warmer), captures
     )
     if worn is not None and not worn.agreement:
-        lacks.append(
-            f"agreement over captures: {LEAST_FOR_AGREEMENT} or more are needed, {len(data.captures)} were given"
-        )
-    sways = tried("stances", lambda: sway_rows(data.stances, subjects=count, seed=seed), data.stances, no_rows)
-    return RealOutcome(errors=errors, motions=motions, sways=sways, worn=worn, lacks=tuple(lacks))
+        counted("agreement over captures", len(captures), "")
+    sways = tried("stances", lambda: sway_rows(stances, subjects=people, seed=seed), stances)
+    return RealOutcome(errors=errors or (), motions=motions or (), sways=sways or (), worn=worn, lacks=tuple(lacks))

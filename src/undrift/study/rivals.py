@@ -1,37 +1,18 @@
 """The note's Discussion as an experiment: other ways to calibrate, other rates to dwell at, on the same devices.
 
-    data_sheet            nothing is recorded
-    rate_table            six faces and steady rates both ways about three axes                  the note's own
-    inclined_plane        stills on a tilted plane, nothing recorded between                     as the note has it
-    plane_and_moves       the same with the moves between the stills recorded
-    trolley               a cart on a rail: known accelerations along each axis in turn
-    piston                a servohydraulic piston: known accelerations upright in turn
-    mocap                 free turns of the body before optics                                   gyroscopes alone
-    robot_arm             an arm whose poses are known                                           gyroscopes alone
-    plane_and_mocap       half the time each: accelerometers from the plane, gyroscopes from optics
+Each method has the rate table's time. Where it cannot calibrate a triad, the data sheet stands in, with what rests add: the mean
+reading of the gyroscopes, one scale of the accelerometers. Two errors of the pitch: the whole, and that of its change.
 
-Each method has the rate table's time. Where it cannot calibrate a triad, the data sheet stands in, with what rests alone add: the
-gyroscopes' offset is their mean reading at rest; the accelerometers are scaled, all axes alike, until rests read gravity. Each
-unit then does the same tasks at the temperature of the calibration. Two errors of the pitch: the whole, and that of its change
-since the motion began, which excludes the tilt at the start.
-
-Optimal designs: one axis reads ``y = f(w)^T c + e`` at rate w, f = (1, w, ..., w^p), scaled to the largest rate. A design puts the
-share x_i of the dwelling time at rate w_i; its information is ``M = sum_i x_i f_i f_i^T``::
-
-    D-optimal   greatest det M                                   the coefficients together
-    I-optimal   least mean of f(w)^T M^-1 f(w) over the task     error of the correction, on average
-
-The multiplicative algorithm starts from uniform shares (Silvey, Titterington, Torsney, Communications in Statistics A7(14), 1978):
-``x_i <- x_i (g_i / sum_j x_j g_j)^(1/2)``, g the directional derivative, ``f^T M^-1 f`` for D, ``f^T M^-1 B M^-1 f`` for I, B the
-mean of f f^T over the task. The rates of a task are those of the cohort about the axis of the pitch; a dwell has the white noise
-of the device alone, N / sqrt(dwell). Two polynomials: the line that the note's matrix is, and a cubic.
+Optimal designs: one axis reads ``y = f(w)^T c + e``, f = (1, w, ..., w^p); with the share x_i of the time at rate w_i the
+information is ``M = sum_i x_i f_i f_i^T``. D-optimal: greatest det M; I-optimal: least mean of ``f(w)^T M^-1 f(w)`` over the task.
+``x_i <- x_i (g_i / sum_j x_j g_j)^(1/2)`` (Silvey et al., Communications in Statistics A7(14), 1978), g the derivative.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, cast, get_args
+from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
@@ -40,7 +21,6 @@ from undrift.calibration.calibrate import calibrate, calibrate_to_references
 from undrift.errors import AlignmentError, CalibrationError, InputError
 from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.model import Calibration, TriadModel
-from undrift.orientation import sagittal_pitch
 from undrift.record import Record, Reference, Session, Still
 from undrift.rig.programme import Protocol, rate_grid
 from undrift.sim.device.model import DeviceModel
@@ -50,20 +30,21 @@ from undrift.sim.device.truth import nominal_calibration
 from undrift.sim.motion.bench import BenchSettings, RivalSettings, bench_motion, rival_motion
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import TaskName, draw_task
-from undrift.study.case import REST_S, SAMPLE_RATE_HZ, Case, device_of, perform, pitch_error
+from undrift.study.case import REST_S, device_of, perform, pitch_error, wear
 from undrift.study.plan import TABLE_1, Study, StudyTask
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.trial import of_known
 
 Method = Literal[
-    "data_sheet",
-    "rate_table",
-    "inclined_plane",
-    "plane_and_moves",
-    "trolley",
-    "piston",
-    "mocap",
-    "robot_arm",
-    "plane_and_mocap",
+    "data_sheet",  # nothing is recorded
+    "rate_table",  # six faces and steady rates both ways about three axes: the note's own
+    "inclined_plane",  # stills on a tilted plane, nothing recorded between, as the note has it
+    "plane_and_moves",  # the same with the moves between the stills recorded
+    "trolley",  # a cart on a rail: known accelerations along each axis in turn
+    "piston",  # a servohydraulic piston: known accelerations upright in turn
+    "mocap",  # free turns of the body before optics: gyroscopes alone
+    "robot_arm",  # an arm whose poses are known: gyroscopes alone
+    "plane_and_mocap",  # half the time each: accelerometers from the plane, gyroscopes from optics
 ]
 METHODS: tuple[Method, ...] = get_args(Method)
 SECONDS_PER_MINUTE = 60.0
@@ -99,29 +80,21 @@ class _Bench:
     rng: np.random.Generator
 
     def read(self, motion: Motion) -> Record:
-        made = simulate_device(self.device, motion, rng=self.rng, temp_c=TEMP_C, power_on_s=SETTLED_S)
-        return made.record
-
-    def session(self, motion: Motion) -> Session:
-        return _session((self.read(motion),), motion.stills, motion)
+        return simulate_device(self.device, motion, rng=self.rng, temp_c=TEMP_C, power_on_s=SETTLED_S).record
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """What a method found; None where it could not."""
+class _Found(NamedTuple):
+    """What a method found; a triad that it could not calibrate is None."""
 
-    gyro: TriadModel | None
-    accel: TriadModel | None
+    calibration: Calibration | None
     notes: tuple[str, ...]
     rests: tuple[Record, ...]
     seconds: float
-    calibration: Calibration | None = None
 
 
-def rate_table_minutes(settings: BenchSettings | None = None) -> float:
+def rate_table_minutes() -> float:
     """Return how long the note's own session takes on the table."""
-    motion = bench_motion("bench", rng=np.random.default_rng(0), settings=settings or BENCH)
-    return len(motion) / motion.sample_rate_hz / SECONDS_PER_MINUTE
+    return _length_s(bench_motion("bench", rng=np.random.default_rng(0), settings=BENCH)) / SECONDS_PER_MINUTE
 
 
 def calibrate_by(
@@ -133,39 +106,32 @@ def calibrate_by(
     budget_s = (rate_table_minutes() if minutes is None else minutes) * SECONDS_PER_MINUTE
     bench = _Bench(device, nominal_calibration(preset_grade(kind)), budget_s, rng)
     found = _HOW[method](bench)
-    known = {"gyro": found.gyro, "accel": found.accel}
-    held = found.calibration or bench.nominal
+    held = found.calibration
+    gyro, accel = (None, None) if held is None else (held.gyro, held.accel)
     return Rivalled(
         method=method,
         calibration=replace(
-            held,
+            held or bench.nominal,
             device=device.serial,
-            gyro=found.gyro or _at_rest(bench.nominal.gyro, found.rests),
-            accel=found.accel or _to_gravity(bench.nominal, found.rests),
+            gyro=gyro or _at_rest(bench.nominal.gyro, found.rests),
+            accel=accel or _to_gravity(bench.nominal, found.rests),
             reference_temp_c=TEMP_C,
         ),
         minutes=found.seconds / SECONDS_PER_MINUTE,
-        observable=tuple(name for name, model in known.items() if model is not None),
+        observable=tuple(name for name, model in (("gyro", gyro), ("accel", accel)) if model is not None),
         notes=found.notes,
     )
 
 
 def _rate_table(bench: _Bench) -> _Found:
-    motion = bench_motion("bench", rng=bench.rng, settings=BENCH)
-    return _fitted(bench.session(motion), _length_s(motion))
+    return _fitted(bench, bench_motion("bench", rng=bench.rng, settings=BENCH))
 
 
-def _inclined_plane(bench: _Bench) -> _Found:
-    motion = rival_motion("inclined_plane", rng=bench.rng, settings=_plane(bench.budget_s))
-    record = bench.read(motion)
-    records = tuple(record.part(still.start, still.stop) for still in motion.stills)
-    stills = tuple(Still(start=0, stop=len(part), recording=k) for k, part in enumerate(records))
-    return _fitted(_session(records, stills, motion), _length_s(motion))
-
-
-def _plane_and_moves(bench: _Bench) -> _Found:
-    motion = rival_motion("inclined_plane", rng=bench.rng, settings=_plane(bench.budget_s))
-    return _fitted(bench.session(motion), _length_s(motion))
+def _inclined_plane(bench: _Bench, *, moves: bool = False) -> _Found:
+    plain = RivalSettings(tilt_sd=TILT_SD)
+    still_s = _settled((bench.budget_s / (3.0 * len(plain.plane_angles))) - plain.move_s, "inclined plane")
+    settings = replace(plain, still_s=still_s)
+    return _fitted(bench, rival_motion("inclined_plane", rng=bench.rng, settings=settings), moves=moves)
 
 
 def _driven(bench: _Bench, kind: Literal["trolley", "piston"]) -> _Found:
@@ -176,31 +142,27 @@ def _driven(bench: _Bench, kind: Literal["trolley", "piston"]) -> _Found:
     settings = replace(plain, run_s=_settled(seconds, "runs"))
     motion = rival_motion(kind, rng=bench.rng, settings=settings)
     commanded = rival_motion(kind, rng=np.random.default_rng(0), settings=replace(settings, tilt_sd=0.0, shake=0.0))
-    session = bench.session(motion)
-    notes = (*_words(session), f"accelerometers fitted to the commanded motion of the {kind}, not to the achieved one")
-    record = session.records[0]
-    accel = record.accel
-    if accel is None:
+    record = bench.read(motion)
+    found = _fitted(bench, motion, record=record)
+    if record.accel is None:
         raise InputError(f"{kind}: wanted accelerometer readings, got none; a device without them is not calibrated so")
     sliding = np.flatnonzero(np.abs(commanded.rate_b).max(axis=1) == 0.0)
-    best: tuple[float, TriadModel] | None = None
+    fits = []
     for lag_s in LAGS_S:
-        force = np.column_stack(
-            [np.interp(commanded.time - lag_s, commanded.time, column) for column in commanded.force_b.T]
-        )
-        forward = fit_forward(force[sliding], accel[sliding], None)
-        size = float((forward.residuals**2).sum())
-        if best is None or size < best[0]:
-            reach = float(np.abs(force).max())
-            model = triad_from_forward(
-                forward,
-                method=f"known-force/{kind}",
-                unit_in=record.accel_unit,
-                unit_out="m/s2",
-                valid_range=(-reach, reach),
-            ).model
-            best = (size, model)
-    return _Found(None, None if best is None else best[1], notes, _stills(session), _length_s(motion))
+        time = commanded.time - lag_s
+        force = np.column_stack([np.interp(time, commanded.time, column) for column in commanded.force_b.T])
+        forward = fit_forward(force[sliding], record.accel[sliding], None)
+        fits.append((float((forward.residuals**2).sum()), float(np.abs(force).max()), forward))
+    _, reach, forward = min(fits, key=lambda fit: fit[0])
+    accel = triad_from_forward(
+        forward,
+        method=f"known-force/{kind}",
+        unit_in=record.accel_unit,
+        unit_out="m/s2",
+        valid_range=(-reach, reach),
+    ).model
+    note = f"accelerometers fitted to the commanded motion of the {kind}, not to the achieved one"
+    return found._replace(calibration=replace(bench.nominal, gyro=None, accel=accel), notes=(*found.notes, note))
 
 
 def _mocap(bench: _Bench) -> _Found:
@@ -231,23 +193,24 @@ def _within_range(bench: _Bench, settings: RivalSettings) -> Motion:
 def _plane_and_mocap(bench: _Bench) -> _Found:
     half = replace(bench, budget_s=0.5 * bench.budget_s)
     plane, optics = _inclined_plane(half), _mocap(half)
-    return replace(
-        optics,
-        accel=plane.accel,
+    accel = None if plane.calibration is None else plane.calibration.accel
+    held = optics.calibration or replace(bench.nominal, gyro=None)
+    return optics._replace(
+        calibration=replace(held, accel=accel) if accel or held.gyro else None,
         notes=(*(word for word in plane.notes if "gyro" not in word), *optics.notes[:-1]),
         seconds=plane.seconds + optics.seconds,
     )
 
 
 def _data_sheet(bench: _Bench) -> _Found:
-    return _Found(None, None, ("nothing was recorded: nominal sensitivities and nulls, square axes",), (), 0.0)
+    return _Found(None, ("nothing was recorded: nominal sensitivities and nulls, square axes",), (), 0.0)
 
 
 _HOW: dict[Method, Callable[[_Bench], _Found]] = {
     "data_sheet": _data_sheet,
     "rate_table": _rate_table,
     "inclined_plane": _inclined_plane,
-    "plane_and_moves": _plane_and_moves,
+    "plane_and_moves": partial(_inclined_plane, moves=True),
     "trolley": partial(_driven, kind="trolley"),
     "piston": partial(_driven, kind="piston"),
     "mocap": _mocap,
@@ -256,21 +219,25 @@ _HOW: dict[Method, Callable[[_Bench], _Found]] = {
 }
 
 
-def _fitted(session: Session, seconds: float) -> _Found:
+def _fitted(bench: _Bench, motion: Motion, *, record: Record | None = None, moves: bool = True) -> _Found:
+    """Calibrate by the product's own procedure: from the whole recording, or from its stills alone."""
+    record = record or bench.read(motion)
+    parts = tuple(record.part(still.start, still.stop) for still in motion.stills)
+    alone = tuple(Still(start=0, stop=len(part), recording=k) for k, part in enumerate(parts))
+    session = Session(
+        kind="calibration",
+        serial=record.device,
+        gravity_m_s2=motion.gravity_m_s2,
+        records=(record,) if moves else parts,
+        stills=motion.stills if moves else alone,
+        turns=motion.turns if moves else (),
+    )
     try:
         made = calibrate(session)
     except CalibrationError as error:
-        return _Found(None, None, (str(error),), _stills(session), seconds)
+        return _Found(None, (str(error),), parts, _length_s(motion))
     # An offset without a scale is no calibration of the gyroscopes: the procedure says so, and gives no model.
-    return _Found(made.gyro, made.accel, made.verdict.reasons, _stills(session), seconds, made)
-
-
-def _words(session: Session) -> tuple[str, ...]:
-    """Return what the procedure says to a session that it has no fit for."""
-    try:
-        return calibrate(session).verdict.reasons
-    except CalibrationError as error:
-        return (str(error),)
+    return _Found(made, made.verdict.reasons, parts, _length_s(motion))
 
 
 def _referred(bench: _Bench, motions: list[Motion], angle_sd: float, what: str) -> _Found:
@@ -285,25 +252,10 @@ def _referred(bench: _Bench, motions: list[Motion], angle_sd: float, what: str) 
     seconds = sum(_length_s(motion) for motion in motions)
     rests = tuple(record.part(m.stills[0].start, m.stills[0].stop) for record, m in zip(records, motions, strict=True))
     try:
-        made = calibrate_to_references(records, references)
+        made = replace(calibrate_to_references(records, references), accel=None)
     except (CalibrationError, AlignmentError) as error:
-        return _Found(None, None, (str(error), unseen), rests, seconds)
-    return _Found(made.gyro, None, (*made.verdict.reasons, unseen), rests, seconds, made)
-
-
-def _session(records: tuple[Record, ...], stills: tuple[Still, ...], motion: Motion) -> Session:
-    return Session(
-        kind="calibration",
-        serial=records[0].device,
-        gravity_m_s2=motion.gravity_m_s2,
-        records=records,
-        stills=stills,
-        turns=motion.turns if len(records) == 1 else (),
-    )
-
-
-def _stills(session: Session) -> tuple[Record, ...]:
-    return tuple(session.records[still.recording].part(still.start, still.stop) for still in session.stills)
+        return _Found(None, (str(error), unseen), rests, seconds)
+    return _Found(made, (*made.verdict.reasons, unseen), rests, seconds)
 
 
 def _at_rest(nominal: TriadModel | None, rests: tuple[Record, ...]) -> TriadModel | None:
@@ -320,12 +272,6 @@ def _to_gravity(nominal: Calibration, rests: tuple[Record, ...]) -> TriadModel |
         return model
     length = float(np.mean([np.linalg.norm(model.matrix @ (mean - model.offset)) for mean in seen]))
     return replace(model, matrix=model.matrix * (nominal.gravity_m_s2 / length))
-
-
-def _plane(budget_s: float) -> RivalSettings:
-    plain = RivalSettings(tilt_sd=TILT_SD)
-    still_s = _settled((budget_s / (3.0 * len(plain.plane_angles))) - plain.move_s, "inclined plane")
-    return replace(plain, still_s=still_s)
 
 
 def _settled(seconds: float, what: str) -> float:
@@ -345,7 +291,7 @@ def _length_s(motion: Motion) -> float:
 TASKS: tuple[TaskName, ...] = ("sit_to_stand", "posturography")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Spread:
     """A figure over units."""
 
@@ -386,29 +332,41 @@ def compare_rivals(
         raise InputError(
             f"rivals: wanted a unit, a method and a task or more, got {units}, {len(methods)} and {len(tasks)}; name some"
         )
-    errors = np.full((units, len(methods), len(tasks), 3), np.nan)
-    refusals: list[list[str]] = [[] for _ in methods]
-    made: list[list[Rivalled]] = [[] for _ in methods]
+    errors = np.full((len(tasks), len(methods), units, 3), np.nan)
+    refusals: dict[Method, list[str]] = {method: [] for method in methods}
+    made: dict[Method, list[Rivalled]] = {method: [] for method in methods}
     for number in range(units):
         device = random_device_of(kind, np.random.default_rng([seed, number, 0]))
-        cases = [_case(device, task, np.random.default_rng([seed, number, 1, k])) for k, task in enumerate(tasks)]
+        cases = []
+        for k, task in enumerate(tasks):
+            rng = np.random.default_rng([seed, number, 1, k])
+            performed = draw_task(task, rng=rng, rest_s=REST_S)
+            cases.append(wear(device, performed, rng=rng, temp_c=TEMP_C, power_on_s=SETTLED_S))
         for m, method in enumerate(methods):
             rng = np.random.default_rng([seed, number, 2, METHODS.index(method)])
             done = calibrate_by(method, device, kind=kind, rng=rng, minutes=minutes)
-            made[m].append(done)
+            made[method].append(done)
             for t, case in enumerate(cases):
                 try:
-                    errors[number, m, t] = _figures(pitch_error(case, done.calibration) / RADIAN_PER_DEGREE)
-                except InputError as error:  # a calibration too poor to start from is refused: no error, and not a zero
-                    refusals[m].append(str(error))
+                    error = pitch_error(case, done.calibration) / RADIAN_PER_DEGREE
+                except InputError as refused:  # a calibration too poor to start from: no error, and not a zero
+                    refusals[method].append(str(refused))
+                    continue
+                since = error - error[np.flatnonzero(np.isfinite(error))[0]]
+                largest = np.nanmax(np.abs(error)), np.nanmax(np.abs(since))
+                errors[t, m, number] = np.sqrt(np.nanmean(error**2)), *largest
     return tuple(
-        _row(made[m], task, errors[:, m, t], refusals[m]) for t, task in enumerate(tasks) for m in range(len(methods))
+        _row(made[method], task, errors[t, m], refusals[method][:1])
+        for t, task in enumerate(tasks)
+        for m, method in enumerate(methods)
     )
 
 
-def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refusals: list[str]) -> RivalRow:
+def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refused: list[str]) -> RivalRow:
     first = done[0]
-    rms, largest, change = (_spread(column) for column in errors.T)
+    rms, largest, change = (
+        Spread(*(of_known(summary, column) for summary in (np.median, np.min, np.max))) for column in errors.T
+    )
     return RivalRow(
         method=first.method,
         task=task,
@@ -419,53 +377,23 @@ def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refusals: lis
         change_max_deg=change,
         units=len(done),
         refused=int(np.isnan(errors[:, 0]).sum()),
-        notes=(*first.notes, *refusals[:1]),
-    )
-
-
-def _spread(values: FloatArray) -> Spread:
-    seen = values[np.isfinite(values)]
-    if not len(seen):
-        return Spread(median=np.nan, least=np.nan, greatest=np.nan)
-    return Spread(median=float(np.median(seen)), least=float(seen.min()), greatest=float(seen.max()))
-
-
-def _figures(error: FloatArray) -> tuple[float, float, float]:
-    since = error - error[np.flatnonzero(np.isfinite(error))[0]]
-    return float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(np.abs(error))), float(np.nanmax(np.abs(since)))
-
-
-def _case(device: DeviceModel, name: TaskName, rng: np.random.Generator) -> Case:
-    performed = draw_task(name, rng=rng, rest_s=REST_S)
-    time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-    motion = performed.at(time, STANDARD_GRAVITY)
-    record = simulate_device(device, motion, rng=rng, temp_c=TEMP_C, power_on_s=SETTLED_S).record
-    low_pass = device.gyro.low_pass
-    delay_s = 0.0 if low_pass is None else float(np.median(low_pass.group_delay_s))
-    delay_s -= 0.5 / SAMPLE_RATE_HZ  # strapdown holds each reading over the step before its stamp
-    start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
-    return Case(
-        device=device,
-        record=record,
-        pitch=sagittal_pitch(performed.at(time - delay_s, STANDARD_GRAVITY).q_nb),
-        still=(0, start - round(0.2 * SAMPLE_RATE_HZ)),
-        moving=(start, min(stop + 1, len(time))),
+        notes=(*first.notes, *refused),
     )
 
 
 # ---- optimal designs
 
-Criterion = Literal["D", "I"]
+Criterion = Literal["uniform", "D", "I"]
 ROUNDS = 4000
 CONVERGED = 1e-6  # of the greatest derivative over its mean
 NOTHING = 1e-3  # share of the time that is not worth a stop
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class RateDesign:
     """Where to dwell, and for which share of the time."""
 
-    criterion: Criterion  # D or I
+    criterion: Criterion  # D or I, or the uniform grid itself
     turn_rate: FloatArray  # (k,), rates, rad/s, increasing
     share: FloatArray  # (k,), of the time; they add up to 1
     d_efficiency_uniform: float  # Of the uniform grid's information over this design's; 0.5 needs twice the time
@@ -473,15 +401,10 @@ class RateDesign:
 
 
 def optimal_rates(
-    candidates: FloatArray,
-    task_rates: FloatArray,
-    uniform: FloatArray,
-    *,
-    criterion: Criterion = "I",
-    degree: int = 3,
+    candidates: FloatArray, task_rates: FloatArray, uniform: FloatArray, *, criterion: Criterion = "I", degree: int = 3
 ) -> RateDesign:
     """Find the rates that tell most for the dwelling time.
-    candidates (n,) rad/s, task_rates (m,), uniform (u,) rad/s."""
+    candidates (n,) rad/s, increasing, task_rates (m,), uniform (u,) rad/s."""
     needed = degree + 1
     if min(len(np.unique(candidates)), len(np.unique(uniform))) < needed:
         raise InputError(
@@ -494,16 +417,14 @@ def optimal_rates(
     wanted = aim.T @ aim / len(aim)
     share = _climb(f, wanted if criterion == "I" else None)
     kept = share > NOTHING
-    rates, share = candidates[kept], share[kept] / share[kept].sum()
-    order = np.argsort(rates)
-    own = f[kept]
+    share, own = share[kept] / share[kept].sum(), f[kept]
     grid = np.vander(uniform / top, needed, increasing=True)
     even = grid.T @ grid / len(grid)
     made = (own * share[:, None]).T @ own
     return RateDesign(
         criterion=criterion,
-        turn_rate=rates[order],
-        share=share[order],
+        turn_rate=candidates[kept],
+        share=share,
         d_efficiency_uniform=float((np.linalg.det(even) / np.linalg.det(made)) ** (1.0 / needed)),
         i_efficiency_uniform=float(np.trace(np.linalg.solve(made, wanted)) / np.trace(np.linalg.solve(even, wanted))),
     )
@@ -543,8 +464,6 @@ SAMPLES = 4000  # of the rates of a task
 PERFORMED = 10  # subjects
 RATE_HZ = 50.0
 
-Set = Literal["uniform", "D", "I"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignRow:
@@ -553,7 +472,7 @@ class DesignRow:
     task: str  # What is done
     grid: str  # Whose uniform grid it is compared with: the note's, or that of the optimum
     degree: int  # Of the polynomial that an axis' reading is taken for
-    criterion: Set  # uniform, D or I
+    criterion: Criterion  # uniform, D or I
     turn_rate_dps: tuple[float, ...]  # Rates of one axis, increasing; neighbours gathered
     share: tuple[float, ...]  # Of the time, at each
     d_efficiency_uniform: float  # Of the uniform grid's information over this set's; 1 for the grid itself
@@ -609,26 +528,25 @@ def _of_degree(
 ) -> list[DesignRow]:
     top, even = float(np.abs(grid).max()), np.full(len(grid), 1.0 / len(grid))
     candidates, criteria = np.linspace(-top, top, CANDIDATES), cast("tuple[Criterion, ...]", ("D", "I"))
-    made: list[tuple[Set, FloatArray, FloatArray, RateDesign | None]] = [("uniform", grid, even, None)]
-    for criterion in criteria:
-        design = optimal_rates(candidates, rates, grid, criterion=criterion, degree=degree)
-        made.append((criterion, design.turn_rate, design.share, design))
+    designs = [RateDesign("uniform", grid, even, 1.0, 1.0)]
+    designs += [optimal_rates(candidates, rates, grid, criterion=c, degree=degree) for c in criteria]
     rows = []
-    for which, at, share, own in made:
-        error = None
+    for design in designs:
+        at, share, error = design.turn_rate, design.share, None
         if dwell_sd is not None:
             error = prediction_sd(at, share, rates, dwell_sd=dwell_sd, dwells=len(grid), degree=degree)
-        rates_shown, parts = (at, share) if own is None else _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
+        if design.criterion != "uniform":
+            at, share = _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
         rows.append(
             DesignRow(
                 task=task.name,
                 grid=name,
                 degree=degree,
-                criterion=which,
-                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in rates_shown),
-                share=tuple(map(float, parts)),
-                d_efficiency_uniform=1.0 if own is None else own.d_efficiency_uniform,
-                i_efficiency_uniform=1.0 if own is None else own.i_efficiency_uniform,
+                criterion=design.criterion,
+                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in at),
+                share=tuple(map(float, share)),
+                d_efficiency_uniform=design.d_efficiency_uniform,
+                i_efficiency_uniform=design.i_efficiency_uniform,
                 dwells=len(grid),
                 dwell_s=task.base.dwell_s,
                 error_dps=None if error is None else error / RADIAN_PER_DEGREE,

@@ -1,23 +1,19 @@
 """Run a study: its units on an executor, each kept as it is finished, then the error surface of each task.
 
-Executors: in this process, on a pool of processes, on a Dask scheduler. A unit carries its own seed, so the bits of its result
-depend on neither the executor, nor the number of workers, nor the order. The unit of a killed worker is done again.
-
-Store: one Parquet piece for each finished unit, whole or not there. DIR/study.json says which study the pieces belong to; a
-folder of another study is refused, and an interrupted study resumes with the units that have no piece.
+A unit carries its own seed, so the bits of its result depend on neither the executor, nor the number of workers, nor the order.
+The store has one Parquet piece for each finished unit, whole or not there; DIR/study.json says which study the pieces belong to:
+a folder of another study is refused, and an interrupted study resumes with the units that have no piece.
 
 Grid search: every protocol meets every subject. Successive halving: all candidates meet a few subjects, the better part meets
-more, the last few meet all::
-
-    round r: n_r candidates on s_r subjects;  n_{r+1} = ceil(n_r / keep),  s_{r+1} = min(growth s_r, S)
-
-Errors of earlier rounds are kept: only new subjects cost runs. A candidate that could not calibrate a device drops out. The
-error of the winner is biased low by the selection; the other cohort gives an unbiased one (study/judge.py).
+more, the last few meet all. Errors of earlier rounds are kept: only new subjects cost runs. A candidate that could not calibrate
+a device drops out. The error of the winner is biased low by the selection; the other cohort gives an unbiased one.
 """
 
 import hashlib
+import io
 import json
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -30,9 +26,8 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, NotObservable, UndriftError
 from undrift.files import write_whole
 from undrift.rig.programme import Protocol as CalibrationProtocol
-from undrift.study.case import COLUMNS, Unit, UnitRuns, impose, run_unit, units_of
+from undrift.study.case import COLUMNS, Unit, impose, rates_of, run_unit, units_of
 from undrift.study.plan import Study, StudyTask
-from undrift.units import RADIAN_PER_DEGREE
 
 # ---- executors: where units of work are done
 
@@ -76,32 +71,27 @@ class Pool:
 
     def run(self, work: Callable[[U], R], units: Sequence[U]) -> Iterator[tuple[int, R]]:
         """Do units of work."""
+        from concurrent.futures import ProcessPoolExecutor, as_completed
         from concurrent.futures.process import BrokenProcessPool
+        from multiprocessing import get_context
 
         left, losses = dict(enumerate(units)), 0
         while left:
             try:
-                yield from self._run(work, left)
+                with ProcessPoolExecutor(self.workers, mp_context=get_context("spawn")) as pool:
+                    places = {pool.submit(work, unit): place for place, unit in left.items()}
+                    try:
+                        for done in as_completed(places):
+                            result, place = done.result(), places.pop(done)
+                            del left[place]
+                            yield place, result
+                    finally:
+                        for future in places:
+                            future.cancel()
             except BrokenProcessPool:
                 losses += 1
                 if losses > MOST_LOSSES:
                     raise _given_up(losses) from None
-
-    def _run(self, work: Callable[[U], R], left: dict[int, U]) -> Iterator[tuple[int, R]]:
-        from concurrent.futures import ProcessPoolExecutor, as_completed
-        from multiprocessing import get_context
-
-        with ProcessPoolExecutor(self.workers, mp_context=get_context("spawn")) as pool:
-            places = {pool.submit(work, unit): place for place, unit in left.items()}
-            try:
-                for done in as_completed(places):
-                    result = done.result()
-                    place = places.pop(done)
-                    del left[place]
-                    yield place, result
-            finally:
-                for future in places:
-                    future.cancel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +150,6 @@ def _given_up(losses: int) -> UndriftError:
 
 def choose_executor(scheduler: str | None = None, workers: int | None = None) -> Executor:
     """Return the executor that a command line asks for."""
-    import os
-
     if scheduler is not None and workers is not None:
         raise InputError("study: wanted --scheduler or --workers, got both; the scheduler has its own workers")
     if scheduler is not None:
@@ -213,16 +201,13 @@ class RunStore:
             self.write(left[place], runs)
             yield left[place]
 
-    def write(self, unit: Unit, runs: UnitRuns) -> None:
+    def write(self, unit: Unit, runs: dict[str, FloatArray]) -> None:
         """Keep the runs of a unit."""
         import pyarrow as pa
 
-        count = len(runs.error_rms_deg)
-        columns = {
-            "task": np.full(count, unit.task.name),
-            "subject": np.full(count, unit.subject, dtype=np.int32),
-            **{name: np.asarray(getattr(runs, name)) for name in COLUMNS},
-        }
+        count = len(runs["error_rms_deg"])
+        whose = {"task": np.full(count, unit.task.name), "subject": np.full(count, unit.subject, dtype=np.int32)}
+        columns = whose | {name: runs[name] for name in COLUMNS}
         _write_table(self._piece(unit), pa.table(columns), compression="snappy")
 
     def read(self, unit: Unit) -> dict[str, FloatArray]:
@@ -251,8 +236,6 @@ def join_pieces(pieces: Sequence[Path], folder: Path) -> Path:
 
 
 def _write_table(path: Path, table: Any, *, compression: str) -> None:
-    import io
-
     import pyarrow.parquet as pq
 
     held = io.BytesIO()
@@ -294,12 +277,11 @@ def run_study(
 ) -> tuple[TaskSurface, ...]:
     """Run every protocol on every subject, or what is left of that; ``advance`` gets units done and units in all."""
     units, store = units_of(study), RunStore(folder, study)
+    advance = advance or (lambda done, total: None)
     done = sum(map(store.holds, units))
-    if advance:
-        advance(done, len(units))
+    advance(done, len(units))
     for count, _ in enumerate(store.finish(units, executor), done + 1):
-        if advance:
-            advance(count, len(units))
+        advance(count, len(units))
     return read_surfaces(store.join(units), study)
 
 
@@ -311,21 +293,14 @@ def read_surfaces(path: Path, study: Study) -> tuple[TaskSurface, ...]:
     columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
     found = []
     for task in study.tasks:
-        rows = columns["task"] == task.name
-        protocols = len(task.protocols())
-        if rows.sum() != study.subjects * protocols:
+        rows, shape = columns["task"] == task.name, (study.subjects, len(task.protocols()))
+        if rows.sum() != math.prod(shape):
             raise InputError(
-                f"{path}: wanted {study.subjects * protocols} runs of {task.name}, got {rows.sum()}; run the study to its end"
+                f"{path}: wanted {math.prod(shape)} runs of {task.name}, got {rows.sum()}; run the study to its end"
             )
-        shaped = {n: np.asarray(columns[n][rows], float).reshape(study.subjects, protocols) for n in COLUMNS}
-        found.append(
-            TaskSurface(
-                task=task.name,
-                error_rms_deg=shaped.pop("error_rms_deg"),
-                error_max_deg=shaped.pop("error_max_deg"),
-                **{name: values[0] for name, values in shaped.items()},
-            )
-        )
+        shaped = {name: np.asarray(columns[name][rows], float).reshape(shape) for name in COLUMNS}
+        own: dict[str, Any] = {n: values if n.startswith("error") else values[0] for n, values in shaped.items()}
+        found.append(TaskSurface(task=task.name, **own))
     return tuple(found)
 
 
@@ -344,11 +319,14 @@ def without_lost(surface: TaskSurface) -> TaskSurface:
 
 def count_runs(study: Study) -> int:
     """Return how many sessions a study simulates and fits, resumed or not."""
+    counts = [len(task.protocols()) for task in study.tasks]
+    if study.search == "grid":
+        return study.subjects * sum(counts)
+    plans = [rounds_of(count, study.subjects) for count in counts]
     return sum(
-        sum(c * s for c, s in new_runs(len(task.protocols()), study.subjects))
-        if study.search == "halving"
-        else study.subjects * len(task.protocols())
-        for task in study.tasks
+        count * (met - before)
+        for plan in plans
+        for (count, met), (_, before) in zip(plan, ((0, 0), *plan), strict=False)
     )
 
 
@@ -399,13 +377,7 @@ class Halving:
     def surface(self) -> TaskSurface:
         """The candidates of the last round, which met every subject."""
         last = self.rounds[-1].candidates
-        names = [name for name in COLUMNS if not name.startswith("error")]
-        return replace(
-            self.every,
-            **{name: getattr(self.every, name)[last] for name in names},
-            error_rms_deg=self.every.error_rms_deg[:, last],
-            error_max_deg=self.every.error_max_deg[:, last],
-        )
+        return replace(self.every, **{name: getattr(self.every, name)[..., last] for name in COLUMNS})
 
 
 def rounds_of(
@@ -420,12 +392,6 @@ def rounds_of(
     return tuple(plan)
 
 
-def new_runs(candidates: int, subjects: int) -> tuple[tuple[int, int], ...]:
-    """Return the candidates of each round and the subjects that are new to them."""
-    plan = rounds_of(candidates, subjects)
-    return tuple((count, met - before) for (count, met), (_, before) in zip(plan, ((0, 0), *plan), strict=False))
-
-
 def halve_study(
     study: Study,
     executor: Executor,
@@ -436,18 +402,17 @@ def halve_study(
 ) -> tuple[Halving, ...]:
     """Search every task by halving, or resume that; ``advance`` gets runs done and runs in all, ``tell`` each round."""
     total, done = count_runs(study), 0
+    advance = advance or (lambda done, total: None)
     RunStore(folder, study)
 
     def count(runs: int) -> None:
         nonlocal done
         done += runs
-        if advance:
-            advance(done, total)
+        advance(done, total)
 
     count(0)
-    found = tuple(
-        halve(study, task, executor, folder / HALVING / task.name, count=count, tell=tell) for task in study.tasks
-    )
+    own = folder / HALVING
+    found = tuple(halve(study, task, executor, own / task.name, count=count, tell=tell) for task in study.tasks)
     join_pieces(_pieces_of(folder), folder)
     return found
 
@@ -475,7 +440,9 @@ def halve(
 ) -> Halving:
     """Find the best protocol of a task with a part of the runs; ``count`` gets the runs of each finished unit."""
     protocols = task.protocols()
-    every = _nothing_yet(study, task, protocols)
+    minutes, *errors = (np.full((*rows, len(protocols)), np.nan) for rows in ((), (study.subjects,), (study.subjects,)))
+    rates: dict[str, Any] = rates_of(protocols)
+    every = TaskSurface(task=task.name, rig_minutes=minutes, error_rms_deg=errors[0], error_max_deg=errors[1], **rates)
     left: IntArray = np.arange(len(protocols))
     if study.rig_minutes_max is not None:
         every.rig_minutes[:] = [impose(protocol).duration_s / 60.0 for protocol in protocols]
@@ -507,23 +474,6 @@ def halve(
         runs=runs,
         runs_of_grid=study.subjects * len(protocols),
         every=every,
-    )
-
-
-def _nothing_yet(study: Study, task: StudyTask, protocols: tuple[CalibrationProtocol, ...]) -> TaskSurface:
-    step, low, high = (
-        np.array([getattr(protocol, name) for protocol in protocols]) / RADIAN_PER_DEGREE
-        for name in ("turn_rate_step", "turn_rate_min", "turn_rate_max")
-    )
-    return TaskSurface(
-        task=task.name,
-        cutoff_hz=np.array([protocol.cutoff_hz for protocol in protocols]),
-        turn_rate_step_dps=step,
-        turn_rate_min_dps=low,
-        turn_rate_max_dps=high,
-        rig_minutes=np.full(len(protocols), np.nan),
-        error_rms_deg=np.full((study.subjects, len(protocols)), np.nan),
-        error_max_deg=np.full((study.subjects, len(protocols)), np.nan),
     )
 
 

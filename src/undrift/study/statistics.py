@@ -1,26 +1,12 @@
 """Repeated measures: does the error depend on a parameter of the protocol, which of its values differ, with what power?
 
-Subjects i = 1..n meet every condition j = 1..k (one value of the parameter each)::
-
-    SS_condition = n sum_j (y.j - y..)^2            df = k - 1
-    SS_error     = SS_total - SS_condition - k sum_i (yi. - y..)^2     df = (n - 1)(k - 1)
-    F = MS_condition / MS_error
-
-Both degrees of freedom are multiplied by an epsilon of sphericity: Huynh-Feldt where Greenhouse-Geisser's exceeds 0.75, else
-Greenhouse-Geisser (Girden, 1992). With the covariance S (k, k) of the conditions, orthonormal contrasts C and A = C S C^T::
-
-    Greenhouse-Geisser   e = tr(A)^2 / ((k - 1) tr(A A))
-    Huynh-Feldt          e~ = (n (k - 1) e - 2) / ((k - 1) (n - 1 - (k - 1) e)), at most 1
-    Mauchly              W = det(A) / (tr(A) / p)^p, chi2 = -(n - 1 - (2 p^2 + p + 2) / (6 p)) ln W, p = k - 1
+Subjects meet every condition, one value of the parameter each: F = MS_condition / MS_error, degrees of freedom times an epsilon of
+sphericity, Huynh-Feldt where Greenhouse-Geisser's exceeds 0.75, else Greenhouse-Geisser (Girden, 1992).
 
 Where values are missing: y_r = m_c(r) + u_s(r) + e_r with u ~ N(0, s_u^2), e ~ N(0, s_e^2), by restricted maximum likelihood over
 g = s_u^2 / s_e^2. With n_i values of subject i and a_i = 1 / sqrt(1 + n_i g), the means m are the least squares of y - (1 - a_i)
 mean_i(y): exact where subjects differ a million times more than they respond. A Wald test with n - 1 degrees of freedom in the
 denominator, which is conservative, compares the conditions; values are assumed missing at random.
-
-Pairs have paired t tests (contrasts of the mixed model) with p after Holm. Power, with noncentral F'::
-
-    lambda = e n sum_j (m_j - m.)^2 / s^2      power = P(F' > F_crit), degrees of freedom e (k-1), e (n-1)(k-1)
 """
 
 from collections.abc import Sequence
@@ -234,7 +220,7 @@ def _ratio(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
 # ---- pairs of conditions
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Pair:
     """Two conditions compared."""
 
@@ -281,20 +267,9 @@ def _judged(
         dz = np.where(sd > 0.0, mean / sd, without)
     p = 2.0 * t_distribution.sf(np.abs(t), dof)
     reach = float(t_distribution.ppf(0.975, dof)) * uncertainty
-    holm = adjust_holm(p)
-    return tuple(
-        Pair(
-            first=i,
-            second=j,
-            difference=float(mean[r]),
-            interval=(float(mean[r] - reach[r]), float(mean[r] + reach[r])),
-            t=float(t[r]),
-            p_value=float(p[r]),
-            p_holm=float(holm[r]),
-            cohen_dz=float(dz[r]),
-        )
-        for r, (i, j) in enumerate(pairs)
-    )
+    columns = (mean, mean - reach, mean + reach, t, p, adjust_holm(p), dz)
+    rows = zip(pairs, *(column.tolist() for column in columns), strict=True)
+    return tuple(Pair(i, j, apart, (low, high), *rest) for (i, j), apart, low, high, *rest in rows)
 
 
 def adjust_holm(p: ArrayLike) -> FloatArray:
@@ -312,6 +287,17 @@ def adjust_holm(p: ArrayLike) -> FloatArray:
     adjusted = np.empty(len(values))
     adjusted[order] = np.minimum(stepped, 1.0)
     return adjusted
+
+
+def mean_interval(values: FloatArray) -> tuple[float, tuple[float, float]]:
+    """Return a mean and its 95 % interval, NaN where there are too few values."""
+    from scipy.stats import t as t_distribution
+
+    nan, mean = float("nan"), float(values.mean()) if len(values) else float("nan")
+    if len(values) < 2:
+        return mean, (nan, nan)
+    reach = float(t_distribution.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    return mean, (mean - reach, mean + reach)
 
 
 # ---- analysis of variance
@@ -345,11 +331,18 @@ def compare_conditions(y: ArrayLike) -> Anova:
 
     table = frozen(y, (None, None), "anova")
     n, k = table.shape
-    _check(table)
-    grand, by_condition, by_subject = table.mean(), table.mean(axis=0), table.mean(axis=1)
-    total = float(((table - grand) ** 2).sum())
-    between = float(n * ((by_condition - grand) ** 2).sum())
-    error = float(((table - by_condition - by_subject[:, None] + grand) ** 2).sum())
+    if k < 2 or n < 3:
+        raise InputError(
+            f"anova: wanted three subjects or more in two conditions or more, got {n} subjects in {k}; add some"
+        )
+    gaps = int(np.isnan(table).any(axis=1).sum())
+    if gaps:
+        raise InputError(
+            f"anova: wanted every subject in every condition, got {gaps} of {n} subjects with gaps; leave them out, or use "
+            "compare_unbalanced"
+        )
+    total = float(((table - table.mean()) ** 2).sum())
+    between, error = map(float, _sums_of_squares(table))
     d1, d2 = float(k - 1), float((n - 1) * (k - 1))
     if error <= 1e-24 * max(total, 1e-300):
         raise InputError(
@@ -374,23 +367,16 @@ def compare_conditions(y: ArrayLike) -> Anova:
         sphericity=form,
         partial_eta_squared=between / (between + error),
         generalized_eta_squared=between / total,
-        means=by_condition,
+        means=table.mean(axis=0),
         mean_square_error=error / d2,
     )
 
 
-def _check(table: FloatArray) -> None:
-    n, k = table.shape
-    if k < 2 or n < 3:
-        raise InputError(
-            f"anova: wanted three subjects or more in two conditions or more, got {n} subjects in {k}; add some"
-        )
-    gaps = int(np.isnan(table).any(axis=1).sum())
-    if gaps:
-        raise InputError(
-            f"anova: wanted every subject in every condition, got {gaps} of {n} subjects with gaps; leave them out, or use "
-            "compare_unbalanced"
-        )
+def _sums_of_squares(y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the sums of squares of the conditions and of the error: y (..., n, k)."""
+    by_condition, by_subject, grand = (y.mean(axis=axis, keepdims=True) for axis in (-2, -1, (-2, -1)))
+    error = ((y - by_condition - by_subject + grand) ** 2).sum(axis=(-2, -1))
+    return y.shape[-2] * ((by_condition - grand) ** 2).sum(axis=(-2, -1)), error
 
 
 # ---- power and optional stopping
@@ -451,25 +437,17 @@ def stopping_of(
 ) -> OptionalStopping:
     """Return what a study would have found had it looked after each subject, and what such looking does to the level.
     y (n, k)."""
+    from scipy.special import fdtrc
+
     table = frozen(y, (None, None), "optional stopping")
     n, k = table.shape
     looks = range(min(first, n), n + 1)
     p = tuple((m, compare_conditions(table[:m]).p_value) for m in looks)
     below = [value < level for _, value in p]
     null = rng.normal(size=(simulations, n, k))
-    return OptionalStopping(
-        p_by_subjects=p,
-        crossings=sum(a != b for a, b in pairwise(below)),
-        false_alarm=float(np.mean([any(_finds(study[:m], level) for m in looks) for study in null])),
-        looks=len(looks),
-    )
-
-
-def _finds(table: FloatArray, level: float) -> bool:
-    from scipy.special import fdtrc
-
-    n, k = table.shape
-    by_condition, by_subject, grand = table.mean(axis=0), table.mean(axis=1), table.mean()
-    between = n * ((by_condition - grand) ** 2).sum() / (k - 1)
-    error = ((table - by_condition - by_subject[:, None] + grand) ** 2).sum() / ((n - 1) * (k - 1))
-    return bool(fdtrc(k - 1, (n - 1) * (k - 1), between / error) < level)
+    found = np.zeros(simulations, dtype=bool)
+    for m in looks:
+        between, error = _sums_of_squares(null[:, :m])
+        found |= fdtrc(k - 1, (m - 1) * (k - 1), (m - 1) * between / error) < level
+    crossings = sum(a != b for a, b in pairwise(below))
+    return OptionalStopping(p_by_subjects=p, crossings=crossings, false_alarm=float(found.mean()), looks=len(looks))

@@ -15,8 +15,9 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,7 +46,8 @@ from undrift.sim.rig.bench import AirSettings, BenchHands, EmulatedBenchSettings
 from undrift.sim.rig.bench import Bench as EmulatedBench
 from undrift.sim.rig.emulator import EmulatorSettings
 from undrift.sim.rig.stream import StreamSettings
-from undrift.study.figure3 import ROOM_TEMP_C, worn_record
+from undrift.study.case import ROOM_TEMP_C
+from undrift.study.figure3 import worn_record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial, validate_trial
 
@@ -158,29 +160,33 @@ def _record_rest(
     """Run the protocols that are not done yet on a bench of their own, and add their results."""
     stream = StreamSettings(seed=plan.seed, framing="frame")  # costs half as much as text
     emulated = EmulatedBenchSettings(rig=EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device)
-    room, warm = plan.programmes
+    warm = plan.programmes[1]
     later_s = warm.duration_s / plan.speed + STEP_HOST_S * len(warm.steps)
     with start_bench(emulated) as bench:
         if not done:
             tell("virtual bench: faces and rates at room temperature", plan.host_s)
-            report = _steps("bench", plan, later_s, tell)
-            done.append(_record(plan, bench, (plan.bench, room), folder / "bench", report, resume=resume))
+            done.append(_record(plan, bench, 0, folder / "bench", partial(_told, tell, plan, later_s), resume=resume))
         tell("virtual bench: set-points in the thermal chamber", later_s)
-        report = _steps("thermal", plan, 0.0, tell)
-        done.append(_record(plan, bench, (plan.thermal, warm), folder / "thermal", report, resume=resume))
+        done.append(_record(plan, bench, 1, folder / "thermal", partial(_told, tell, plan, 0.0), resume=resume))
+
+
+def _told(tell: Tell, plan: BenchPlan, later_s: float, progress: Progress) -> None:
+    left_s = progress.left_s / plan.speed + STEP_HOST_S * (progress.steps - progress.number) + later_s
+    name = "thermal" if later_s == 0.0 else "bench"
+    tell(f"{name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}", left_s)
 
 
 def _record(
     plan: BenchPlan,
     bench: EmulatedBench,
-    what: tuple[Protocol, Programme],
+    which: int,
     path: Path,
     report: Callable[[Progress], None],
     *,
     resume: bool,
 ) -> RunResult:
     """Run what is not on the disk yet; all connections end with it."""
-    protocol, programme = what
+    protocol, programme = (plan.bench, plan.thermal)[which], plan.programmes[which]
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path, protocol, resume=resume))
         settings = RecorderSettings(clock=CRYSTAL, silence_s=PATIENCE_S)
@@ -200,35 +206,15 @@ def _record(
             stack.callback(chamber.close)
         rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=PATIENCE_S))
         stack.callback(rig.close)
-        connected = Bench(
-            rig=rig,
-            readings=readings,
-            mounting=BenchHands(bench.hands_address),
-            chamber=chamber,
-            clock=Clock(speed=plan.speed),
-        )
-        return run_programme(
-            programme,
-            connected,
-            folder,
-            report=report,
-            serial=recorder.source.description.device,
-            gravity_m_s2=STANDARD_GRAVITY,
-        )
-
-
-def _steps(name: str, plan: BenchPlan, later_s: float, tell: Tell) -> Callable[[Progress], None]:
-    def report(progress: Progress) -> None:
-        left_s = progress.left_s / plan.speed + STEP_HOST_S * (progress.steps - progress.number) + later_s
-        tell(f"{name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}", left_s)
-
-    return report
+        hands, clock = BenchHands(bench.hands_address), Clock(speed=plan.speed)
+        connected = Bench(rig=rig, readings=readings, mounting=hands, chamber=chamber, clock=clock)
+        serial = recorder.source.description.device
+        return run_programme(programme, connected, folder, report=report, serial=serial, gravity_m_s2=STANDARD_GRAVITY)
 
 
 # ---- fits and the worn trial
 
-Level = Literal["constant calibration", "static table", "all tables"]
-LEVELS: tuple[Level, ...] = ("constant calibration", "static table", "all tables")
+LEVELS = ("constant calibration", "static table", "all tables")
 EXCURSION_K = 12.5  # between the note's 10 and 15
 OPTICS = OpticsSettings(gaps=0)
 
@@ -248,8 +234,7 @@ class BenchFit:
         return self.constant, replace(full, drift=static), full
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WornTrial:
+class WornTrial(NamedTuple):
     """A sit-to-stand of a person who wears the device."""
 
     record: Record  # What the device read
@@ -282,15 +267,12 @@ def judge_levels(fit: BenchFit, worn: WornTrial) -> tuple[Trial, ...]:
 
 MATRIX_LIMIT = 3e-3  # half a bit of 12 is 1e-3 of gravity, and there are three axes
 WARM_MATRIX_LIMIT = 6e-3  # fewer and shorter turns at each set-point
-GYRO_LIMIT_DPS = (
-    0.25  # hysteresis of this kind is up to 0.1, the rest of the warm-up 0.05, random walk of an hour the rest
-)
+GYRO_LIMIT_DPS = 0.25  # hysteresis of this kind is up to 0.1, the rest of the warm-up 0.05, random walk the rest
 ACCEL_LIMIT_MG = 5.0  # three bits of 12
 STATIC_SHARE, FULL_SHARE = 0.5, 0.25  # of the error without tables
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
+class Check(NamedTuple):
     """A figure and its limit."""
 
     name: str  # What it is, with its unit
@@ -317,21 +299,21 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
         if one is None or other is None:
             raise InputError("matrix: wanted that of both triads, got one missing; record faces and rates")
         text = f"{name}: matrix against the true one, largest element (1)"
-        rows.append((text, _apart(one.matrix, other.matrix), MATRIX_LIMIT))
+        rows.append(Check(text, _apart(one.matrix, other.matrix), MATRIX_LIMIT))
     gyro = _offset_apart(found.gyro, tables, warm, seen) / RADIAN_PER_DEGREE
     accel = _offset_apart(found.accel, tables, warm, seen) / STANDARD_GRAVITY * 1e3
-    rows.append(("gyroscopes: offset over temperature, largest error (deg/s)", gyro, GYRO_LIMIT_DPS))
-    rows.append(("accelerometers: offset over temperature, largest error (mg)", accel, ACCEL_LIMIT_MG))
+    rows.append(Check("gyroscopes: offset over temperature, largest error (deg/s)", gyro, GYRO_LIMIT_DPS))
+    rows.append(Check("accelerometers: offset over temperature, largest error (mg)", accel, ACCEL_LIMIT_MG))
     scale, hidden = tables.scale, None if warm.scale is None else warm.scale.gyro_matrix
     if scale is not None and scale.gyro_matrix is not None and hidden is not None:
         apart = max(_apart(one, other) for one, other in zip(scale.gyro_matrix[seen], hidden, strict=True))
-        rows.append(("gyroscopes: matrix over temperature, largest element (1)", apart, WARM_MATRIX_LIMIT))
+        rows.append(Check("gyroscopes: matrix over temperature, largest element (1)", apart, WARM_MATRIX_LIMIT))
     none, static, full = (trial.figures for trial in trials)
     largest, what = none.max_abs_pitch_deg, "worn sit-to-stand, pitch against the optics"
-    rows.append((f"{what}, largest error, static table (deg)", static.max_abs_pitch_deg, STATIC_SHARE * largest))
-    rows.append((f"{what}, largest error, all tables (deg)", full.max_abs_pitch_deg, FULL_SHARE * largest))
-    rows.append((f"{what}, rms, all tables (deg)", full.rmse_pitch_deg, FULL_SHARE * none.rmse_pitch_deg))
-    return tuple(Check(name=name, value=value, limit=limit) for name, value, limit in rows)
+    rows.append(Check(f"{what}, largest error, static table (deg)", static.max_abs_pitch_deg, STATIC_SHARE * largest))
+    rows.append(Check(f"{what}, largest error, all tables (deg)", full.max_abs_pitch_deg, FULL_SHARE * largest))
+    rows.append(Check(f"{what}, rms, all tables (deg)", full.rmse_pitch_deg, FULL_SHARE * none.rmse_pitch_deg))
+    return tuple(rows)
 
 
 def board_temperature(device: DeviceModel, reading_c: FloatArray) -> FloatArray:

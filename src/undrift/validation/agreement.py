@@ -18,7 +18,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -27,10 +27,11 @@ from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import HeldOut, ReferenceSettings, leave_one_out
 from undrift.errors import InputError
+from undrift.findings import Finding, finding
 from undrift.model import Calibration
 from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, validate_trial
+from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_known, validate_trial
 
 # ---- two methods, or several raters
 
@@ -92,18 +93,14 @@ def intraclass_correlation(
     table = _table(ratings)
     n, k = table.shape
     rows, columns, rest = _mean_squares(table)
-    if kind == "ICC(2,1)":
-        bottom = rows + (k - 1) * rest + k * (columns - rest) / n
-        value = (rows - rest) / bottom if bottom else float("nan")
-        interval = _absolute_interval(value, n, k, (rows, columns, rest))
-        sem = float(np.sqrt(max(columns - rest, 0.0) / n + rest))
-    elif kind == "ICC(3,1)":
-        bottom = rows + (k - 1) * rest
-        value = (rows - rest) / bottom if bottom else float("nan")
-        interval = _consistency_interval(n, k, rows, rest)
-        sem = float(np.sqrt(rest))
-    else:
+    if kind not in ("ICC(2,1)", "ICC(3,1)"):
         raise InputError(f"intraclass correlation: wanted ICC(2,1) or ICC(3,1), got {kind}; choose one")
+    absolute = kind == "ICC(2,1)"
+    bottom = rows + (k - 1) * rest + (k * (columns - rest) / n if absolute else 0.0)
+    value = (rows - rest) / bottom if bottom else float("nan")
+    squares = (rows, columns, rest)
+    interval = _absolute_interval(value, n, k, squares) if absolute else _consistency_interval(n, k, rows, rest)
+    sem = float(np.sqrt((max(columns - rest, 0.0) / n if absolute else 0.0) + rest))
     return IntraclassCorrelation(
         kind=kind,
         value=value,
@@ -243,7 +240,7 @@ def validate_trials(
         validate_trial(record, reference, calibration=calibration, settings=settings, name=name)
         for (record, reference), calibration, name in zip(pairs, each, called, strict=True)
     )
-    return _summed(trials)
+    return summed(trials)
 
 
 def validate_leave_one_out(
@@ -293,17 +290,15 @@ def validate_leave_one_out(
         )
         for record, h in zip(records, held, strict=True)
     ]
-    trials = []
+    trials, apart = [], _told_apart(held)
     called = list(names) or [""] * len(pairs)
     for (record, reference), calibration, h, name in zip(pairs, calibrations, held, called, strict=True):
         trial = validate_trial(
             record, reference, calibration=calibration, settings=replace(settings, offset="none"), name=name
         )
-        trials.append(replace(trial, notes=(*trial.notes, h.extrapolation)) if h.extrapolation else trial)
-    apart = _told_apart(held)
-    if apart:
-        trials = [replace(trial, notes=(*trial.notes, apart)) for trial in trials]
-    return _summed(tuple(trials), held)
+        more = (h.extrapolation, apart)
+        trials.append(replace(trial, findings=(*trial.findings, *(item for item in more if item))))
+    return summed(tuple(trials), held)
 
 
 def _check_different(records: Sequence[Record]) -> None:
@@ -317,34 +312,23 @@ def _check_different(records: Sequence[Record]) -> None:
                 )
 
 
-def _told_apart(held: tuple[HeldOut, ...]) -> str:
-    """Return a sentence where the recordings do not look like one device, by what each reads at rest."""
+def _told_apart(held: tuple[HeldOut, ...]) -> Finding | None:
+    """Return a finding where the recordings do not look like one device, by what each reads at rest."""
     rest = np.array([(h.model.offset - h.fit.motion_offset) for h in held])
     spread = float(np.linalg.norm(held[0].model.matrix @ (rest.max(axis=0) - rest.min(axis=0)))) / RADIAN_PER_DEGREE
-    if spread <= ONE_DEVICE_DPS:
-        return ""
-    return (
-        f"the recordings read up to {spread:.2g} deg/s apart at rest: several devices, or one that was not warmed up; "
-        "leave-one-out speaks of one device only"
+    return finding("validate.devices_apart", "warn", spread_dps=spread) if spread > ONE_DEVICE_DPS else None
+
+
+def summed(trials: tuple[Trial, ...], held_out: tuple[HeldOut, ...] = ()) -> Validation:
+    """Return trials with their mean, median and agreement."""
+    table = {
+        field.name: np.array([getattr(trial.figures, field.name) for trial in trials]) for field in fields(Figures)
+    }
+    mean, median = (
+        Figures(**{name: of_known(summary, column) for name, column in table.items()})
+        for summary in (np.mean, np.median)
     )
-
-
-def _summed(trials: tuple[Trial, ...], held_out: tuple[HeldOut, ...] = ()) -> Validation:
-    table = np.array([astuple(trial.figures) for trial in trials])
-    names = [field.name for field in fields(Figures)]
-    return Validation(
-        trials=trials,
-        mean=Figures(**dict(zip(names, _over_trials(table, "mean"), strict=True))),
-        median=Figures(**dict(zip(names, _over_trials(table, "median"), strict=True))),
-        agreement=_agreement(trials),
-        held_out=held_out,
-    )
-
-
-def _over_trials(table: FloatArray, how: str) -> list[float]:
-    summary = np.mean if how == "mean" else np.median
-    seen = [column[np.isfinite(column)] for column in table.T]
-    return [float(summary(column)) if len(column) else float("nan") for column in seen]
+    return Validation(trials=trials, mean=mean, median=median, agreement=_agreement(trials), held_out=held_out)
 
 
 def _agreement(trials: tuple[Trial, ...]) -> Agreement | None:

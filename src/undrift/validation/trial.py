@@ -10,18 +10,18 @@ error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and [1]_::
     inclination  2 acos sqrt(w^2 + z^2)    the angle between the two verticals
     pitch        signed difference of the two sagittal pitches, brought into (-pi, pi]
 
-Root-mean-square values are over the motion, where the reference sees the body; the end error is the median over the first
-three seconds after it. The mounting, the rotation R that minimises sum |w - R u|^2 over common rates, is Kabsch's problem [2]_.
+Root-mean-square values are over the motion, where the reference sees the body. The mounting, the rotation R that minimises sum
+|w - R u|^2 over common rates, is Kabsch's problem (1976).
 
 References
 ----------
 .. [1] D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data
    6(7), 72, 2021.
-.. [2] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from undrift.calibration.adc import identify_record_adc
 from undrift.correction.correct import Policy, correct_checked
 from undrift.correction.coverage import find_beyond
 from undrift.errors import AlignmentError, InputError
+from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.model import AdcModel, Calibration, TriadModel
 from undrift.orientation import (
@@ -215,16 +216,15 @@ def wrapped(angle: FloatArray) -> FloatArray:
     return turned
 
 
+def of_known(summary: Callable[[FloatArray], Any], values: FloatArray) -> float:
+    """Return a summary of what is not a gap."""
+    seen = values[np.isfinite(values)]
+    return float(summary(seen)) if len(seen) else float("nan")
+
+
 def rms(values: FloatArray) -> float:
     """Return the root-mean-square of what is not a gap."""
-    seen = values[np.isfinite(values)]
-    return float(np.sqrt((seen**2).mean())) if len(seen) else float("nan")
-
-
-def median(values: FloatArray) -> float:
-    """Return the median of what is not a gap."""
-    seen = values[np.isfinite(values)]
-    return float(np.median(seen)) if len(seen) else float("nan")
+    return of_known(lambda seen: np.sqrt((seen**2).mean()), values)
 
 
 def slope(time: FloatArray, values: FloatArray, chosen: BoolArray) -> float:
@@ -269,51 +269,6 @@ class Figures:
     pitch_defined: float
     motion_s: float  # Length of the motion, s
     turn_rate_rms_dps: float  # Root-mean-square body rate in motion, deg/s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stretches:
-    """Which samples of a reference count for what."""
-
-    time: FloatArray  # (N,), s, reference clock
-    moving: BoolArray  # (N,), within the motion, pauses left out where the reference marks them
-    after: BoolArray  # (N,), the first seconds after the motion
-    valid: BoolArray  # (N,), seen by the reference
-
-
-def figures_of(
-    error: OrientationError, pitches: tuple[FloatArray, FloatArray], stretches: Stretches, *, lag_s: float
-) -> Figures:
-    """Return the figures of one recording; pitches are those of sensor and reference, rad."""
-    m = stretches.moving
-    pitch = error.pitch[m][np.isfinite(error.pitch[m])]
-    both = m & np.isfinite(pitches[0]) & np.isfinite(pitches[1])
-    nothing = float("nan")
-    total = error.total[m][np.isfinite(error.total[m])]
-    return Figures(
-        lag_ms=lag_s * 1e3,
-        rmse_total_deg=degrees(rms(total)),
-        rmse_inclination_deg=degrees(rms(error.inclination[m])),
-        rmse_heading_deg=degrees(rms(error.heading[m])),
-        rmse_pitch_deg=degrees(rms(pitch)),
-        mean_pitch_deg=degrees(float(pitch.mean())) if len(pitch) else nothing,
-        sd_pitch_deg=degrees(float(pitch.std())) if len(pitch) else nothing,
-        max_abs_pitch_deg=degrees(float(np.abs(pitch).max())) if len(pitch) else nothing,
-        range_pitch_error_deg=degrees(float(np.ptp(pitches[0][both]) - np.ptp(pitches[1][both])))
-        if both.any()
-        else nothing,
-        max_total_deg=degrees(float(total.max())) if len(total) else nothing,
-        end_total_deg=degrees(median(error.total[stretches.after])),
-        end_inclination_deg=degrees(median(error.inclination[stretches.after])),
-        drift_deg_per_min=degrees(60.0 * slope(stretches.time, error.total, m)),
-        rmse_total_before_lag_deg=nothing,
-        rmse_total_after_lag_deg=nothing,
-        pitch_defined=len(pitch) / len(total) if len(total) else nothing,
-        valid_optics=float(stretches.valid[m].mean()) if m.any() else 0.0,
-        valid_optics_file=float(stretches.valid.mean()),
-        motion_s=nothing,
-        turn_rate_rms_dps=nothing,
-    )
 
 
 def degrees(angle: float) -> float:
@@ -411,7 +366,7 @@ class Trial:
     mean_inclination : tuple of float
         Mean angle of the body's z axis from the vertical over the motion, sensor and reference, rad: what agreement
         over trials is taken on.
-    notes : tuple of str
+    findings : tuple of Finding
         What was done or met that a reader may not expect.
     time : array, shape (N,)
         s, reference clock, the samples of the series below.
@@ -430,7 +385,7 @@ class Trial:
     motion: Motion
     mounting: Mounting | None
     mean_inclination: tuple[float, float]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     time: FloatArray
     error: OrientationError
     sensor_pitch: FloatArray
@@ -489,19 +444,15 @@ def validate_trial(
     >>> bool(found.figures.max_abs_pitch_deg < 0.5)
     True
     """
-    done, notes = _corrected(record, calibration, settings)
+    done, findings = _corrected(record, calibration, settings)
     if done.gyro is not None and not np.isfinite(done.gyro).all(axis=1).any():
         check_gaps(done.gyro, done.time, "validate")
-    share = _gaps(done).mean()
-    poses = native_poses(reference)
-    try:
-        lag = find_lag(done, poses, settings.lag)
-    except AlignmentError as unmatched:
-        if share > 0.0:
-            raise AlignmentError(f"{unmatched}; {share:.0%} of the samples are gaps (NaN)") from unmatched
-        raise
+    gaps, poses = _gaps(done), native_poses(reference)
+    lag = _lag(done, poses, gaps, settings)
     motion = find_motion(done, reference, lag_s=lag.seconds)
-    notes += _gaps_before(done, motion, settings)
+    before = gaps[done.time < motion.start_s - settings.lead_s]  # after the rest, a gap is refused
+    if before.any():
+        findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
     if settings.offset == "rest":
         done = _without_rest_mean(done, motion, settings)
     done, mounting = _aligned(done, poses, lag, settings)
@@ -509,21 +460,26 @@ def validate_trial(
     track = track_from_rest(
         done, reference, motion, shift_s=lag.seconds - held, rest_s=settings.rest_s, lead_s=settings.lead_s
     )
-    errors = tuple(
-        _compared(track.at(reference.time + shift), reference, settings) for shift in (0.0, lag.seconds - held)
-    )
-    undone = abs(lag.seconds) > settings.undo_lag_above_s
-    error, sensor_pitch, tilt = errors[1] if undone else errors[0]
-    stretches = _stretches(reference, motion, lag.seconds if undone else 0.0, settings)
-    reference_pitch = sagittal_pitch(reference.q_nb, forward=settings.forward, up=settings.up)
-    figures = replace(
-        figures_of(error, (sensor_pitch, reference_pitch), stretches, lag_s=lag.seconds),
-        rmse_total_before_lag_deg=degrees(rms(errors[0][0].total[stretches.moving])),
-        rmse_total_after_lag_deg=degrees(rms(errors[1][0].total[stretches.moving])),
+    undone, axes = abs(lag.seconds) > settings.undo_lag_above_s, {"forward": settings.forward, "up": settings.up}
+    tracks = [track.at(reference.time + shift) for shift in (0.0, lag.seconds - held)]
+    errors = [compare_orientations(q, reference.q_nb, **axes) for q in tracks]
+    error, sensor = errors[undone], tracks[undone]
+    moving, after = _stretches(reference, motion, lag.seconds * undone, settings)
+    pitches = sagittal_pitch(sensor, **axes), sagittal_pitch(reference.q_nb, **axes)
+    rates = np.asarray(done.between(motion.start_s, motion.stop_s).gyro)
+    both = moving & np.isfinite(error.total)
+    figures = Figures(
+        lag_ms=lag.seconds * 1e3,
+        **_in_degrees(error, pitches, reference.time, moving, after),
+        rmse_total_before_lag_deg=degrees(rms(errors[0].total[moving])),
+        rmse_total_after_lag_deg=degrees(rms(errors[1].total[moving])),
+        valid_optics=float(reference.valid[moving].mean()) if moving.any() else 0.0,
+        valid_optics_file=float(reference.valid.mean()),
+        pitch_defined=float(np.isfinite(error.pitch[moving]).sum() / both.sum()) if both.any() else float("nan"),
         motion_s=motion.stop_s - motion.start_s,
-        turn_rate_rms_dps=_turn_rate_rms(done, motion),
+        turn_rate_rms_dps=degrees(float(np.sqrt(np.nanmean((rates**2).sum(axis=1))))),
     )
-    both = stretches.moving & np.isfinite(error.total)
+    tilts = [of_known(np.mean, inclination_of(q[both])) for q in (sensor, reference.q_nb)]
     return Trial(
         recording=name or reference.name,
         figures=figures,
@@ -531,14 +487,62 @@ def validate_trial(
         lag_undone=undone,
         motion=motion,
         mounting=mounting,
-        mean_inclination=(_mean(tilt[both]), _mean(inclination_of(reference.q_nb[both]))),
-        notes=notes,
+        mean_inclination=(tilts[0], tilts[1]),
+        findings=findings,
         time=reference.time,
         error=error,
-        sensor_pitch=sensor_pitch,
-        reference_pitch=reference_pitch,
-        moving=stretches.moving.astype(float),
+        sensor_pitch=pitches[0],
+        reference_pitch=pitches[1],
+        moving=moving.astype(float),
     )
+
+
+def _lag(record: Record, poses: Reference, gaps: BoolArray, settings: TrialSettings) -> Lag:
+    try:
+        return find_lag(record, poses, settings.lag)
+    except AlignmentError as unmatched:
+        if gaps.any():
+            raise AlignmentError(f"{unmatched}; {gaps.mean():.0%} of the samples are gaps (NaN)") from unmatched
+        raise
+
+
+def _stretches(
+    reference: Reference, motion: Motion, lag_s: float, settings: TrialSettings
+) -> tuple[BoolArray, BoolArray]:
+    """Return which poses are within the motion, pauses left out where the reference marks them, and which just after it."""
+    start_s, stop_s = motion.start_s - lag_s, motion.stop_s - lag_s
+    moving = (reference.time >= start_s) & (reference.time < stop_s)
+    if reference.moving is not None and (reference.moving > 0.0).any():
+        moving = reference.moving > 0.0
+    return moving, (reference.time >= stop_s) & (reference.time < stop_s + settings.end_s)
+
+
+def _in_degrees(
+    error: OrientationError,
+    pitches: tuple[FloatArray, FloatArray],
+    time: FloatArray,
+    moving: BoolArray,
+    after: BoolArray,
+) -> dict[str, float]:
+    """Return the errors over the motion and after it; pitches are those of sensor and reference, rad."""
+    total, pitch = error.total[moving], error.pitch[moving]
+    both = moving & np.isfinite(pitches[0]) & np.isfinite(pitches[1])
+    ranges = [of_known(np.ptp, each[both]) for each in pitches]
+    angles = {
+        "rmse_total_deg": rms(total),
+        "rmse_inclination_deg": rms(error.inclination[moving]),
+        "rmse_heading_deg": rms(error.heading[moving]),
+        "rmse_pitch_deg": rms(pitch),
+        "mean_pitch_deg": of_known(np.mean, pitch),
+        "sd_pitch_deg": of_known(np.std, pitch),
+        "max_abs_pitch_deg": of_known(np.max, np.abs(pitch)),
+        "range_pitch_error_deg": ranges[0] - ranges[1],
+        "max_total_deg": of_known(np.max, total),
+        "end_total_deg": of_known(np.median, error.total[after]),
+        "end_inclination_deg": of_known(np.median, error.inclination[after]),
+        "drift_deg_per_min": 60.0 * slope(time, error.total, moving),
+    }
+    return {name: degrees(angle) for name, angle in angles.items()}
 
 
 def _gaps(record: Record) -> BoolArray:
@@ -550,55 +554,21 @@ def _gaps(record: Record) -> BoolArray:
     return mask
 
 
-def _gaps_before(record: Record, motion: Motion, settings: TrialSettings) -> tuple[str, ...]:
-    """Say what is missing of the rest that tilt and offset are taken from; after it, a gap is refused."""
-    gaps = _gaps(record)[record.time < motion.start_s - settings.lead_s]
-    if not gaps.any():
-        return ()
-    return (
-        f"{int(gaps.sum())} of {len(gaps)} samples before the motion are gaps (NaN): the rest is taken from the others",
-    )
-
-
-def _compared(
-    q: FloatArray, reference: Reference, settings: TrialSettings
-) -> tuple[OrientationError, FloatArray, FloatArray]:
-    error = compare_orientations(q, reference.q_nb, forward=settings.forward, up=settings.up)
-    return error, sagittal_pitch(q, forward=settings.forward, up=settings.up), inclination_of(q)
-
-
-def _stretches(reference: Reference, motion: Motion, lag_s: float, settings: TrialSettings) -> Stretches:
-    start, stop = motion.start_s - lag_s, motion.stop_s - lag_s
-    moving = (reference.time >= start) & (reference.time < stop)
-    if reference.moving is not None and (reference.moving > 0.0).any():
-        moving = reference.moving > 0.0
-    after = (reference.time >= stop) & (reference.time < stop + settings.end_s)
-    return Stretches(time=reference.time, moving=moving, after=after, valid=reference.valid)
-
-
-def _turn_rate_rms(record: Record, motion: Motion) -> float:
-    rates = record.between(motion.start_s, motion.stop_s).gyro
-    return float("nan") if rates is None else degrees(float(np.sqrt(np.nanmean((rates**2).sum(axis=1)))))
-
-
-def _mean(angles: FloatArray) -> float:
-    return float(angles.mean()) if len(angles) else float("nan")
-
-
 def _corrected(
     record: Record, calibration: Calibration | None, settings: TrialSettings
-) -> tuple[Record, tuple[str, ...]]:
+) -> tuple[Record, tuple[Finding, ...]]:
     if calibration is None:
         adc = identify_record_adc(record) if settings.adc == "auto" and record.state == "raw" else None
         if adc is None:
             return record.in_si(), ()
         done = correct_checked(record, nominal_calibration(record, adc))
-        return done.record, (f"gyro codes rounded {adc.gyro_rounding.replace('_', ' ')}: the mean loss was given back",)
+        return done.record, (finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),)
     if settings.adc == "none":
         calibration = replace(calibration, adc=None)
     done = correct_checked(record, calibration, policy=settings.policy, power_on_s=settings.power_on_s)
     beyond = (one.text for one in find_beyond(done.record, calibration) if one.text)
-    return done.record.in_si(), (*done.warnings, *beyond, *done.notes)
+    texts = (*done.warnings, *beyond, *done.notes)
+    return done.record.in_si(), tuple(finding("validate.correction", "info", text=text) for text in texts)
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
@@ -648,9 +618,6 @@ def _aligned(record: Record, poses: Reference, lag: Lag, settings: TrialSettings
         return record, None  # turning about one axis alone does not show the mounting; it is taken as stated
     if settings.align == "auto" and found.angle <= ALIGN_ABOVE:
         return record, Mounting(alignment=found, applied=False)
-    turned = replace(
-        record,
-        gyro=None if record.gyro is None else record.gyro @ found.rotation.T,
-        accel=None if record.accel is None else record.accel @ found.rotation.T,
-    )
+    gyro, accel = (x if x is None else x @ found.rotation.T for x in (record.gyro, record.accel))
+    turned = replace(record, gyro=gyro, accel=accel)
     return turned, Mounting(alignment=found, applied=True)
