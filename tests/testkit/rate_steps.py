@@ -3,7 +3,7 @@
 import numpy as np
 
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.sim.device.effects import SensorChain, bent
+from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
@@ -69,7 +69,7 @@ def reading(
 ) -> np.ndarray:
     """Return the noise-free mean readings of a settled device, raw unit."""
     x = rate_b @ chain.scale.matrix.T
-    x = bent(x, chain.nonlinearity) if chain.nonlinearity else x
+    x = chain.nonlinearity.bent(x) if chain.nonlinearity else x
     if chain.g_sensitivity and force_b is not None:
         x = x + force_b @ chain.g_sensitivity.matrix.T
     if chain.offset:

@@ -36,7 +36,7 @@ from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.frames import quaternion_product
 from undrift.record import FACES, Face, Record, Session, Still, Turn
-from undrift.sim.device.effects import Offset, Scene, SensorChain, Thermometer, thermometer_reading
+from undrift.sim.device.effects import Offset, Past, Scene, SensorChain, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import Simulated, Streams, Triad, draw_streams, simulate_device
 from undrift.sim.motion.bench import AXES, BenchSettings, earth_rate
@@ -497,20 +497,26 @@ class _Taken:
 def _read(
     programme: Programme, device: DeviceModel, settings: ThermalSettings, rng: np.random.Generator
 ) -> tuple[_Taken, ...]:
-    felt = _felt(device.thermometer, programme.profile, settings.power_on_s)
+    profile, thermometer = programme.profile, device.thermometer
+    scene = Scene(
+        time=profile.time,
+        step_s=float(profile.time[-1] / (len(profile.time) - 1)),
+        temp_c=profile.board_c,
+        warmth=profile.board_c,
+        age_s=profile.time + settings.power_on_s,
+    )
+    felt = thermometer.felt(scene, Past(rng))
     taken: list[_Taken] = []
     walked: Walks = (np.zeros(3), np.zeros(3))
     ended_s = 0.0
     for leg in programme.legs:
         time = leg.motion.time
         walked = _walked_on(device, walked, float(time[0]) - ended_s, rng)
-        made, first = _simulated(leg.motion, programme.profile, _shifted(device, walked), settings.power_on_s, rng)
+        made, first = _simulated(leg.motion, profile, _shifted(device, walked), settings.power_on_s, rng)
         walked = (walked[0] + _walk_of(made.gyro), walked[1] + _walk_of(made.accel))
         ended_s = float(time[-1])
         noise = draw_streams(rng).of("thermometer")
-        shown = _shown_by(
-            device.thermometer, np.interp(made.true_time, programme.profile.time, felt), made.true_time, noise
-        )
+        shown = thermometer.shown(np.interp(made.true_time, profile.time, felt), noise)
         record = replace(made.record, temp_c=None if settings.drop_temperature else shown)
         taken.append(_labelled(leg, record.part(first, len(record)), made.true_time[first:], settings))
     return tuple(taken)
@@ -549,33 +555,6 @@ def _with_rest_before(motion: Motion, count: int, step_s: float) -> Motion:
         gravity_m_s2=motion.gravity_m_s2,
         moving=longer(motion.moving),
         angular_acceleration_b=None if swing is None else longer(swing),
-    )
-
-
-def _felt(thermometer: Thermometer, profile: Profile, power_on_s: float) -> FloatArray:
-    """Return what the thermometer feels throughout: lag and its own warmth, no error of reading, degC, shape (n,)."""
-    silent = replace(thermometer, trim_error_c=0.0, slope_error=0.0, noise_c=0.0, step_c=0.0)
-    scene = _scene(profile.time, profile.board_c, power_on_s)
-    return thermometer_reading(silent, scene, np.random.default_rng(0))  # nothing is drawn without noise
-
-
-def _shown_by(thermometer: Thermometer, felt: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return what it says to what it felt: trim, slope, noise and steps, degC, shape (N,)."""
-    return thermometer_reading(replace(thermometer, lag_s=0.0, self_heating_c=0.0), _scene(time, felt, 0.0), rng)
-
-
-def _scene(time: FloatArray, temp_c: FloatArray, power_on_s: float) -> Scene:
-    """Return a scene for the thermometer, which looks at temperature and age."""
-    unmoved = np.zeros((len(time), 3))
-    return Scene(
-        time=time,
-        step_s=float((time[-1] - time[0]) / (len(time) - 1)),
-        temp_c=temp_c,
-        warmth=temp_c,
-        age_s=time - time[0] + power_on_s,
-        rate_b=unmoved,
-        angular_acceleration_b=None,
-        force_b=unmoved,
     )
 
 

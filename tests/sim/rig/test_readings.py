@@ -32,7 +32,7 @@ def cut(scene: Scene, start: int, stop: int) -> Scene:
 def read_in_pieces(device, scene, mean_rate, cuts, seed=4):
     causal = CausalDevice(device, scene.step_s, np.random.default_rng(seed))
     said = [causal.read(cut(scene, a, b), mean_rate[a:b]) for a, b in pairwise(cuts)]
-    return [np.concatenate([getattr(part, name) for part in said]) for name in ("gyro", "accel", "temp_c")]
+    return [np.concatenate(parts) for parts in zip(*said, strict=True)]
 
 
 def situation(kind, seed=1):

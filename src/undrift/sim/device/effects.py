@@ -21,7 +21,9 @@ References
 """
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -134,13 +136,7 @@ class Amplifier(Effect):
             )
 
 
-def amplified(x: FloatArray, effect: Amplifier, sensitivity: float) -> tuple[FloatArray, BoolArray]:
-    """Return a signal held to what the amplifier can put out."""
-    total = effect.gain * sensitivity
-    low, high = (effect.low - effect.null) / total, (effect.high - effect.null) / total
-    held: BoolArray = (x < low) | (x > high)
-    return np.clip(x, low, high), held
-
+WIRE = Amplifier()
 
 # ---- Scene: what every effect may look at
 
@@ -154,9 +150,17 @@ class Scene:
     temp_c: FloatArray  # (N,), temperature of the board, degC
     warmth: FloatArray  # (N,), the same above the device's reference temperature, K
     age_s: FloatArray  # (N,), time since power-on, s
-    rate_b: FloatArray  # (N, 3), angular rate at the sample, rad/s
-    angular_acceleration_b: FloatArray | None  # (N, 3), rad/s2
-    force_b: FloatArray  # (N, 3), specific force at the body's origin, m/s2
+    rate_b: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3), angular rate at the sample, rad/s
+    angular_acceleration_b: FloatArray | None = None  # (N, 3), rad/s2
+    force_b: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3), at the body's origin, m/s2
+
+
+@dataclass(slots=True, eq=False)
+class Past:
+    """What an effect carries on from one chunk of a signal to the next: its random numbers, and what it remembers."""
+
+    rng: np.random.Generator
+    state: Any = None
 
 
 def scene_of(motion: Motion, temp_c: FloatArray, reference_temp_c: float, power_on_s: float) -> Scene:
@@ -177,7 +181,7 @@ def scene_of(motion: Motion, temp_c: FloatArray, reference_temp_c: float, power_
 def check_even(scene: Scene, what: str) -> None:
     """Raise unless the samples are evenly spaced."""
     steps = np.diff(scene.time)
-    if np.abs(steps - scene.step_s).max() > 1e-3 * scene.step_s:
+    if np.abs(steps - scene.step_s).max(initial=0.0) > 1e-3 * scene.step_s:
         raise InputError(
             f"{what}: wanted evenly spaced samples of the motion, got steps from {steps.min():.6g} to {steps.max():.6g} s; "
             "make the motion on an even grid"
@@ -194,10 +198,9 @@ class GSensitivity(Effect):
     # (3, 3), apparent rate, rad/s per m/s2: row i for sensor i, columns x, y, z of b
     matrix: FloatArray = quantity("{x}_per_m_s2", (3, 3))
 
-
-def with_g(x: FloatArray, effect: GSensitivity, scene: Scene) -> FloatArray:
-    """Return a signal with what specific force adds."""
-    return np.asarray(x + scene.force_b @ effect.matrix.T)
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal with what specific force adds."""
+        return np.asarray(x + scene.force_b @ self.matrix.T)
 
 
 # ---- Thermal hysteresis: y = x + A (z - T) / w, z follows T with a play of half-width w
@@ -210,22 +213,22 @@ class Hysteresis(Effect):
     amplitude: FloatArray = quantity("{x}", (3,))  # (3,), half the width of the loop, rad/s or m/s2
     play_k: float = quantity("", None, 2.0, least=1e-9)  # Half-width of the play, K
 
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal with thermal hysteresis."""
+        follower = play(scene.temp_c, self.play_k, past.state)
+        past.state = float(follower[-1])
+        return x + np.outer((follower - scene.temp_c) / self.play_k, self.amplitude)
 
-def play(temp_c: FloatArray, half_width: float) -> FloatArray:
-    """Return what follows a temperature with play."""
-    if np.ptp(temp_c) == 0.0:
+
+def play(temp_c: FloatArray, half_width: float, at: float | None = None) -> FloatArray:
+    """Return what follows a temperature with play, from where it was."""
+    if at is None and np.ptp(temp_c) == 0.0:
         return temp_c
-    follower, at = np.empty(len(temp_c)), float(temp_c[0])
+    follower, at = np.empty(len(temp_c)), float(temp_c[0]) if at is None else at
     for k, temp in enumerate(temp_c.tolist()):
         at = min(max(at, temp - half_width), temp + half_width)
         follower[k] = at
     return follower
-
-
-def with_hysteresis(x: FloatArray, effect: Hysteresis, scene: Scene) -> FloatArray:
-    """Return a signal with thermal hysteresis."""
-    behind = (play(scene.temp_c, effect.play_k) - scene.temp_c) / effect.play_k
-    return x + np.outer(behind, effect.amplitude)
 
 
 # ---- Bias instability: density B^2 / (2 pi f) as Gauss-Markov processes a factor r apart [1]
@@ -247,19 +250,22 @@ class BiasInstability(Effect):
         count = round(math.log(self.longest_s / self.shortest_s) / math.log(RATIO)) + 1
         return np.asarray(self.shortest_s * RATIO ** np.arange(count))
 
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal whose offset flickers: from a stationary start, or from states (processes, 3)."""
+        from scipy.signal import lfilter
 
-def with_instability(x: FloatArray, effect: BiasInstability, scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """Return a signal whose offset flickers."""
-    from scipy.signal import lfilter
-
-    sd = effect.instability * math.sqrt(math.log(RATIO) / math.pi)
-    total = np.array(x)
-    for constant in effect.time_constants_s.tolist():
-        keep = math.exp(-scene.step_s / constant)
-        draws = rng.standard_normal(x.shape)
-        draws[1:] *= math.sqrt(-math.expm1(-2.0 * scene.step_s / constant))
-        total += sd * np.asarray(lfilter([1.0], [1.0, -keep], draws, axis=0))
-    return total
+        sd = self.instability * math.sqrt(math.log(RATIO) / math.pi)
+        total, states = np.array(x), past.state
+        for k, constant in enumerate(self.time_constants_s.tolist()):
+            keep = math.exp(-scene.step_s / constant)
+            draws = past.rng.standard_normal(x.shape)
+            draws[states is None :] *= math.sqrt(-math.expm1(-2.0 * scene.step_s / constant))
+            before = np.zeros((1, 3)) if states is None else keep * states[k : k + 1]
+            y = np.asarray(lfilter([1.0], [1.0, -keep], draws, axis=0, zi=before)[0])
+            if states is not None:
+                states[k] = y[-1]
+            total += sd * y
+        return total
 
 
 # ---- Lever arm: d_i = alpha x r_i + omega x (omega x r_i), added to the specific force at sensor i
@@ -272,16 +278,15 @@ class LeverArm(Effect):
     # (3, 3), position of each sensor from the body's origin, one a row, m, frame b
     arms: FloatArray = quantity("m", (3, 3))
 
-
-def lever_arm_force(effect: LeverArm, scene: Scene) -> FloatArray:
-    """Return what each sensor feels beside the force at the origin."""
-    if scene.angular_acceleration_b is None:
-        raise InputError(
-            "lever arm: wanted a motion with angular acceleration, got one without; take it from poses or a task, or "
-            "switch the lever arm off"
-        )
-    rate, arm = scene.rate_b[:, None, :], effect.arms[None, :, :]
-    return np.asarray(np.cross(scene.angular_acceleration_b[:, None, :], arm) + np.cross(rate, np.cross(rate, arm)))
+    def force(self, scene: Scene) -> FloatArray:
+        """Return what each sensor feels beside the force at the origin, (N, 3 sensors, 3)."""
+        if scene.angular_acceleration_b is None:
+            raise InputError(
+                "lever arm: wanted a motion with angular acceleration, got one without; take it from poses or a task, or "
+                "switch the lever arm off"
+            )
+        rate, arm = scene.rate_b[:, None, :], self.arms[None, :, :]
+        return np.asarray(np.cross(scene.angular_acceleration_b[:, None, :], arm) + np.cross(rate, np.cross(rate, arm)))
 
 
 # ---- Low-pass: H(s) = w^2 / (s^2 + w s / Q + w^2), exact for a first-order hold [2]
@@ -301,6 +306,24 @@ class LowPass(Effect):
         """Delay of slow signals, s, shape (3,)."""
         return np.asarray(1.0 / (self.quality * 2.0 * math.pi * self.cutoff_hz))
 
+    def equations(self, step_s: float) -> list[tuple[FloatArray, FloatArray]]:
+        """Return the coefficients b and a of each channel."""
+        pairs = zip(self.cutoff_hz.tolist(), self.quality.tolist(), strict=True)
+        return [difference_equation(cutoff, quality, step_s) for cutoff, quality in pairs]
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal after its low-pass, in which it had been resting before the first sample."""
+        from scipy.signal import lfilter
+
+        check_even(scene, "low-pass")
+        out, equations = np.empty_like(x), self.equations(scene.step_s)
+        past.state = past.state or [
+            np.array([1.0 - b[0], b[2] - a[2]]) * x[0, axis] for axis, (b, a) in enumerate(equations)
+        ]
+        for axis, (b, a) in enumerate(equations):
+            out[:, axis], past.state[axis] = lfilter(b, a, x[:, axis], zi=past.state[axis])
+        return out
+
 
 def sallen_key(cutoff_hz: float, parts: FloatArray) -> LowPass:
     """Return the low-pass that parts of a tolerance make of a Butterworth design with equal resistors and C1 = 2 C2."""
@@ -309,6 +332,7 @@ def sallen_key(cutoff_hz: float, parts: FloatArray) -> LowPass:
     return LowPass(cutoff_hz=cutoff_hz / root, quality=BUTTERWORTH * 2.0 * root / (c2 * (r1 + r2)))
 
 
+@lru_cache(maxsize=64)
 def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients of ``y_k = b0 u_k + b1 u_(k-1) + b2 u_(k-2) - a1 y_(k-1) - a2 y_(k-2)``."""
     from scipy.linalg import expm
@@ -326,19 +350,6 @@ def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tupl
     return b, a
 
 
-def low_passed(x: FloatArray, effect: LowPass, scene: Scene) -> FloatArray:
-    """Return a signal after its low-pass, in which it had been resting before the first sample."""
-    from scipy.signal import lfilter
-
-    check_even(scene, "low-pass")
-    out = np.empty_like(x)
-    for axis in range(3):
-        b, a = difference_equation(float(effect.cutoff_hz[axis]), float(effect.quality[axis]), scene.step_s)
-        resting = np.array([1.0 - b[0], b[2] - a[2]]) * x[0, axis]
-        out[:, axis] = lfilter(b, a, x[:, axis], zi=resting)[0]
-    return out
-
-
 # ---- White noise and random walk: y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j
 
 
@@ -350,6 +361,10 @@ class WhiteNoise(Effect):
     # datasheet's one-sided density is sqrt(2) times this
     random_walk: FloatArray = quantity("{x}_per_sqrt_hz", (3,), least=0.0)
 
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal with white noise."""
+        return np.asarray(x + past.rng.standard_normal(x.shape) * (self.random_walk / np.sqrt(scene.step_s)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RandomWalk(Effect):
@@ -357,18 +372,14 @@ class RandomWalk(Effect):
 
     bias_walk: FloatArray = quantity("{x}_per_sqrt_s", (3,), least=0.0)  # (3,), K, rad/s/sqrt(s) or m/s2/sqrt(s)
 
-
-def with_white_noise(x: FloatArray, effect: WhiteNoise, step_s: float, rng: np.random.Generator) -> FloatArray:
-    """Return a signal with white noise."""
-    noise: FloatArray = rng.standard_normal(x.shape) * (effect.random_walk / np.sqrt(step_s))
-    return x + noise
-
-
-def with_random_walk(x: FloatArray, effect: RandomWalk, scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """Return a signal whose offset walks."""
-    steps = rng.standard_normal(x.shape) * (effect.bias_walk * np.sqrt(scene.step_s))
-    steps[0] = 0.0
-    return np.asarray(x + np.cumsum(steps, axis=0))
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal whose offset walks."""
+        steps = past.rng.standard_normal(x.shape) * (self.bias_walk * np.sqrt(scene.step_s))
+        if past.state is None:
+            past.state, steps[0] = np.zeros(3), 0.0
+        walked = past.state + np.cumsum(steps, axis=0)
+        past.state = walked[-1]
+        return np.asarray(x + walked)
 
 
 # ---- Non-linearity and asymmetry: y = x + q x^2 + c x^3 + (a / 2) |x|
@@ -382,10 +393,13 @@ class Nonlinearity(Effect):
     cubic: FloatArray = quantity("per_{x}_squared", (3,), 0.0)  # (3,), c, per square of that
     asymmetry: FloatArray = quantity("", (3,), 0.0)  # (3,), a, relative
 
+    def bent(self, x: FloatArray) -> FloatArray:
+        """Return a signal after non-linearity and asymmetry."""
+        return np.asarray(x + x * x * (self.quadratic + self.cubic * x) + 0.5 * self.asymmetry * np.abs(x))
 
-def bent(x: FloatArray, effect: Nonlinearity) -> FloatArray:
-    """Return a signal after non-linearity and asymmetry."""
-    return np.asarray(x + x * x * (effect.quadratic + effect.cubic * x) + 0.5 * effect.asymmetry * np.abs(x))
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal after non-linearity and asymmetry."""
+        return self.bent(x)
 
 
 # ---- Offset and its thermal drift: y = x + o + c_1 D + c_2 D^2 + ...
@@ -403,6 +417,10 @@ class Offset(Effect):
         """Return the offset at a temperature."""
         return self.constant + polynomial(self.per_k, np.asarray(warmth, dtype=float))
 
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal with its offset."""
+        return x + (self.at(scene.warmth) if len(self.per_k) else self.constant)
+
 
 def polynomial(coefficients: FloatArray, warmth: FloatArray) -> FloatArray:
     """Return ``sum_k c_k D^k`` for k = 1, 2, ... per axis."""
@@ -410,13 +428,6 @@ def polynomial(coefficients: FloatArray, warmth: FloatArray) -> FloatArray:
     for row in coefficients[::-1]:
         total = (total + row) * warmth[..., None]
     return total
-
-
-def with_offset(x: FloatArray, effect: Offset, scene: Scene) -> FloatArray:
-    """Return a signal with its offset."""
-    if not len(effect.per_k):
-        return x + effect.constant
-    return x + effect.at(scene.warmth)
 
 
 # ---- Rate-dependent drift, the note's dynamic drift: y = x + sum_pq c_pq x^p D^q, p = 1, 2, ...
@@ -438,6 +449,10 @@ class RateDrift(Effect):
                 inner = inner * warmth[:, None] + row
             total = (total + inner) * x
         return total
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal with its drift."""
+        return x + self.error(x, scene.warmth)
 
 
 # ---- Sampling: channel i is taken at t_0 + (j / f) / (1 + c) + d_i + jitter_j
@@ -471,24 +486,13 @@ class Sampling(Effect):
         return self.sample_rate_hz is None and not moved
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Ticks:
-    """Times of M samples."""
-
-    stamped_s: FloatArray  # (M,), in the record, s
-    true_s: FloatArray  # (M,), when they were taken, without the delay of a channel, s
-
-
-def ticks_of(effect: Sampling, time: FloatArray, rng: np.random.Generator) -> Ticks:
-    """Return the times of the samples that lie within a motion."""
+def ticks_of(effect: Sampling, time: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return the times of the samples within a motion, (M,) s: in the record, and when taken, without a channel's delay."""
     if effect.on_grid:
-        return Ticks(stamped_s=time, true_s=time)
-    if effect.sample_rate_hz is None:
-        stamped = time
-    else:
-        stamped = (
-            time[0] + np.arange(int((time[-1] - time[0]) * effect.sample_rate_hz * 1.5) + 2) / effect.sample_rate_hz
-        )
+        return time, time
+    stamped, rate = time, effect.sample_rate_hz
+    if rate is not None:
+        stamped = time[0] + np.arange(int((time[-1] - time[0]) * rate * 1.5) + 2) / rate
     true = time[0] + (stamped - time[0]) / (1.0 + effect.clock_error)
     true = true + effect.jitter_s * rng.standard_normal(len(true))
     delays = np.concatenate((effect.gyro_delay_s, effect.accel_delay_s, [0.0]))
@@ -499,7 +503,7 @@ def ticks_of(effect: Sampling, time: FloatArray, rng: np.random.Generator) -> Ti
             f"sampling: wanted two samples or more in order of time, got {int(inside.sum())} within the motion; "
             "give a longer motion, or a jitter well below the sample period"
         )
-    return Ticks(stamped_s=stamped[inside], true_s=true[inside])
+    return stamped[inside], true[inside]
 
 
 def instant(x: FloatArray, time: FloatArray, at: FloatArray, delay_s: FloatArray) -> FloatArray:
@@ -588,10 +592,9 @@ class ThermalScale(Effect):
         """Return the factor at a temperature."""
         return 1.0 + polynomial(self.per_k, np.asarray(warmth, dtype=float))
 
-
-def warmed(x: FloatArray, effect: ThermalScale, scene: Scene) -> FloatArray:
-    """Return a signal at the sensitivity of its temperature."""
-    return x * effect.factor(scene.warmth)
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal at the sensitivity of its temperature."""
+        return x * self.factor(scene.warmth)
 
 
 # ---- Thermometer: felt' = (T + s (1 - exp(-t / lag)) - felt) / lag, exact for a straight T
@@ -614,40 +617,41 @@ class Thermometer(Effect):
     zero_c: float = quantity("", None, 0.0)  # Temperature of code 0, degC
     rounding: Rounding = quantity("", None, "nearest")  # nearest, floor or toward_zero
 
+    def shown(self, felt: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return the readings of a thermometer that feels a temperature: trim, slope, noise and steps, degC."""
+        reading: FloatArray = felt + self.trim_error_c + self.slope_error * (felt - TRIM_TEMP_C)
+        if self.noise_c > 0.0:
+            reading = reading + rng.normal(0.0, self.noise_c, len(reading))
+        if self.step_c == 0.0:
+            return reading
+        return rounded((reading - self.zero_c) / self.step_c, self.rounding) * self.step_c + self.zero_c
+
+    def felt(self, scene: Scene, past: Past) -> FloatArray:
+        """Return what it feels: lag and its own warmth, degC."""
+        temp = scene.temp_c
+        if self.lag_s == 0.0:
+            return temp + self.self_heating_c
+        own: FloatArray = self.self_heating_c * -np.expm1(-scene.age_s / self.lag_s)
+        felt, before = past.state or (float(temp[0]), float(temp[0]))
+        if past.state is None and np.ptp(temp) == 0.0:
+            past.state = felt, before
+            return temp + own
+        from scipy.signal import lfilter
+
+        check_even(scene, "thermometer")
+        ratio = scene.step_s / self.lag_s
+        keep = math.exp(-ratio)
+        mean = -math.expm1(-ratio) / ratio  # of the weight over a step
+        b = [1.0 - mean, mean - keep]
+        lagging = np.asarray(lfilter(b, [1.0, -keep], temp, zi=[keep * felt + b[1] * before])[0])
+        past.state = float(lagging[-1]), float(temp[-1])
+        return lagging + own
+
 
 def lm335(*, bits: int = 12, reference_v: float = 5.0, lag_s: float = 80.0, self_heating_c: float = 0.6) -> Thermometer:
     """Return an LM335 behind a converter, trimmed without error."""
     step = reference_v / 2**bits / LM335_V_PER_K
     return Thermometer(lag_s=lag_s, self_heating_c=self_heating_c, step_c=step, zero_c=KELVIN_ZERO_C)
-
-
-def thermometer_reading(effect: Thermometer, scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """Return the readings of the thermometer, degC."""
-    felt = _felt(effect, scene)
-    reading: FloatArray = felt + effect.trim_error_c + effect.slope_error * (felt - TRIM_TEMP_C)
-    if effect.noise_c > 0.0:
-        reading = reading + rng.normal(0.0, effect.noise_c, len(reading))
-    if effect.step_c == 0.0:
-        return reading
-    code: FloatArray = rounded((reading - effect.zero_c) / effect.step_c, effect.rounding)
-    return code * effect.step_c + effect.zero_c
-
-
-def _felt(effect: Thermometer, scene: Scene) -> FloatArray:
-    if effect.lag_s == 0.0:
-        return scene.temp_c + effect.self_heating_c
-    own: FloatArray = effect.self_heating_c * -np.expm1(-scene.age_s / effect.lag_s)
-    if np.ptp(scene.temp_c) == 0.0:
-        return scene.temp_c + own
-    from scipy.signal import lfilter
-
-    check_even(scene, "thermometer")
-    ratio = scene.step_s / effect.lag_s
-    keep = math.exp(-ratio)
-    mean = -math.expm1(-ratio) / ratio  # of the weight over a step
-    b = [1.0 - mean, mean - keep]
-    lagging = lfilter(b, [1.0, -keep], scene.temp_c, zi=[keep * scene.temp_c[0] + b[1] * scene.temp_c[0]])[0]
-    return np.asarray(lagging) + own
 
 
 # ---- Warm-up: y = x - A (1 + k D) exp(-t / tau), what is lacking of the settled offset [4]
@@ -661,12 +665,10 @@ class WarmUp(Effect):
     time_constant_s: float = quantity("", least=1e-9)  # s
     per_k: FloatArray = quantity("", (3,), 0.0)  # (3,), relative change of the amplitude with temperature, per K
 
-
-def warming_up(x: FloatArray, effect: WarmUp, scene: Scene) -> FloatArray:
-    """Return a signal of a device that warms up."""
-    fading = np.exp(-scene.age_s / effect.time_constant_s)[:, None]
-    lacking: FloatArray = effect.amplitude * (1.0 + np.outer(scene.warmth, effect.per_k)) * fading
-    return x - lacking
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        """Return a signal of a device that warms up."""
+        fading = np.exp(-scene.age_s / self.time_constant_s)[:, None]
+        return np.asarray(x - self.amplitude * (1.0 + np.outer(scene.warmth, self.per_k)) * fading)
 
 
 # ---- The chain
@@ -694,14 +696,22 @@ class SensorChain(Effect):
     adc: Adc | None = quantity("", None, None)  # Converter
 
     @property
+    def _amplified(self) -> Amplifier:
+        return self.amplifier or WIRE
+
+    @property
+    def _per_code(self) -> float:
+        return self.adc.step if self.adc and self.adc.codes else 1.0
+
+    @property
     def gain(self) -> float:
         """Nominal gain of the whole chain, unit of the reading per rad/s or m/s2."""
-        return self.scale.nominal_sensitivity * (self.amplifier.gain if self.amplifier else 1.0) / self._per_code
+        return self.scale.nominal_sensitivity * self._amplified.gain / self._per_code
 
     @property
     def null(self) -> float:
         """Reading at zero signal, unit of the reading."""
-        return (self.amplifier.null if self.amplifier else 0.0) / self._per_code
+        return self._amplified.null / self._per_code
 
     @property
     def forward_matrix(self) -> FloatArray:
@@ -711,8 +721,7 @@ class SensorChain(Effect):
     @property
     def raw_offset(self) -> FloatArray:
         """Reading at zero input and reference temperature, unit of the reading, shape (3,)."""
-        offset = self.offset.constant if self.offset else np.zeros(3)
-        return np.asarray(self.null + self.gain * offset)
+        return np.asarray(self.null + self.gain * (self.offset.constant if self.offset else np.zeros(3)))
 
     @property
     def raw_random_walk(self) -> FloatArray:
@@ -720,37 +729,48 @@ class SensorChain(Effect):
         return np.asarray(self.gain * (self.white_noise.random_walk if self.white_noise else np.zeros(3)))
 
     @property
-    def full_scale(self) -> float:
-        """Largest rate or force either way that the amplifier and the converter take, rad/s or m/s2."""
-        limits = [np.inf]
-        total = self.scale.nominal_sensitivity * (self.amplifier.gain if self.amplifier else 1.0)
-        null = self.amplifier.null if self.amplifier else 0.0
-        if self.amplifier:
-            limits += [(null - self.amplifier.low) / total, (self.amplifier.high - null) / total]
-        if self.adc:
-            low, high = self.adc.code_limits
-            limits += [(null - low * self.adc.step) / total, (high * self.adc.step - null) / total]
-        return float(min(limits))
+    def rails(self) -> FloatArray:
+        """Signal at the rails of the amplifier, nominal input units, (2,)."""
+        amplifier = self._amplified
+        total = amplifier.gain * self.scale.nominal_sensitivity
+        return (np.array([amplifier.low, amplifier.high]) - amplifier.null) / total
 
     @property
-    def _per_code(self) -> float:
-        return self.adc.step if self.adc and self.adc.codes else 1.0
+    def full_scale(self) -> float:
+        """Largest rate or force either way that the amplifier and the converter take, rad/s or m/s2."""
+        limits = self.rails
+        if self.adc:
+            codes = np.array(self.adc.code_limits) * self.adc.step - self._amplified.null
+            limits = np.vstack((limits, codes / (self._amplified.gain * self.scale.nominal_sensitivity)))
+        return float((limits * [-1.0, 1.0]).min())
+
+    def stages(self, x: FloatArray, scene: Scene, pasts: Mapping[str, Past]) -> Iterator[tuple[str, FloatArray]]:
+        """Yield each effect that is switched on, in order, up to the converter, and the signal behind it."""
+        arm = self.lever_arm.force(scene) if self.lever_arm else np.zeros((1, 3, 3))
+        own = np.einsum("nii->ni", arm)
+        for name in effects_of(self):
+            if name == "lever_arm":
+                x = x + own
+            elif name == "scale":  # x holds each sensor's own part already
+                x = scaled(x - own, self.scale, arm) if self.lever_arm else scaled(x, self.scale)
+            elif name == "amplifier":
+                x = np.clip(x, *self.rails)
+            elif name != "adc":
+                x = getattr(self, name).apply(x, scene, pasts[name])
+            if name != "adc":
+                yield name, x
+
+    def reading(self, x: FloatArray) -> FloatArray:
+        """Return what a signal becomes behind the amplifier: the reading, or what the converter takes."""
+        return self._amplified.null + self._amplified.gain * self.scale.nominal_sensitivity * x
 
     def without_noise(self) -> "SensorChain":
         """Return the same sensors with no noise, no rounding and no end to their range; the reading keeps its unit."""
         step = self._per_code
-        open_amplifier = Amplifier(
-            gain=(self.amplifier.gain if self.amplifier else 1.0) / step, null=self.null if self.amplifier else 0.0
-        )
+        free = Amplifier(gain=self._amplified.gain / step, null=self.null)
         needed = self.amplifier is not None or step != 1.0
-        return replace(
-            self,
-            white_noise=None,
-            instability=None,
-            random_walk=None,
-            amplifier=open_amplifier if needed else None,
-            adc=None,
-        )
+        quiet = dict.fromkeys(("white_noise", "instability", "random_walk", "adc"))
+        return replace(self, **quiet, amplifier=free if needed else None)  # type: ignore[arg-type]
 
 
 def effects_of(chain: SensorChain) -> tuple[str, ...]:

@@ -14,8 +14,8 @@ noise. The root is drawn from the caller's generator, 128 bits at a time.
 
 import math
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,33 +24,18 @@ from undrift.errors import InputError
 from undrift.record import Record
 from undrift.sim.device.effects import (
     RATIO,
-    Averaging,
     BiasInstability,
+    Past,
     Sampling,
     Scene,
     SensorChain,
-    Ticks,
-    amplified,
-    bent,
     converted,
-    difference_equation,
+    effects_of,
     instant,
     interval,
-    lever_arm_force,
-    low_passed,
-    scaled,
     scene_of,
     step_means,
-    thermometer_reading,
     ticks_of,
-    warmed,
-    warming_up,
-    with_g,
-    with_hysteresis,
-    with_instability,
-    with_offset,
-    with_random_walk,
-    with_white_noise,
 )
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.motion.motion import Motion
@@ -69,6 +54,11 @@ class Streams:
         """Return the stream of one effect."""
         key = zlib.crc32(effect.encode())
         return np.random.default_rng(np.random.SeedSequence(self.root, spawn_key=(key,)))
+
+    def pasts(self, chain: SensorChain, name: str) -> dict[str, Past]:
+        """Return what the effects of a chain begin with."""
+        short = {"white_noise": "white", "random_walk": "walk"}
+        return {effect: Past(self.of(f"{name}_{short.get(effect, effect)}")) for effect in effects_of(chain)}
 
 
 def draw_streams(rng: np.random.Generator) -> Streams:
@@ -175,93 +165,66 @@ def simulate_device(
     motion = motion if known.all() else _bridged(motion)
     scene = scene_of(motion, true_temp, model.reference_temp_c, power_on_s)
     streams, clock = draw_streams(rng), model.sampling
-    ticks = ticks_of(clock, motion.time, streams.of("jitter"))
-    gyro_raw, gyro = _triad(
-        model.gyro,
-        motion.mean_rate_b if clock.gyro_averaging == "interval" else motion.rate_b,
-        scene,
-        streams,
-        _Sampler("gyro", ticks, clock.on_grid, clock.gyro_delay_s, clock.gyro_averaging),
-    )
-    felt = np.isfinite(motion.force_b).all()
+    stamped, taken = ticks = ticks_of(clock, motion.time, streams.of("jitter"))
+    rate = motion.mean_rate_b if clock.gyro_averaging == "interval" else motion.rate_b
+    gyro_raw, gyro = _triad(model, "gyro", rate, scene, streams, ticks)
+    felt = bool(np.isfinite(motion.force_b).all())
     if model.gyro.g_sensitivity and not felt:
         raise InputError(
             "g-sensitivity: wanted a motion with specific force, got one without positions; switch the effect off, or give "
             "poses with positions"
         )
-    accel_raw, accel = _unfelt(len(ticks.true_s))
     if felt:
-        accel_raw, accel = _triad(
-            model.accel,
-            step_means(motion.force_b, motion.time) if clock.accel_averaging == "interval" else motion.force_b,
-            scene,
-            streams,
-            _Sampler("accel", ticks, clock.on_grid, clock.accel_delay_s, clock.accel_averaging),
-        )
-    shown = thermometer_reading(model.thermometer, scene, streams.of("thermometer"))
-    seen = np.interp(ticks.true_s, motion.time, known.astype(float)) > 1.0 - 1e-9
+        force = step_means(motion.force_b, motion.time) if clock.accel_averaging == "interval" else motion.force_b
+        accel_raw, accel = _triad(model, "accel", force, scene, streams, ticks)
+    else:
+        accel_raw = np.full((len(taken), 3), np.nan)
+        accel = Triad(true=accel_raw, contributions=(), saturated=np.zeros(accel_raw.shape, dtype=bool))
+    thermometer, past = model.thermometer, Past(streams.of("thermometer"))
+    shown = thermometer.shown(thermometer.felt(scene, past), past.rng)
+    seen = np.interp(taken, motion.time, known.astype(float)) > 1.0 - 1e-9
+    latest = np.maximum(np.searchsorted(scene.time, taken + 1e-12, side="right") - 1, 0)
     record = Record(
-        time=ticks.stamped_s,
+        time=stamped,
         gyro=np.where(seen[:, None], gyro_raw, np.nan),
         accel=np.where(seen[:, None], accel_raw, np.nan) if felt else None,
-        temp_c=_latest(shown, scene.time, ticks),
+        temp_c=shown if clock.on_grid else shown[latest],
         gyro_unit=model.gyro.unit,
         accel_unit=model.accel.unit,
         device=model.serial,
     )
-    temp_taken = true_temp if clock.on_grid else np.interp(ticks.true_s, scene.time, true_temp)
-    return Simulated(record=record, gyro=gyro, accel=accel, temp_c=temp_taken, true_time=ticks.true_s)
-
-
-@dataclass(frozen=True, slots=True)
-class _Sampler:
-    """How the signals of one triad are taken."""
-
-    name: str
-    ticks: Ticks
-    on_grid: bool
-    delay_s: FloatArray
-    averaging: Averaging
-
-    @property
-    def period_s(self) -> float:
-        stamped = self.ticks.stamped_s
-        return float((stamped[-1] - stamped[0]) / (len(stamped) - 1))
-
-    def take(self, x: FloatArray, time: FloatArray) -> FloatArray:
-        if self.on_grid:
-            return x
-        taken = interval if self.averaging == "interval" else instant
-        return taken(x, time, self.ticks.true_s, self.delay_s)
-
-    def on_ticks(self, x: FloatArray, time: FloatArray) -> FloatArray:
-        """Return a signal of the motion's grid at the samples, straight between neighbours: linear, so that sums stay sums."""
-        if self.on_grid:
-            return x
-        return np.stack([np.interp(self.ticks.true_s, time, x[:, k]) for k in range(3)], axis=1)
+    temp_taken = true_temp if clock.on_grid else np.interp(taken, scene.time, true_temp)
+    return Simulated(record=record, gyro=gyro, accel=accel, temp_c=temp_taken, true_time=taken)
 
 
 def _triad(
-    chain: SensorChain, true: FloatArray, scene: Scene, streams: Streams, sampler: _Sampler
-) -> tuple[FloatArray, Triad]:
+    model: DeviceModel, name: Literal["gyro", "accel"], true: FloatArray, scene: Scene, streams: Streams,
+    ticks: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, Triad]:  # fmt: skip
     """Return the readings of one triad and the truth about them."""
+    chain: SensorChain = getattr(model, name)
+    clock, (stamped, taken_s), pasts = model.sampling, ticks, streams.pasts(chain, name)
+
+    def on_ticks(x: FloatArray) -> FloatArray:  # straight between neighbours: linear, so that sums stay sums
+        return x if clock.on_grid else np.stack([np.interp(taken_s, scene.time, column) for column in x.T], axis=1)
+
+    late = chain.white_noise if chain.low_pass is None and not clock.on_grid else None
     found: list[Contribution] = []
     x = true
-    late = chain.white_noise if chain.low_pass is None and not sampler.on_grid else None
-    early = replace(chain, white_noise=None) if late else chain
-    for effect, stage in _stages(early, scene, streams, sampler.name):
-        y = stage(x)
-        found.append(Contribution(effect=effect, value=sampler.on_ticks(y - x, scene.time)))
+    for effect, y in (replace(chain, white_noise=None) if late else chain).stages(x, scene, pasts):
+        found.append(Contribution(effect=effect, value=on_ticks(y - x)))
         x = y
-    taken = sampler.take(x, scene.time)
-    if not sampler.on_grid:
-        found.append(Contribution(effect="sampling", value=taken - sampler.on_ticks(x, scene.time)))
+    taken = x
+    if not clock.on_grid:
+        averaging = interval if getattr(clock, f"{name}_averaging") == "interval" else instant
+        taken = averaging(x, scene.time, taken_s, getattr(clock, f"{name}_delay_s"))
+        found.append(Contribution(effect="sampling", value=taken - on_ticks(x)))
     if late:  # nothing but the sampling limits its band: independent from sample to sample, whatever the motion's grid
-        noisy = with_white_noise(taken, late, sampler.period_s, streams.of(f"{sampler.name}_white"))
+        period_s = float((stamped[-1] - stamped[0]) / (len(stamped) - 1))
+        noisy = late.apply(taken, replace(scene, step_s=period_s), pasts["white_noise"])
         found.append(Contribution(effect="white_noise", value=noisy - taken))
         taken = noisy
-    amplifier, sensitivity = chain.amplifier, chain.scale.nominal_sensitivity
-    reading = amplifier.null + amplifier.gain * sensitivity * taken if amplifier else sensitivity * taken
+    reading = chain.reading(taken)
     held = np.zeros(reading.shape, dtype=bool)
     for c in found:
         if c.effect == "amplifier":  # it changes nothing but what a rail holds
@@ -270,57 +233,7 @@ def _triad(
         reading, beyond = converted(reading, chain.adc)
         found.append(Contribution(effect="adc", value=(reading - chain.null) / chain.gain - taken))
         held |= beyond
-    truth = sampler.on_ticks(true, scene.time)
-    return reading, Triad(true=truth, contributions=tuple(found), saturated=held)
-
-
-Stage = Callable[[FloatArray], FloatArray]
-
-
-def _stages(chain: SensorChain, scene: Scene, streams: Streams, name: str) -> list[tuple[str, Stage]]:
-    """Return the effects of a chain that are switched on, in order, up to the converter."""
-    arm = lever_arm_force(chain.lever_arm, scene) if chain.lever_arm else None
-    stages: list[tuple[str, Stage]] = []
-    if arm is not None:
-        stages.append(("lever_arm", lambda x: x + np.einsum("nii->ni", arm)))
-    stages.append(("scale", lambda x: _scaled(x, chain, arm)))
-    if bend := chain.nonlinearity:
-        stages.append(("nonlinearity", lambda x: bent(x, bend)))
-    if felt := chain.g_sensitivity:
-        stages.append(("g_sensitivity", lambda x: with_g(x, felt, scene)))
-    if offset := chain.offset:
-        stages.append(("offset", lambda x: with_offset(x, offset, scene)))
-    if warmth := chain.thermal_scale:
-        stages.append(("thermal_scale", lambda x: warmed(x, warmth, scene)))
-    if drift := chain.rate_drift:
-        stages.append(("rate_drift", lambda x: x + drift.error(x, scene.warmth)))
-    if young := chain.warm_up:
-        stages.append(("warm_up", lambda x: warming_up(x, young, scene)))
-    if loop := chain.hysteresis:
-        stages.append(("hysteresis", lambda x: with_hysteresis(x, loop, scene)))
-    if white := chain.white_noise:
-        stages.append(("white_noise", lambda x: with_white_noise(x, white, scene.step_s, streams.of(f"{name}_white"))))
-    if flicker := chain.instability:
-        stages.append(("instability", lambda x: with_instability(x, flicker, scene, streams.of(f"{name}_instability"))))
-    if walk := chain.random_walk:
-        stages.append(("random_walk", lambda x: with_random_walk(x, walk, scene, streams.of(f"{name}_walk"))))
-    if amplifier := chain.amplifier:
-        stages.append(("amplifier", lambda x: amplified(x, amplifier, chain.scale.nominal_sensitivity)[0]))
-    if low_pass := chain.low_pass:
-        stages.append(("low_pass", lambda x: low_passed(x, low_pass, scene)))
-    return stages
-
-
-def _scaled(x: FloatArray, chain: SensorChain, arm: FloatArray | None) -> FloatArray:
-    if arm is None:
-        return scaled(x, chain.scale)
-    return scaled(x - np.einsum("nii->ni", arm), chain.scale, arm)  # x holds each sensor's own part already
-
-
-def _unfelt(samples: int) -> tuple[FloatArray, Triad]:
-    """Return the side of accelerometers in a motion whose specific force is not known."""
-    unknown = np.full((samples, 3), np.nan)
-    return unknown, Triad(true=unknown, contributions=(), saturated=np.zeros((samples, 3), dtype=bool))
+    return reading, Triad(true=on_ticks(true), contributions=tuple(found), saturated=held)
 
 
 def _bridged(motion: Motion) -> Motion:
@@ -344,13 +257,6 @@ def _filled(x: FloatArray, time: FloatArray) -> FloatArray:
     if not known.any():
         return x
     return np.stack([np.interp(time, time[known], x[known, k]) for k in range(x.shape[1])], axis=1)
-
-
-def _latest(shown: FloatArray, time: FloatArray, ticks: Ticks) -> FloatArray:
-    """Return the thermometer's reading that is there when a sample is taken."""
-    if ticks.true_s is time:
-        return shown
-    return np.asarray(shown[np.maximum(np.searchsorted(time, ticks.true_s + 1e-12, side="right") - 1, 0)])
 
 
 # ---- Dwells
@@ -407,44 +313,37 @@ def simulate_dwells(
     samples = np.maximum(np.round(dwells.duration_s * sample_rate_hz).astype(np.int64), 1)
     steady = simulate_device(
         _steady(device), _motion(dwells), rng=streams.of("steady"), temp_c=dwells.temp_c, power_on_s=dwells.start_s[0]
-    )
-    shown = steady.record.temp_c if steady.record.temp_c is not None else dwells.temp_c
-    gyro, accel = steady.record.gyro, steady.record.accel
-    found: list[FloatArray] = []
-    for name, chain, level in (("gyro", device.gyro, gyro), ("accel", device.accel, accel)):
+    ).record
+    found: dict[str, FloatArray] = {}
+    for name, level in (("gyro", steady.gyro), ("accel", steady.accel)):
         if level is None:
             raise InputError(f"dwells: wanted {name} readings of the device, got none")
-        flicker = _flicker(chain.instability, dwells, streams.of(f"{name}_instability"))
+        chain = getattr(device, name)
+        level = level + _flicker(chain.instability, dwells, streams.of(f"{name}_instability"))
         lengths = samples if name == "gyro" or felt is None else np.where(felt, samples, 1)
-        found += _averaged(chain, level + flicker, lengths, sample_rate_hz, streams, name)
-    return DwellReadings(
-        gyro=found[0], gyro_variance=found[1], accel=found[2], accel_variance=found[3], samples=samples, temp_c=shown
-    )
+        draws = streams.of(f"{name}_white")
+        found[name], found[f"{name}_variance"] = _averaged(chain, level, lengths, sample_rate_hz, draws)
+    temp_c = dwells.temp_c if steady.temp_c is None else steady.temp_c
+    return DwellReadings(**found, samples=samples, temp_c=temp_c)
 
 
 def _steady(device: DeviceModel) -> DeviceModel:
     """Return the device with all that is steady over a dwell, in nominal input units: no noise, filter, gain, rails or codes."""
-
-    def bare(chain: SensorChain, unit: str) -> SensorChain:
-        nothing = replace(
-            chain, white_noise=None, instability=None, random_walk=None, amplifier=None, low_pass=None, adc=None
-        )
-        return replace(nothing, unit=unit, scale=replace(chain.scale, nominal_sensitivity=1.0))
-
-    return replace(
-        device,
-        gyro=bare(device.gyro, "rad/s"),
-        accel=bare(device.accel, "m/s2"),
-        sampling=Sampling(),
-        thermometer=replace(device.thermometer, lag_s=0.0),
+    off: dict[str, Any] = dict.fromkeys(
+        ("white_noise", "instability", "random_walk", "amplifier", "low_pass", "adc"), None
     )
+    gyro, accel = (
+        replace(chain, **off, unit=unit, scale=replace(chain.scale, nominal_sensitivity=1.0))
+        for chain, unit in ((device.gyro, "rad/s"), (device.accel, "m/s2"))
+    )
+    thermometer = replace(device.thermometer, lag_s=0.0)
+    return replace(device, gyro=gyro, accel=accel, sampling=Sampling(), thermometer=thermometer)
 
 
 def _motion(dwells: Dwells) -> Motion:
     n = len(dwells)
-    middle = dwells.start_s + 0.5 * dwells.duration_s
     return Motion(
-        time=middle,
+        time=dwells.start_s + 0.5 * dwells.duration_s,
         q_nb=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
         rate_b=dwells.rate_b,
         mean_rate_b=dwells.rate_b,
@@ -459,8 +358,7 @@ def _flicker(effect: BiasInstability | None, dwells: Dwells, rng: np.random.Gene
     """Return the mean of the flicker over each dwell, nominal input units, shape (N, 3)."""
     from undrift.kernels.device import follow
 
-    n = len(dwells)
-    total = np.zeros((n, 3))
+    total = np.zeros((len(dwells), 3))
     if effect is None:
         return total
     sd = effect.instability * math.sqrt(math.log(RATIO) / math.pi)
@@ -468,7 +366,7 @@ def _flicker(effect: BiasInstability | None, dwells: Dwells, rng: np.random.Gene
     for constant in effect.time_constants_s.tolist():
         share = length / constant
         shrink = np.sqrt(np.maximum(2.0 / share * (1.0 + np.expm1(-share) / share), 0.0))  # of the mean over a dwell
-        draws = rng.standard_normal((n, 3))
+        draws = rng.standard_normal(total.shape)
         if constant > float(np.median(length)):
             follow(draws, np.exp(-np.diff(middle) / constant))
         total += sd * shrink[:, None] * draws
@@ -476,32 +374,28 @@ def _flicker(effect: BiasInstability | None, dwells: Dwells, rng: np.random.Gene
 
 
 def _averaged(
-    chain: SensorChain, level: FloatArray, samples: IntArray, sample_rate_hz: float, streams: Streams, name: str
-) -> list[FloatArray]:
+    chain: SensorChain, level: FloatArray, samples: IntArray, sample_rate_hz: float, draws: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     from undrift.kernels.device import dwell_readings
 
     step_s = 1.0 / sample_rate_hz
     white = chain.white_noise.random_walk / math.sqrt(step_s) if chain.white_noise else np.zeros(3)
-    b, a = np.tile([1.0, 0.0, 0.0], (3, 1)), np.tile([1.0, 0.0, 0.0], (3, 1))
+    b = a = np.tile([1.0, 0.0, 0.0], (3, 1))
     if chain.low_pass:
-        for axis in range(3):
-            b[axis], a[axis] = difference_equation(
-                float(chain.low_pass.cutoff_hz[axis]), float(chain.low_pass.quality[axis]), step_s
-            )
+        b, a = (np.array(side) for side in zip(*chain.low_pass.equations(step_s), strict=True))
     mean, variance = np.empty_like(level), np.empty_like(level)
     burn_in = round(BURN_IN_S * sample_rate_hz) if chain.low_pass else 0
     dwell_readings(
-        np.ascontiguousarray(level), samples, burn_in, np.array(white), b, a, _converter(chain), _rails(chain),
-        streams.of(f"{name}_white"), mean, variance,
+        np.ascontiguousarray(level), samples, burn_in, np.array(white), b, a, _converter(chain), chain.rails, draws,
+        mean, variance,
     )  # fmt: skip
-    return [mean, variance]
+    return mean, variance
 
 
 def _converter(chain: SensorChain) -> FloatArray:
     """Gain and null in the unit of the reading, first and last code, rounding."""
     if chain.adc is None or not chain.adc.codes:
         return np.array([chain.gain, chain.null, -np.inf, np.inf, 0.0])
-    first, last = chain.adc.code_limits
     rounding = {"nearest": 1.0, "floor": 2.0}.get(chain.adc.rounding)
     if rounding is None and not chain.adc.signed:
         rounding = 2.0  # codes from 0 up: toward zero is down
@@ -509,13 +403,4 @@ def _converter(chain: SensorChain) -> FloatArray:
         raise InputError(
             f"dwells: wanted a straight converter that rounds to nearest or down, got {chain.adc.rounding}; use simulate_device"
         )
-    return np.array([chain.gain, chain.null, float(first), float(last), rounding])
-
-
-def _rails(chain: SensorChain) -> FloatArray:
-    if chain.amplifier is None:
-        return np.array([-np.inf, np.inf])
-    total = chain.amplifier.gain * chain.scale.nominal_sensitivity
-    return np.array(
-        [(chain.amplifier.low - chain.amplifier.null) / total, (chain.amplifier.high - chain.amplifier.null) / total]
-    )
+    return np.array([chain.gain, chain.null, *chain.adc.code_limits, rounding])

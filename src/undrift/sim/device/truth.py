@@ -15,7 +15,7 @@ from undrift.model import (
     StaticDrift,
     TriadModel,
 )
-from undrift.sim.device.effects import SensorChain, bent
+from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import Grade, typical_device
 from undrift.units import STANDARD_GRAVITY
@@ -115,7 +115,7 @@ def _model(chain: SensorChain, warmth: float, unit_out: str) -> TriadModel:
 def _measured(chain: SensorChain, true: FloatArray, axis: int, warmth: float) -> FloatArray:
     """Return the rate that offset(T) and M(T) make of true rates about one axis, rad/s, shape (K,)."""
     x: FloatArray = true[:, None] * chain.scale.matrix[:, axis]
-    x = bent(x, chain.nonlinearity) if chain.nonlinearity else x
+    x = chain.nonlinearity.bent(x) if chain.nonlinearity else x
     offset = chain.offset.at(warmth) if chain.offset else np.zeros(3)
     factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
     x = (x + offset) * factor

@@ -20,11 +20,10 @@ How the emulated device writes its readings: lines with an XOR behind a star, or
 Both are written here from their definitions, apart from the readers in live/.
 """
 
-import math
 import struct
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, get_args
 from urllib.parse import urlencode
 
@@ -34,24 +33,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.record import FACES, Face
-from undrift.sim.device.effects import (
-    RATIO,
-    TRIM_TEMP_C,
-    Scene,
-    SensorChain,
-    Thermometer,
-    amplified,
-    bent,
-    converted,
-    difference_equation,
-    lever_arm_force,
-    rounded,
-    scaled,
-    warmed,
-    warming_up,
-    with_g,
-    with_offset,
-)
+from undrift.sim.device.effects import Past, Scene, converted
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.bench import earth_rate
@@ -63,173 +45,31 @@ from undrift.units import STANDARD_GRAVITY
 # ---- Readings of a simulated device as time goes on: chunk by chunk, with what it remembers carried from one to the next.
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DeviceSaid:
-    """Readings, n of them."""
-
-    gyro: FloatArray  # (n, 3), in the units of the device's chains
-    accel: FloatArray
-    temp_c: FloatArray  # (n,), degC
-
-
 class CausalDevice:
     """A device that is read as time goes on."""
 
     def __init__(self, device: DeviceModel, step_s: float, rng: np.random.Generator) -> None:
         streams = draw_streams(rng)
-        self.device = device
-        self._gyro = _Chain(
-            device.gyro, step_s, [streams.of(f"gyro_{name}") for name in ("white", "instability", "walk")]
-        )
-        self._accel = _Chain(
-            device.accel, step_s, [streams.of(f"accel_{name}") for name in ("white", "instability", "walk")]
-        )
-        self._thermometer = _Lag(device.thermometer, step_s, streams.of("thermometer"))
+        self.device, self._step = device, step_s
+        self._chains = [
+            (chain, streams.pasts(chain, name)) for chain, name in ((device.gyro, "gyro"), (device.accel, "accel"))
+        ]
+        for chain, pasts in self._chains:
+            if chain.instability:
+                past = pasts["instability"]
+                past.state = past.rng.standard_normal((len(chain.instability.time_constants_s), 3))
+        self._thermometer = Past(streams.of("thermometer"))
 
-    def read(self, scene: Scene, mean_rate_b: FloatArray) -> DeviceSaid:
-        """Return the readings of the next moments: mean_rate_b (n, 3) rad/s."""
-        averaging = self.device.sampling.gyro_averaging == "interval"
-        return DeviceSaid(
-            self._gyro.read(mean_rate_b if averaging else scene.rate_b, scene),
-            self._accel.read(scene.force_b, scene),
-            self._thermometer.read(scene),
-        )
-
-
-class _Chain:
-    """Three sensors and what they remember."""
-
-    def __init__(self, chain: SensorChain, step_s: float, noise: list[np.random.Generator]) -> None:
-        self._chain, self._step = chain, step_s
-        self._white, self._flicker, self._walk = noise
-        self._walked: FloatArray | None = None
-        self._flickers: list[FloatArray] = []
-        self._follower: float | None = None
-        self._low: list[tuple[FloatArray, FloatArray]] = []
-        self._low_state: list[FloatArray] = []
-        if chain.low_pass:
-            pairs = zip(chain.low_pass.cutoff_hz.tolist(), chain.low_pass.quality.tolist(), strict=True)
-            self._low = [difference_equation(cutoff, quality, step_s) for cutoff, quality in pairs]
-
-    def read(self, x: FloatArray, scene: Scene) -> FloatArray:
-        chain = self._chain
-        x = self._noisy(self._felt(x, scene))
-        if chain.amplifier:
-            x = amplified(x, chain.amplifier, chain.scale.nominal_sensitivity)[0]
-        if self._low:
-            x = self._low_passed(x)
-        sensitivity, amplifier = chain.scale.nominal_sensitivity, chain.amplifier
-        reading: FloatArray = amplifier.null + amplifier.gain * sensitivity * x if amplifier else sensitivity * x
-        return converted(reading, chain.adc)[0] if chain.adc else reading
-
-    def _felt(self, x: FloatArray, scene: Scene) -> FloatArray:
-        """Return what the sensors make of the scene, free of noise."""
-        chain = self._chain
-        x = scaled(x, chain.scale, lever_arm_force(chain.lever_arm, scene) if chain.lever_arm else None)
-        if chain.nonlinearity:
-            x = bent(x, chain.nonlinearity)
-        if chain.g_sensitivity:
-            x = with_g(x, chain.g_sensitivity, scene)
-        if chain.offset:
-            x = with_offset(x, chain.offset, scene)
-        if chain.thermal_scale:
-            x = warmed(x, chain.thermal_scale, scene)
-        if chain.rate_drift:
-            x = x + chain.rate_drift.error(x, scene.warmth)
-        if chain.warm_up:
-            x = warming_up(x, chain.warm_up, scene)
-        return x + self._hysteresis(scene) if chain.hysteresis else x
-
-    def _hysteresis(self, scene: Scene) -> FloatArray:
-        loop = self._chain.hysteresis
-        if loop is None:
-            return np.zeros((len(scene.time), 3))
-        at = float(scene.temp_c[0]) if self._follower is None else self._follower
-        behind = np.empty(len(scene.temp_c))
-        for k, temp in enumerate(scene.temp_c.tolist()):
-            at = min(max(at, temp - loop.play_k), temp + loop.play_k)
-            behind[k] = (at - temp) / loop.play_k
-        self._follower = at
-        return np.outer(behind, loop.amplitude)
-
-    def _noisy(self, x: FloatArray) -> FloatArray:
-        chain = self._chain
-        if chain.white_noise:
-            x = x + self._white.standard_normal(x.shape) * (chain.white_noise.random_walk / math.sqrt(self._step))
-        if chain.instability:
-            x = x + self._flickering(len(x)) * chain.instability.instability * math.sqrt(math.log(RATIO) / math.pi)
-        if chain.random_walk:
-            steps = self._walk.standard_normal(x.shape) * (chain.random_walk.bias_walk * math.sqrt(self._step))
-            if self._walked is None:  # the first reading has not walked yet
-                self._walked, steps[0] = np.zeros(3), 0.0
-            walked = self._walked + np.cumsum(steps, axis=0)
-            self._walked = walked[-1]
-            x = x + walked
-        return x
-
-    def _flickering(self, n: int) -> FloatArray:
-        from scipy.signal import lfilter
-
-        effect = self._chain.instability
-        constants = [] if effect is None else effect.time_constants_s.tolist()
-        if not self._flickers:
-            self._flickers = [self._flicker.standard_normal(3) for _ in constants]
-        total = np.zeros((n, 3))
-        for k, constant in enumerate(constants):
-            keep = math.exp(-self._step / constant)
-            fresh = self._flicker.standard_normal((n, 3)) * math.sqrt(-math.expm1(-2.0 * self._step / constant))
-            y = np.asarray(lfilter([1.0], [1.0, -keep], fresh, axis=0, zi=(keep * self._flickers[k])[None, :])[0])
-            self._flickers[k] = y[-1]
-            total += y
-        return total
-
-    def _low_passed(self, x: FloatArray) -> FloatArray:
-        from scipy.signal import lfilter
-
-        if not self._low_state:  # it had been resting before the first reading
-            self._low_state = [
-                np.array([1.0 - b[0], b[2] - a[2]]) * x[0, axis] for axis, (b, a) in enumerate(self._low)
-            ]
-        out = np.empty_like(x)
-        for axis, (b, a) in enumerate(self._low):
-            out[:, axis], self._low_state[axis] = lfilter(b, a, x[:, axis], zi=self._low_state[axis])
-        return out
-
-
-class _Lag:
-    """The board thermometer and what it remembers."""
-
-    def __init__(self, thermometer: Thermometer, step_s: float, noise: np.random.Generator) -> None:
-        self._what, self._step, self._noise = thermometer, step_s, noise
-        self._felt: float | None = None
-        self._before = 0.0
-
-    def read(self, scene: Scene) -> FloatArray:
-        what = self._what
-        felt = self._lagging(scene.temp_c)
-        young = 1.0 if what.lag_s == 0.0 else -np.expm1(-scene.age_s / what.lag_s)
-        felt = felt + what.self_heating_c * young
-        shown: FloatArray = felt + what.trim_error_c + what.slope_error * (felt - TRIM_TEMP_C)
-        if what.noise_c > 0.0:
-            shown = shown + self._noise.normal(0.0, what.noise_c, len(shown))
-        if what.step_c == 0.0:
-            return shown
-        whole: FloatArray = rounded((shown - what.zero_c) / what.step_c, what.rounding) * what.step_c + what.zero_c
-        return whole
-
-    def _lagging(self, temp: FloatArray) -> FloatArray:
-        from scipy.signal import lfilter
-
-        if self._what.lag_s == 0.0:
-            return temp
-        if self._felt is None:
-            self._felt = self._before = float(temp[0])
-        ratio = self._step / self._what.lag_s
-        keep, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
-        b = [1.0 - mean, mean - keep]
-        felt = np.asarray(lfilter(b, [1.0, -keep], temp, zi=[keep * self._felt + b[1] * self._before])[0])
-        self._felt, self._before = float(felt[-1]), float(temp[-1])
-        return felt
+    def read(self, scene: Scene, mean_rate_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the next readings of gyroscopes, accelerometers (n, 3) and thermometer (n,): mean_rate_b (n, 3) rad/s."""
+        averaging, thermometer = self.device.sampling.gyro_averaging == "interval", self.device.thermometer
+        scene, read = replace(scene, step_s=self._step), []
+        moved = (mean_rate_b if averaging else scene.rate_b, scene.force_b)
+        for (chain, pasts), x in zip(self._chains, moved, strict=True):
+            *_, (_, felt) = chain.stages(x, scene, pasts)
+            read.append(converted(chain.reading(felt), chain.adc)[0] if chain.adc else chain.reading(felt))
+        shown = thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
+        return read[0], read[1], shown
 
 
 # ---- How the emulated device writes its readings: lines with an XOR behind a star, or frames with sync bytes and a CRC-16.
@@ -440,8 +280,7 @@ class EmulatedDevice:
         counts = np.arange(self._next, last + 1)
         self._next = last + 1
         scene, mean = self._scene(np.minimum(counts * self._step, now))
-        read = self._device.read(scene, mean)
-        self._send(counts, np.column_stack((read.gyro, read.accel, read.temp_c)))
+        self._send(counts, np.column_stack(self._device.read(scene, mean)))
 
     def _scene(self, times: FloatArray) -> tuple[Scene, FloatArray]:
         """Return what surrounds the device at moments, and its mean rate over the step before each."""
