@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from characterisation.shared import Result, call, folder, text_file, undrift
+from testkit.loop_margins import loop_margins, ramp_error_counts
 from undrift.rig.programme import (
     Dwell,
     Mount,
@@ -19,7 +20,7 @@ from undrift.rig.programme import (
     whole_turns_time,
 )
 from undrift.rig.rig import ACCELERATION, JOG, JOG_BY_TWO, SLEW, CountScale, Position, achieved_turn_rate
-from undrift.sim.rig.axes import ServoSettings, loop_margins, ramp_error_counts
+from undrift.sim.rig.axes import ServoSettings
 from undrift.study.figure3 import figure3
 from undrift.study.plan import Space, Study, StudyTask
 from undrift.study.rivals import optimal_rates, prediction_sd, rate_table_minutes

@@ -11,7 +11,7 @@ from testkit.scripted_server import Scripted
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.chamber import ChamberSettings, ScpiChamber, SoakSettings, Steadiness, open_chamber
 from undrift.sim.rig.axes import HostClock
-from undrift.sim.rig.bench import AirSettings, EmulatedChamber
+from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
 
 SPEED = 200.0
 SOAK = SoakSettings(window_s=60.0)

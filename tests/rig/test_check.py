@@ -13,12 +13,13 @@ import pytest
 
 from testkit.data import show
 from testkit.galil_bench import GalilBench
+from testkit.loop_margins import loop_margins
 from undrift.errors import InputError, LimitError, LinkError, RigFault
 from undrift.rig.check import CheckSettings, check_rig, steady_part
 from undrift.rig.galil import GalilRig
 from undrift.rig.link import Clock
 from undrift.rig.rig import Gains, Limits, RigSettings, Trace, open_rig
-from undrift.sim.rig.axes import ServoSettings, loop_margins
+from undrift.sim.rig.axes import ServoSettings
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
 DEGREE = math.pi / 180.0

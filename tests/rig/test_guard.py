@@ -15,7 +15,7 @@ from undrift.rig.guard import Guard, StopWatch, mark_stop, watch
 from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import open_rig
 from undrift.rig.run import Progress, Watch
-from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench
+from undrift.sim.rig.emulator import EmulatedBenchSettings, start_bench
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"

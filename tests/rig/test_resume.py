@@ -19,8 +19,7 @@ from undrift.io.session import read_session
 from undrift.rig import folder as folder_file
 from undrift.rig.folder import JOURNAL, RunFolder, read_journal
 from undrift.rig.programme import Protocol, write_protocol
-from undrift.sim.rig.bench import EmulatedBenchSettings, start_bench
-from undrift.sim.rig.emulator import EmulatorSettings
+from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 10.0

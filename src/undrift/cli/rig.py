@@ -177,8 +177,8 @@ def emulate(
     """
     from undrift.rig.guard import stopping_on_signals
     from undrift.sim.device.model import write_device
-    from undrift.sim.rig.bench import AirSettings, EmulatedBenchSettings, start_bench
-    from undrift.sim.rig.emulator import EmulatorSettings
+    from undrift.sim.device.presets import PRESETS
+    from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatorSettings, start_bench
     from undrift.sim.rig.stream import StreamSettings
 
     stream = StreamSettings(
@@ -383,7 +383,7 @@ def _bench(
     from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import Bench
-    from undrift.sim.rig.bench import BenchHands
+    from undrift.sim.rig.emulator import BenchHands
 
     rig, device, chamber, operator = addresses
     source = source_at(device)

@@ -42,9 +42,8 @@ from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import draw_task
-from undrift.sim.rig.bench import AirSettings, BenchHands, EmulatedBenchSettings, start_bench
-from undrift.sim.rig.bench import Bench as EmulatedBench
-from undrift.sim.rig.emulator import EmulatorSettings
+from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBenchSettings, EmulatorSettings, start_bench
+from undrift.sim.rig.emulator import Bench as EmulatedBench
 from undrift.sim.rig.stream import StreamSettings
 from undrift.study.case import ROOM_TEMP_C
 from undrift.study.figure3 import worn_record

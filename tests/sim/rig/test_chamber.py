@@ -8,7 +8,7 @@ import pytest
 
 from undrift.errors import InputError
 from undrift.sim.rig.axes import HandClock
-from undrift.sim.rig.bench import Air, AirSettings, EmulatedChamber
+from undrift.sim.rig.emulator import Air, AirSettings, EmulatedChamber
 
 
 def heated(settings: AirSettings, to_c: float, duration_s: float) -> tuple[np.ndarray, np.ndarray]:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.loop_margins import loop_margins, ramp_error_counts
 from undrift.errors import InputError
 from undrift.kernels import device as k
-from undrift.sim.rig.axes import Axis, ServoSettings, loop_margins, ramp_error_counts
+from undrift.sim.rig.axes import Axis, ServoSettings
 
 DEG_PER_COUNT = 360.0 / 40_000
 IDEAL = ServoSettings(quantise=False, coulomb_friction=0.0)

@@ -20,8 +20,7 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import EARTH_RATE
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.rig.axes import HandClock
-from undrift.sim.rig.bench import AirSettings, BenchHands, EmulatedBenchSettings, start_bench
-from undrift.sim.rig.emulator import EmulatorSettings
+from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.sim.rig.stream import CHANNELS, CausalDevice, EmulatedDevice, StreamSettings, frame_of, line_of
 from undrift.units import STANDARD_GRAVITY
 
@@ -273,7 +272,7 @@ def test_a_bench_that_cannot_open_all_its_parts_leaves_none_open():
     before = threading.active_count()
     with start_bench(EmulatedBenchSettings(device=DEVICE)) as bench:
         taken = int(bench.chamber_address.rpartition(":")[2])
-        from undrift.sim.rig.bench import BenchPorts
+        from undrift.sim.rig.emulator import BenchPorts
 
         with pytest.raises(OSError):
             start_bench(EmulatedBenchSettings(device=DEVICE, ports=BenchPorts(hands=taken)))

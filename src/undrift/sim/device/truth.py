@@ -86,16 +86,6 @@ def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY)
     )
 
 
-def largest_departure(estimate: TriadModel, truth: TriadModel) -> float:
-    """Return how far an estimate lies from the truth, element by element, at most."""
-    sigma = estimate.standard_uncertainty
-    apart = np.abs(estimate.matrix - truth.matrix).ravel() / sigma[:9]
-    if estimate.g_sensitivity is not None:
-        true = np.zeros((3, 3)) if truth.g_sensitivity is None else truth.g_sensitivity
-        apart = np.concatenate((apart, np.abs(estimate.g_sensitivity - true).ravel() / sigma[12:]))
-    return float(apart.max())
-
-
 def _model(chain: SensorChain, warmth: float, unit_out: str) -> TriadModel:
     factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
     offset = chain.offset.at(warmth) if chain.offset else np.zeros(3)

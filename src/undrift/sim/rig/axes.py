@@ -1,9 +1,7 @@
-"""Axis: the emulated shaft and its servo, brought up to a moment when someone looks.
+"""Axis: the emulated shaft and its servo, brought up to a moment when someone looks; and the clocks of an emulated rig.
 
 The state is advanced in whole samples of the card. Where the axis was is kept in a ring of 1 ms steps, read back by cubic
-interpolation from angle and rate.
-
-Servo: the position loop of a sampled motion controller, its margins, and a test move.
+interpolation from angle and rate. The position loop is that of a sampled motion controller::
 
     e    = reference - count                                 counts
     word = 4 KP e + 4 KD (e - e_last) + KI/2 sum(e)          D(z) = 4 KP + 4 KD (1 - 1/z) + KI/2 / (1 - 1/z)
@@ -16,7 +14,6 @@ The defaults are the figures of the note, which are those of the makers' textboo
 crossover 522.8 rad/s, phase margin 44.2 deg, poles -189.4 +- 403.3j.
 """
 
-import cmath
 import math
 import time
 from dataclasses import dataclass
@@ -29,7 +26,7 @@ from undrift.errors import InputError
 from undrift.kernels import device as k
 from undrift.kernels.device import Coefficients
 
-# ---- Servo: the position loop of a sampled motion controller, its margins, and a test move.
+# ---- Servo: the position loop of a sampled motion controller
 
 _POSITIVE = (
     "torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage",
@@ -60,14 +57,10 @@ class ServoSettings:
     quantise: bool = True  # False gives an encoder without steps, for comparison with the linear loop
 
     def __post_init__(self) -> None:
-        for name in _POSITIVE:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"servo {name}: wanted a positive number, got {value}; give the loop's own figure")
-        for name in ("payload_inertia", "coulomb_friction", "viscous_friction", "cogging_torque"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InputError(f"servo {name}: wanted zero or more, got {value}; give the loop's own figure")
+        for name in (*_POSITIVE, "payload_inertia", "coulomb_friction", "viscous_friction", "cogging_torque"):
+            value, wanted = getattr(self, name), "a positive number" if name in _POSITIVE else "zero or more"
+            if not (math.isfinite(value) and value >= 0.0) or (value == 0.0 and name in _POSITIVE):
+                raise InputError(f"servo {name}: wanted {wanted}, got {value}; give the loop's own figure")
 
     @property
     def counts_per_turn(self) -> int:
@@ -78,72 +71,6 @@ class ServoSettings:
     def counts_per_rad(self) -> float:
         """Kf = 4N/2pi, counts/rad."""
         return self.counts_per_turn / (2.0 * math.pi)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopMargins:
-    """What a loop's coefficients say about it."""
-
-    crossover: float  # Where the open loop's gain is one, rad/s
-    phase_margin_deg: float  # Phase above -180 deg there
-    poles_z: tuple[complex, ...]  # Closed loop, sampled exactly
-    poles_s: tuple[complex, ...]  # ln(z)/T, rad/s, slowest first
-    largest_z: float  # Largest abs(z): the loop is stable below 1
-
-
-def loop_margins(servo: ServoSettings) -> LoopMargins:
-    """Return crossover, phase margin and poles of the linear loop (no friction, no steps, no clip).
-
-    Crossover and margin belong to L(s) = M(s) Ka Kd Kf (2/T)/(s + 2/T) D(s) with D(s) = 4 KP + 4 KD T s + KI/(2 T s), the
-    makers' way (DMC-2x00 manual, ch. 10). The poles are those of the sampled loop: (z-1)^2 + K T^2/2 (z+1) D(z) = 0.
-    """
-    gain = _plant_gain(servo)
-    kp, kd, ki = (4.0 * servo.gains[0], 4.0 * servo.gains[1], 0.5 * servo.gains[2])
-    period = servo.period_s
-
-    def open_loop(omega: float) -> complex:
-        s = 1j * omega
-        filtered = kp + kd * period * s + ki / (period * s)
-        return gain / s**2 * filtered / (1.0 + 0.5 * period * s)
-
-    low, high = 1e-6 / period, 1e3 / period
-    for _ in range(200):  # |L| falls all the way: bisection on a log scale
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if abs(open_loop(middle)) > 1.0 else (low, middle)
-    crossover = math.sqrt(low * high)
-    margin = math.pi + (cmath.phase(open_loop(crossover)) - 2.0 * math.pi) % (-2.0 * math.pi)
-    poles_z = closed_loop_poles(servo)
-    poles_s = sorted((cmath.log(complex(z)) / period for z in poles_z if abs(z) > 0.0), key=lambda s: -s.real)
-    return LoopMargins(
-        crossover=crossover,
-        phase_margin_deg=math.degrees(margin),
-        poles_z=tuple(complex(z) for z in poles_z),
-        poles_s=tuple(poles_s),
-        largest_z=float(np.abs(poles_z).max()),
-    )
-
-
-def closed_loop_poles(servo: ServoSettings) -> FloatArray:
-    """Return the poles of the sampled closed loop in z, (3,)."""
-    kp, kd, ki = (4.0 * servo.gains[0], 4.0 * servo.gains[1], 0.5 * servo.gains[2])
-    half = 0.5 * _plant_gain(servo) * servo.period_s**2
-    plant, lag = np.array([1.0, -2.0, 1.0]), np.array([1.0, 0.0])
-    top = np.array([kp + kd, -kd])  # D(z) z
-    if ki:
-        plant = np.polymul(plant, [1.0, -1.0])
-        top = np.polyadd(np.polymul(top, [1.0, -1.0]), [ki, 0.0, 0.0])
-    return np.asarray(np.roots(np.polyadd(np.polymul(plant, lag), half * np.polymul([1.0, 1.0], top))))
-
-
-def ramp_error_counts(servo: ServoSettings, acceleration_counts: float) -> float:
-    """Return the steady following error under constant acceleration: a / (Kt/J Ka Kd Kf 4KP)."""
-    return acceleration_counts / (_plant_gain(servo) * 4.0 * servo.gains[0])
-
-
-def _plant_gain(servo: ServoSettings) -> float:
-    # counts/s2 per count of the filter's word
-    total = servo.inertia + servo.payload_inertia
-    return servo.torque_constant / total * servo.amplifier_gain * servo.volts_per_count * servo.counts_per_rad
 
 
 def resting_coefficients(servo: ServoSettings) -> Coefficients:

@@ -1,47 +1,42 @@
-"""Emulator: a rig that does not exist, on a real socket.
+"""Emulator: a rig that does not exist, on a real socket; and a bench: table, chamber and device together, on one clock.
 
-Server: one thread that carries bytes between clients and an emulated machine, over TCP on the loopback and over a pty.
+The hands are a socket of their own: ``MOUNT +x`` is answered by ``OK +x``, ``FACE?`` by the face that points up. The chamber's
+language is read by a parser of its own: words joined by colons, commands by semicolons, a line ends with LF. Its air and board::
 
-The thread also brings the machine up to now every few milliseconds, so that it goes on while no client says anything.
+    r'  = the set-point's way, at most the ramp     what the controller follows
+    T'' = w^2 (r - T) - 2 z w T'                    air: second order, overshoots
+    B'  = (T - B) / lag                             board of the device
 
-Faults: what an emulated rig can be made to suffer, and what the real one would do.
-
-Faults of the link change the bytes of answers between card and client; faults of the rig are handed to the machine.
+Off, the air goes to the room's temperature with a time constant of its own; so it does, faster, with the door open. A stuck heater
+leaves r where it is and drifts up. Each step of time is solved with the trapezoidal rule for the air and exactly for the board.
 """
 
 import contextlib
-import os
-import random
-import selectors
+import math
 import socket
-import threading
-import time
-import tty
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Literal, Protocol, Self, get_args
+from typing import Literal, Self, cast, get_args
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError
-from undrift.sim.rig.axes import Clock, HostClock, ServoSettings
+from undrift.errors import InputError, RigFault
+from undrift.record import Face
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import random_device
+from undrift.sim.rig.axes import Axis, Clock, HostClock, ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
+from undrift.sim.rig.server import LINK_FAULTS, FaultyLink, Machine, Served, Server, Session
+from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 
-# ---- Faults: what an emulated rig can be made to suffer, and what the real one would do.
+# ---- Emulated rig
 
-LINK_FAULTS = {
-    "drop_bytes": "every third byte of each answer is lost",
-    "stall": "answers are held back until the fault is cleared, then come late; the card keeps executing its last command",
-    "garbage": "each answer is replaced by random bytes without a prompt",
-    "half_reply": "the second half of each answer, prompt included, is lost",
-    "slow_link": "answers come at 20 bytes a second of the host's time",
-    "late_reply": "each answer comes 0.5 s late, host's time",
-    "disconnect": "every client's socket is closed once; the card keeps executing its last command, clients may come back",
-}
 RIG_FAULTS = {
     "amplifier_fault": "no torque while it lasts; with OE1 the card switches the motor off, SC 8; else the error grows",
     "encoder_loss": "the count freezes and the axis runs away, until the error passes ER with OE1: motor off, SC 8",
@@ -51,277 +46,7 @@ RIG_FAULTS = {
     "power_cut": "sockets close, none is accepted, the axis coasts to rest by friction; cleared, the card starts afresh",
     "message": "the card sends a line that nobody asked for, once",
 }
-SLOW_BYTES_PER_S = 20.0
-LATE_S = 0.5
 
-
-def check_fault(name: str) -> None:
-    """Refuse a fault that is not one."""
-    if name not in LINK_FAULTS and name not in RIG_FAULTS:
-        known = ", ".join((*LINK_FAULTS, *RIG_FAULTS))
-        raise InputError(f"fault: wanted one of {known}, got '{name}'; name one of them")
-
-
-class FaultyLink:
-    """What the link does to answers."""
-
-    def __init__(self, seed: int = 0) -> None:
-        self._active: dict[str, int | None] = {}  # answers that it still lasts for; None without end
-        self._random = random.Random(seed)
-        self._lock = threading.Lock()
-
-    def start(self, name: str, answers: int | None) -> None:
-        """Let a fault begin."""
-        with self._lock:
-            self._active[name] = answers
-
-    def stop(self, name: str | None) -> None:
-        """Let a fault end."""
-        with self._lock:
-            if name is None:
-                self._active.clear()
-            else:
-                self._active.pop(name, None)
-
-    @property
-    def stalled(self) -> bool:
-        """Whether answers are held back."""
-        with self._lock:
-            return "stall" in self._active
-
-    def take_disconnect(self) -> bool:
-        """Tell, once, that clients are to be cut off."""
-        with self._lock:
-            return self._active.pop("disconnect", 0) != 0
-
-    def pass_on(self, answer: bytes, free_at: float) -> list[tuple[float, bytes]]:
-        """Return an answer as it arrives: pieces with the host's time at which each is sent."""
-        now = max(time.monotonic(), free_at)
-        with self._lock:
-            if self._struck("garbage"):
-                letters = [byte for byte in range(256) if byte not in b":?"]
-                answer = bytes(self._random.choice(letters) for _ in range(len(answer) + 8))
-            if self._struck("half_reply"):
-                answer = answer[: len(answer) // 2]
-            if self._struck("drop_bytes"):
-                answer = (
-                    bytes(byte for place, byte in enumerate(answer, start=1) if place % 3) if len(answer) > 1 else b""
-                )
-            if self._struck("late_reply"):
-                now = max(time.monotonic() + LATE_S, free_at)
-            if self._struck("slow_link"):
-                step = 1.0 / SLOW_BYTES_PER_S
-                return [(now + step * (place + 1), answer[place : place + 1]) for place in range(len(answer))]
-        return [(now, answer)]
-
-    def _struck(self, name: str) -> bool:
-        if name not in self._active:
-            return False
-        left = self._active[name]
-        if left is not None:
-            if left <= 1:
-                del self._active[name]
-            else:
-                self._active[name] = left - 1
-        return True
-
-
-# ---- Server: one thread that carries bytes between clients and an emulated machine, over TCP on the loopback and over a pty.
-
-TICK_S = 0.005
-READ_SIZE = 4096
-
-
-class Session(Protocol):
-    """What a machine gives to a client."""
-
-    def greet(self) -> bytes:
-        """Return what a new client hears."""
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes, return answers."""
-
-    def unasked(self) -> bytes:
-        """Return unsolicited messages."""
-
-
-class Machine(Protocol):
-    """What stands behind the server."""
-
-    def open_session(self, serial: bool) -> Session:
-        """Return a new client's session."""
-
-    def close_session(self, session: object) -> None:
-        """Forget a client."""
-
-    def tick(self) -> None:
-        """Come up to now."""
-
-
-class _Client:
-    def __init__(self, session: Session, connection: socket.socket | None, descriptor: int) -> None:
-        self.session, self.connection, self.descriptor = session, connection, descriptor
-        self.pending: deque[tuple[float, bytes]] = deque()
-
-    def free_at(self) -> float:
-        return self.pending[-1][0] if self.pending else 0.0
-
-
-class Server:
-    """Serves until closed."""
-
-    def __init__(self, machine: Machine, link: FaultyLink, address: tuple[str, int], with_pty: bool = False) -> None:
-        self._machine, self._link = machine, link
-        self._listener = socket.create_server(address)
-        self._listener.setblocking(False)
-        self.host, self.port = self._listener.getsockname()[:2]
-        self.pty_path: str | None = None
-        self._wake, self._woken = socket.socketpair()
-        self._woken.setblocking(False)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
-        self._selector.register(self._woken, selectors.EVENT_READ)
-        self._clients: list[_Client] = []
-        self._descriptors: tuple[int, ...] = ()
-        self._dark = self._closing = False
-        self._settled = threading.Event()
-        if with_pty:
-            self._open_pty()
-        self._thread = threading.Thread(target=self._serve, name="emulated-rig", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """End the thread and close every socket; harmless when called again."""
-        if not self._closing:
-            self._closing = True
-            with contextlib.suppress(OSError):  # the thread may have seen it by itself, and closed all
-                self._wake.send(b"x")
-            self._thread.join()
-
-    def set_dark(self, dark: bool) -> None:
-        """Cut the power: clients are dropped and none is taken until it comes back."""
-        self._dark = dark
-        self.settle()
-
-    def settle(self, timeout_s: float = 2.0) -> None:
-        """Wait until the thread has gone round once more."""
-        self._settled.clear()
-        self._wake.send(b"x")
-        self._settled.wait(timeout_s)
-
-    def _open_pty(self) -> None:
-        near, far = os.openpty()
-        tty.setraw(far)
-        os.set_blocking(near, False)
-        self._descriptors = (near, far)  # the far end stays open: a client may come and go
-        self.pty_path = os.ttyname(far)
-        self._clients.append(_Client(self._machine.open_session(serial=True), None, near))
-        self._selector.register(near, selectors.EVENT_READ)
-
-    def _serve(self) -> None:
-        try:
-            while not self._closing:
-                settling = not self._settled.is_set()
-                for key, _ in self._selector.select(self._wait()):
-                    self._ready(key.fileobj)
-                self._machine.tick()
-                if self._dark or self._link.take_disconnect():
-                    self._drop_all()
-                for client in list(self._clients):
-                    self._speak(client)
-                if settling:
-                    self._settled.set()
-        finally:
-            self._tear_down()
-
-    def _wait(self) -> float:
-        due = min((client.pending[0][0] for client in self._clients if client.pending), default=None)
-        return TICK_S if due is None else min(max(due - time.monotonic(), 0.0), TICK_S)
-
-    def _ready(self, source: object) -> None:
-        if source is self._woken:
-            self._woken.recv(READ_SIZE)
-        elif source is self._listener:
-            self._accept()
-        else:
-            client = next((c for c in self._clients if source in (c.connection, c.descriptor)), None)
-            if client is not None:
-                self._hear(client)
-
-    def _accept(self) -> None:
-        try:
-            connection, _ = self._listener.accept()
-        except OSError:
-            return
-        if self._dark:
-            connection.close()
-            return
-        connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        client = _Client(self._machine.open_session(serial=False), connection, connection.fileno())
-        self._clients.append(client)
-        self._selector.register(connection, selectors.EVENT_READ)
-        self._queue(client, client.session.greet())
-
-    def _hear(self, client: _Client) -> None:
-        try:
-            data = os.read(client.descriptor, READ_SIZE)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(client)
-            return
-        for answer in client.session.feed(data):
-            self._queue(client, answer)
-
-    def _queue(self, client: _Client, answer: bytes) -> None:
-        if answer:
-            client.pending.extend(self._link.pass_on(answer, client.free_at()))
-
-    def _speak(self, client: _Client) -> None:
-        self._queue(client, client.session.unasked())
-        if self._link.stalled:
-            return
-        while client.pending and client.pending[0][0] <= time.monotonic():
-            due, data = client.pending.popleft()
-            try:
-                sent = os.write(client.descriptor, data) if data else 0
-            except BlockingIOError:
-                sent = 0
-            except OSError:
-                self._drop(client)
-                return
-            if sent < len(data):  # the client does not read: keep the rest for later
-                client.pending.appendleft((due, data[sent:]))
-                return
-
-    def _drop_all(self) -> None:
-        for client in list(self._clients):
-            self._drop(client)
-
-    def _drop(self, client: _Client) -> None:
-        client.pending.clear()
-        if client.connection is None:  # a terminal stays; what is in its line is lost
-            return
-        self._selector.unregister(client.connection)
-        client.connection.close()
-        self._machine.close_session(client.session)
-        self._clients.remove(client)
-
-    def _tear_down(self) -> None:
-        self._drop_all()
-        self._selector.close()
-        self._listener.close()
-        self._wake.close()
-        self._woken.close()
-        for descriptor in self._descriptors:
-            os.close(descriptor)
-        self._settled.set()
-
-
-# ---- emulator
 
 EmulatorKind = Literal["galil", "grbl"]
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -354,14 +79,14 @@ class Emulator:
             raise InputError(
                 f"emulator host: wanted one of {', '.join(LOOPBACK)}, got '{settings.host}'; it serves this computer only"
             )
-        GalilMachine(settings.servo, settings.card, HostClock()).card.axis.warm()
+        Axis(settings.servo, 1.0).warm()
         chosen = clock or HostClock(settings.speed)
         self.settings, self.clock = settings, chosen
-        self.machine: GalilMachine | GrblMachine
-        if settings.kind == "galil":
-            self.machine = GalilMachine(settings.servo, settings.card, chosen, settings.history_s)
-        else:
-            self.machine = GrblMachine(settings.grbl, chosen, settings.history_s)
+        self.machine: GalilMachine | GrblMachine = (
+            GalilMachine(settings.servo, settings.card, chosen, settings.history_s)
+            if settings.kind == "galil"
+            else GrblMachine(settings.grbl, chosen, settings.history_s)
+        )
         self._broken: set[str] = set()
         self._link = FaultyLink(settings.fault_seed)
         self._server = Server(self.machine, self._link, (settings.host, settings.port), settings.with_pty)
@@ -419,7 +144,7 @@ class Emulator:
 
     def inject(self, fault: str, *, answers: int | None = None) -> None:
         """Let a fault begin; the names and what each does stand in sim/rig/emulator.py."""
-        check_fault(fault)
+        self._check(fault)
         if fault in LINK_FAULTS:
             self._link.start(fault, answers)
         else:
@@ -429,10 +154,16 @@ class Emulator:
             self._server.set_dark(True)
         self._server.settle()
 
+    @staticmethod
+    def _check(fault: str) -> None:
+        if fault not in (*LINK_FAULTS, *RIG_FAULTS):
+            known = ", ".join((*LINK_FAULTS, *RIG_FAULTS))
+            raise InputError(f"fault: wanted one of {known}, got '{fault}'; name one of them")
+
     def clear(self, fault: str | None = None) -> None:
         """Let a fault end; after a power cut the rig starts afresh."""
         if fault is not None:
-            check_fault(fault)
+            self._check(fault)
         self._link.stop(fault)
         for name in sorted(self._broken & ({fault} if fault else self._broken)):
             self.machine.set_fault(name, False)
@@ -444,3 +175,299 @@ class Emulator:
 def start_emulator(settings: EmulatorSettings | None = None, *, clock: Clock | None = None) -> Emulator:
     """Start an emulated rig; use it in a `with` block, or close it."""
     return Emulator(settings or EmulatorSettings(), clock)
+
+
+# ---- The air of an emulated chamber and the board in it.
+
+STEP_S = 0.5
+OFF_S = 1200.0  # time constant of a chamber that is off, s
+DOOR_S = 60.0
+STUCK_C_PER_MIN = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AirSettings:
+    """How the air moves."""
+
+    room_c: float = 25.0  # Temperature around, and at the start, degC
+    ramp_c_per_min: float = 3.0  # Steepest change of the controller's own set-point, K/min
+    period_s: float = 120.0  # 2 pi / w, s
+    damping: float = 0.6  # z; below 1 overshoots
+    board_lag_s: float = 60.0  # Time constant of the device's board, s
+
+    def __post_init__(self) -> None:
+        for name in ("ramp_c_per_min", "period_s", "damping", "board_lag_s"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"emulated chamber: wanted {name} above 0, got {getattr(self, name)}; state it")
+
+
+class Air:
+    """Air and board, advanced when someone looks."""
+
+    def __init__(self, settings: AirSettings) -> None:
+        self.settings = settings
+        self.set_point = self.aim = settings.room_c
+        self.ramp_c_per_min = settings.ramp_c_per_min
+        self.on = self.stuck = self.door_open = False
+        self.speed = 0.0
+        self.time, self.temp, self.board = [0.0], [settings.room_c], [settings.room_c]
+
+    def advance(self, time: float) -> None:
+        """Go on to a moment, or a step beyond it."""
+        while self.time[-1] < time:
+            temp = self._next(self.temp[-1])
+            keep = math.exp(-STEP_S / self.settings.board_lag_s)
+            mean = (1.0 - keep) * self.settings.board_lag_s / STEP_S  # weight of where the air comes from and goes to
+            board = keep * self.board[-1] + (mean - keep) * self.temp[-1] + (1.0 - mean) * temp
+            self.time.append(self.time[-1] + STEP_S)
+            self.temp.append(temp)
+            self.board.append(board)
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return air and board at moments that have been reached: times (n,) s -> (n,) degC."""
+        first = max(int(float(times[0]) / STEP_S) - 1, 0)
+        last = int(float(times[-1]) / STEP_S) + 3
+        grid = self.time[first:last]
+        return np.interp(times, grid, self.temp[first:last]), np.interp(times, grid, self.board[first:last])
+
+    def _next(self, temp: float) -> float:
+        if self.door_open or not self.on:
+            keep = math.exp(-STEP_S / (DOOR_S if self.door_open else OFF_S))
+            after = self.settings.room_c + (temp - self.settings.room_c) * keep
+            self.aim, self.speed = after, (after - temp) / STEP_S
+            return after
+        reach = self.ramp_c_per_min / 60.0 * STEP_S
+        wanted = self.aim + STUCK_C_PER_MIN / 60.0 * STEP_S if self.stuck else self.set_point
+        self.aim += min(max(wanted - self.aim, -reach), reach)
+        w = 2.0 * math.pi / self.settings.period_s
+        h, damp = STEP_S / 2.0, 2.0 * self.settings.damping * w
+        speed = (self.speed * (1.0 - h * damp - h * h * w * w) + 2.0 * h * w * w * (self.aim - temp)) / (
+            1.0 + h * damp + h * h * w * w
+        )
+        after = temp + h * (self.speed + speed)
+        self.speed = speed
+        return after
+
+
+# ---- An emulated thermal chamber on a loopback socket, with faults.
+
+CHAMBER_FAULTS = {
+    "stuck_heater": "the heater no longer follows the set-point; the air creeps up by 0.5 K/min",
+    "open_door": "the air goes to the room's temperature with a time constant of 60 s",
+}
+LOWEST_C, HIGHEST_C, STEEPEST_C_PER_MIN = -40.0, 130.0, 600.0
+IDENTITY = "undrift,emulated chamber,0,1.0"
+NO_ERROR = '0,"No error"'
+
+
+class EmulatedChamber(Served):
+    """A chamber that listens until closed."""
+
+    name, faults = "chamber", CHAMBER_FAULTS
+
+    def __init__(self, settings: AirSettings, clock: Clock, host: str = "127.0.0.1", port: int = 0) -> None:
+        super().__init__(clock)
+        self.air = Air(settings)
+        self._errors: deque[str] = deque(maxlen=16)
+        self.serve((host, port))
+        self.address = f"tcp://{self._server.host}:{self._server.port}"
+
+    def new_session(self, serial: bool) -> "ChamberSession":
+        """Make what a client talks to."""
+        return ChamberSession(self)
+
+    def tick(self) -> None:
+        """Bring the air up to now."""
+        with self.lock:
+            self.air.advance(self.clock.now())
+
+    def board_temp(self, times: FloatArray) -> FloatArray:
+        """Return the temperature of the device's board at moments up to now: times (n,) s -> (n,) degC."""
+        with self.lock:
+            self.air.advance(float(times[-1]))
+            return self.air.at(times)[1]
+
+    def set_fault(self, fault: str, on: bool) -> None:
+        """Break or mend a part."""
+        setattr(self.air, "stuck" if fault == "stuck_heater" else "door_open", on)
+
+    def obey(self, line: str) -> str:
+        """Do what a line says."""
+        with self.lock:
+            self.air.advance(self.clock.now())
+            answers = [self._obey_one(command.strip().removeprefix(":")) for command in line.split(";")]
+        return ";".join(answer for answer in answers if answer)
+
+    def _obey_one(self, command: str) -> str:
+        word, _, value = command.upper().partition(" ")
+        asked: dict[str, Callable[[], str]] = {
+            "*IDN?": lambda: IDENTITY,
+            "TEMP:SPO?": lambda: f"{self.air.set_point:.1f}",
+            "TEMP:RAMP?": lambda: f"{self.air.ramp_c_per_min:.2f}",
+            "MEAS:TEMP?": lambda: f"{self.air.at(np.array([self.clock.now()]))[0][0]:.2f}",
+            "OUTP?": lambda: str(int(self.air.on)),
+            "SYST:ERR?": lambda: self._errors.popleft() if self._errors else NO_ERROR,
+        }
+        if word in asked:
+            return asked[word]()
+        if word == "TEMP:SPO":
+            self.air.set_point = self._number(value, LOWEST_C, HIGHEST_C, self.air.set_point)
+        elif word == "TEMP:RAMP":
+            self.air.ramp_c_per_min = self._number(value, 0.01, STEEPEST_C_PER_MIN, self.air.ramp_c_per_min)
+        elif word == "OUTP" and value.strip() in ("ON", "OFF", "1", "0"):
+            self.air.on = value.strip() in ("ON", "1")
+        elif word:
+            self._errors.append('-113,"Undefined header"')
+        return ""
+
+    def _number(self, text: str, low: float, high: float, held: float) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            self._errors.append('-104,"Data type error"')
+            return held
+        if not low <= value <= high:
+            self._errors.append('-222,"Data out of range"')
+            return held
+        return value
+
+
+class ChamberSession(Session):
+    """One client of a chamber."""
+
+    def __init__(self, chamber: EmulatedChamber) -> None:
+        super().__init__()
+        self._chamber, self._held = chamber, b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes, return answers."""
+        *lines, self._held = (self._held + data).split(b"\n")
+        self._held = self._held[-1024:]
+        answers = [self._chamber.obey(line.decode("ascii", errors="replace")) for line in lines]
+        return [answer.encode("ascii") + b"\n" for answer in answers if answer]
+
+
+# ---- bench
+
+HANDS_TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchPorts:
+    """Where the parts of a bench listen; 0 takes a free port."""
+
+    chamber: int = 0  # Of the chamber and of the hands; table and device have theirs in their own settings
+    hands: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EmulatedBenchSettings:
+    """What is emulated."""
+
+    rig: EmulatorSettings = field(default_factory=EmulatorSettings)  # The table; its speed is that of the whole bench
+    air: AirSettings = field(default_factory=AirSettings)  # The chamber
+    stream: StreamSettings = field(default_factory=StreamSettings)  # How the device is mounted and sends
+    device: DeviceModel | None = None  # The hidden truth; None draws one of consumer grade from the stream's seed
+    ports: BenchPorts = field(default_factory=BenchPorts)  # Where the chamber and the hands listen
+
+
+class Bench:
+    """A running bench; a context manager that closes it."""
+
+    def __init__(self, settings: EmulatedBenchSettings, clock: Clock | None = None) -> None:
+        self.settings = settings
+        chosen = settings.device or random_device(np.random.default_rng(settings.stream.seed), grade="consumer")
+        self.device: DeviceModel = chosen
+        with contextlib.ExitStack() as opened:
+            self.rig: Emulator = opened.enter_context(start_emulator(settings.rig, clock=clock))
+            host = settings.rig.host
+            self.chamber = EmulatedChamber(settings.air, self.rig.clock, host, settings.ports.chamber)
+            opened.callback(self.chamber.close)
+            self.stream = EmulatedDevice(chosen, self.rig, self.chamber.board_temp, self.rig.clock, settings.stream)
+            opened.callback(self.stream.close)
+            hands = Server(_Hands(self.stream), FaultyLink(), (host, settings.ports.hands))
+            opened.callback(hands.close)
+            self._opened = opened.pop_all()
+        options = f"?clock_speed={settings.rig.speed!r}"
+        if settings.rig.kind == "galil":
+            options += f"&encoder_lines={settings.rig.servo.encoder_lines}"
+        self.rig_address = f"{settings.rig.kind}:tcp://{self.rig.host}:{self.rig.port}{options}"
+        self.device_address = self.stream.address(settings.rig.speed)
+        self.chamber_address = self.chamber.address
+        self.hands_address = f"tcp://{hands.host}:{hands.port}"
+
+    def __enter__(self) -> Self:
+        """Return the bench itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def mount(self, face: Face) -> None:
+        """Mount the device with another face up."""
+        self.stream.mount(face)
+
+    def close(self) -> None:
+        """Close every socket and end every thread; harmless when called again."""
+        self._opened.close()
+
+
+class BenchHands:
+    """Hands of an emulated bench in another process, as a run asks for them."""
+
+    def __init__(self, address: str) -> None:
+        parts = urlsplit(address)
+        if parts.scheme != "tcp" or not parts.hostname or not parts.port:
+            raise InputError(f"hands: wanted tcp://host:port, got '{address}'; rig emulate prints it")
+        self._place = (parts.hostname, parts.port)
+
+    def mount(self, up: Face) -> None:
+        """Have the device mounted."""
+        try:
+            with socket.create_connection(self._place, timeout=HANDS_TIMEOUT_S) as link:
+                link.sendall(f"MOUNT {up}\n".encode("ascii"))
+                answer = link.makefile("r", encoding="ascii", errors="replace").readline().strip()
+        except OSError as error:
+            raise RigFault(f"hands: wanted {up} up, got '{error}'; is the emulated bench running?") from error
+        if answer != f"OK {up}":
+            raise RigFault(f"hands: wanted {up} up, got '{answer}'; mount it with a face that there is")
+
+
+def start_bench(settings: EmulatedBenchSettings | None = None, *, clock: Clock | None = None) -> Bench:
+    """Start an emulated bench; use it in a `with` block, or close it."""
+    return Bench(settings or EmulatedBenchSettings(), clock)
+
+
+class _Hands(Machine):
+    """What stands behind the hands' socket."""
+
+    def __init__(self, device: EmulatedDevice) -> None:
+        super().__init__(device.clock)
+        self._device = device
+
+    def new_session(self, serial: bool) -> Session:
+        return _HandsSession(self._device)
+
+
+class _HandsSession(Session):
+    def __init__(self, device: EmulatedDevice) -> None:
+        super().__init__()
+        self._device = device
+
+    def feed(self, data: bytes) -> list[bytes]:
+        return [self._answer(line.strip()).encode("ascii") + b"\n" for line in data.decode("latin-1").splitlines()]
+
+    def _answer(self, line: str) -> str:
+        if line == "FACE?":
+            return str(self._device.face)
+        word, _, face = line.partition(" ")
+        try:
+            if word != "MOUNT":
+                raise InputError("hands: wanted MOUNT +x or FACE?, got another word; say one of them")
+            self._device.mount(cast(Face, face))
+        except InputError as error:
+            return f"ERROR {error}".encode("ascii", errors="replace").decode("ascii")
+        return f"OK {face}"

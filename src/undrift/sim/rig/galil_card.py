@@ -1,24 +1,18 @@
-"""An emulated Galil card: its language, numbers, programs and what it tells.
+"""Card: an emulated one-axis Galil controller: its settings, its motor, its motions, its numbers and what it tells.
 
-Card: a one-axis motion controller: its settings, its motor, its motions and what ends them.
-
-Time is the axis's; `advance` brings both up to a moment and handles what happened on the way, in order.
-
-Words of the card's language: error texts, and the numbers that its settings take.
-
-Ranges, steps and defaults are those of the 1400 class as DOMAIN 3.1 gathers them; codes are those of its TC table.
-
-Expressions of the card's language: numbers, operands, variables and functions, worked from left to right.
-
-The card knows no precedence: 1+2*3 is 9. Comparisons give 1 or 0. Numbers lie within +-2147483647.9999.
+Time is the axis's; `advance` brings both up to a moment and handles what happened on the way, in order. Ranges, steps and defaults
+of settings are those of the 1400 class as DOMAIN 3.1 gathers them; codes are those of its TC table. Expressions are worked from
+left to right: the card knows no precedence, 1+2*3 is 9. Comparisons give 1 or 0. Numbers lie within +-2147483647.9999.
 """
 
 import math
+import operator
 import re
 import struct
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 from undrift.kernels import device as k
 from undrift.kernels.device import Coefficients
@@ -26,42 +20,39 @@ from undrift.sim.rig.axes import Axis, ServoSettings
 
 # ---- Words of the card's language: error texts, and the numbers that its settings take.
 
-UNKNOWN, ONLY_IN_PROGRAM, NOT_IN_PROGRAM, OPERAND, BUFFER_FULL, OUT_OF_RANGE = 1, 2, 3, 4, 5, 6
-RUNNING, NOT_RUNNING, VARIABLE, NO_LABEL, JOG_ONLY, PROGRAM_RUNNING = 7, 8, 9, 10, 13, 17
-MOTOR_OFF, BEGIN_RUNNING, AT_LIMIT = 20, 21, 22
-NOT_ENOUGH, NO_QUESTION, PARENTHESES, LINE_TOO_LONG, NOT_A_NUMBER = 50, 51, 59, 60, 83
-NO_ROOM, RECORDING_RUNS, NO_ARRAY = 66, 80, 82
-SERIAL_TIMEOUT, PERIOD_TIMEOUT = 131, 143
 
-ERROR_TEXT = {
-    0: "",
-    UNKNOWN: "Unrecognized command",
-    ONLY_IN_PROGRAM: "Command only valid from program",
-    NOT_IN_PROGRAM: "Command not valid in program",
-    OPERAND: "Operand error",
-    BUFFER_FULL: "Input buffer full",
-    OUT_OF_RANGE: "Number out of range",
-    RUNNING: "Command not valid while running",
-    NOT_RUNNING: "Command not valid when not running",
-    VARIABLE: "Variable error",
-    NO_LABEL: "Empty program line or undefined label",
-    JOG_ONLY: "JG only valid when running in jog mode",
-    PROGRAM_RUNNING: "ED, BN and DL not valid while program running",
-    MOTOR_OFF: "Begin not valid with motor off",
-    BEGIN_RUNNING: "Begin not valid while running",
-    AT_LIMIT: "Begin not possible due to Limit Switch",
-    NOT_ENOUGH: "Not enough fields",
-    NO_QUESTION: "Question mark not valid",
-    PARENTHESES: "Mismatched parentheses",
-    LINE_TOO_LONG: "Download error - line too long or too many lines",
-    NO_ROOM: "Array space full",
-    RECORDING_RUNS: "Record mode already running",
-    NO_ARRAY: "Undefined array",
-    NOT_A_NUMBER: "Not a valid number",
-    SERIAL_TIMEOUT: "Serial port timeout",
-    PERIOD_TIMEOUT: "TM timed out",
-}
+class Error(Enum):
+    """Codes of TC and their texts."""
 
+    NONE = 0, ""
+    UNKNOWN = 1, "Unrecognized command"
+    ONLY_IN_PROGRAM = 2, "Command only valid from program"
+    NOT_IN_PROGRAM = 3, "Command not valid in program"
+    OPERAND = 4, "Operand error"
+    BUFFER_FULL = 5, "Input buffer full"
+    OUT_OF_RANGE = 6, "Number out of range"
+    RUNNING = 7, "Command not valid while running"
+    NOT_RUNNING = 8, "Command not valid when not running"
+    VARIABLE = 9, "Variable error"
+    NO_LABEL = 10, "Empty program line or undefined label"
+    JOG_ONLY = 13, "JG only valid when running in jog mode"
+    PROGRAM_RUNNING = 17, "ED, BN and DL not valid while program running"
+    MOTOR_OFF = 20, "Begin not valid with motor off"
+    BEGIN_RUNNING = 21, "Begin not valid while running"
+    AT_LIMIT = 22, "Begin not possible due to Limit Switch"
+    NOT_ENOUGH = 50, "Not enough fields"
+    NO_QUESTION = 51, "Question mark not valid"
+    PARENTHESES = 59, "Mismatched parentheses"
+    LINE_TOO_LONG = 60, "Download error - line too long or too many lines"
+    NO_ROOM = 66, "Array space full"
+    RECORDING_RUNS = 80, "Record mode already running"
+    NO_ARRAY = 82, "Undefined array"
+    NOT_A_NUMBER = 83, "Not a valid number"
+    SERIAL_TIMEOUT = 131, "Serial port timeout"
+    PERIOD_TIMEOUT = 143, "TM timed out"
+
+
+ERROR_TEXT: dict[int, str] = dict(error.value for error in Error)
 STOP_RUNNING, STOP_DONE, STOP_FORWARD, STOP_REVERSE, STOP_ASKED = 0, 1, 2, 3, 4
 STOP_ABORT_INPUT, STOP_ABORTED, STOP_ERROR = 6, 7, 8
 
@@ -71,9 +62,9 @@ LARGEST = 2_147_483_647.0
 class Refused(Exception):
     """The card answers `?`; TC tells the code."""
 
-    def __init__(self, code: int) -> None:
-        super().__init__(ERROR_TEXT[code])
-        self.code = code
+    def __init__(self, error: Error) -> None:
+        self.code, text = error.value
+        super().__init__(text)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +78,6 @@ class Setting:
     digits: int = 8  # How `?` shows it
     decimals: int = 0
     while_running: bool = True  # False is refused with error 7 during a motion
-    axis: bool = True  # True where an axis letter may follow
 
 
 SETTINGS = {
@@ -103,13 +93,13 @@ SETTINGS = {
     "OE": Setting(default=0.0, low=0.0, high=3.0, digits=1),
     "TL": Setting(default=9.9988, low=0.0, high=9.9988, step=20.0 / 65536.0, digits=1, decimals=4),
     "TW": Setting(default=32_766.0, low=-1.0, high=32_766.0, digits=5),
-    "TM": Setting(default=1000.0, low=1.0, high=20_000.0, step=0.5, digits=5, while_running=False, axis=False),
-    "CN": Setting(default=-1.0, low=-1.0, high=1.0, digits=1, axis=False),
-    "LZ": Setting(default=0.0, low=0.0, high=1.0, digits=1, axis=False),
+    "TM": Setting(default=1000.0, low=1.0, high=20_000.0, step=0.5, digits=5, while_running=False),
+    "CN": Setting(default=-1.0, low=-1.0, high=1.0, digits=1),
+    "LZ": Setting(default=0.0, low=0.0, high=1.0, digits=1),
     "PF": Setting(default=10.0, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
-    "VF": Setting(default=10.4, low=1.0, high=10.4, step=0.1, digits=2, decimals=1, axis=False),
-    "EO": Setting(default=0.0, low=0.0, high=1.0, digits=1, axis=False),
-    "CW": Setting(default=2.0, low=1.0, high=2.0, digits=1, axis=False),
+    "VF": Setting(default=10.4, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
+    "EO": Setting(default=0.0, low=0.0, high=1.0, digits=1),
+    "CW": Setting(default=2.0, low=1.0, high=2.0, digits=1),
 }
 
 
@@ -240,7 +230,7 @@ class Card:
         self._watch_amplifier()
         while (event := self.axis.advance(time)) != k.NOTHING:
             if event == k.DONE and self.motion.running:
-                self._end(self.motion.reason)
+                self.motion.running, self.motion.stop_code = False, self.motion.reason
             elif event in (k.FORWARD_LIMIT, k.REVERSE_LIMIT):
                 self.motion.reason = STOP_FORWARD if event == k.FORWARD_LIMIT else STOP_REVERSE
                 if self.values["OE"] >= 2.0:
@@ -252,7 +242,7 @@ class Card:
         """Switch the servo on where the axis stands, or off."""
         if not on:
             if self.motion.running:
-                raise Refused(RUNNING)
+                raise Refused(Error.RUNNING)
             self._off(self.motion.stop_code)
             return
         if self.motor_on:
@@ -268,37 +258,37 @@ class Card:
     def jog(self, speed: float) -> None:
         """Take a jog speed; a jog that runs takes it at once."""
         if self.motion.running and self.motion.kind != "JG":
-            raise Refused(JOG_ONLY)
+            raise Refused(Error.JOG_ONLY)
         if abs(speed) > SETTINGS["SP"].high:
-            raise Refused(OUT_OF_RANGE)
+            raise Refused(Error.OUT_OF_RANGE)
         self.motion.jog = float(math.trunc(speed / self.settings.speed_step) * self.settings.speed_step)
         self.motion.kind = "JG"
         self.apply()
 
     def aim(self, kind: str, counts: float) -> None:
-        """Take the target of a positioning move."""
+        """Take the target of a positioning move, or where the axis stands (DP)."""
         if self.motion.running:
-            raise Refused(RUNNING)
+            raise Refused(Error.RUNNING)
         if abs(counts) > LARGEST:
-            raise Refused(OUT_OF_RANGE)
+            raise Refused(Error.OUT_OF_RANGE)
+        if kind == "DP":
+            self.axis.define(math.trunc(counts))
+            return
         self.motion.kind = kind
-        if kind == "PR":
-            self.motion.distance = float(math.trunc(counts))
-        else:
-            self.motion.target = float(math.trunc(counts))
+        setattr(self.motion, "distance" if kind == "PR" else "target", float(math.trunc(counts)))
 
     def begin(self) -> None:
         """Start the motion commanded last."""
         if not self.motor_on:
-            raise Refused(MOTOR_OFF)
+            raise Refused(Error.MOTOR_OFF)
         if self.motion.running:
-            raise Refused(BEGIN_RUNNING)
+            raise Refused(Error.BEGIN_RUNNING)
         values = self.axis.values
         target = self.motion.target if self.motion.kind == "PA" else values[k.REFERENCE] + self.motion.distance
         way = self.motion.jog if self.motion.kind == "JG" else target - values[k.REFERENCE]
         at_forward, at_reverse = limits_closed(self)
         if (way > 0.0 and at_forward) or (way < 0.0 and at_reverse):
-            raise Refused(AT_LIMIT)
+            raise Refused(Error.AT_LIMIT)
         self.motion.running, self.motion.reason, self.motion.stop_code = True, STOP_DONE, STOP_RUNNING
         values[k.MODE] = k.JOG if self.motion.kind == "JG" else k.MOVE
         values[k.TARGET] = target
@@ -314,17 +304,12 @@ class Card:
         """Stop the profile at once; the motor stays on."""
         self.axis.values[k.MODE], self.axis.values[k.SPEED] = k.REST, 0.0
         if self.motion.running:
-            self._end(stop_code)
-
-    def _end(self, stop_code: int) -> None:
-        self.motion.running = False
-        self.motion.stop_code = stop_code
+            self.motion.running, self.motion.stop_code = False, stop_code
 
     def _off(self, stop_code: int) -> None:
-        self.motor_on = False
+        self.motor_on, self.motion.running = False, True
         self.axis.change(motor_on=False)
-        self.axis.values[k.MODE], self.axis.values[k.SPEED] = k.REST, 0.0
-        self._end(stop_code)
+        self.abort(stop_code)
 
     def _watch_amplifier(self) -> None:
         if self.wiring.amplifier_fault and self.motor_on and self.values["OE"] in (1.0, 3.0):
@@ -334,7 +319,7 @@ class Card:
 def set_sample_time(card: Card, microseconds: float) -> None:
     """Change TM. Multiples of 125 us are counted in 1/1024 s: TM 1000 is 976.6 us."""
     if microseconds < card.settings.minimum_sample_us:
-        raise Refused(PERIOD_TIMEOUT)
+        raise Refused(Error.PERIOD_TIMEOUT)
     ticks = card.ticks
     old_card = microseconds % 125.0 == 0.0
     card.axis.set_period(microseconds * (1e-3 / 1024.0 if old_card else 1e-6))
@@ -389,14 +374,16 @@ def _coefficients(card: Card) -> Coefficients:
 
 # ---- Expressions of the card's language: numbers, operands, variables and functions, worked from left to right.
 
-Look = Callable[[str], float]
-
 BOUND = 2_147_483_648.0
 DEEPEST = 20  # nested parentheses
 
 _NUMBER = re.compile(r"\$[0-9A-F]+(?:\.[0-9A-F]+)?|\d+(?:\.\d*)?|\.\d+")
 _WORD = re.compile(r"_?[A-Z][A-Z0-9]*")
-_SIGNS = ("<=", ">=", "<>", "+", "-", "*", "/", "&", "|", "%", "<", ">", "=")
+_OPERATORS: dict[str, Callable[[float, float], float]] = {  # two letters before one
+    "<=": operator.le, ">=": operator.ge, "<>": operator.ne, "+": operator.add, "-": operator.sub, "*": operator.mul,
+    "/": operator.truediv, "&": lambda a, b: int(a) & int(b), "|": lambda a, b: int(a) | int(b), "%": math.fmod,
+    "<": operator.lt, ">": operator.gt, "=": operator.eq,
+}  # fmt: skip
 _FUNCTIONS: dict[str, Callable[[float], float]] = {
     "@ABS": abs,
     "@INT": lambda x: float(math.trunc(x)),
@@ -410,65 +397,65 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
 }
 
 
-def evaluate(text: str, operand: Look, variable: Look) -> float:
+def evaluate(card: Card, text: str) -> float:
     """Return the value of an expression."""
-    reader = _Reader(text, operand, variable)
+    reader = _Reader(card, text)
     value = reader.expression(0)
     if reader.rest():
-        raise Refused(PARENTHESES if reader.rest()[0] in ")]" else NOT_A_NUMBER)
+        raise Refused(Error.PARENTHESES if reader.rest()[0] in ")]" else Error.NOT_A_NUMBER)
     return value
 
 
 class _Reader:
-    def __init__(self, text: str, operand: Look, variable: Look) -> None:
-        self._text = text.strip()
-        self._at = 0
-        self._operand = operand
-        self._variable = variable
+    def __init__(self, card: Card, text: str) -> None:
+        self._card, self._text = card, text.strip()
 
-    def rest(self) -> str:
-        while self._at < len(self._text) and self._text[self._at] == " ":
-            self._at += 1
-        return self._text[self._at :]
+    def rest(self, taken: int = 0) -> str:
+        self._text = self._text[taken:].lstrip(" ")
+        return self._text
 
     def expression(self, depth: int) -> float:
         if depth > DEEPEST:
-            raise Refused(PARENTHESES)
+            raise Refused(Error.PARENTHESES)
         value = self._term(depth)
-        while (sign := next((s for s in _SIGNS if self.rest().startswith(s)), None)) is not None:
-            self._at += len(sign)
-            value = _bounded(_combine(sign, value, self._term(depth)))
+        while (sign := next((s for s in _OPERATORS if self.rest().startswith(s)), None)) is not None:
+            self.rest(len(sign))
+            other = self._term(depth)
+            if sign in "/%" and other == 0.0:
+                raise Refused(Error.OUT_OF_RANGE)
+            value = _bounded(float(_OPERATORS[sign](value, other)))
         return value
 
     def _term(self, depth: int) -> float:
         rest = self.rest()
         if rest.startswith(("-", "+")):
-            self._at += 1
+            self.rest(1)
             value = self._term(depth + 1) if depth < DEEPEST else 0.0
             return -value if rest[0] == "-" else value
         if rest.startswith("("):
-            self._at += 1
+            self.rest(1)
             return self._closed(")", depth)
         if rest.startswith("@"):
             name = rest.split("[", 1)[0]
             if name not in _FUNCTIONS or "[" not in rest:
-                raise Refused(UNKNOWN)
-            self._at += len(name) + 1
+                raise Refused(Error.UNKNOWN)
+            self.rest(len(name) + 1)
             return _bounded(_FUNCTIONS[name](self._closed("]", depth)))
         if match := _NUMBER.match(rest):
-            self._at += match.end()
+            self.rest(match.end())
             return _bounded(_number(match.group()))
         if match := _WORD.match(rest):
-            self._at += match.end()
+            self.rest(match.end())
             name = match.group()
-            return self._operand(name) if name.startswith("_") or name == "TIME" else self._variable(name)
-        raise Refused(OPERAND if rest.startswith("_") else NOT_A_NUMBER)
+            wanted = operand_value if name.startswith("_") or name == "TIME" else variable_value
+            return wanted(self._card, name)
+        raise Refused(Error.OPERAND if rest.startswith("_") else Error.NOT_A_NUMBER)
 
     def _closed(self, end: str, depth: int) -> float:
         value = self.expression(depth + 1)
         if not self.rest().startswith(end):
-            raise Refused(PARENTHESES)
-        self._at += 1
+            raise Refused(Error.PARENTHESES)
+        self.rest(1)
         return value
 
 
@@ -481,52 +468,23 @@ def _number(text: str) -> float:
 
 def _bounded(value: float) -> float:
     if not abs(value) < BOUND:
-        raise Refused(OUT_OF_RANGE)
+        raise Refused(Error.OUT_OF_RANGE)
     return value
-
-
-def _combine(sign: str, a: float, b: float) -> float:
-    if sign in ("/", "%") and b == 0.0:
-        raise Refused(OUT_OF_RANGE)
-    if sign in ("<", ">", "=", "<=", ">=", "<>"):
-        truth = {"<": a < b, ">": a > b, "=": a == b, "<=": a <= b, ">=": a >= b, "<>": a != b}
-        return float(truth[sign])
-    if sign in ("&", "|"):
-        return float(int(a) & int(b)) if sign == "&" else float(int(a) | int(b))
-    if sign == "%":
-        return math.fmod(a, b)
-    return {"+": a + b, "-": a - b, "*": a * b}[sign] if sign != "/" else a / b
 
 
 VARIABLE_NAME = re.compile(r"[A-Z][A-Z0-9]{0,7}")
 
 
-def look_up(variables: dict[str, float], name: str) -> float:
-    """Return a variable."""
-    if name not in variables:
-        raise Refused(VARIABLE)
-    return variables[name]
-
-
 # ---- Tell: what the card says about itself, as words, as operands of MG and as the binary record of QR.
 
 TELL = ("TP", "TE", "TV", "TT", "RP", "TD", "TS", "SC", "TB", "TI")
-_AXES = ("X", "A", "")
 
 
 def switches(card: Card) -> int:
     """Return the byte of TS."""
     forward, reverse = limits_closed(card)
-    bits = (
-        card.motion.running,
-        bool(card.axis.values[k.OVER]),
-        not card.motor_on,
-        False,
-        not forward,
-        not reverse,
-        True,
-    )
-    return sum(int(bit) << (7 - place) for place, bit in enumerate(bits))
+    bits = (card.motion.running, card.axis.values[k.OVER], not card.motor_on, False, not forward, not reverse, True)
+    return sum(bool(bit) << (7 - place) for place, bit in enumerate(bits))
 
 
 def value_of(card: Card, word: str) -> float:
@@ -543,7 +501,7 @@ def value_of(card: Card, word: str) -> float:
         "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": 1, "TB": 1, "TI": 255, "AB": 1,
     }  # fmt: skip
     if word not in known:
-        raise Refused(OPERAND)
+        raise Refused(Error.OPERAND)
     return float(known[word])
 
 
@@ -552,14 +510,16 @@ def operand_value(card: Card, name: str) -> float:
     if name == "TIME":
         return float(card.ticks)
     word, axis = name[1:3], name[3:]
-    if len(word) < 2 or axis not in _AXES:
-        raise Refused(OPERAND)
+    if len(word) < 2 or axis not in ("X", "A", ""):
+        raise Refused(Error.OPERAND)
     return value_of(card, word)
 
 
 def variable_value(card: Card, name: str) -> float:
     """Return a variable."""
-    return look_up(card.variables, name)
+    if name not in card.variables:
+        raise Refused(Error.VARIABLE)
+    return card.variables[name]
 
 
 def reported(card: Card, word: str) -> str:

@@ -1,53 +1,33 @@
-r"""Galil: the ASCII language of a one-axis card, read by a parser of its own.
+r"""Galil: the ASCII language of a one-axis card, read by a parser of its own, and the machine that clients share.
 
 Two upper-case letters and arguments; `;` or a carriage return ends a command. Each command is answered by its text, if it has
 one, with CR LF, and `:`; or by `?`, after which the rest of the line is dropped and TC tells why.
 
-Program: lines kept on the card and run there, with trippoints.
-
-DL .. \ loads, LS lists, XQ runs from a label, HX halts. JP, EN, AM and WT mean something only here. What a program prints nobody
-asked for; a command that fails ends it with `?`, the line number and the line.
+A program is lines kept on the card and run there, with trippoints: DL .. \ loads, LS lists, XQ runs from a label, HX halts. JP, EN,
+AM and WT mean something only here. What a program prints nobody asked for; a command that fails ends it with `?`, the line number
+and the line.
 """
 
 import math
 import re
-import threading
 from collections.abc import Callable
+from typing import cast
 
 from undrift.arrays import FloatArray
 from undrift.kernels import device as k
 from undrift.sim.rig.axes import Clock, ServoSettings
 from undrift.sim.rig.galil_card import (
-    BUFFER_FULL,
     ERROR_TEXT,
-    LARGEST,
-    LINE_TOO_LONG,
-    NO_ARRAY,
-    NO_LABEL,
-    NO_QUESTION,
-    NO_ROOM,
-    NOT_A_NUMBER,
-    NOT_ENOUGH,
-    NOT_IN_PROGRAM,
-    NOT_RUNNING,
-    ONLY_IN_PROGRAM,
-    OPERAND,
-    OUT_OF_RANGE,
-    PROGRAM_RUNNING,
-    RECORDING_RUNS,
-    RUNNING,
-    SERIAL_TIMEOUT,
     SETTINGS,
     STOP_ABORT_INPUT,
     TELL,
-    UNKNOWN,
     VARIABLE_NAME,
     Card,
     CardSettings,
+    Error,
     Recording,
     Refused,
     evaluate,
-    operand_value,
     places,
     record,
     reported,
@@ -55,6 +35,7 @@ from undrift.sim.rig.galil_card import (
     shown,
     variable_value,
 )
+from undrift.sim.rig.server import Machine, Session
 
 ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "AD", "AT", "JP", "JS", "EN", "RE")
 NOT_PROGRAM_WORDS = ("DL", "LS", "UL", "ED", "RS", "QR")
@@ -63,6 +44,7 @@ CRLF = "\r\n"
 
 _AXIS_EQUALS = re.compile(r"\s*([A-Z*])\s*=(.*)", re.S)
 _MESSAGE_ITEM = re.compile(r"(\"[^\"]*\"|[^\"{}]*)((?:\{[^{}]*\}\s*)*)")
+_ITEM = re.compile(r'(?:[^,"]|"[^"]*")+')
 _FORM = re.compile(r"\{([^{}]*)\}")
 _ASSIGNMENT = re.compile(r"([A-Z][A-Z0-9]*)\s*=(.*)", re.S)
 _WITH_VALUE = (*SETTINGS, "JG", "PR", "PA", "DP", "DE")
@@ -77,34 +59,33 @@ def execute(card: Card, command: str, in_program: bool = False) -> str:
         return card.settings.revision + CRLF
     word, rest = text[:2], text[2:]
     if in_program and word in NOT_PROGRAM_WORDS:
-        raise Refused(NOT_IN_PROGRAM)
+        raise Refused(Error.NOT_IN_PROGRAM)
     if not in_program and word in ONLY_PROGRAM_WORDS:
-        raise Refused(ONLY_IN_PROGRAM)
-    known = word in _WORDS or word in _WITH_VALUE or word in TELL
+        raise Refused(Error.ONLY_IN_PROGRAM)
+    known = word in _WORDS or word in _ACTS or word in _WITH_VALUE or word in TELL
     if not known or (re.match(r"[A-Z0-9]{2,}\s*=", rest) is not None):
         return _assign(card, text)
     if word in _WITH_VALUE:
         return _valued(card, word, rest)
+    if word in _WORDS:
+        return _WORDS[word](card, rest)
+    _axes(rest)
     if word in TELL:
-        _axes(rest)
         return reported(card, word) + CRLF
-    return _WORDS[word](card, rest)
+    _ACTS[word](card)
+    return ""
 
 
 def _assign(card: Card, text: str) -> str:
     match = _ASSIGNMENT.fullmatch(text)
     if match is None or not VARIABLE_NAME.fullmatch(match.group(1)):
-        raise Refused(UNKNOWN)
+        raise Refused(Error.UNKNOWN)
     name, expression = match.group(1), match.group(2).strip()
     if expression:
-        card.variables[name] = _number(card, expression)
+        card.variables[name] = evaluate(card, expression)
         return ""
     value = variable_value(card, name)
     return shown(value, *places(card.values["VF"]), card.values["LZ"] == 1.0) + CRLF
-
-
-def _number(card: Card, text: str) -> float:
-    return evaluate(text, lambda name: operand_value(card, name), lambda name: variable_value(card, name))
 
 
 def _argument(rest: str) -> str:
@@ -112,41 +93,35 @@ def _argument(rest: str) -> str:
     match = _AXIS_EQUALS.fullmatch(rest)
     if match is not None:
         if match.group(1) not in "AX*":
-            raise Refused(OPERAND)
+            raise Refused(Error.OPERAND)
         fields = [match.group(2)]
     else:
         fields = rest.lstrip(" =").split(",")
     if any(field.strip() for field in fields[1:]):
-        raise Refused(OPERAND)
+        raise Refused(Error.OPERAND)
     field = fields[0].strip()
     if not field:
-        raise Refused(NOT_ENOUGH)
+        raise Refused(Error.NOT_ENOUGH)
     return field
 
 
 def _axes(rest: str) -> None:
     letters = rest.strip().replace(",", "")
     if "?" in letters:
-        raise Refused(NO_QUESTION)
+        raise Refused(Error.NO_QUESTION)
     if any(letter not in "AX" for letter in letters):
-        raise Refused(OPERAND)
+        raise Refused(Error.OPERAND)
 
 
 def _valued(card: Card, word: str, rest: str) -> str:
     field = _argument(rest)
     if field == "?":
         return reported(card, word) + CRLF
-    value = _number(card, field)
+    value = evaluate(card, field)
     if word == "JG":
         card.jog(value)
-    elif word in ("PR", "PA"):
+    elif word in ("PR", "PA", "DP"):
         card.aim(word, value)
-    elif word == "DP":
-        if card.motion.running:
-            raise Refused(RUNNING)
-        if abs(value) > LARGEST:
-            raise Refused(OUT_OF_RANGE)
-        card.axis.define(math.trunc(value))
     elif word == "DE":
         card.auxiliary = math.trunc(value)
     else:
@@ -157,9 +132,9 @@ def _valued(card: Card, word: str, rest: str) -> str:
 def _set(card: Card, word: str, value: float) -> None:
     setting = SETTINGS[word]
     if not setting.low <= value <= setting.high:
-        raise Refused(OUT_OF_RANGE)
+        raise Refused(Error.OUT_OF_RANGE)
     if card.motion.running and not setting.while_running:
-        raise Refused(RUNNING)
+        raise Refused(Error.RUNNING)
     rounded = math.trunc(value / setting.step + 1e-9) * setting.step
     if word == "TM":
         set_sample_time(card, rounded)
@@ -168,32 +143,25 @@ def _set(card: Card, word: str, value: float) -> None:
     card.apply()
 
 
-def _switch(on: bool) -> Callable[[Card, str], str]:
-    def act(card: Card, rest: str) -> str:
-        _axes(rest)
-        card.motor(on)
-        return ""
-
-    return act
+def _reset(card: Card) -> None:
+    card.abort()
+    card.set_up()
 
 
-def _begin(card: Card, rest: str) -> str:
-    _axes(rest)
-    card.begin()
-    return ""
-
-
-def _stop(card: Card, rest: str) -> str:
-    _axes(rest)
-    card.stop()
-    return ""
+_ACTS: dict[str, Callable[[Card], None]] = {
+    "SH": lambda card: card.motor(True),
+    "MO": lambda card: card.motor(False),
+    "BG": Card.begin,
+    "ST": Card.stop,
+    "RS": _reset,
+}
 
 
 def _abort(card: Card, rest: str) -> str:
     if rest.strip() == "?":
         return reported(card, "AB") + CRLF
     if rest.strip() not in ("", "0", "1"):
-        raise Refused(OUT_OF_RANGE if rest.strip().isdigit() else OPERAND)
+        raise Refused(Error.OUT_OF_RANGE if rest.strip().isdigit() else Error.OPERAND)
     card.abort()
     return ""
 
@@ -201,37 +169,30 @@ def _abort(card: Card, rest: str) -> str:
 def _tell_code(card: Card, rest: str) -> str:
     argument = rest.strip()
     if argument not in ("", "0", "1"):
-        raise Refused(NO_QUESTION if argument == "?" else OUT_OF_RANGE)
+        raise Refused(Error.NO_QUESTION if argument == "?" else Error.OUT_OF_RANGE)
     code, card.error_code = card.error_code, 0
     return (f"{code} {ERROR_TEXT[code]}".rstrip() if argument == "1" else str(code)) + CRLF
 
 
-def _reset(card: Card, rest: str) -> str:
-    _axes(rest)
-    card.abort()
-    card.set_up()
-    return ""
-
-
 def _nothing(_card: Card, rest: str) -> str:
     if "?" in rest:
-        raise Refused(NO_QUESTION)
+        raise Refused(Error.NO_QUESTION)
     return ""
 
 
 def _no_editor(_card: Card, _rest: str) -> str:
-    raise Refused(UNKNOWN)
+    raise Refused(Error.UNKNOWN)
 
 
 def _message(card: Card, rest: str) -> str:
     text, end = "", CRLF
     items = _split(rest)
     if not items:
-        raise Refused(NOT_ENOUGH)
+        raise Refused(Error.NOT_ENOUGH)
     for item in items:
         match = _MESSAGE_ITEM.fullmatch(item)
         if match is None:
-            raise Refused(OPERAND)
+            raise Refused(Error.OPERAND)
         forms = _FORM.findall(match.group(2))
         if "N" in forms:
             end = ""
@@ -247,28 +208,20 @@ def _item(card: Card, body: str, forms: list[str]) -> str:
         if form.startswith("^") and form[1:].isdigit() and int(form[1:]) < 256:
             return chr(int(form[1:]))
         return ""  # {N}, or the name of a port, of which there is one
-    value = _number(card, body)
+    value = evaluate(card, body)
     if not form or form[0] in "PEU":
         return shown(value, *places(card.values["VF"]), True)
     match = re.fullmatch(r"([FZ])(\d{1,2})(?:\.(\d))?", form)
     if match is None:
-        raise Refused(OPERAND)
+        raise Refused(Error.OPERAND)
     return shown(value, int(match.group(2)), int(match.group(3) or 0), match.group(1) == "Z")
 
 
 def _split(rest: str) -> list[str]:
     # at commas, but not within quotes
-    items, quoted = [""], False
-    for letter in rest.strip():
-        if letter == '"':
-            quoted = not quoted
-        if letter == "," and not quoted:
-            items.append("")
-        else:
-            items[-1] += letter
-    if quoted:
-        raise Refused(NOT_A_NUMBER)
-    return [item.strip() for item in items if item.strip()]
+    if rest.count('"') % 2:
+        raise Refused(Error.NOT_A_NUMBER)
+    return [item.strip() for item in _ITEM.findall(rest) if item.strip()]
 
 
 # ---- Arrays, and what the card records into them (manuals DMC-1700/1800 p. 159, DMC-1600 p. 142).
@@ -279,14 +232,14 @@ _ARRAY = re.compile(r"([A-Z][A-Z0-9]{0,7})\[(\d{0,4})\]")
 def _arrays(rest: str, sized: bool) -> list[tuple[str, int]]:
     found = [_ARRAY.fullmatch(item.strip()) for item in rest.split(",")]
     if not all(match and bool(match.group(2)) == sized for match in found):
-        raise Refused(OPERAND)
+        raise Refused(Error.OPERAND)
     return [(match.group(1), int(match.group(2) or 0)) for match in found if match]
 
 
 def _define_arrays(card: Card, rest: str) -> str:
     wanted = _arrays(rest, sized=True)
     if sum(map(len, card.arrays.values())) + sum(size for _, size in wanted) > card.settings.array_elements:
-        raise Refused(NO_ROOM)
+        raise Refused(Error.NO_ROOM)
     _no_longer_recorded(card)
     card.arrays |= {name: [0.0] * size for name, size in wanted}
     return ""
@@ -302,14 +255,14 @@ def _free_arrays(card: Card, rest: str) -> str:
 
 def _no_longer_recorded(card: Card) -> None:
     if card.recording.running:
-        raise Refused(RECORDING_RUNS)
+        raise Refused(Error.RECORDING_RUNS)
     card.recording = Recording()
 
 
 def _record_into(card: Card, rest: str) -> str:
     names = tuple(name for name, _ in _arrays(rest, sized=False))
     if any(name not in card.arrays for name in names):
-        raise Refused(NO_ARRAY)
+        raise Refused(Error.NO_ARRAY)
     card.recording = Recording(arrays=names)
     return ""
 
@@ -317,7 +270,7 @@ def _record_into(card: Card, rest: str) -> str:
 def _record_what(card: Card, rest: str) -> str:
     operands = [item.strip() for item in rest.split(",")]
     if any(item[:1] != "_" or item[1:3] not in TELL or item[3:] not in ("A", "X") for item in operands):
-        raise Refused(OPERAND)
+        raise Refused(Error.OPERAND)
     card.recording.operands = tuple(item[1:3] for item in operands)
     return ""
 
@@ -327,20 +280,20 @@ def _record(card: Card, rest: str) -> str:
     if rest.strip() == "?":
         return f"{int(recording.running)}{CRLF}"
     exponent, _, count = rest.partition(",")
-    power = int(_number(card, exponent))
+    power = int(evaluate(card, exponent))
     if not 0 <= power <= 8:
-        raise Refused(OUT_OF_RANGE)
+        raise Refused(Error.OUT_OF_RANGE)
     if power == 0:
         recording.running = False
         return ""
     if recording.running:
-        raise Refused(RECORDING_RUNS)
+        raise Refused(Error.RECORDING_RUNS)
     if not recording.arrays or len(recording.arrays) != len(recording.operands):
-        raise Refused(NO_ARRAY)
+        raise Refused(Error.NO_ARRAY)
     room = min(len(card.arrays[name]) for name in recording.arrays)
-    wanted = int(_number(card, count)) if count.strip() else room
+    wanted = int(evaluate(card, count)) if count.strip() else room
     if not 1 <= wanted <= room:
-        raise Refused(OUT_OF_RANGE)
+        raise Refused(Error.OUT_OF_RANGE)
     recording.every, recording.wanted, recording.taken, recording.running = 2**power, wanted, 0, True
     recording.next_sample = card.axis.values[k.SAMPLES] + recording.every
     return ""
@@ -350,37 +303,21 @@ def _upload(card: Card, rest: str) -> str:
     name, *numbers = rest.split(",")
     ((array, _),) = _arrays(name, sized=False)
     if array not in card.arrays:
-        raise Refused(NO_ARRAY)
-    first, last, commas = (int(_number(card, text)) for text in (*numbers[:3], *("0", "-1", "0")[len(numbers) :]))
+        raise Refused(Error.NO_ARRAY)
+    first, last, commas = (int(evaluate(card, text)) for text in (*numbers[:3], *("0", "-1", "0")[len(numbers) :]))
     values = card.arrays[array][first : last + 1 if last >= 0 else None]
     if not values:
-        raise Refused(OUT_OF_RANGE)
+        raise Refused(Error.OUT_OF_RANGE)
     form = places(card.values["VF"])
     return (", " if commas else CRLF).join(shown(value, *form, True) for value in values) + CRLF
 
 
 _WORDS: dict[str, Callable[[Card, str], str]] = {
-    "SH": _switch(True),
-    "MO": _switch(False),
-    "BG": _begin,
-    "ST": _stop,
-    "AB": _abort,
-    "TC": _tell_code,
-    "RS": _reset,
-    "MG": _message,
+    "AB": _abort, "TC": _tell_code, "MG": _message, "DM": _define_arrays, "DA": _free_arrays, "RA": _record_into,
+    "RD": _record_what, "RC": _record, "QU": _upload, "BN": _nothing, "BV": _nothing, "CF": _nothing, "ED": _no_editor,
     "QR": lambda card, rest: record(card) + _nothing(card, rest),
     "ID": lambda card, rest: card.settings.revision + CRLF + _nothing(card, rest),
-    "DM": _define_arrays,
-    "DA": _free_arrays,
-    "RA": _record_into,
-    "RD": _record_what,
-    "RC": _record,
-    "QU": _upload,
-    "BN": _nothing,
-    "BV": _nothing,
-    "CF": _nothing,
-    "ED": _no_editor,
-}
+}  # fmt: skip
 
 
 # ---- Program: lines kept on the card and run there, with trippoints.
@@ -416,7 +353,7 @@ class Program:
         """Replace the program."""
         lines = text.strip("\r").split("\r")
         if len(lines) > MOST or any(len(line) > LONGEST for line in lines):
-            raise Refused(LINE_TOO_LONG)
+            raise Refused(Error.LINE_TOO_LONG)
         self._lines = lines
 
     def command(self, line: str) -> str | None:
@@ -425,7 +362,7 @@ class Program:
         word, rest = text[:2], text[2:].strip()
         if word == "DL" and not rest:
             if self.running:
-                raise Refused(PROGRAM_RUNNING)
+                raise Refused(Error.PROGRAM_RUNNING)
             return "DL"
         if word == "LS" and not rest:
             return "".join(f"{number} {line}{CRLF}" for number, line in enumerate(self._lines))
@@ -434,7 +371,7 @@ class Program:
             return ""
         if word == "HX":
             if not self.running:
-                raise Refused(NOT_RUNNING)
+                raise Refused(Error.NOT_RUNNING)
             self.halt()
             return ""
         if word == "AB" and rest != "1":
@@ -476,10 +413,10 @@ class Program:
             elif word in ("AM", "MC"):
                 self._waiting = True
             elif word == "WT":
-                self._until = self._card.ticks + self._value(rest)
+                self._until = self._card.ticks + evaluate(self._card, rest)
             elif word == "JP":
                 label, _, condition = rest.partition(",")
-                if not condition or self._value(condition):
+                if not condition or evaluate(self._card, condition):
                     self._next, self._todo = self._label(label), []
             elif text:
                 answer = execute(self._card, text, in_program=True)
@@ -490,49 +427,42 @@ class Program:
             self._card.unsolicited.append(f"?{number:03d} {text}{CRLF}")
             self.halt()
 
-    def _value(self, text: str) -> float:
-        return evaluate(text, lambda n: operand_value(self._card, n), lambda n: variable_value(self._card, n))
-
     def _label(self, text: str) -> int:
         for number, line in enumerate(self._lines):
             if line.strip().split(";")[0].strip() == text.strip() and text.strip().startswith("#"):
                 return number
-        raise Refused(NO_LABEL)
+        raise Refused(Error.NO_LABEL)
 
 
 # ---- Session: the bytes of one client of a card, in both directions, and the machine that clients share.
 
 
-class GalilMachine:
+WIRING = {  # what a fault does to a part
+    "amplifier_fault": "amplifier_fault",
+    "encoder_loss": "encoder_lost",
+    "limit_switch": "forward_pressed",
+    "limit_switch_reverse": "reverse_pressed",
+}
+
+
+class GalilMachine(Machine):
     """A card, its clock and its programs, for any number of clients."""
 
     def __init__(self, servo: ServoSettings, settings: CardSettings, clock: Clock, history_s: float = 1200.0) -> None:
+        super().__init__(clock)
         self.card = Card(servo, settings, history_s)
         self.program = Program(self.card)
-        self.clock = clock
-        self.lock = threading.RLock()
-        self._sessions: list[GalilSession] = []
 
-    def open_session(self, serial: bool) -> "GalilSession":
-        """Return what a new client talks to."""
-        with self.lock:
-            session = GalilSession(self, serial)
-            self._sessions.append(session)
-            return session
-
-    def close_session(self, session: object) -> None:
-        """Forget a client; the card keeps executing its last command."""
-        with self.lock:
-            self._sessions = [kept for kept in self._sessions if kept is not session]
+    def new_session(self, serial: bool) -> "GalilSession":
+        """Make what a client talks to."""
+        return GalilSession(self, serial)
 
     def tick(self) -> None:
         """Bring card and programs up to now, and hand out what nobody asked for."""
         with self.lock:
             self.program.advance(self.clock.now())
             while self.card.unsolicited:
-                text = self.card.unsolicited.popleft()
-                for session in self._sessions:
-                    session.tell(text)
+                self.tell(self.card.unsolicited.popleft())
 
     @property
     def motor_on(self) -> bool:
@@ -565,46 +495,32 @@ class GalilMachine:
         """Break or mend a part of the card or of its wiring."""
         with self.lock:
             self.tick()
-            wiring = self.card.wiring
-            if name == "amplifier_fault":
-                wiring.amplifier_fault = on
-            elif name == "encoder_loss":
-                wiring.encoder_lost = on
-            elif name == "limit_switch":
-                wiring.forward_pressed = on
-            elif name == "limit_switch_reverse":
-                wiring.reverse_pressed = on
+            card = self.card
+            if name in WIRING:
+                setattr(card.wiring, WIRING[name], on)
             elif name == "power_cut":
-                self._power(not on)
+                card.wiring.powered = not on
+                self.program.halt()
+                _reset(card)
+                for session in self.sessions:
+                    cast(GalilSession, session).forget()
             elif name == "message" and on:
-                self.card.unsolicited.append("EMULATED MESSAGE\r\n")
+                card.unsolicited.append("EMULATED MESSAGE\r\n")
             elif name == "abort_input" and on:
-                self._abort_input()
-            self.card.apply()
+                self.program.halt()
+                card.abort(STOP_ABORT_INPUT)
+                if card.values["OE"] in (1.0, 3.0):
+                    card.motor(False)
+            card.apply()
             self.tick()
 
-    def _power(self, on: bool) -> None:
-        self.card.wiring.powered = on
-        self.program.halt()
-        self.card.abort()
-        self.card.set_up()
-        for session in self._sessions:
-            session.forget()
 
-    def _abort_input(self) -> None:
-        self.program.halt()
-        self.card.abort(STOP_ABORT_INPUT)
-        if self.card.values["OE"] in (1.0, 3.0):
-            self.card.motor(False)
-
-
-class GalilSession:
+class GalilSession(Session):
     """One client's bytes."""
 
     def __init__(self, machine: GalilMachine, serial: bool) -> None:
-        self._machine = machine
-        self._serial = serial
-        self._unasked = b""
+        super().__init__()
+        self._machine, self._serial = machine, serial
         self.forget()
         if serial and machine.card.settings.echo_serial:
             machine.card.values["EO"] = 1.0
@@ -614,10 +530,6 @@ class GalilSession:
         self._line = ""
         self._quoted = self._dropping = self._downloading = False
         self._begun: float | None = None
-
-    def greet(self) -> bytes:
-        """Return what the card says to a new client: nothing."""
-        return b""
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take bytes from the client."""
@@ -636,17 +548,18 @@ class GalilSession:
 
     def unasked(self) -> bytes:
         """Return what the card says without being asked, since the last look."""
-        with self._machine.lock:
-            self._time_out()
-            data, self._unasked = self._unasked, b""
-            return data
+        machine = self._machine
+        with machine.lock:
+            late = (
+                self._begun is not None and machine.clock.now() - self._begun > machine.card.settings.serial_timeout_s
+            )
+            if self._serial and late:
+                self._unasked += self._refuse(Error.SERIAL_TIMEOUT.value[0], "\r")
+            return super().unasked()
 
-    def tell(self, text: str) -> None:
+    def tell(self, data: bytes) -> None:
         """Queue a message; CW1 sets the high bit of each character."""
-        data = text.encode("latin-1", "replace")
-        if self._machine.card.values["CW"] == 1.0:
-            data = bytes(byte | 0x80 for byte in data)
-        self._unasked += data
+        super().tell(bytes(byte | 0x80 for byte in data) if self._machine.card.values["CW"] == 1.0 else data)
 
     def _take(self, letter: str) -> list[bytes]:
         if letter == "\n":
@@ -664,7 +577,7 @@ class GalilSession:
         self._line += letter
         self._quoted ^= letter == '"'
         if len(self._line) > self._machine.card.settings.line_length:
-            return [self._refuse(BUFFER_FULL, ";")]
+            return [self._refuse(Error.BUFFER_FULL.value[0], ";")]
         return []
 
     def _answer(self, line: str, end: str) -> bytes:
@@ -696,9 +609,3 @@ class GalilSession:
         except Refused as refusal:
             return [self._refuse(refusal.code, "\r")]
         return [b":"]
-
-    def _time_out(self) -> None:
-        machine = self._machine
-        late = self._begun is not None and machine.clock.now() - self._begun > machine.card.settings.serial_timeout_s
-        if self._serial and late:
-            self._unasked += self._refuse(SERIAL_TIMEOUT, "\r")

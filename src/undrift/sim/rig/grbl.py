@@ -1,33 +1,26 @@
-"""An emulated GRBL board: its language, planner and reports.
+"""Grbl: an emulated stepper board behind the bytes of its clients, its planner, and the faults it may suffer.
 
-Grbl: an emulated stepper board behind the bytes of its clients, and the faults it may suffer.
-
-Lines end with a line feed and are answered `ok` or `error:n`; `?` `!` `~` 0x18 0x85 are taken at once, wherever they stand.
-
-Stepper: a shaft that follows a planned path, a ripple of its detents apart.
-
-A path is a list of pieces of constant acceleration, x = x0 + v0 t + a t^2/2 from the start of each; what the pulses say and what
-the shaft does are two paths, since a motor without current loses steps.
-
-Planner: moves that follow each other on one axis without a rest between, where they go the same way.
-
-The speed at a joint is the slower feed of the two moves, or zero where the way turns; no move may be entered faster than it can be
-left, v_in^2 <= v_out^2 + 2 a d. An axis that is too fast for what is left, or goes the other way, comes to rest first and returns.
+Lines end with a line feed and are answered `ok` or `error:n`; `?` `!` `~` 0x18 0x85 are taken at once, wherever they stand. What
+the pulses say and what the shaft does are two paths of constant accelerations, since a motor without current loses steps; a ripple
+of its detents adds to the shaft. Moves that go the same way follow each other without a rest between. The speed at a joint is the
+slower feed of the two moves, or zero where the way turns; no move may be entered faster than it can be left, v_in^2 <= v_out^2 +
+2 a d. An axis that is too fast for what is left, or goes the other way, comes to rest first and returns.
 """
 
 import bisect
 import math
 import re
-import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.sim.rig.axes import Clock
+from undrift.sim.rig.server import Machine, Session
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Words of a stepper board: lines of letters and numbers, `$n=value`, and the codes of what is wrong with them.
@@ -141,31 +134,23 @@ def parse_setting(text: str, known: dict[int, float]) -> tuple[int, float]:
 GRIP = 1e6  # deg/s2: a motor that gets its current back holds at once
 
 
-@dataclass(slots=True)
 class Path:
-    """Pieces of constant acceleration, deg."""
+    """Pieces of constant acceleration: when each begins, s; angle, rate and acceleration at its beginning, deg."""
 
-    start: list[float] = field(default_factory=lambda: [0.0])  # When each begins, s
-    angle: list[float] = field(default_factory=lambda: [0.0])  # deg, deg/s, deg/s2 at its beginning
-    rate: list[float] = field(default_factory=lambda: [0.0])
-    acceleration: list[float] = field(default_factory=lambda: [0.0])
+    def __init__(self) -> None:
+        self.start, self.pieces = [0.0], [(0.0, 0.0, 0.0)]
 
     def at(self, time: float) -> tuple[float, float]:
         """Return angle and rate at a moment."""
-        i = max(bisect.bisect_right(self.start, time) - 1, 0)
-        t = time - self.start[i]
-        return (
-            self.angle[i] + t * (self.rate[i] + 0.5 * self.acceleration[i] * t),
-            self.rate[i] + self.acceleration[i] * t,
-        )
+        angle, rate = self.many(np.array([time]))
+        return float(angle[0]), float(rate[0])
 
     def many(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return angle and rate at many moments: times (n,) s -> (n,) deg."""
         first = max(
             bisect.bisect_right(self.start, float(times.min(initial=math.inf))) - 1, 0
         )  # only what is asked for
-        start, angle = np.array(self.start[first:]), np.array(self.angle[first:])
-        rate, acceleration = np.array(self.rate[first:]), np.array(self.acceleration[first:])
+        start, (angle, rate, acceleration) = np.array(self.start[first:]), np.array(self.pieces[first:]).T
         i = np.clip(np.searchsorted(start, times, side="right") - 1, 0, None)
         t = times - start[i]
         return angle[i] + t * (rate[i] + 0.5 * acceleration[i] * t), rate[i] + acceleration[i] * t
@@ -173,26 +158,19 @@ class Path:
     def cut(self, time: float) -> None:
         """Forget what was planned after a moment; the move under way there never ends."""
         keep = max(bisect.bisect_right(self.start, time), 1)
-        for column in (self.start, self.angle, self.rate, self.acceleration):
-            del column[keep:]
+        del self.start[keep:], self.pieces[keep:]
 
     def go(self, time: float, angle: float, rate: float, acceleration: float) -> None:
         """Add a piece at the end."""
         self.start.append(time)
-        self.angle.append(angle)
-        self.rate.append(rate)
-        self.acceleration.append(acceleration)
+        self.pieces.append((angle, rate, acceleration))
 
     def slow(self, time: float, deceleration: float) -> float:
         """Come to rest from whatever goes on at a moment."""
-        angle, rate = self.at(time)
-        self.cut(time)
-        duration = abs(rate) / deceleration
-        self.go(time, angle, rate, -math.copysign(deceleration, rate) if rate else 0.0)
-        self.go(time + duration, angle + 0.5 * rate * duration, 0.0, 0.0)
-        return time + duration
+        rate = self.at(time)[1]
+        return self.follow(time, rate, [(abs(rate) / deceleration, -math.copysign(deceleration, rate))])
 
-    def follow(self, time: float, rate: float, legs: list[tuple[float, float]]) -> float:
+    def follow(self, time: float, rate: float, legs: "list[Leg]") -> float:
         """Replace what was planned by legs of constant acceleration, after which the axis rests."""
         angle, _ = self.at(time)
         self.cut(time)
@@ -211,9 +189,8 @@ class Stepper:
     def __init__(self) -> None:
         self.pulses, self.shaft = Path(), Path()
         self.energised = True
-        self.ratio = (
-            1.0  # deg of the shaft in a deg of the pulses: what the steps-per-degree setting makes of a true step
-        )
+        # deg of the shaft in a deg of the pulses: what the steps-per-degree setting makes of a true step
+        self.ratio = 1.0
 
     def follow(self, time: float, legs: list[tuple[float, float]]) -> None:
         """Replace what was planned."""
@@ -240,16 +217,9 @@ class Stepper:
         self.pulses.go(time, 0.0, 0.0, 0.0)
 
 
-def rippled(angle: FloatArray, rate: FloatArray, amplitude: float, period: float) -> tuple[FloatArray, FloatArray]:
-    """Add the ripple of the detents: x + A sin(2 pi x / p): angle (n,) deg, rate (n,) deg -> (n,) deg."""
-    phase = 2.0 * math.pi * angle / period
-    factor = 1.0 + amplitude * 2.0 * math.pi / period * np.cos(phase)
-    return angle + amplitude * np.sin(phase), rate * factor
-
-
 # ---- Planner: moves that follow each other on one axis without a rest between, where they go the same way.
 
-Leg = tuple[float, float]
+Leg = tuple[float, float]  # duration, s, and acceleration
 DONE = 1e-6  # deg: a move with less to go is over; far less than a step
 ROUNDING = 1e-6  # of a speed
 
@@ -257,7 +227,7 @@ ROUNDING = 1e-6  # of a speed
 def plan(moves: list[tuple[float, float]], rate: float, acceleration: float) -> tuple[list[Leg], list[float]]:
     """Return the legs of constant acceleration that a chain of moves is made of: they end at rest, where the last move ends."""
     todo, part_of = _merged(moves)
-    ends: list[float] = [0.0]
+    ends = [0.0]
     speeds = _speeds(todo, abs(rate), acceleration)
     allowed = _reach(speeds[1], todo[0][0], acceleration) * (1.0 + ROUNDING)
     legs: list[Leg] = []
@@ -294,16 +264,13 @@ def _merged(moves: list[tuple[float, float]]) -> tuple[list[tuple[float, float]]
 def _speeds(moves: list[tuple[float, float]], enter: float, acceleration: float) -> list[float]:
     """Return the speeds at the joints: none that cannot be braked from, none that cannot be reached."""
     count = len(moves)
-    speeds = [enter] + [_joint(moves[i], moves[i + 1]) for i in range(count - 1)] + [0.0]
+    joints = [min(one[1], next_[1]) if one[0] * next_[0] > 0.0 else 0.0 for one, next_ in pairwise(moves)]
+    speeds = [enter, *joints, 0.0]
     for i in range(count - 1, 0, -1):
         speeds[i] = min(speeds[i], _reach(speeds[i + 1], moves[i][0], acceleration))
     for i in range(count):
         speeds[i + 1] = min(speeds[i + 1], _reach(speeds[i], moves[i][0], acceleration))
     return speeds
-
-
-def _joint(before: tuple[float, float], after: tuple[float, float]) -> float:
-    return min(before[1], after[1]) if before[0] * after[0] > 0.0 else 0.0
 
 
 def _reach(speed: float, distance: float, acceleration: float) -> float:
@@ -316,8 +283,7 @@ def _legs(distance: float, feed: float, enter: float, leave: float, a: float) ->
     if enter >= _reach(leave, distance, a):  # by rounding: brake that little harder
         duration = 2.0 * distance / (enter + leave)
         return [(duration, (leave - enter) / duration)]
-    peak = min(feed, math.sqrt(a * distance + 0.5 * (enter * enter + leave * leave)))
-    peak = max(peak, leave)
+    peak = max(min(feed, math.sqrt(a * distance + 0.5 * (enter * enter + leave * leave))), leave)
     change = abs(peak - enter) / a
     down = (peak - leave) / a
     level = (distance - 0.5 * (enter + peak) * change - 0.5 * (peak + leave) * down) / peak
@@ -377,7 +343,7 @@ class Board:
     def advance(self) -> None:
         """Come up to now: moves that are over leave the queue."""
         now = self.clock.now()
-        _drop_done(self._queue, self._joints, now)
+        self._drop_done(now)
         if self.state in ("Jog", "Run") and not self._queue and now >= self._ends:
             self.state = "Idle"
 
@@ -459,7 +425,7 @@ class Board:
     def _plan(self) -> None:
         # from where the pulses are now, or from where they will rest after a stop
         now = self.clock.now()
-        _drop_done(self._queue, self._joints, now)
+        self._drop_done(now)
         begin = now if self._joints else max(now, self._ends)
         angle, rate = self.stepper.pulses.at(begin)
         moves, at = [], angle
@@ -471,6 +437,11 @@ class Board:
         self.stepper.follow(begin, legs)
         self._joints = deque(begin + end for end in ends)
         self._ends = self._joints[-1]
+
+    def _drop_done(self, now: float) -> None:
+        while self._queue and self._joints and now >= self._joints[0]:
+            self._queue.popleft()
+            self._joints.popleft()
 
     def _slow(self, deceleration: float) -> None:
         self._queue.clear()
@@ -551,22 +522,23 @@ _INFORMATION: dict[str, Callable[[Board], str]] = {
 
 
 def _defaults(s: GrblSettings) -> dict[int, float]:
-    values = {0: 10.0, 1: 25.0, 2: 0.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: 0.0, 10: 1.0, 11: 0.01, 12: 0.002, 13: 0.0}
-    values |= {20: 0.0, 21: 1.0, 22: 0.0, 23: 0.0, 24: 25.0, 25: 500.0, 26: 250.0, 27: 1.0}
-    values |= {30: 1000.0, 31: 0.0, 32: 0.0}
-    for place in range(len(s.axes)):
-        values[100 + place] = round(s.microsteps / s.full_step_deg, 3)
-        values[110 + place] = s.max_rate_deg_per_min
-        values[120 + place] = s.acceleration_deg_s2
-        values[130 + place] = 360.0
-    return dict(sorted(values.items()))
-
-
-def _drop_done(queue: "deque[tuple[float, float]]", joints: "deque[float]", now: float) -> None:
-    """Let moves that are over leave the queue."""
-    while queue and joints and now >= joints[0]:
-        queue.popleft()
-        joints.popleft()
+    zeros = dict.fromkeys((2, 3, 4, 5, 6, 13, 20, 22, 23, 31, 32), 0.0)
+    values = {
+        0: 10.0,
+        1: 25.0,
+        10: 1.0,
+        11: 0.01,
+        12: 0.002,
+        21: 1.0,
+        24: 25.0,
+        25: 500.0,
+        26: 250.0,
+        27: 1.0,
+        30: 1000.0,
+    }
+    families = (round(s.microsteps / s.full_step_deg, 3), s.max_rate_deg_per_min, s.acceleration_deg_s2, 360.0)
+    own = {100 + 10 * k + place: value for k, value in enumerate(families) for place in range(len(s.axes))}
+    return dict(sorted((zeros | values | own).items()))
 
 
 # ---- Grbl: an emulated stepper board behind the bytes of its clients, and the faults it may suffer.
@@ -574,28 +546,18 @@ def _drop_done(queue: "deque[tuple[float, float]]", joints: "deque[float]", now:
 LINE_LENGTH = 80
 
 
-class GrblMachine:
+class GrblMachine(Machine):
     """A board, its clock and its motor, for any number of clients."""
 
     def __init__(self, settings: GrblSettings, clock: Clock, history_s: float = 1200.0) -> None:
-        self.settings, self.clock = settings, clock
+        super().__init__(clock)
+        self.settings, self._history_s = settings, history_s
         self.board = Board(settings, clock)
-        self.lock = threading.RLock()
-        self._history_s = history_s
-        self._sessions: list[GrblSession] = []
         self._broken: set[str] = set()
 
-    def open_session(self, serial: bool) -> "GrblSession":
-        """Return what a new client talks to."""
-        with self.lock:
-            session = GrblSession(self)
-            self._sessions.append(session)
-            return session
-
-    def close_session(self, session: object) -> None:
-        """Forget a client; the board goes on."""
-        with self.lock:
-            self._sessions = [kept for kept in self._sessions if kept is not session]
+    def new_session(self, serial: bool) -> "GrblSession":
+        """Make what a client talks to."""
+        return GrblSession(self)
 
     def tick(self) -> None:
         """Come up to now."""
@@ -629,10 +591,10 @@ class GrblMachine:
                 raise InputError(
                     f"axis state: wanted times in 0..{now:.4f} s, got {t.min():.4f}..{t.max():.4f} s; ask for the past"
                 )
-            angle, rate = rippled(
-                *self.board.stepper.shaft.many(t), self.settings.ripple_deg, self.settings.full_step_deg
-            )
-            return angle * RADIAN_PER_DEGREE, rate * RADIAN_PER_DEGREE
+            angle, rate = self.board.stepper.shaft.many(t)
+            ripple, turns = self.settings.ripple_deg, 2.0 * math.pi / self.settings.full_step_deg  # of the detents
+            rate = rate * (1.0 + ripple * turns * np.cos(turns * angle))
+            return (angle + ripple * np.sin(turns * angle)) * RADIAN_PER_DEGREE, rate * RADIAN_PER_DEGREE
 
     def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray]:
         """Return time and angle of the past in 1 ms steps, s and rad, shape (n,)."""
@@ -657,25 +619,20 @@ class GrblMachine:
             elif name in ("limit_switch", "limit_switch_reverse"):
                 board.limit_pressed = bool(self._broken & {"limit_switch", "limit_switch_reverse"})
                 if on and board.values[21] == 1.0:
-                    self._tell(board.alarm(1))
+                    self.tell(board.alarm(1))
             elif name == "abort_input" and on:
-                self._tell(board.reset())
+                self.tell(board.reset())
             elif name == "message" and on:
-                self._tell(f"[MSG:Emulated message]{EOL}")
-
-    def _tell(self, text: str) -> None:
-        for session in self._sessions:
-            session.tell(text)
+                self.tell(f"[MSG:Emulated message]{EOL}")
 
 
-class GrblSession:
+class GrblSession(Session):
     """One client's bytes."""
 
     def __init__(self, machine: GrblMachine) -> None:
-        self._machine = machine
-        self._line = ""
+        super().__init__()
+        self._machine, self._line = machine, ""
         self._lines: deque[str] = deque()  # those that wait for room among the moves
-        self._unasked = b""
 
     def greet(self) -> bytes:
         """Return the greeting, as a board gives it when its port is opened."""
@@ -695,12 +652,7 @@ class GrblSession:
     def unasked(self) -> bytes:
         """Return what the board says without being asked, since the last look."""
         with self._machine.lock:
-            data, self._unasked = self._unasked + self._work().encode("latin-1"), b""
-            return data
-
-    def tell(self, text: str) -> None:
-        """Queue a message."""
-        self._unasked += text.encode()
+            return super().unasked() + self._work().encode("latin-1")
 
     def _take(self, letter: str) -> str:
         if letter in "?!~\x18\x85":

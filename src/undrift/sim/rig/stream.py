@@ -7,21 +7,11 @@
     R_nb = R_z(angle) R_face
 
 It says all it says whether anybody listens or not; who connects hears it from then on. With the device's clock in error by c,
-reading k is taken at k / (rate (1 + c)).
-
-Readings of a simulated device as time goes on: chunk by chunk, with what it remembers carried from one to the next.
-
-The effects and their order are those of sim/device/effects.py. What has a memory - low-pass, flicker, random walk, hysteresis, the
-thermometer's lag - is stepped here by its own recursion, so that chunks of any size join without a seam. Readings are taken at even
-steps; the jitter and the delays of a converter are left out.
-
-How the emulated device writes its readings: lines with an XOR behind a star, or frames with sync bytes and a CRC-16.
-
-Both are written here from their definitions, apart from the readers in live/.
+reading k is taken at k / (rate (1 + c)). What the effects remember is carried from one chunk to the next; the jitter and the delays
+of a converter are left out. Lines and frames are written here from their definitions, apart from the readers in live/.
 """
 
 import struct
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol, get_args
@@ -39,10 +29,10 @@ from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import facing, unit_vector
 from undrift.sim.rig.axes import Clock
-from undrift.sim.rig.emulator import LINK_FAULTS, FaultyLink, Server
+from undrift.sim.rig.server import Served, Session
 from undrift.units import STANDARD_GRAVITY
 
-# ---- Readings of a simulated device as time goes on: chunk by chunk, with what it remembers carried from one to the next.
+# ---- Readings of a simulated device as time goes on, chunk by chunk
 
 
 class CausalDevice:
@@ -161,8 +151,10 @@ class StreamSettings:
             raise InputError(f"emulated device: wanted sample_rate_hz above 0, got {self.sample_rate_hz}; state it")
 
 
-class EmulatedDevice:
+class EmulatedDevice(Served):
     """A device that sends until closed."""
+
+    name, faults = "device", DEVICE_FAULTS
 
     def __init__(
         self,
@@ -172,23 +164,22 @@ class EmulatedDevice:
         clock: Clock,
         settings: StreamSettings,
     ) -> None:
-        sampling = device.sampling
+        super().__init__(clock)
         self.device, self.settings = device, settings
-        self.rate = sampling.sample_rate_hz or settings.sample_rate_hz
-        self._table, self._board_temp, self._clock = table, board_temp, clock
-        self._step = 1.0 / (self.rate * (1.0 + sampling.clock_error))
-        rng = np.random.default_rng(settings.seed)
+        self.rate = device.sampling.sample_rate_hz or settings.sample_rate_hz
+        self._table, self._board_temp = table, board_temp
+        self._step = 1.0 / (self.rate * (1.0 + device.sampling.clock_error))
         self._hands = np.random.default_rng((settings.seed, 1))
-        self._device = CausalDevice(device, self._step, rng)
-        self._lock = threading.RLock()
-        self._sessions: list[DeviceSession] = []
+        self._device = CausalDevice(device, self._step, np.random.default_rng(settings.seed))
         self._faults: set[str] = set()
         self._mount(settings.face)
-        self._warm_up()
-        self._next = 1 + int(clock.now() / self._step + 1e-6)  # reading k is taken at k steps
         self._last_rate: FloatArray | None = None
-        self._link = FaultyLink(settings.seed)
-        self._server = Server(self, self._link, (settings.host, settings.port))
+        # Compile what takes readings before the first is due: its stream would begin with a backlog of as many seconds
+        first = CausalDevice(device, self._step, np.random.default_rng(0))
+        first.read(*self._scene(np.array([clock.now()])))
+        self._next = 1 + int(clock.now() / self._step + 1e-6)  # reading k is taken at k steps
+        self._last_rate = None
+        self.serve((settings.host, settings.port), settings.seed)
 
     def address(self, clock_speed: float) -> str:
         """Return where it sends and what, as ``live.address`` reads it."""
@@ -212,68 +203,31 @@ class EmulatedDevice:
         """Mount the device with another face up, from now on."""
         if face not in FACES:
             raise InputError(f"mount: wanted one of {', '.join(FACES)}, got '{face}'; name the axis that points up")
-        with self._lock:
+        with self.lock:
             self._go_on()
             self._mount(face)
 
-    @property
-    def face(self) -> Face:
-        """Axis of the device that points up."""
-        return self._face
-
     def tick(self) -> None:
         """Come up to now."""
-        with self._lock:
+        with self.lock:
             self._go_on()
 
-    def open_session(self, serial: bool) -> "DeviceSession":
-        """Return what a new client hears."""
-        with self._lock:
-            self._sessions.append(DeviceSession())
-            return self._sessions[-1]
+    def new_session(self, serial: bool) -> "DeviceSession":
+        """Make what a client hears."""
+        return DeviceSession()
 
-    def close_session(self, session: object) -> None:
-        """Forget a client."""
-        with self._lock:
-            self._sessions = [held for held in self._sessions if held is not session]
-
-    def inject(self, fault: str, *, answers: int | None = None) -> None:
-        """Let a fault begin."""
-        if fault in LINK_FAULTS:
-            self._link.start(fault, answers)
-        elif fault in DEVICE_FAULTS:
-            with self._lock:
-                self._faults.add(fault)
-        else:
-            known = ", ".join((*LINK_FAULTS, *DEVICE_FAULTS))
-            raise InputError(f"device fault: wanted one of {known}, got '{fault}'; name one of them")
-        self._server.settle()
-
-    def clear(self) -> None:
-        """Let all faults end."""
-        self._link.stop(None)
-        with self._lock:
-            self._faults.clear()
-        self._server.settle()
-
-    def close(self) -> None:
-        """Close every socket and end the thread; harmless when called again."""
-        self._server.close()
+    def set_fault(self, fault: str, on: bool) -> None:
+        """Break or mend a part."""
+        (self._faults.add if on else self._faults.discard)(fault)
 
     def _mount(self, face: Face) -> None:
         tilt = self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
         up = unit_vector(face) + np.cross(tilt, unit_vector(face))
-        self._face, self._up = face, up / np.linalg.norm(up)
+        self.face, self._up = face, up / np.linalg.norm(up)
         self._mounted = facing(np.array([1.0, 0.0, 0.0, 0.0]), self._up)
 
-    def _warm_up(self) -> None:
-        """Compile what takes readings before the first is due: its stream would begin with a backlog of as many seconds."""
-        self._last_rate = None
-        first = CausalDevice(self.device, self._step, np.random.default_rng(0))
-        first.read(*self._scene(np.array([self._clock.now()])))
-
     def _go_on(self) -> None:
-        now = self._clock.now()
+        now = self.clock.now()
         last = min(int(now / self._step + 1e-6), self._next + MOST_AT_ONCE - 1)  # a clock that adds up tenths
         if last < self._next:
             return
@@ -305,11 +259,11 @@ class EmulatedDevice:
         ), rate
 
     def _send(self, counts: IntArray, rows: FloatArray) -> None:
-        if not self._sessions or "silence" in self._faults:
+        if not self.sessions or "silence" in self._faults:
             return
         data = _written(counts, rows, self.settings.framing, self._faults)
-        for session in self._sessions:
-            session.hear(data)
+        for session in self.sessions:
+            session.tell(data)
 
 
 def _written(counts: IntArray, rows: FloatArray, framing: Framing, faults: set[str]) -> bytes:
@@ -326,26 +280,10 @@ def _written(counts: IntArray, rows: FloatArray, framing: Framing, faults: set[s
     return b"".join(pieces)
 
 
-class DeviceSession:
-    """One client of a device."""
+class DeviceSession(Session):
+    """One client of a device, which takes no notice of what it says."""
 
-    def __init__(self) -> None:
-        self._waiting = b""
-
-    def hear(self, data: bytes) -> None:
+    def tell(self, data: bytes) -> None:
         """Take what the device says."""
-        if len(self._waiting) < MOST_WAITING:
-            self._waiting += data
-
-    def greet(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Take no notice of what a client says."""
-        return []
-
-    def unasked(self) -> bytes:
-        """Return the readings of the device since the last call."""
-        data, self._waiting = self._waiting, b""
-        return data
+        if len(self._unasked) < MOST_WAITING:
+            super().tell(data)

@@ -1,0 +1,332 @@
+"""Server: one thread that carries bytes between clients and an emulated machine, over TCP on the loopback and over a pty.
+
+The thread also brings the machine up to now every few milliseconds, so that it goes on while no client says anything. Faults of the
+link change the bytes of answers between machine and client.
+"""
+
+import contextlib
+import math
+import os
+import random
+import selectors
+import socket
+import threading
+import time
+import tty
+from collections import deque
+
+from undrift.errors import InputError
+from undrift.sim.rig.axes import Clock
+
+LINK_FAULTS = {
+    "drop_bytes": "every third byte of each answer is lost",
+    "stall": "answers are held back until the fault is cleared, then come late; the card keeps executing its last command",
+    "garbage": "each answer is replaced by random bytes without a prompt",
+    "half_reply": "the second half of each answer, prompt included, is lost",
+    "slow_link": "answers come at 20 bytes a second of the host's time",
+    "late_reply": "each answer comes 0.5 s late, host's time",
+    "disconnect": "every client's socket is closed once; the card keeps executing its last command, clients may come back",
+}
+SLOW_BYTES_PER_S = 20.0
+LATE_S = 0.5
+
+
+class FaultyLink:
+    """What the link does to answers."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self._active: dict[str, int | None] = {}  # answers that it still lasts for; None without end
+        self._random = random.Random(seed)
+        self._lock = threading.Lock()
+
+    def start(self, name: str, answers: int | None) -> None:
+        """Let a fault begin."""
+        with self._lock:
+            self._active[name] = answers
+
+    def stop(self, name: str | None) -> None:
+        """Let a fault end."""
+        with self._lock:
+            for known in list(self._active) if name is None else [name]:
+                self._active.pop(known, None)
+
+    @property
+    def stalled(self) -> bool:
+        """Whether answers are held back."""
+        with self._lock:
+            return "stall" in self._active
+
+    def take_disconnect(self) -> bool:
+        """Tell, once, that clients are to be cut off."""
+        with self._lock:
+            return self._active.pop("disconnect", 0) != 0
+
+    def pass_on(self, answer: bytes, free_at: float) -> list[tuple[float, bytes]]:
+        """Return an answer as it arrives: pieces with the host's time at which each is sent."""
+        now = max(time.monotonic(), free_at)
+        with self._lock:
+            if self._struck("garbage"):
+                letters = [byte for byte in range(256) if byte not in b":?"]
+                answer = bytes(self._random.choice(letters) for _ in range(len(answer) + 8))
+            if self._struck("half_reply"):
+                answer = answer[: len(answer) // 2]
+            if self._struck("drop_bytes"):
+                kept = bytes(byte for place, byte in enumerate(answer, start=1) if place % 3)
+                answer = kept if len(answer) > 1 else b""
+            if self._struck("late_reply"):
+                now = max(time.monotonic() + LATE_S, free_at)
+            if self._struck("slow_link"):
+                step = 1.0 / SLOW_BYTES_PER_S
+                return [(now + step * (place + 1), answer[place : place + 1]) for place in range(len(answer))]
+        return [(now, answer)]
+
+    def _struck(self, name: str) -> bool:
+        left = self._active.get(name, 0)
+        if left is not None and left > 1:
+            self._active[name] = left - 1
+        elif left is not None:
+            self._active.pop(name, None)
+        return left != 0
+
+
+# ---- What stands behind the server
+
+
+class Session:
+    """One client of a machine: this one hears nothing and says what it is told to."""
+
+    def __init__(self) -> None:
+        self._unasked = b""
+
+    def greet(self) -> bytes:
+        """Return what a new client hears."""
+        return b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes, return answers."""
+        return []
+
+    def tell(self, data: bytes) -> None:
+        """Queue a message."""
+        self._unasked += data
+
+    def unasked(self) -> bytes:
+        """Return what the machine says without being asked, since the last look."""
+        data, self._unasked = self._unasked, b""
+        return data
+
+
+class Machine:
+    """A machine, its clock and its clients."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock, self.lock = clock, threading.RLock()
+        self.sessions: list[Session] = []
+
+    def new_session(self, serial: bool) -> Session:
+        """Make what a client talks to."""
+        return Session()
+
+    def open_session(self, serial: bool) -> Session:
+        """Return what a new client talks to."""
+        with self.lock:
+            self.sessions.append(self.new_session(serial))
+            return self.sessions[-1]
+
+    def close_session(self, session: Session) -> None:
+        """Forget a client; the machine goes on."""
+        with self.lock:
+            self.sessions = [kept for kept in self.sessions if kept is not session]
+
+    def tell(self, text: str) -> None:
+        """Say something to all clients."""
+        for session in self.sessions:
+            session.tell(text.encode("latin-1", "replace"))
+
+    def tick(self) -> None:
+        """Come up to now."""
+
+
+class Served(Machine):
+    """A machine with a server of its own, and faults."""
+
+    name: str
+    faults: dict[str, str]
+
+    def serve(self, address: tuple[str, int], seed: int = 0) -> None:
+        """Begin to listen."""
+        self._link = FaultyLink(seed)
+        self._server = Server(self, self._link, address)
+
+    def set_fault(self, fault: str, on: bool) -> None:
+        """Break or mend a part of the machine."""
+        raise NotImplementedError
+
+    def inject(self, fault: str, *, answers: int | None = None) -> None:
+        """Let a fault begin."""
+        if fault not in (*LINK_FAULTS, *self.faults):
+            known = ", ".join((*LINK_FAULTS, *self.faults))
+            raise InputError(f"{self.name} fault: wanted one of {known}, got '{fault}'; name one of them")
+        if fault in LINK_FAULTS:
+            self._link.start(fault, answers)
+        else:
+            with self.lock:
+                self.set_fault(fault, True)
+        self._server.settle()
+
+    def clear(self) -> None:
+        """Let all faults end."""
+        self._link.stop(None)
+        with self.lock:
+            for fault in self.faults:
+                self.set_fault(fault, False)
+        self._server.settle()
+
+    def close(self) -> None:
+        """Close every socket and end the thread; harmless when called again."""
+        self._server.close()
+
+
+# ---- Server
+
+TICK_S = 0.005
+READ_SIZE = 4096
+
+
+class _Client:
+    def __init__(self, session: Session, connection: socket.socket | None, descriptor: int) -> None:
+        self.session, self.connection, self.descriptor = session, connection, descriptor
+        self.pending: deque[tuple[float, bytes]] = deque()
+
+
+class Server:
+    """Serves until closed."""
+
+    def __init__(self, machine: Machine, link: FaultyLink, address: tuple[str, int], with_pty: bool = False) -> None:
+        self._machine, self._link = machine, link
+        self._listener = socket.create_server(address)
+        self._listener.setblocking(False)
+        self.host, self.port = self._listener.getsockname()[:2]
+        self.pty_path: str | None = None
+        self._wake, self._woken = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+        self._selector.register(self._woken, selectors.EVENT_READ, lambda: self._woken.recv(READ_SIZE))
+        self._clients: list[_Client] = []
+        self._descriptors: tuple[int, ...] = ()
+        self._dark = self._closing = False
+        self._settled = threading.Event()
+        if with_pty:
+            self._descriptors = near, far = os.openpty()  # the far end stays open: a client may come and go
+            tty.setraw(far)
+            os.set_blocking(near, False)
+            self.pty_path = os.ttyname(far)
+            self._welcome(_Client(self._machine.open_session(serial=True), None, near))
+        self._thread = threading.Thread(target=self._serve, name="emulated-rig", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and close every socket; harmless when called again."""
+        if not self._closing:
+            self._closing = True
+            with contextlib.suppress(OSError):  # the thread may have seen it by itself, and closed all
+                self._wake.send(b"x")
+            self._thread.join()
+
+    def set_dark(self, dark: bool) -> None:
+        """Cut the power: clients are dropped and none is taken until it comes back."""
+        self._dark = dark
+        self.settle()
+
+    def settle(self, timeout_s: float = 2.0) -> None:
+        """Wait until the thread has gone round once more."""
+        self._settled.clear()
+        self._wake.send(b"x")
+        self._settled.wait(timeout_s)
+
+    def _serve(self) -> None:
+        try:
+            while not self._closing:
+                settling = not self._settled.is_set()
+                due = min((client.pending[0][0] for client in self._clients if client.pending), default=math.inf)
+                for key, _ in self._selector.select(min(max(due - time.monotonic(), 0.0), TICK_S)):
+                    key.data()
+                self._machine.tick()
+                cut = self._dark or self._link.take_disconnect()
+                for client in list(self._clients):
+                    if cut:
+                        self._drop(client)
+                    else:
+                        self._speak(client)
+                if settling:
+                    self._settled.set()
+        finally:
+            for client in list(self._clients):
+                self._drop(client)
+            for closed in (self._selector, self._listener, self._wake, self._woken):
+                closed.close()
+            for descriptor in self._descriptors:
+                os.close(descriptor)
+            self._settled.set()
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:
+            return
+        if self._dark:
+            connection.close()
+            return
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client = _Client(self._machine.open_session(serial=False), connection, connection.fileno())
+        self._welcome(client)
+        self._queue(client, client.session.greet())
+
+    def _welcome(self, client: _Client) -> None:
+        self._clients.append(client)
+        self._selector.register(client.descriptor, selectors.EVENT_READ, lambda: self._hear(client))
+
+    def _hear(self, client: _Client) -> None:
+        try:
+            data = os.read(client.descriptor, READ_SIZE)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+            return
+        for answer in client.session.feed(data):
+            self._queue(client, answer)
+
+    def _queue(self, client: _Client, answer: bytes) -> None:
+        if answer:
+            free_at = client.pending[-1][0] if client.pending else 0.0
+            client.pending.extend(self._link.pass_on(answer, free_at))
+
+    def _speak(self, client: _Client) -> None:
+        self._queue(client, client.session.unasked())
+        if self._link.stalled:
+            return
+        while client.pending and client.pending[0][0] <= time.monotonic():
+            due, data = client.pending.popleft()
+            try:
+                sent = os.write(client.descriptor, data) if data else 0
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                self._drop(client)
+                return
+            if sent < len(data):  # the client does not read: keep the rest for later
+                client.pending.appendleft((due, data[sent:]))
+                return
+
+    def _drop(self, client: _Client) -> None:
+        client.pending.clear()
+        if client.connection is None:  # a terminal stays; what is in its line is lost
+            return
+        self._selector.unregister(client.descriptor)
+        client.connection.close()
+        self._machine.close_session(client.session)
+        self._clients.remove(client)
