@@ -28,19 +28,18 @@ A leg is a stretch that is recorded without a break: a visit to a set-point, a w
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
-from undrift.frames import quaternion_product
 from undrift.record import FACES, Face, Record, Session, Still, Turn
 from undrift.sim.device.effects import Offset, Past, Scene, SensorChain, Thermometer
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.simulate import Simulated, Streams, Triad, draw_streams, simulate_device
-from undrift.sim.motion.bench import AXES, BenchSettings, earth_rate
-from undrift.sim.motion.motion import Motion, Script, facing, turn_quaternion, unit_vector
+from undrift.sim.device.simulate import Simulated, Streams, draw_streams, simulate_device
+from undrift.sim.motion.bench import BenchSettings, free_poses, rest_on_faces, script_motion, steady_rates
+from undrift.sim.motion.motion import Motion, Script, unit_vector
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Chamber: the temperature of its set-point, its air and the board in it, over time.
@@ -303,44 +302,40 @@ class ThermalSettings:
 # ---- Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
 
 Work = Callable[[Script], Face | None]  # writes what is done at a set-point and returns the face that it leaves up
+Leg = tuple[
+    Motion, Soak | None
+]  # what is recorded without a break, on the clock of the chamber; the visit it belongs to
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Leg:
-    """A stretch recorded without a break."""
+def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> tuple[Profile, list[Leg]]:
+    """Return temperatures and what is done at each, in order of time."""
+    bench = settings.bench
+    if kind in ("ramp", "warm_up"):
+        profile = (
+            ramp_profile(settings.ramp, settings=settings.chamber)
+            if kind == "ramp"
+            else warm_up_profile(settings.warm_up, step_s=settings.chamber.step_s)
+        )
+        script = Script(bench.sample_rate_hz, unit_vector(settings.rest_face))
+        script.still(float(profile.time[-1]), settings.rest_face)
+        return profile, [(script_motion(script, bench), None)]
+    draw = streams.of("pose" if kind == "multi_position" else "tilt")
+    faces: tuple[Face, ...] = FACES if settings.faces == "six" else ("+z",)
 
-    motion: Motion  # On the clock of the chamber, with its labels
-    soak: Soak | None = None  # The visit it belongs to
+    def work(script: Script) -> Face | None:
+        if kind == "multi_position":
+            free_poses(script, bench, draw, first_twisted=True)
+            return None
+        rest_on_faces(script, bench, faces, draw)
+        if not bench.turn_rates:
+            return faces[-1]
+        steady_rates(script, bench)
+        return "+z"
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Programme:
-    """Temperatures and motions of a thermal session."""
-
-    profile: Profile  # Temperatures
-    legs: tuple[Leg, ...]  # In order of time
-
-
-def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> Programme:
-    """Return what is done at which temperature."""
-    if kind == "ramp":
-        return _resting(ramp_profile(settings.ramp, settings=settings.chamber), settings)
-    if kind == "warm_up":
-        return _resting(warm_up_profile(settings.warm_up, step_s=settings.chamber.step_s), settings)
-    if kind == "multi_position":
-        poses = streams.of("pose")
-        return _visits(settings, lambda script: _poses(script, settings, poses))
-    tilts = streams.of("tilt")
-    return _visits(settings, lambda script: _faces_and_steps(script, settings, tilts))
-
-
-def _resting(profile: Profile, settings: ThermalSettings) -> Programme:
-    script = Script(settings.bench.sample_rate_hz, unit_vector(settings.rest_face))
-    script.still(float(profile.time[-1]), settings.rest_face)
-    return Programme(profile=profile, legs=(Leg(motion=_motion(script, settings, 0)),))
+    return _visits(settings, work)
 
 
-def _visits(settings: ThermalSettings, work: Work) -> Programme:
+def _visits(settings: ThermalSettings, work: Work) -> tuple[Profile, list[Leg]]:
     rate, throughout = settings.bench.sample_rate_hz, settings.recorded == "throughout"
     length_s = _length_s(settings, work)
     points = settings.set_points_c + (settings.set_points_c[::-1] if settings.back else ())
@@ -358,9 +353,9 @@ def _visits(settings: ThermalSettings, work: Work) -> Programme:
         face = work(script)
         if throughout and first + script.samples < last:
             script.slide(((), (), ()), (last - first - script.samples) / rate)  # at rest until the chamber moves on
-        q = script.q
-        legs.append(Leg(motion=_motion(script, settings, first), soak=soak))
-    return Programme(profile=profile, legs=tuple(legs))
+        q, motion = script.q, script_motion(script, settings.bench)
+        legs.append((replace(motion, time=motion.time + first / rate), soak))
+    return profile, legs
 
 
 def _length_s(settings: ThermalSettings, work: Work) -> float:
@@ -374,52 +369,6 @@ def _length_s(settings: ThermalSettings, work: Work) -> float:
             "thermal: wanted a motion at the set-points, got one of no length; give still_s, rates or poses"
         )
     return (script.samples - before) / settings.bench.sample_rate_hz
-
-
-def _faces_and_steps(script: Script, settings: ThermalSettings, draw: np.random.Generator) -> Face:
-    """Rest on one face or six; then each axis up in turn: a rest, the steady rates both ways."""
-    bench = settings.bench
-    faces: tuple[Face, ...] = FACES if settings.faces == "six" else ("+z",)
-    for face in faces:
-        up, tilt = unit_vector(face), draw.normal(0.0, bench.tilt_sd, 3)
-        _lay(script, settings, facing(script.q, up + np.cross(tilt, up)))
-        script.still(bench.still_s, face)
-    if not bench.turn_rates:
-        return faces[-1]
-    ups: tuple[Face, ...] = ("+x", "+y", "+z")
-    for axis, face in zip(AXES, ups, strict=True):
-        _lay(script, settings, facing(script.q, unit_vector(face)))
-        script.still(bench.still_s, face)
-        for turn_rate in bench.turn_rates:
-            for signed in (turn_rate, -turn_rate):  # the way round changes, so that drift cannot pass for scale
-                script.spin(axis, signed, bench.ramp_s, bench.dwell_s)
-    return "+z"
-
-
-def _poses(script: Script, settings: ThermalSettings, draw: np.random.Generator) -> None:
-    """Rest in free poses, a long one first."""
-    bench = settings.bench
-    for number in range(bench.poses):
-        up = draw.normal(size=3)
-        twist = turn_quaternion(up / np.linalg.norm(up), np.array(draw.uniform(-math.pi, math.pi)))
-        _lay(script, settings, quaternion_product(facing(script.q, up), twist))
-        script.still(bench.first_still_s if number == 0 else bench.still_s)
-
-
-def _lay(script: Script, settings: ThermalSettings, q: FloatArray) -> None:
-    if script.samples:
-        script.turn_to(q, settings.bench.move_s)
-    else:
-        script.q = q
-
-
-def _motion(script: Script, settings: ThermalSettings, first: int) -> Motion:
-    """Return what was written, its first sample the given one of the programme's clock."""
-    bench = settings.bench
-    motion = script.motion(
-        bench.gravity_m_s2, lever_arm_b=np.array(bench.lever_arm_b), earth_rate_n=earth_rate(bench.latitude_deg)
-    )
-    return replace(motion, time=motion.time + first / bench.sample_rate_hz)
 
 
 # ---- Thermal sessions of a simulated device: soaks, ramps, warm-ups, poses at several temperatures.
@@ -473,8 +422,8 @@ def simulate_thermal_session(
         raise InputError(f"thermal: wanted one of {', '.join(get_args(ThermalKind))}, got '{kind}'; name one of them")
     chosen = settings or ThermalSettings()
     chosen = replace(chosen, power_on_s=0.0) if kind == "warm_up" else chosen
-    programme = programme_of(kind, chosen, draw_streams(rng))
-    records, stills, turns = _pieced(_read(programme, device, chosen, rng), chosen)
+    profile, legs = programme_of(kind, chosen, draw_streams(rng))
+    records, stills, turns = _pieced(_read(profile, legs, device, chosen, rng), chosen)
     return Session(
         kind="thermal",
         serial=device.serial,
@@ -485,19 +434,14 @@ def simulate_thermal_session(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Taken:
-    """What was recorded of a leg, its labels counted from its own first sample."""
-
-    record: Record
-    stills: tuple[Still, ...]
-    turns: tuple[Turn, ...]
+# What was recorded of a leg, its labels counted from its own first sample
+Taken = tuple[Record, tuple[Still, ...], tuple[Turn, ...]]
 
 
 def _read(
-    programme: Programme, device: DeviceModel, settings: ThermalSettings, rng: np.random.Generator
-) -> tuple[_Taken, ...]:
-    profile, thermometer = programme.profile, device.thermometer
+    profile: Profile, legs: list[Leg], device: DeviceModel, settings: ThermalSettings, rng: np.random.Generator
+) -> list[Taken]:
+    thermometer, taken = device.thermometer, []
     scene = Scene(
         time=profile.time,
         step_s=float(profile.time[-1] / (len(profile.time) - 1)),
@@ -506,20 +450,19 @@ def _read(
         age_s=profile.time + settings.power_on_s,
     )
     felt = thermometer.felt(scene, Past(rng))
-    taken: list[_Taken] = []
     walked: Walks = (np.zeros(3), np.zeros(3))
     ended_s = 0.0
-    for leg in programme.legs:
-        time = leg.motion.time
+    for leg in legs:
+        time = leg[0].time
         walked = _walked_on(device, walked, float(time[0]) - ended_s, rng)
-        made, first = _simulated(leg.motion, profile, _shifted(device, walked), settings.power_on_s, rng)
-        walked = (walked[0] + _walk_of(made.gyro), walked[1] + _walk_of(made.accel))
+        made, first = _simulated(leg[0], profile, _shifted(device, walked), settings.power_on_s, rng)
+        walked = (walked[0] + made.gyro.of("random_walk")[-1], walked[1] + made.accel.of("random_walk")[-1])
         ended_s = float(time[-1])
         noise = draw_streams(rng).of("thermometer")
         shown = thermometer.shown(np.interp(made.true_time, profile.time, felt), noise)
         record = replace(made.record, temp_c=None if settings.drop_temperature else shown)
         taken.append(_labelled(leg, record.part(first, len(record)), made.true_time[first:], settings))
-    return tuple(taken)
+    return taken
 
 
 def _simulated(
@@ -533,29 +476,20 @@ def _simulated(
         count = len(turns) + round(RUN_IN_S / step_s)
         motion = _with_rest_before(motion, count, step_s)
         temp_c = np.concatenate((turns, np.full(count - len(turns), temp_c[0]), temp_c))
-    plain = replace(device, thermometer=PLAIN)
     age_s = power_on_s + float(motion.time[0])
-    made = simulate_device(plain, motion, rng=rng, temp_c=temp_c, power_on_s=age_s)
+    made = simulate_device(replace(device, thermometer=PLAIN), motion, rng=rng, temp_c=temp_c, power_on_s=age_s)
     return made, int(np.searchsorted(made.true_time, start_s - 1e-3 * step_s))
 
 
 def _with_rest_before(motion: Motion, count: int, step_s: float) -> Motion:
-    """Return a motion that begins with a rest, with a longer one."""
-
-    def longer(x: FloatArray) -> FloatArray:
-        return np.concatenate((np.repeat(x[:1], count, axis=0), x))
-
-    swing = motion.angular_acceleration_b
-    return Motion(
-        time=np.concatenate((motion.time[0] - np.arange(count, 0, -1) * step_s, motion.time)),
-        q_nb=longer(motion.q_nb),
-        rate_b=longer(motion.rate_b),
-        mean_rate_b=longer(motion.mean_rate_b),
-        force_b=longer(motion.force_b),
-        gravity_m_s2=motion.gravity_m_s2,
-        moving=longer(motion.moving),
-        angular_acceleration_b=None if swing is None else longer(swing),
-    )
+    """Return a motion that begins with a rest, with a longer one and no labels."""
+    columns: dict[str, Any] = {
+        name: np.concatenate((np.repeat(x[:1], count, axis=0), x))
+        for name in ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving", "angular_acceleration_b")
+        if (x := getattr(motion, name)) is not None
+    }
+    time = np.concatenate((motion.time[0] - np.arange(count, 0, -1) * step_s, motion.time))
+    return Motion(time=time, gravity_m_s2=motion.gravity_m_s2, **columns)
 
 
 def _walked_on(device: DeviceModel, walked: Walks, gap_s: float, rng: np.random.Generator) -> Walks:
@@ -578,52 +512,40 @@ def _shifted(device: DeviceModel, walked: Walks) -> DeviceModel:
     return replace(device, gyro=shift(device.gyro, walked[0]), accel=shift(device.accel, walked[1]))
 
 
-def _walk_of(triad: Triad) -> FloatArray:
-    end: FloatArray = triad.of("random_walk")[-1]
-    return end
-
-
-def _labelled(leg: Leg, record: Record, true_time: FloatArray, settings: ThermalSettings) -> _Taken:
+def _labelled(leg: Leg, record: Record, true_time: FloatArray, settings: ThermalSettings) -> Taken:
     """Return a record with the labels of its leg, in samples of the record: the device's clock may be another."""
-    time, slack = leg.motion.time, 1e-3 / leg.motion.sample_rate_hz
+    motion, soak = leg
+    time, slack = motion.time, 1e-3 / motion.sample_rate_hz
 
     def sample(edge: int) -> int:
         return len(record) if edge >= len(time) else int(np.searchsorted(true_time, time[edge] - slack))
 
     def temp_of(label: Still | Turn) -> float | None:
-        at_set_point = leg.soak is not None and time[label.start] >= leg.soak.soaked_s
-        return leg.soak.set_point_c if settings.drop_temperature and leg.soak and at_set_point else None
+        stated = settings.drop_temperature and soak is not None and time[label.start] >= soak.soaked_s
+        return soak.set_point_c if stated and soak else None
 
-    stills = tuple(replace(s, start=sample(s.start), stop=sample(s.stop), temp_c=temp_of(s)) for s in leg.motion.stills)
-    turns = tuple(replace(t, start=sample(t.start), stop=sample(t.stop), temp_c=temp_of(t)) for t in leg.motion.turns)
-    return _Taken(record, stills, turns)
+    stills = tuple(replace(s, start=sample(s.start), stop=sample(s.stop), temp_c=temp_of(s)) for s in motion.stills)
+    turns = tuple(replace(t, start=sample(t.start), stop=sample(t.stop), temp_c=temp_of(t)) for t in motion.turns)
+    return record, stills, turns
 
 
 def _pieced(
-    taken: tuple[_Taken, ...], settings: ThermalSettings
+    taken: list[Taken], settings: ThermalSettings
 ) -> tuple[tuple[Record, ...], tuple[Still, ...], tuple[Turn, ...]]:
     """Return the records of a session with its labels: one record for each leg, or one in all."""
     stills: list[Still] = []
     turns: list[Turn] = []
     before = 0
-    for number, leg in enumerate(taken):
+    for number, (record, own_stills, own_turns) in enumerate(taken):
         recording, offset = (0, before) if settings.one_record else (number, 0)
-        stills += [replace(s, start=s.start + offset, stop=s.stop + offset, recording=recording) for s in leg.stills]
-        turns += [replace(t, start=t.start + offset, stop=t.stop + offset, recording=recording) for t in leg.turns]
-        before += len(leg.record)
-    records = tuple(leg.record for leg in taken)
-    return (_joined(records),) if settings.one_record else records, tuple(stills), tuple(turns)
-
-
-def _joined(records: tuple[Record, ...]) -> Record:
-    def all_of(parts: list[FloatArray | None]) -> FloatArray | None:
-        held = [part for part in parts if part is not None]
-        return np.concatenate(held) if len(held) == len(parts) else None
-
-    return replace(
-        records[0],
-        time=np.concatenate([record.time for record in records]),
-        gyro=all_of([record.gyro for record in records]),
-        accel=all_of([record.accel for record in records]),
-        temp_c=all_of([record.temp_c for record in records]),
-    )
+        stills += [replace(s, start=s.start + offset, stop=s.stop + offset, recording=recording) for s in own_stills]
+        turns += [replace(t, start=t.start + offset, stop=t.stop + offset, recording=recording) for t in own_turns]
+        before += len(record)
+    records = tuple(record for record, _, _ in taken)
+    if settings.one_record:
+        joined: dict[str, Any] = {}
+        for name in ("time", "gyro", "accel", "temp_c"):
+            parts = [getattr(record, name) for record in records]
+            joined[name] = None if parts[0] is None else np.concatenate(parts)
+        records = (replace(records[0], **joined),)
+    return records, tuple(stills), tuple(turns)

@@ -238,16 +238,16 @@ def _triad(
 
 def _bridged(motion: Motion) -> Motion:
     """Return a motion whose gaps are bridged by straight lines, so that filters stay finite; the readings are masked later."""
-    acceleration = motion.angular_acceleration_b
     rate = _filled(motion.rate_b, motion.time)
     if np.isnan(rate).any():
         raise InputError("motion: wanted known samples, got none; the poses hold gaps only")
+    swing = motion.angular_acceleration_b
     return replace(
         motion,
         rate_b=rate,
         mean_rate_b=np.where(np.isfinite(motion.mean_rate_b), motion.mean_rate_b, rate),
         force_b=_filled(motion.force_b, motion.time),
-        angular_acceleration_b=None if acceleration is None else _filled(acceleration, motion.time),
+        angular_acceleration_b=None if swing is None else _filled(swing, motion.time),
     )
 
 

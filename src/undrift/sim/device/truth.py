@@ -1,5 +1,7 @@
 """Truth: what would correct a simulated device without error, and what its data sheet alone says, to hold estimates against."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from undrift.arrays import FloatArray
@@ -73,41 +75,39 @@ def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY)
     """Return what a data sheet alone would make of the readings: nominal sensitivity, square axes, no offset."""
     device = typical_device(grade)
 
-    def triad(chain: SensorChain, unit_out: str) -> TriadModel:
-        null = np.full(3, chain.null)
-        return _inverse(np.eye(3) / chain.gain, null, None, chain.unit, unit_out, chain.full_scale, "nominal")
-
+    gyro, accel = (
+        _inverse(chain, unit_out, "nominal", np.eye(3) / chain.gain, np.full(3, chain.null))
+        for chain, unit_out in ((device.gyro, "rad/s"), (device.accel, "m/s2"))
+    )
     return Calibration(
         device="nominal",
         reference_temp_c=float("nan"),
         gravity_m_s2=gravity_m_s2,
-        gyro=triad(device.gyro, "rad/s"),
-        accel=triad(device.accel, "m/s2"),
+        gyro=gyro,
+        accel=accel,
     )
 
 
 def _model(chain: SensorChain, warmth: float, unit_out: str) -> TriadModel:
-    factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
-    offset = chain.offset.at(warmth) if chain.offset else np.zeros(3)
+    factor, offset = _warmed(chain, warmth)
     matrix = np.linalg.inv(factor[:, None] * chain.forward_matrix)
+    model = _inverse(chain, unit_out, "truth", matrix, chain.null + chain.gain * factor * offset)
+    limit = chain.full_scale / float(np.max(1.0 + chain.scale.error))
     apparent = matrix @ (chain.gain * factor[:, None] * chain.g_sensitivity.matrix) if chain.g_sensitivity else None
-    return _inverse(
-        matrix,
-        chain.null + chain.gain * factor * offset,
-        apparent,
-        chain.unit,
-        unit_out,
-        chain.full_scale / float(np.max(1.0 + chain.scale.error)),
-        "truth",
-    )
+    return replace(model, g_sensitivity=apparent, valid_range=(-limit, limit))
+
+
+def _warmed(chain: SensorChain, warmth: float) -> tuple[FloatArray, FloatArray]:
+    """Return the factor of the sensitivity and the offset at a temperature, (3,)."""
+    factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
+    return factor, chain.offset.at(warmth) if chain.offset else np.zeros(3)
 
 
 def _measured(chain: SensorChain, true: FloatArray, axis: int, warmth: float) -> FloatArray:
     """Return the rate that offset(T) and M(T) make of true rates about one axis, rad/s, shape (K,)."""
     x: FloatArray = true[:, None] * chain.scale.matrix[:, axis]
     x = chain.nonlinearity.bent(x) if chain.nonlinearity else x
-    offset = chain.offset.at(warmth) if chain.offset else np.zeros(3)
-    factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
+    factor, offset = _warmed(chain, warmth)
     x = (x + offset) * factor
     if chain.rate_drift:
         x = x + chain.rate_drift.error(x, np.full(len(x), warmth))
@@ -130,27 +130,18 @@ def _adc(device: DeviceModel) -> AdcModel | None:
     return AdcModel(gyro_lsb=gyro_lsb, accel_lsb=accel_lsb, gyro_rounding=gyro_rounding, accel_rounding=accel_rounding)
 
 
-def _inverse(
-    matrix: FloatArray,
-    offset: FloatArray,
-    g_sensitivity: FloatArray | None,
-    unit_in: str,
-    unit_out: str,
-    limit: float,
-    method: str,
-) -> TriadModel:
+def _inverse(chain: SensorChain, unit_out: str, method: str, matrix: FloatArray, offset: FloatArray) -> TriadModel:
     return TriadModel(
         method=method,
-        unit_in=unit_in,
+        unit_in=chain.unit,
         unit_out=unit_out,
         matrix=matrix,
         offset=offset,
-        g_sensitivity=g_sensitivity,
         covariance=np.zeros((12, 12)),
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
         rms_residual=0.0,
         count=0,
         rank=12,
         condition=1.0,
-        valid_range=(-limit, limit),
+        valid_range=(-chain.full_scale, chain.full_scale),
     )

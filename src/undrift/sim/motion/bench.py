@@ -16,7 +16,7 @@ Rivals: the calibration motions that the note weighs against its own and leaves.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from undrift.errors import InputError
 from undrift.frames import quaternion_product, rotate
 from undrift.record import FACES, Axis, Face, Still
 from undrift.sim.device.simulate import Streams, draw_streams
-from undrift.sim.motion.motion import Course, Motion, Path, Script, Wave, facing, turn_quaternion, unit_vector
+from undrift.sim.motion.motion import Course, Motion, Script, Wave, facing, turn_quaternion, unit_vector
 from undrift.sim.motion.tasks import Task, draw_lines
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -93,8 +93,7 @@ def _piston(script: Script, settings: RivalSettings, streams: Streams) -> None:
         _mount(script, settings, np.eye(3)[axis], np.eye(3)[(axis + 1) % 3], tilts)
         for frequency_hz in settings.piston_hz:
             lift = (Wave(settings.piston_stroke, frequency_hz, 0.0, 0.0, settings.run_s, 2.0),)
-            path: Path = ((), (), lift)
-            script.slide(path, settings.run_s)
+            script.slide(((), (), lift), settings.run_s)
             script.still(settings.still_s)
 
 
@@ -112,11 +111,9 @@ def _mount(
     """Turn the case until one direction points up and another, across it, along x; then wait."""
     level = facing(script.q, up_b + np.cross(tilts.normal(0.0, settings.tilt_sd, 3), up_b))
     x, y, _ = rotate(level, forward_b)
-    q = quaternion_product(turn_quaternion(np.array([0.0, 0.0, 1.0]), -np.arctan2(y, x)), level)
-    if script.samples:
-        script.turn_to(q, settings.move_s)
-    else:
-        script.q = q
+    script.lay(
+        quaternion_product(turn_quaternion(np.array([0.0, 0.0, 1.0]), -np.arctan2(y, x)), level), settings.move_s
+    )
     script.still(settings.still_s)
 
 
@@ -124,24 +121,13 @@ def _robot_arm(settings: RivalSettings, streams: Streams) -> Motion:
     stop = settings.still_s + 6.0 * settings.run_s
     span = (settings.still_s, stop)
     turn, move = streams.of("robot turn"), streams.of("robot move")
-    roll, pitch, yaw = (
-        (draw_lines(turn, np.ones_like, band_hz=ROBOT_TURN_HZ, rms=rms, span=span),) for rms in settings.robot_turn
-    )
-    forward, left, up = (
-        (draw_lines(move, lambda f: f**-2.0, band_hz=ROBOT_MOVE_HZ, rms=settings.robot_move, span=span),)
-        for _ in range(3)
-    )
-    task = Task(
-        name="robot_arm",
-        duration_s=stop + settings.still_s,
-        moving_s=span,
-        roll=roll,
-        pitch=pitch,
-        yaw=yaw,
-        forward=forward,
-        left=left,
-        up=up,
-    )
+    courses: dict[str, Any] = {
+        angle: (draw_lines(turn, np.ones_like, band_hz=ROBOT_TURN_HZ, rms=rms, span=span),)
+        for angle, rms in zip(("roll", "pitch", "yaw"), settings.robot_turn, strict=True)
+    }
+    for way in ("forward", "left", "up"):
+        courses[way] = (draw_lines(move, lambda f: f**-2.0, band_hz=ROBOT_MOVE_HZ, rms=settings.robot_move, span=span),)
+    task = Task(name="robot_arm", duration_s=stop + settings.still_s, moving_s=span, **courses)
     time = np.arange(round(task.duration_s * settings.sample_rate_hz)) / settings.sample_rate_hz
     motion = task.at(time, settings.gravity_m_s2)
     first, last = round(span[0] * settings.sample_rate_hz), round(span[1] * settings.sample_rate_hz)
@@ -184,15 +170,22 @@ def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSe
     streams = draw_streams(rng)
     script = Script(chosen.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
     if kind == "multi_position":
-        _multi_position(script, chosen, streams)
+        free_poses(script, chosen, streams.of("pose"))
     if kind in ("six_face", "bench", "ferraris"):
-        _six_faces(script, chosen, streams)
+        rest_on_faces(script, chosen, FACES, streams.of("tilt"))
     if kind in ("rate_table", "bench"):
-        _rate_table(script, chosen)
+        steady_rates(script, chosen)
     if kind == "ferraris":
         _hand_turns(script, chosen, streams)
+    return script_motion(script, chosen)
+
+
+def script_motion(script: Script, settings: BenchSettings) -> Motion:
+    """Return what was written, as a bench stands."""
     return script.motion(
-        chosen.gravity_m_s2, lever_arm_b=np.array(chosen.lever_arm_b), earth_rate_n=earth_rate(chosen.latitude_deg)
+        settings.gravity_m_s2,
+        lever_arm_b=np.array(settings.lever_arm_b),
+        earth_rate_n=earth_rate(settings.latitude_deg),
     )
 
 
@@ -204,25 +197,21 @@ def earth_rate(latitude_deg: float | None) -> FloatArray:
     return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
-def _six_faces(script: Script, settings: BenchSettings, streams: Streams) -> None:
-    tilts = streams.of("tilt").normal(0.0, settings.tilt_sd, (6, 3))
-    for face, tilt in zip(FACES, tilts, strict=True):
-        up = unit_vector(face)
-        _lay(script, settings, up + np.cross(tilt, up), face)
+def rest_on_faces(
+    script: Script, settings: BenchSettings, faces: tuple[Face, ...], draw: np.random.Generator | None = None
+) -> None:
+    """Rest with each face up in turn, off level by a random tilt."""
+    for face in faces:
+        up, tilt = unit_vector(face), draw.normal(0.0, settings.tilt_sd, 3) if draw else np.zeros(3)
+        script.lay(facing(script.q, up + np.cross(tilt, up)), settings.move_s)
+        script.still(settings.still_s, face)
 
 
-def _lay(script: Script, settings: BenchSettings, up_b: FloatArray, face: Face | None) -> None:
-    if script.samples:
-        script.turn_to(facing(script.q, up_b), settings.move_s)
-    else:
-        script.q = facing(script.q, up_b)
-    script.still(settings.first_still_s if face is None and not script.samples else settings.still_s, face)
-
-
-def _rate_table(script: Script, settings: BenchSettings) -> None:
-    faces: tuple[Face, ...] = ("+x", "+y", "+z")
-    for axis, face in zip(AXES, faces, strict=True):
-        _lay(script, settings, unit_vector(face), face)
+def steady_rates(script: Script, settings: BenchSettings) -> None:
+    """Put each axis up in turn: a rest, then the steady rates both ways."""
+    ups: tuple[Face, ...] = ("+x", "+y", "+z")
+    for axis, face in zip(AXES, ups, strict=True):
+        rest_on_faces(script, settings, (face,))
         for turn_rate in settings.turn_rates:
             for signed in (turn_rate, -turn_rate):  # the way round changes, so that drift cannot pass for scale
                 script.spin(axis, signed, settings.ramp_s, settings.dwell_s)
@@ -230,24 +219,24 @@ def _rate_table(script: Script, settings: BenchSettings) -> None:
 
 def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> None:
     tilts = streams.of("hand").normal(0.0, settings.hand_tilt_sd, (3, 3))
-    faces: tuple[Face, ...] = ("+x", "+y", "+z")
-    for axis, face, tilt in zip(AXES, faces, tilts, strict=True):
-        _lay(script, settings, unit_vector(face), None)
-        true_axis = unit_vector(axis) + np.cross(tilt, unit_vector(axis))
-        script.hand_turn(
-            axis, settings.hand_angle, 2.0 * settings.move_s, true_axis / np.linalg.norm(true_axis), settings.hand_angle
-        )
+    for axis, tilt in zip(AXES, tilts, strict=True):
+        unit = unit_vector(axis)
+        script.lay(facing(script.q, unit), settings.move_s)
+        script.still(settings.still_s)
+        true_axis = unit + np.cross(tilt, unit)
+        script.hand_turn(axis, settings.hand_angle, 2.0 * settings.move_s, true_axis / np.linalg.norm(true_axis))
         script.still(settings.still_s)
 
 
-def _multi_position(script: Script, settings: BenchSettings, streams: Streams) -> None:
-    draw = streams.of("pose")
-    for _ in range(settings.poses):
+def free_poses(
+    script: Script, settings: BenchSettings, draw: np.random.Generator, *, first_twisted: bool = False
+) -> None:
+    """Rest in free poses, a long one first."""
+    for number in range(settings.poses):
         up = draw.normal(size=3)
-        heading = draw.uniform(-math.pi, math.pi)
-        twist = turn_quaternion(up / np.linalg.norm(up), np.array(heading))  # about the vertical: up stays up
-        if script.samples:
-            script.turn_to(quaternion_product(facing(script.q, up), twist), settings.move_s)
-        else:
-            script.q = facing(script.q, up)
-        script.still(settings.still_s if script.samples else settings.first_still_s)
+        twist = turn_quaternion(
+            up / np.linalg.norm(up), np.array(draw.uniform(-math.pi, math.pi))
+        )  # about the vertical
+        q = facing(script.q, up)
+        script.lay(quaternion_product(q, twist) if script.samples or first_twisted else q, settings.move_s)
+        script.still(settings.still_s if number else settings.first_still_s)

@@ -30,7 +30,7 @@ a hand turn takes in the sample that ends it.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -292,10 +292,17 @@ class Script:
         axis = step[1:] / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
         self._turn(duration_s, axis, SMOOTH * (2.0 * np.arctan2(sine, step[0])))
 
-    def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray, label: float) -> None:
+    def lay(self, q: FloatArray, duration_s: float) -> None:
+        """Turn to an orientation, or begin there: q (4,)."""
+        if self.samples:
+            self.turn_to(q, duration_s)
+        else:
+            self.q = q
+
+    def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray) -> None:
         """Turn by hand through an angle, at a rate that is anything but constant: axis_b (3,)."""
         start, stop = self._turn(duration_s, axis_b, (SMOOTH + UNEVEN) * angle)
-        self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=label))
+        self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=angle))
 
     def spin(self, axis: Axis, turn_rate: float, ramp_s: float, dwell_s: float) -> None:
         """Ramp up, hold a steady rate, ramp down; the dwell is labelled."""
@@ -308,8 +315,8 @@ class Script:
 
     def slide(self, path: Path, duration_s: float) -> None:
         """Move along a path without turning."""
-        start, stop = self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
-        self.pieces[-1] = Piece(start, stop, self.q, np.array([1.0, 0.0, 0.0]), REST, path)
+        self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
+        self.pieces[-1] = replace(self.pieces[-1], path=path)
 
     def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
         """Return what was written: lever_arm_b (3,) m, earth_rate_n (3,) rad/s."""

@@ -48,15 +48,6 @@ if TYPE_CHECKING:
 DEGREE = 5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Turning:
-    """Orientation and what belongs to it, at given instants."""
-
-    q_nb: FloatArray  # (N, 4), w-x-y-z
-    rate_b: FloatArray  # (N, 3), rad/s
-    acceleration_b: FloatArray  # (N, 3), angular acceleration, rad/s2
-
-
 def quintic(time: FloatArray, values: FloatArray) -> "BSpline":
     """Return the quintic spline through values."""
     from scipy.interpolate import make_interp_spline
@@ -64,15 +55,15 @@ def quintic(time: FloatArray, values: FloatArray) -> "BSpline":
     return make_interp_spline(time, values, k=DEGREE)
 
 
-def turning(spline: "BSpline", time: FloatArray) -> Turning:
-    """Return orientation, rate and angular acceleration of a spline of quaternions."""
+def turning(spline: "BSpline", time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return q_nb (N, 4), rate_b (N, 3) rad/s and angular acceleration (N, 3) rad/s2 of a spline of quaternions."""
     s, first, second = spline(time), spline(time, nu=1), spline(time, nu=2)
     square = (s * s).sum(axis=1, keepdims=True)
     inverse = quaternion_conjugate(s)
     rate = 2.0 * quaternion_product(inverse, first)[:, 1:] / square
     swell = 2.0 * (s * first).sum(axis=1, keepdims=True) / square
     acceleration = 2.0 * quaternion_product(inverse, second)[:, 1:] / square - rate * swell
-    return Turning(q_nb=s / np.sqrt(square), rate_b=rate, acceleration_b=acceleration)
+    return s / np.sqrt(square), rate, acceleration
 
 
 # ---- Stretches between long gaps
@@ -80,19 +71,10 @@ def turning(spline: "BSpline", time: FloatArray) -> Turning:
 FEWEST = 12  # poses in a stretch: twice what a quintic needs to be one
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stretch:
-    """Poses without a long gap among them."""
-
-    rows: IntArray  # (K,), rows of the recording that were seen
-    start_s: float  # From where to where the motion is known, s: the stretch less what is trimmed
-    stop_s: float
-
-
 def find_stretches(
     time: FloatArray, seen: BoolArray, *, gap_s: float = 0.1, trim_s: float = 0.2, end_trim_s: float = 0.1
-) -> tuple[Stretch, ...]:
-    """Return the stretches between long gaps."""
+) -> list[tuple[IntArray, float, float]]:
+    """Return the stretches between long gaps: rows (K,) that were seen, from where to where the motion is known, s."""
     rows = np.flatnonzero(seen)
     breaks = np.flatnonzero(np.diff(time[rows]) > gap_s * (1.0 + 1e-9)) + 1
     found = []
@@ -103,13 +85,13 @@ def find_stretches(
         after = end_trim_s if piece[-1] == len(time) - 1 else trim_s
         start, stop = float(time[piece[0]]) + before, float(time[piece[-1]]) - after
         if stop > start:
-            found.append(Stretch(rows=piece, start_s=start, stop_s=stop))
+            found.append((piece, start, stop))
     if not found:
         raise InputError(
             f"poses: wanted a stretch of {FEWEST} poses or more without a gap over {gap_s:g} s, longer than what is trimmed, "
             f"got none among {len(rows)} poses seen of {len(time)}; trim less or record without gaps"
         )
-    return tuple(found)
+    return found
 
 
 # ---- Low-pass
@@ -183,11 +165,11 @@ class PoseSpline:
         valid = np.zeros(n)
         for piece in self.pieces:
             rows = np.flatnonzero((time >= piece.start_s) & (time <= piece.stop_s))
-            turn = turning(piece.quaternion, time[rows])
-            q[rows], rate[rows], swing[rows], valid[rows] = turn.q_nb, turn.rate_b, turn.acceleration_b, 1.0
+            q[rows], rate[rows], swing[rows] = turning(piece.quaternion, time[rows])
+            valid[rows] = 1.0
             if piece.position is not None:
                 push = piece.position(time[rows], nu=2) + np.array([0.0, 0.0, gravity_m_s2])
-                force[rows] = rotate(quaternion_conjugate(turn.q_nb), push)
+                force[rows] = rotate(quaternion_conjugate(q[rows]), push)
         mean = mean_rate(time, q, rate[0])
         first = np.flatnonzero((valid[1:] > 0.0) & (valid[:-1] == 0.0)) + 1  # no step leads to the first after a gap
         mean[first] = rate[first]
@@ -219,22 +201,14 @@ def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings(
     time, seen = reference.time, reference.valid
     if reference.position is not None:
         seen = seen & np.isfinite(reference.position).all(axis=1)
-    stretches = find_stretches(time, seen, gap_s=settings.gap_s, trim_s=settings.trim_s, end_trim_s=settings.end_trim_s)
-    step = 1.0 / reference.sample_rate_hz
-    pieces = []
-    for stretch in stretches:
-        t, q = time[stretch.rows], signed(reference.q_nb[stretch.rows])
-        position = None
+    trims = {name: getattr(settings, name) for name in ("gap_s", "trim_s", "end_trim_s")}
+    step, pieces = 1.0 / reference.sample_rate_hz, []
+    for rows, start, stop in find_stretches(time, seen, **trims):
+        t, position = time[rows], None
         if reference.position is not None:
-            position = _smooth(t, reference.position[stretch.rows], step, settings.position_cutoff_hz, settings.order)
-        pieces.append(
-            PosePiece(
-                start_s=stretch.start_s,
-                stop_s=stretch.stop_s,
-                quaternion=_smooth(t, q, step, settings.cutoff_hz, settings.order),
-                position=position,
-            )
-        )
+            position = _smooth(t, reference.position[rows], step, settings.position_cutoff_hz, settings.order)
+        quaternion = _smooth(t, signed(reference.q_nb[rows]), step, settings.cutoff_hz, settings.order)
+        pieces.append(PosePiece(start_s=start, stop_s=stop, quaternion=quaternion, position=position))
     moving = np.ones(len(time)) if reference.moving is None else reference.moving
     return PoseSpline(pieces=tuple(pieces), moving_time=time, moving=moving)
 
@@ -324,15 +298,16 @@ def choose_cutoff(
     settings: CutoffSettings = CutoffSettings(),
 ) -> Cutoff:
     """Choose the cut-off of the low-pass for poses; None takes the rest where it has a crossing, else the residual."""
-    if method == "rest":
-        return _by_rest(reference, signal, settings)
-    if method is None and (settings.rest_s is not None or _marks_rest(reference)):
+    marked = reference.moving is not None and bool((reference.moving == 0.0).any())
+    if method == "rest" or (method is None and (settings.rest_s is not None or marked)):
         try:
             found = _by_rest(reference, signal, settings)
         except InputError:  # too short a rest for a spectrum
-            return _by_residual(reference, signal, settings)
-        if found.crossing:
-            return found
+            if method == "rest":
+                raise
+        else:
+            if method == "rest" or found.crossing:
+                return found
     return _by_residual(reference, signal, settings)
 
 
@@ -376,26 +351,19 @@ def _by_rest(reference: Reference, signal: Signal, settings: CutoffSettings) -> 
     above = np.flatnonzero(use & (spectra[1] > settings.noise_factor * spectra[0]))
     last = float(frequency[use][-1])
     chosen = float(frequency[above[-1] + 1]) if above.size else settings.lowest_hz
+    power_of_rest = f"than {settings.noise_factor:g} times the power of the rest"
     if chosen > last:  # cameras are noisier in motion than at rest
-        reason = f"up to {last:.1f} Hz, the highest tried, the motion has more than {settings.noise_factor:g} times the power"
-        reason += " of the rest: no crossing, choose another method"
+        reason = f"up to {last:.1f} Hz, the highest tried, the motion has more {power_of_rest}: no crossing, choose another method"
         return Cutoff(cutoff_hz=last, method="rest", reason=reason, crossing=False)
-    return Cutoff(
-        cutoff_hz=chosen,
-        method="rest",
-        reason=f"from {chosen:.1f} Hz on the motion has less than {settings.noise_factor:g} times the power of the rest",
-    )
-
-
-def _marks_rest(reference: Reference) -> bool:
-    return reference.moving is not None and bool((reference.moving == 0.0).any())
+    reason = f"from {chosen:.1f} Hz on the motion has less {power_of_rest}"
+    return Cutoff(cutoff_hz=chosen, method="rest", reason=reason)
 
 
 def _rest(reference: Reference, settings: CutoffSettings) -> BoolArray:
     time = reference.time
     if settings.rest_s is not None:
         return np.asarray((time >= settings.rest_s[0]) & (time <= settings.rest_s[1]))
-    if reference.moving is None or not _marks_rest(reference):
+    if reference.moving is None or reference.moving.all():
         raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; state rest_s")
     return np.asarray(reference.moving == 0.0)
 
@@ -408,7 +376,7 @@ def _series(reference: Reference, signal: Signal, part: BoolArray) -> tuple[Floa
             raise InputError("cut-off: wanted positions, got poses without; choose the orientation")
         seen &= np.isfinite(reference.position).all(axis=1)
     stretches = find_stretches(reference.time, seen, trim_s=0.0, end_trim_s=0.0)
-    rows = max(stretches, key=lambda stretch: len(stretch.rows)).rows
+    rows = max((stretch[0] for stretch in stretches), key=len)
     poses = reference.position[rows] if reference.position is not None and signal == "position" else None
     values = 2.0 * signed(reference.q_nb[rows]) if poses is None else poses
     return evenly(reference.time[rows], values, 1.0 / reference.sample_rate_hz)

@@ -42,7 +42,7 @@ bounds cut the tails), and one subject resembles itself.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -181,13 +181,9 @@ def draw_lines(
     amplitudes = np.sqrt(spectrum(frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
     phases = draw.uniform(0.0, 2.0 * math.pi, LINES)
     time = np.arange(span[0], span[1], 0.1 / band_hz[1])
-    plain = Sway(_floats(amplitudes), _floats(frequencies), _floats(phases), *span, SWELL_S)
+    plain = Sway(*(tuple(x.tolist()) for x in (amplitudes, frequencies, phases)), *span, SWELL_S)
     scale = rms / float(np.std(plain.at(time)[0]))
-    return Sway(_floats(scale * amplitudes), plain.frequencies_hz, plain.phases, *span, SWELL_S)
-
-
-def _floats(values: FloatArray) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
+    return replace(plain, amplitudes=tuple((scale * amplitudes).tolist()))
 
 
 # ---- Subjects: who performs a task, and the two groups of thirty of the note's Table 2.
@@ -211,10 +207,10 @@ class Subject:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableRow:
-    """A group as a table prints it."""
+    """A group as a table prints it: lowest, mean, highest."""
 
-    age_years: tuple[float, float, float]  # Lowest, mean, highest
-    height: tuple[float, float, float]  # Lowest, mean, highest, m
+    age_years: tuple[float, float, float]  # Years
+    height: tuple[float, float, float]  # m
 
 
 TABLE_2: dict[Group, TableRow] = {  # [note] Table 2; both groups Tinetti level 2
@@ -228,21 +224,13 @@ def cohort(group: Group, *, rng: np.random.Generator) -> tuple[Subject, ...]:
     """Draw the thirty subjects of one group."""
     if group not in get_args(Group):
         raise InputError(f"cohort: wanted one of {', '.join(get_args(Group))}, got '{group}'; name one of them")
-    streams = draw_streams(rng)
-    row = TABLE_2[group]
-    ages = _spread(row.age_years, streams.of(f"{group} age"))
-    heights = _spread(row.height, streams.of(f"{group} height"))
+    streams, row = draw_streams(rng), TABLE_2[group]
+    ages = _spread(row.age_years, streams.of(f"{group} age")).tolist()
+    heights = _spread(row.height, streams.of(f"{group} height")).tolist()
     roots = streams.of(f"{group} habits")
     return tuple(
-        Subject(
-            number=number,
-            group=group,
-            age_years=float(age),
-            height=float(height),
-            tinetti_level=2,
-            habits=draw_streams(roots),
-        )
-        for number, (age, height) in enumerate(zip(ages, heights, strict=True), start=1)
+        Subject(number=k + 1, group=group, age_years=age, height=height, tinetti_level=2, habits=draw_streams(roots))
+        for k, (age, height) in enumerate(zip(ages, heights, strict=True))
     )
 
 
@@ -296,9 +284,8 @@ def _bounded_normal(draw: np.random.Generator) -> float:
 TaskName = Literal["sit_to_stand", "posturography", "free", "step"]
 DEGREE = RADIAN_PER_DEGREE
 POSTUROGRAPHY_S = 50.0
-LOUDEST = (
-    1.385  # peak of the acceleration's spectrum over the sine's frequency, where the envelope peaks at half a period
-)
+# Peak of the acceleration's spectrum over the sine's frequency, where the envelope peaks at half a period
+LOUDEST = 1.385
 
 
 def draw_task(name: TaskName, *, rng: np.random.Generator, subject: Subject | None = None, rest_s: float = 6.0) -> Task:
@@ -315,13 +302,8 @@ def draw_task(name: TaskName, *, rng: np.random.Generator, subject: Subject | No
     }[name]
     while True:
         task = perform(who, rest_s)
-        if _peak_rate(task) <= bound:
+        if np.abs(task.at(np.arange(*task.moving_s, 0.02), STANDARD_GRAVITY).rate_b).max() <= bound:
             return task
-
-
-def _peak_rate(task: Task) -> float:
-    time = np.arange(task.moving_s[0], task.moving_s[1], 0.02)
-    return float(np.abs(task.at(time, STANDARD_GRAVITY).rate_b).max())
 
 
 def _slowness(who: Performance) -> float:
@@ -453,6 +435,6 @@ def _waves(
     amplitudes = amplitude * draw.uniform(0.5, 1.5, count)
     phases = draw.uniform(0.0, 2.0 * math.pi, count)
     return tuple(
-        Wave(float(a), float(f), float(p), *span, swell_s)
-        for a, f, p in zip(amplitudes, frequencies, phases, strict=True)
+        Wave(*numbers, *span, swell_s)
+        for numbers in zip(amplitudes.tolist(), frequencies.tolist(), phases.tolist(), strict=True)
     )

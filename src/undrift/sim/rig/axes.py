@@ -166,10 +166,7 @@ class Axis:
         self.coefficients: Coefficients = resting_coefficients(servo)
         self.values: FloatArray = np.zeros(k.SIZE)
         length = max(16, round(history_s / (self.coefficients.stride * servo.period_s)))
-        self._log_time: FloatArray = np.empty(length)
-        self._log_angle: FloatArray = np.empty(length)
-        self._log_rate: FloatArray = np.empty(length)
-        self._log_time[0] = self._log_angle[0] = self._log_rate[0] = 0.0
+        self._log: FloatArray = np.zeros((3, length))  # time, angle, rate: a ring
         self.values[k.LOGGED] = 1.0  # the axis at rest at time zero
         self._tell: FloatArray = np.zeros(1)
         self.set_period(servo.period_s)
@@ -192,7 +189,7 @@ class Axis:
         samples = int((time - self.values[k.TIME]) / self.coefficients.period + 1e-6)
         if samples <= 0:
             return k.NOTHING
-        logs = (self._log_time, self._log_angle, self._log_rate)
+        logs = (self._log[0], self._log[1], self._log[2])
         return int(k.servo(self.values, self.coefficients, self._tell, *logs, samples))
 
     @property
@@ -240,16 +237,12 @@ class Axis:
             (v0 + u * (2.0 * square + 3.0 * u * cube)) / h,
         )
 
-    def history(self, last_s: float | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the kept past, the present last, (n,) rad/s."""
-        size, logged = self._log_time.size, int(self.values[k.LOGGED])
+    def history(self, last_s: float | None = None) -> FloatArray:
+        """Return the kept past, the present last: time, angle and rate, (3, n) s, rad, rad/s."""
+        size, logged = self._log.shape[1], int(self.values[k.LOGGED])
         kept = min(size, logged)
         if last_s is not None:
             kept = min(kept, int(last_s / (self.coefficients.period * self.coefficients.stride)) + 3)
-        index = np.arange(logged - kept, logged) % size
-        present = (self.values[k.TIME], self.values[k.ANGLE], self.values[k.RATE])
-        logs = (self._log_time, self._log_angle, self._log_rate)
-        if self._log_time[index[-1]] >= present[0]:
-            return logs[0][index], logs[1][index], logs[2][index]
-        time, angle, rate = (np.append(log[index], value) for log, value in zip(logs, present, strict=True))
-        return time, angle, rate
+        log = self._log[:, np.arange(logged - kept, logged) % size]
+        present = self.values[[k.TIME, k.ANGLE, k.RATE]]
+        return log if log[0, -1] >= present[0] else np.column_stack((log, present))

@@ -17,7 +17,6 @@ import socket
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Literal, Self, cast, get_args
 from urllib.parse import urlsplit
 
@@ -68,7 +67,23 @@ class EmulatorSettings:
     fault_seed: int = 0  # Seed of the garbage on a faulty link
 
 
-class Emulator:
+class Closed:
+    """What is closed at the end of a `with` block."""
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
+
+    def close(self) -> None:
+        """Close every socket and end every thread; harmless when called again."""
+        raise NotImplementedError
+
+
+class Emulator(Closed):
     """A running rig; a context manager that closes it."""
 
     def __init__(self, settings: EmulatorSettings, clock: Clock | None = None) -> None:
@@ -93,16 +108,6 @@ class Emulator:
         self.host: str = self._server.host
         self.port: int = self._server.port
         self.pty_path: str | None = self._server.pty_path
-
-    def __enter__(self) -> Self:
-        """Return the emulator itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
-        self.close()
 
     def close(self) -> None:
         """Close every socket and end the thread; harmless when called again."""
@@ -371,7 +376,7 @@ class EmulatedBenchSettings:
     ports: BenchPorts = field(default_factory=BenchPorts)  # Where the chamber and the hands listen
 
 
-class Bench:
+class Bench(Closed):
     """A running bench; a context manager that closes it."""
 
     def __init__(self, settings: EmulatedBenchSettings, clock: Clock | None = None) -> None:
@@ -395,16 +400,6 @@ class Bench:
         self.device_address = self.stream.address(settings.rig.speed)
         self.chamber_address = self.chamber.address
         self.hands_address = f"tcp://{hands.host}:{hands.port}"
-
-    def __enter__(self) -> Self:
-        """Return the bench itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
-        self.close()
 
     def mount(self, face: Face) -> None:
         """Mount the device with another face up."""

@@ -163,12 +163,12 @@ class Recording:
 
 @dataclass(slots=True)
 class Wiring:
-    """What is broken or pressed."""
+    """What is broken or pressed, named as the faults are."""
 
     amplifier_fault: bool = False  # No torque; a count that does not change
-    encoder_lost: bool = False
-    forward_pressed: bool = False  # Limit switches
-    reverse_pressed: bool = False
+    encoder_loss: bool = False
+    limit_switch: bool = False  # Forward, pressed
+    limit_switch_reverse: bool = False
     powered: bool = True  # False after a power cut
 
 
@@ -364,9 +364,9 @@ def _coefficients(card: Card) -> Coefficients:
         reverse=v["BL"],
         powered=w.powered,
         amplifier_good=not w.amplifier_fault,
-        encoder_good=not w.encoder_lost,
-        forward_closed=w.forward_pressed != high_level,
-        reverse_closed=w.reverse_pressed != high_level,
+        encoder_good=not w.encoder_loss,
+        forward_closed=w.limit_switch != high_level,
+        reverse_closed=w.limit_switch_reverse != high_level,
         forward_at=math.radians(high) * card.servo.counts_per_rad,
         reverse_at=math.radians(low) * card.servo.counts_per_rad,
     )

@@ -437,14 +437,6 @@ class Program:
 # ---- Session: the bytes of one client of a card, in both directions, and the machine that clients share.
 
 
-WIRING = {  # what a fault does to a part
-    "amplifier_fault": "amplifier_fault",
-    "encoder_loss": "encoder_lost",
-    "limit_switch": "forward_pressed",
-    "limit_switch_reverse": "reverse_pressed",
-}
-
-
 class GalilMachine(Machine):
     """A card, its clock and its programs, for any number of clients."""
 
@@ -496,8 +488,8 @@ class GalilMachine(Machine):
         with self.lock:
             self.tick()
             card = self.card
-            if name in WIRING:
-                setattr(card.wiring, WIRING[name], on)
+            if hasattr(card.wiring, name):
+                setattr(card.wiring, name, on)
             elif name == "power_cut":
                 card.wiring.powered = not on
                 self.program.halt()

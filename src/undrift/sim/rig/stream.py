@@ -69,12 +69,6 @@ COUNTER_BITS = 16
 SYNC = b"\xaa\x55"
 
 
-def check_framing(framing: str) -> None:
-    """Refuse a framing that is not one."""
-    if framing not in get_args(Framing):
-        raise InputError(f"emulated device: wanted format line or frame, got '{framing}'; name one of them")
-
-
 def line_of(count: int, row: FloatArray) -> bytes:
     """Return a reading as a line: numbers joined by commas, star, two hex digits of the XOR of all before it.
     row (K,)."""
@@ -146,7 +140,8 @@ class StreamSettings:
     port: int = 0  # 0 takes a free one
 
     def __post_init__(self) -> None:
-        check_framing(self.framing)
+        if self.framing not in get_args(Framing):
+            raise InputError(f"emulated device: wanted format line or frame, got '{self.framing}'; name one of them")
         if not self.sample_rate_hz > 0.0:
             raise InputError(f"emulated device: wanted sample_rate_hz above 0, got {self.sample_rate_hz}; state it")
 
