@@ -75,7 +75,7 @@ def test_a_soaked_board_changes_by_less_than_the_limit_throughout_the_measuremen
 def test_the_default_warm_up_is_that_of_the_recorded_board() -> None:
     profile = warm_up_profile(WarmUpSettings())
     # the recording: 7 degC in 2 min, 28.94 degC at its end
-    assert float(profile.board_at(np.array([120.0]))[0]) - profile.board_c[0] == pytest.approx(7.0, abs=0.2)
+    assert float(np.interp(120.0, profile.time, profile.board_c)) - profile.board_c[0] == pytest.approx(7.0, abs=0.2)
     assert profile.board_c[-1] == pytest.approx(28.94, abs=0.1)
     assert np.isnan(profile.air_c).all()
 

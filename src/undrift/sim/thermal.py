@@ -27,7 +27,7 @@ A leg is a stretch that is recorded without a break: a visit to a set-point, a w
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -130,21 +130,15 @@ class Profile:
         for name in ("time", "set_point_c", "air_c", "board_c"):
             object.__setattr__(self, name, frozen(getattr(self, name), (n,), f"Profile.{name}"))
 
-    def board_at(self, time: FloatArray) -> FloatArray:
-        """Return the temperature of the board, straight between steps: time (N,) s -> (N,) degC."""
-        return np.interp(time, self.time, self.board_c)
-
     def turns_before(self, time_s: float) -> FloatArray:
         """Return the temperatures at which the board began and turned back: all that a play remembers, (k,) degC."""
         seen: FloatArray = self.board_c[self.time < time_s]
         if not len(seen):
             return seen
-        moved = np.concatenate(([True], np.diff(seen) != 0.0))
-        seen = seen[moved]
+        seen = seen[np.concatenate(([True], np.diff(seen) != 0.0))]
         slope = np.sign(np.diff(seen))
         turned = np.flatnonzero(slope[1:] != slope[:-1]) + 1
-        ends: FloatArray = seen[np.concatenate(([0], turned)).astype(int)]
-        return ends
+        return np.asarray(seen[np.concatenate(([0], turned)).astype(int)])
 
 
 def soak_profile(
@@ -189,25 +183,20 @@ def warm_up_profile(warm_up: WarmUpSettings, *, step_s: float = 1.0) -> Profile:
     return Profile(time=time, set_point_c=unknown, air_c=unknown, board_c=board)
 
 
-@dataclass
 class _Chamber:
     """A chamber at work: each order moves its clock on."""
 
-    settings: ChamberSettings
-    start_c: float
-    states: list[FloatArray] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
+    def __init__(self, settings: ChamberSettings, start_c: float) -> None:
         from scipy.linalg import expm
 
-        s, tau = self.settings.air_lag_s, self.settings.board_lag_s
+        self.settings, s, tau = settings, settings.air_lag_s, settings.board_lag_s
         flow = np.zeros((5, 5))
         flow[0, 1] = 1.0
-        flow[1, [0, 1, 3]] = -1.0 / s**2, -2.0 * self.settings.damping / s, 1.0 / s**2
+        flow[1, [0, 1, 3]] = -1.0 / s**2, -2.0 * settings.damping / s, 1.0 / s**2
         flow[2, [0, 2]] = 1.0 / tau, -1.0 / tau
         flow[3, 4] = 1.0
-        self.step = expm(flow * self.settings.step_s)
-        self.states = [np.array([self.start_c, 0.0, self.start_c, self.start_c, 0.0])]
+        self.step = expm(flow * settings.step_s)
+        self.states = [np.array([start_c, 0.0, start_c, start_c, 0.0])]
 
     @property
     def now_s(self) -> float:
@@ -471,7 +460,7 @@ def _simulated(
     """Return the readings of a leg behind those of a run-in, and the number of its first sample."""
     start_s, step_s = float(motion.time[0]), 1.0 / motion.sample_rate_hz
     turns = profile.turns_before(start_s)
-    temp_c = profile.board_at(motion.time)
+    temp_c = np.interp(motion.time, profile.time, profile.board_c)
     if len(turns):
         count = len(turns) + round(RUN_IN_S / step_s)
         motion = _with_rest_before(motion, count, step_s)

@@ -166,16 +166,9 @@ class Past:
 def scene_of(motion: Motion, temp_c: FloatArray, reference_temp_c: float, power_on_s: float) -> Scene:
     """Return the scene of a motion."""
     time = motion.time
-    return Scene(
-        time=time,
-        step_s=float((time[-1] - time[0]) / (len(time) - 1)),
-        temp_c=temp_c,
-        warmth=temp_c - reference_temp_c,
-        age_s=time - time[0] + power_on_s,
-        rate_b=motion.rate_b,
-        angular_acceleration_b=motion.angular_acceleration_b,
-        force_b=motion.force_b,
-    )
+    step_s, age_s = float((time[-1] - time[0]) / (len(time) - 1)), time - time[0] + power_on_s
+    felt = {name: getattr(motion, name) for name in ("rate_b", "angular_acceleration_b", "force_b")}
+    return Scene(time=time, step_s=step_s, temp_c=temp_c, warmth=temp_c - reference_temp_c, age_s=age_s, **felt)
 
 
 def check_even(scene: Scene, what: str) -> None:

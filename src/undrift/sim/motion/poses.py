@@ -315,7 +315,8 @@ def _by_residual(reference: Reference, signal: Signal, settings: CutoffSettings)
     time, values = _series(reference, signal, np.ones(len(reference), dtype=np.bool_))
     rate = float((len(time) - 1) / (time[-1] - time[0]))
     tried = np.linspace(settings.lowest_hz, _TOP * rate, settings.tries)
-    left = np.array([_rms(values - zero_phase(values, f, sample_rate_hz=rate)) for f in tried])
+    misfit = (values - zero_phase(values, f, sample_rate_hz=rate) for f in tried)
+    left = np.sqrt([(x**2).sum(axis=1).mean() / 3.0 for x in misfit])
     upper = tried > 0.5 * tried[-1]
     _, noise = np.polyfit(tried[upper], left[upper], 1)
     below = np.flatnonzero(left <= noise)
@@ -380,10 +381,6 @@ def _series(reference: Reference, signal: Signal, part: BoolArray) -> tuple[Floa
     poses = reference.position[rows] if reference.position is not None and signal == "position" else None
     values = 2.0 * signed(reference.q_nb[rows]) if poses is None else poses
     return evenly(reference.time[rows], values, 1.0 / reference.sample_rate_hz)
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt((values**2).sum(axis=1).mean() / 3.0))
 
 
 # ---- Simulated optics

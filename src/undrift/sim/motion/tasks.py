@@ -181,7 +181,7 @@ def draw_lines(
     amplitudes = np.sqrt(spectrum(frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
     phases = draw.uniform(0.0, 2.0 * math.pi, LINES)
     time = np.arange(span[0], span[1], 0.1 / band_hz[1])
-    plain = Sway(*(tuple(x.tolist()) for x in (amplitudes, frequencies, phases)), *span, SWELL_S)
+    plain = Sway(tuple(amplitudes.tolist()), tuple(frequencies.tolist()), tuple(phases.tolist()), *span, SWELL_S)
     scale = rms / float(np.std(plain.at(time)[0]))
     return replace(plain, amplitudes=tuple((scale * amplitudes).tolist()))
 
@@ -375,15 +375,14 @@ def _step(who: Performance, rest_s: float) -> Task:
 
 
 def _knocks(who: Performance, share: float, instants_s: tuple[float, ...]) -> tuple[Burst, ...]:
-    return tuple(_knock(share * who.draw.uniform(1.0, 2.0), who.draw.uniform(5.0, 15.0), at) for at in instants_s)
-
-
-def _knock(acceleration: float, frequency_hz: float, start_s: float) -> Burst:
-    """Return a burst of a given peak acceleration, m/s2, whose acceleration is loudest at a given frequency."""
-    peak_s = 0.5 * LOUDEST / frequency_hz
-    unit = Burst(1.0, frequency_hz / LOUDEST, 0.0, peak_s)
-    largest = float(np.abs(unit.at(np.linspace(0.0, 8.0 * peak_s, 2001))[2]).max())
-    return Burst(acceleration / largest, frequency_hz / LOUDEST, start_s, peak_s)
+    """Return bursts of drawn peak accelerations, m/s2, whose accelerations are loudest at drawn frequencies."""
+    bursts = []
+    for start_s in instants_s:
+        acceleration, frequency_hz = share * who.draw.uniform(1.0, 2.0), who.draw.uniform(5.0, 15.0)
+        unit = Burst(1.0, frequency_hz / LOUDEST, 0.0, 0.5 * LOUDEST / frequency_hz)
+        largest = float(np.abs(unit.at(np.linspace(0.0, 8.0 * unit.peak_s, 2001))[2]).max())
+        bursts.append(replace(unit, amplitude=acceleration / largest, start_s=start_s))
+    return tuple(bursts)
 
 
 def _posturography(who: Performance, rest_s: float) -> Task:

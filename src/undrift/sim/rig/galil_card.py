@@ -185,7 +185,9 @@ class Card:
 
     def set_up(self) -> None:
         """Set everything to what it is at power-up: motor off, the burned gains, position zero where the axis stands."""
-        self.values = _power_up(self.servo)
+        self.values = {name: setting.default for name, setting in SETTINGS.items()}
+        self.values |= dict(zip(("KP", "KD", "KI"), self.servo.gains, strict=True))
+        self.values |= {"TM": self.servo.period_s * 1e6, "TL": min(self.servo.voltage_limit, SETTINGS["TL"].high)}
         self.motion = Motion()
         self.motor_on = False
         self.variables: dict[str, float] = {}
@@ -334,12 +336,6 @@ def limits_closed(card: Card) -> tuple[bool, bool]:
     forward = c.forward_closed or count >= c.forward_at or reference > c.forward
     reverse = c.reverse_closed or count <= c.reverse_at or reference < c.reverse
     return bool(forward), bool(reverse)
-
-
-def _power_up(servo: ServoSettings) -> dict[str, float]:
-    values = {name: setting.default for name, setting in SETTINGS.items()}
-    values |= dict(zip(("KP", "KD", "KI"), servo.gains, strict=True))
-    return values | {"TM": servo.period_s * 1e6, "TL": min(servo.voltage_limit, SETTINGS["TL"].high)}
 
 
 def _speed_scale(card: Card) -> float:

@@ -44,6 +44,7 @@ ERROR_MEANING = {
 }
 
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+_WORDS = re.compile(f"(?:{_WORD.pattern})*")
 _SETTING = re.compile(r"\$(\d+)=(.*)")
 _DISTANCE = {"G90": False, "G91": True}
 _HARMLESS = ("G21", "G94", "G54", "G17", "M5", "M9")
@@ -71,7 +72,6 @@ class Move:
 def parse_line(text: str, axes: str, *, jog: bool) -> Move:
     """Read a line, or what stands behind `$J=`."""
     move, seen = Move(), set[str]()
-    groups: set[str] = set()
     for letter, number in _words(text):
         name = f"{letter}{number:g}"
         key = name if letter in "GM" else letter
@@ -86,9 +86,9 @@ def parse_line(text: str, axes: str, *, jog: bool) -> Move:
             move.feed = number
         elif name in _DISTANCE or (name in _MOVES and not jog):
             group = "distance" if name in _DISTANCE else "motion"
-            if group in groups:
+            if group in seen:
                 raise Denied(21)
-            groups.add(group)
+            seen.add(group)
             move.relative = _DISTANCE.get(name, move.relative)
             move.rapid = _MOVES.get(name, move.rapid)
         elif name not in _HARMLESS:
@@ -102,14 +102,10 @@ def parse_line(text: str, axes: str, *, jog: bool) -> Move:
 
 
 def _words(text: str) -> list[tuple[str, float]]:
-    words, at = [], 0
-    while at < len(text):
-        match = _WORD.match(text, at)
-        if match is None:
-            raise Denied(2 if text[at].isalpha() else 1)
-        words.append((match.group(1), float(match.group(2))))
-        at = match.end()
-    return words
+    end = _WORDS.match(text).end()  # type: ignore[union-attr]  # it matches nothing as well
+    if end < len(text):
+        raise Denied(2 if text[end].isalpha() else 1)
+    return [(letter, float(number)) for letter, number in _WORD.findall(text)]
 
 
 def parse_setting(text: str, known: dict[int, float]) -> tuple[int, float]:
@@ -365,6 +361,13 @@ class Board:
         now = self.clock.now()
         return now < self._ends or self.values[1] == 255.0 or now - self._ends < self.values[1] * 1e-3
 
+    def answer(self, text: str) -> str:
+        """Do one line."""
+        try:
+            return self.do(text.strip().upper().replace(" ", "")) + "ok" + EOL
+        except Denied as denial:
+            return f"error:{denial.code}{EOL}"
+
     def do(self, text: str) -> str:
         """Do one line of upper case without blanks; return what it prints, or raise Denied."""
         if not text:
@@ -481,14 +484,6 @@ class Board:
         self._slow(AT_ONCE)
         self.state = "Alarm"
         return f"ALARM:{number}{EOL}[MSG:Reset to continue]{EOL}"
-
-
-def answer(board: Board, text: str) -> str:
-    """Do one line."""
-    try:
-        return board.do(text.strip().upper().replace(" ", "")) + "ok" + EOL
-    except Denied as denial:
-        return f"error:{denial.code}{EOL}"
 
 
 def greeting(settings: GrblSettings) -> str:
@@ -676,5 +671,5 @@ class GrblSession(Session):
         board.advance()
         while self._lines and not board.full:
             line = self._lines.popleft()
-            answers += f"error:11{EOL}" if len(line) > LINE_LENGTH else answer(board, line)
+            answers += f"error:11{EOL}" if len(line) > LINE_LENGTH else board.answer(line)
         return answers

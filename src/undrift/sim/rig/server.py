@@ -252,17 +252,14 @@ class Server:
                 for key, _ in self._selector.select(min(max(due - time.monotonic(), 0.0), TICK_S)):
                     key.data()
                 self._machine.tick()
-                cut = self._dark or self._link.take_disconnect()
+                if self._dark or self._link.take_disconnect():
+                    self._drop_all()
                 for client in list(self._clients):
-                    if cut:
-                        self._drop(client)
-                    else:
-                        self._speak(client)
+                    self._speak(client)
                 if settling:
                     self._settled.set()
         finally:
-            for client in list(self._clients):
-                self._drop(client)
+            self._drop_all()
             for closed in (self._selector, self._listener, self._wake, self._woken):
                 closed.close()
             for descriptor in self._descriptors:
@@ -321,6 +318,10 @@ class Server:
             if sent < len(data):  # the client does not read: keep the rest for later
                 client.pending.appendleft((due, data[sent:]))
                 return
+
+    def _drop_all(self) -> None:
+        for client in list(self._clients):
+            self._drop(client)
 
     def _drop(self, client: _Client) -> None:
         client.pending.clear()

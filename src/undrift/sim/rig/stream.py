@@ -11,9 +11,12 @@ reading k is taken at k / (rate (1 + c)). What the effects remember is carried f
 of a converter are left out. Lines and frames are written here from their definitions, apart from the readers in live/.
 """
 
+import binascii
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import xor
 from typing import Literal, Protocol, get_args
 from urllib.parse import urlencode
 
@@ -74,35 +77,14 @@ def line_of(count: int, row: FloatArray) -> bytes:
     row (K,)."""
     numbers = (f"{int(value)}" if value.is_integer() else repr(value) for value in row.tolist())
     text = ",".join((str(count % 2**COUNTER_BITS), *numbers)).encode("ascii")
-    total = 0
-    for byte in text:
-        total ^= byte
-    return b"%s*%02X\n" % (text, total)
+    return b"%s*%02X\n" % (text, reduce(xor, text))
 
 
 def frame_of(count: int, row: FloatArray) -> bytes:
     """Return a reading as a frame: AA 55, counter in two bytes, channels as doubles, CRC-16 of these, little end first.
-    row (K,)."""
+    The CRC is that of x^16 + x^12 + x^5 + 1, begun with ones, most significant bit first. row (K,)."""
     body = struct.pack(f"<H{len(row)}d", count % 2**COUNTER_BITS, *row.tolist())
-    return SYNC + body + struct.pack("<H", _crc16(body))
-
-
-def _crc16(data: bytes) -> int:
-    """Remainder of the polynomial x^16 + x^12 + x^5 + 1, begun with ones, most significant bit first."""
-    register = 0xFFFF
-    for byte in data:
-        register = ((register << 8) & 0xFFFF) ^ _TABLE[(register >> 8) ^ byte]
-    return register
-
-
-def _entry(byte: int) -> int:
-    register = byte << 8
-    for _ in range(8):
-        register = (register << 1) ^ (0x1021 if register & 0x8000 else 0)
-    return register & 0xFFFF
-
-
-_TABLE = tuple(_entry(byte) for byte in range(256))
+    return SYNC + body + struct.pack("<H", binascii.crc_hqx(body, 0xFFFF))
 
 
 # ---- stream
@@ -256,23 +238,15 @@ class EmulatedDevice(Served):
     def _send(self, counts: IntArray, rows: FloatArray) -> None:
         if not self.sessions or "silence" in self._faults:
             return
-        data = _written(counts, rows, self.settings.framing, self._faults)
+        write, pieces = line_of if self.settings.framing == "line" else frame_of, []
+        for count, row in zip(counts.tolist(), rows, strict=True):
+            struck, piece = count % 7 == 0, write(count, row)
+            if struck and "garbled_readings" in self._faults:
+                piece = piece[:5] + bytes([piece[5] ^ 0x04]) + piece[6:]
+            if not (struck and "lost_readings" in self._faults):
+                pieces.append(piece)
         for session in self.sessions:
-            session.tell(data)
-
-
-def _written(counts: IntArray, rows: FloatArray, framing: Framing, faults: set[str]) -> bytes:
-    write = line_of if framing == "line" else frame_of
-    pieces = []
-    for count, row in zip(counts.tolist(), rows, strict=True):
-        struck = count % 7 == 0
-        if struck and "lost_readings" in faults:
-            continue
-        piece = write(count, row)
-        if struck and "garbled_readings" in faults:
-            piece = piece[:5] + bytes([piece[5] ^ 0x04]) + piece[6:]
-        pieces.append(piece)
-    return b"".join(pieces)
+            session.tell(b"".join(pieces))
 
 
 class DeviceSession(Session):
