@@ -177,7 +177,6 @@ def emulate(
     """
     from undrift.rig.guard import stopping_on_signals
     from undrift.sim.device.model import write_device
-    from undrift.sim.device.presets import PRESETS
     from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatorSettings, start_bench
     from undrift.sim.rig.stream import StreamSettings
 
