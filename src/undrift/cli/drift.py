@@ -88,7 +88,7 @@ def drift(
     """
     from undrift.drift.checks import verdict_before
     from undrift.drift.fit import DriftSettings
-    from undrift.drift.static import CurveSettings, StaticSettings
+    from undrift.drift.static import StaticSettings
     from undrift.io.store import calibration_json, read_calibration, write_calibration
     from undrift.report.figures import PICTURES
 
@@ -101,7 +101,7 @@ def drift(
         step_c=step_c,
         lag_s=lag_s,
         tables=TABLES[tables],
-        static=StaticSettings(not_a_knot=spline == "not-a-knot", curve=CurveSettings(warm_up=warm_up)),
+        static=StaticSettings(not_a_knot=spline == "not-a-knot", warm_up=warm_up),
     )
     read = tuple(path for path in sessions if path.exists())
     if output is not None:  # may be the calibration that was read: it is written whole
