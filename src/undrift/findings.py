@@ -988,6 +988,60 @@ CATALOGUE: dict[str, Entry] = {
     ),
     "study.note_not_tried": Entry(4, "The note's protocol was not tried"),
     "study.note_uncalibrated": Entry(3, "The note's protocol left a device uncalibrated"),
+    # ---- export: what a target does not carry, and what the reader of its file must know or do
+    "export.rounding": Entry(1, "half a code step for codes cut off toward zero"),
+    "export.gain": Entry(1, "gains of the {triad}"),
+    "export.cross": Entry(1, "cross-axis terms of the {triad}, up to {most_percent:.2g} %"),
+    "export.g_sensitivity": Entry(1, "g-sensitivity, up to {most_dps_per_g:.2g} deg/s per g"),
+    "export.static": Entry(1, "offsets over temperature (the static table)"),
+    "export.hysteresis": Entry(2, "hysteresis", "the table holds the middle of the loop"),
+    "export.warm_up": Entry(1, "the extra offset after power-on"),
+    "export.scale": Entry(1, "gains and cross-axis terms over temperature (the scale table)"),
+    "export.scale_change": Entry(
+        1,
+        "gains and cross-axis terms over temperature (the scale table)",
+        "the gyroscopes' gains change by {change_percent:.2g} %",
+    ),
+    "export.dynamic": Entry(1, "error over rate and temperature (the dynamic table), up to {most_dps:.2g} deg/s"),
+    "export.lag": Entry(1, "the thermometer's lag of {lag_s:.3g} s", "give the temperature with the lag removed"),
+    "export.uncertainty": Entry(2, "uncertainties, marks of extrapolation and the verdict"),
+    "export.noise": Entry(2, "noise coefficients"),
+    "export.read_at": Entry(2, "tables over temperature are read at {temp_c:g} degC"),
+    "export.no_constants": Entry(3, "no {triad} constants", "the calibration has no model of it"),
+    "export.readings": Entry(4, "{triad} readings are in {unit}"),
+    "export.single_precision": Entry(4, "single precision"),
+    "export.keys_of_node": Entry(4, "no standard names these keys", "map them to those of your node"),
+    "export.misfit": Entry(
+        2,
+        "the cubics depart from the {triad} table by up to {misfit[0]:.2g} / {misfit[1]:.2g} / {misfit[2]:.2g} {unit}, x / y / z",
+    ),
+    "export.constant_moved": Entry(
+        4,
+        "the gyroscopes' constants at {at_c:g} degC, {offset_dps[0]:.6g} / {offset_dps[1]:.6g} / {offset_dps[2]:.6g} deg/s, have "
+        "no place in the cubic",
+        "{parameter} holds the offset at {temp_c:g} degC instead",
+    ),
+    "export.measured_anew": Entry(4, "ArduPilot measures INS_GYROFFS anew at every start unless INS_GYR_CAL is 0"),
+    "export.parameters_single": Entry(4, "{program} keeps parameters in single precision"),
+    "export.device_ids": Entry(
+        4,
+        "set TC_G{sensor}_ID, TC_A{sensor}_ID, CAL_GYRO{sensor}_ID and CAL_ACC{sensor}_ID to the sensor's device id",
+        "no calibration knows it",
+    ),
+    "export.nominal": Entry(
+        3, "{triad} have no model", "nominal values are passed on", "{name}_raw is taken as {unit}"
+    ),
+    "export.lag_removed": Entry(
+        4,
+        "the thermometer's lag of {lag_s:.3g} s is removed by {prefix}_temperature",
+        "pass every reading through it before {prefix}_correct",
+    ),
+    "export.warm_up_removed": Entry(
+        4,
+        "the extra offset after power-on, zero from {over_s:g} s on, is subtracted by {prefix}_correct_since, which takes the time "
+        "since power-on",
+        action="{prefix}_correct leaves it in",
+    ),
     # ---- rig check
     "rig_check.error": Entry(
         1,

@@ -140,8 +140,8 @@ def test_a_table_is_whole_in_a_narrow_terminal_and_in_a_pipe():
 
     from undrift.cli.common import table
 
-    made = table("title", "recording", "inclination (deg)", "pitch (deg)", "end total (deg)", "lag (ms)")
-    made.add_row("05_undisturbed_slow_rotation_with_breaks_B", "1.11", "0.71", "1.46", "4.17")
+    heads = ("recording", "inclination (deg)", "pitch (deg)", "end total (deg)", "lag (ms)")
+    made = table("title", heads, [("05_undisturbed_slow_rotation_with_breaks_B", "1.11", "0.71", "1.46", "4.17")])
     for width in (60, 400):
         text = io.StringIO()
         Console(file=text, width=width).print(made)

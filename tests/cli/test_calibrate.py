@@ -214,6 +214,23 @@ def test_settings_of_the_fit_are_options(undrift, bench, tmp_path):
     assert plain["gyro"]["offset"] != chosen["gyro"]["offset"]
 
 
+def test_filters_of_faces_and_dwells_are_options(undrift, bench):
+    def made(*words):
+        return undrift.good("calibrate", bench / "session", *words, "--json").json()
+
+    plain, chosen = made(), made("--polynomial-degree", "2", "--spline-cutoff-hz", "5")
+    names = ("polynomial_degree", "spline_cutoff_hz")
+    assert [dict(plain["provenance"]["settings"])[name] for name in names] == ["1", "none"]
+    assert [dict(chosen["provenance"]["settings"])[name] for name in names] == ["2", "5"]
+    assert plain["gyro"]["matrix"] != chosen["gyro"]["matrix"]
+    assert "wanted spline_cutoff_hz above 0 Hz" in undrift.refused(
+        "calibrate", bench / "session", "--spline-cutoff-hz", "0"
+    )
+    assert "polynomial_degree and settle_s of 0 or more" in undrift.refused(
+        "calibrate", bench / "session", "--polynomial-degree", "-1"
+    )
+
+
 def test_a_report_page_shows_matrices_and_verdict(undrift, bench, tmp_path):
     page = tmp_path / "c.html"
     assert f"Wrote {page}" in undrift.good("calibrate", bench / "session", "--report", page).out

@@ -143,13 +143,13 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
 
     worst = (Check(name="never", value=2.0, limit=1.0),)
     monkeypatch.setattr(virtual_bench, "record_on_bench", lambda *_, **__: None)
-    monkeypatch.setattr(virtual_bench, "judge_levels", lambda *_: ())
     monkeypatch.setattr(virtual_bench, "compare_with_truth", lambda *_: worst)
     monkeypatch.setattr(demo_module, "write_demo_report", lambda *_: None)
     monkeypatch.setattr(store_module, "calibration_json", lambda _: {})
     monkeypatch.setattr(study_module, "study_summary", lambda _: {})
-    for name in ("_fitted", "_worn", "_correct", "_studied"):
-        monkeypatch.setattr(demo, name, lambda *_: type("Any", (), {"drift": type("Any", (), {"calibration": None})})())
+    fit = type("Any", (), {"drift": type("Any", (), {"calibration": None})})()
+    monkeypatch.setattr(demo, "_judged", lambda *_: (fit, ()))
+    monkeypatch.setattr(demo, "_studied", lambda *_: None)
     answer = undrift("demo", "--quick", "--out", tmp_path / "d")
     assert answer.code == 1
     assert answer.out.startswith("FAIL  never: 2 (at most 1)")

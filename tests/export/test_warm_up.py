@@ -156,7 +156,7 @@ def test_the_header_tells_of_the_second_entry_and_without_a_warm_up_there_is_non
     )
     assert "2 offset(T) and warm-up" in exported.header
     assert not [text for text in exported.not_carried if "power-on" in text]
-    assert [text for text in losses(warming(), frozenset()) if "extra offset after power-on" in text]
+    assert [item for item in losses(warming(), frozenset()) if "extra offset after power-on" in item.text]
     assert "correct_since" not in export_c(device(drift=tables())).header
 
 

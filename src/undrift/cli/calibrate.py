@@ -8,7 +8,7 @@ from undrift.cli.common import (
     Flag,
     Json,
     OptionalOutput,
-    checked_output,
+    check_output,
     say,
     show_table,
     show_verdict,
@@ -36,6 +36,8 @@ def calibrate(
     latitude_deg: float | None = None,
     angle_uncertainty_deg: float = 1.0,
     scale_tolerance: float = 0.25,
+    polynomial_degree: int = 1,
+    spline_cutoff_hz: float | None = None,
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -69,6 +71,10 @@ def calibrate(
         Standard uncertainty of a turn by a known angle, deg.
     scale_tolerance : float
         Largest relative difference of a scale factor from the stated unit; physical units only.
+    polynomial_degree : int
+        Degree of the polynomial in time that filters each face before it is averaged.
+    spline_cutoff_hz : float or None
+        Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
 
     Returns
     -------
@@ -79,16 +85,18 @@ def calibrate(
     from undrift.calibration.observe import CalibrateSettings
     from undrift.io.session import read_session
     from undrift.io.store import calibration_json, write_calibration
+    from undrift.report.page import calibration_sections, write_page
 
-    for path, ending in ((output, ".json"), (report, ".html")):
-        if path is not None:
-            checked_output(path, endings=(ending,), reads=())  # no recording ends so
+    check_output(output, endings=(".json",))  # no recording ends so
+    check_output(report, endings=(".html",))
     settings = CalibrateSettings(
         window_s=window_s,
         settle_s=settle_s,
         latitude_deg=latitude_deg,
         angle_uncertainty_deg=angle_uncertainty_deg,
         scale_tolerance=scale_tolerance,
+        polynomial_degree=polynomial_degree,
+        spline_cutoff_hz=spline_cutoff_hz,
         remove_offset=not keep_offset,
         identify_adc=adc == "auto",
     )
@@ -97,19 +105,18 @@ def calibrate(
     if output is not None:
         write_calibration(made, output)
     if report is not None:
-        _write_report(made, report)
+        title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
+        write_page(report, title=title, lead=_heading(made), sections=sections, verdict=made.verdict)
+    code = 1 if made.verdict.status == "bad" else 0
     if json:
         write_json(calibration_json(made))
-        return 1 if made.verdict.status == "bad" else 0
+        return code
     _show(made)
     show_verdict(made.verdict, details=details)
-    if report is not None:
-        say(f"Wrote {report}")
-    if output is None:
-        say(f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json")
-    else:
-        say(f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet")
-    return 1 if made.verdict.status == "bad" else 0
+    nothing = f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json"
+    kept = f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet"
+    say(*([] if report is None else [f"Wrote {report}"]), nothing if output is None else kept)
+    return code
 
 
 def _heading(calibration: "Calibration") -> str:
@@ -117,13 +124,6 @@ def _heading(calibration: "Calibration") -> str:
     where = f" at {calibration.reference_temp_c:.1f} degC" if known else ""
     device = calibration.device or "device without a serial number"
     return f"{device}{where}, gravity {calibration.gravity_m_s2:.5f} m/s2"
-
-
-def _write_report(calibration: "Calibration", path: Path) -> None:
-    from undrift.report.page import calibration_sections, write_page
-
-    title, sections = f"Calibration of {calibration.device or 'a device'}", calibration_sections(calibration)
-    write_page(path, title=title, lead=_heading(calibration), sections=sections, verdict=calibration.verdict)
 
 
 def _show(calibration: "Calibration") -> None:
@@ -141,10 +141,8 @@ def _show(calibration: "Calibration") -> None:
     adc = calibration.adc
     if adc is None:
         return
-    for name, lsb, rounding in (
-        ("gyro", adc.gyro_lsb, adc.gyro_rounding),
-        ("accel", adc.accel_lsb, adc.accel_rounding),
-    ):
+    for name in ("gyro", "accel"):
+        lsb, rounding = getattr(adc, f"{name}_lsb"), getattr(adc, f"{name}_rounding")
         if lsb is not None:
             steps = ", ".join(f"{step:.6g}" for step in lsb)
             say(f"ADC {name}: step {steps}, rounded {rounding.replace('_', ' ')}")

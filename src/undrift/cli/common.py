@@ -1,7 +1,7 @@
 """What commands share: how to open recordings, where results may go, and how results are shown.
 
-A command reads its inputs with ``Opening``, checks the files that it will write before the work begins (``checked_output``,
-``checked_folder``), and ends with one JSON object on stdout (``write_json``) or tables and a verdict for a person. Messages and
+A command reads its inputs with ``Opening``, checks the files that it will write before the work begins (``check_output``,
+``check_folder``), and ends with one JSON object on stdout (``write_json``) or tables and a verdict for a person. Messages and
 progress go to stderr. Nothing here imports numpy or rich before a command runs: ``--help`` answers at once.
 """
 
@@ -12,13 +12,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.model import Calibration, Verdict
     from undrift.record import Record, Reference
+    from undrift.sim.device.model import DeviceModel
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
@@ -118,12 +120,15 @@ def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tu
 
     if record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
         return record, ()
-    note = "the {} are left out of the result: their readings are in {}, and the calibration has no model of them"
-    if model.accel is None and not is_physical(record.accel_unit):
-        left = replace(record, accel=None, accel_unit="m/s2")
-        return left, (note.format("accelerometers", record.accel_unit),)
-    if model.gyro is None and not is_physical(record.gyro_unit):
-        return replace(record, gyro=None, gyro_unit="rad/s"), (note.format("gyroscopes", record.gyro_unit),)
+    for name, what, held, si in (
+        ("accel", "accelerometers", model.accel, "m/s2"),
+        ("gyro", "gyroscopes", model.gyro, "rad/s"),
+    ):
+        unit = getattr(record, f"{name}_unit")
+        if held is None and not is_physical(unit):
+            left: dict[str, Any] = {name: None, f"{name}_unit": si}
+            note = f"the {what} are left out of the result: their readings are in {unit}, and the calibration has no model of them"
+            return replace(record, **left), (note,)
     return record, ()
 
 
@@ -144,27 +149,39 @@ def labels_of(markers: str | None) -> tuple[str, ...] | None:
     return tuple(label.strip() for label in markers.split(",")) if markers else None
 
 
-def read_pairs(
-    records: tuple[Path, ...],
-    reference: tuple[Path, ...],
-    markers: str | None,
-    up: Up,
-    opening: Opening,
-    *,
-    command: str,
-) -> list[tuple["Record", "Reference"]]:
-    """Read recordings and the reference of each; a BROAD file holds its own."""
-    from undrift.io.formats import detect
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """The reference of each recording.
 
-    if not reference and all(detect(record) == "broad" for record in records):
-        reference = records
-    if len(reference) != len(records):
-        raise InputError(
-            f"{command}: wanted one reference for each recording, got {len(reference)} for {len(records)}; "
-            "say --reference once for each, in the same order"
-        )
-    labels = labels_of(markers)
-    return [(opening.read(record), _poses(poses, labels, up)) for record, poses in zip(records, reference, strict=True)]
+    Parameters
+    ----------
+    reference : Path
+        The reference of each recording, in the same order; a BROAD file holds its own.
+    markers : str or None
+        Labels of one rigid cluster, with commas between, for C3D and TRC.
+    reference_up : str or None
+        Laboratory axis that points up, for C3D and TRC.
+    """
+
+    reference: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()
+    markers: str | None = None
+    reference_up: Up = None
+
+    def pairs(self, records: tuple[Path, ...], opening: Opening, *, command: str) -> list[tuple["Record", "Reference"]]:
+        """Read recordings and the reference of each."""
+        from undrift.io.formats import detect
+
+        paths = self.reference
+        if not paths and all(detect(record) == "broad" for record in records):
+            paths = records
+        if len(paths) != len(records):
+            raise InputError(
+                f"{command}: wanted one reference for each recording, got {len(paths)} for {len(records)}; "
+                "say --reference once for each, in the same order"
+            )
+        labels, up = labels_of(self.markers), self.reference_up
+        return [(opening.read(record), _poses(path, labels, up)) for record, path in zip(records, paths, strict=True)]
 
 
 def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
@@ -190,11 +207,27 @@ def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
     return pose_from_cluster(markers, labels)
 
 
+def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceModel":
+    """Return a preset's typical unit, or one drawn within its tolerances, or the device of a file."""
+    from undrift.sim.device.model import read_device
+    from undrift.sim.device.presets import PRESETS, preset, random_device_of
+
+    if name in PRESETS:
+        return random_device_of(name, rng) if draw else preset(name)
+    if not Path(name).exists():
+        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
+    if draw:
+        raise InputError(f"--draw: wanted a preset to draw a unit of, got {name}; leave it out for a device.json")
+    return read_device(Path(name))
+
+
 # ---- Files to write, checked before the work begins: a wrong name costs nothing and loses nothing
 
 
-def checked_output(path: Path, *, endings: tuple[str, ...], reads: Iterable[Path | None]) -> Path:
-    """Return the path of a file that may be written: its ending fits, its folder exists, and it is none of those read."""
+def check_output(path: Path | None, *, endings: tuple[str, ...], reads: Iterable[Path | None] = ()) -> None:
+    """Refuse a file whose ending does not fit, whose folder does not exist, or that is one of those read."""
+    if path is None:
+        return
     if not path.name.lower().endswith(endings):
         either = endings[0] if len(endings) == 1 else ", ".join(endings[:-1]) + " or " + endings[-1]
         raise InputError(f"{path}: wanted a name ending in {either}, got another; name the format so")
@@ -204,16 +237,16 @@ def checked_output(path: Path, *, endings: tuple[str, ...], reads: Iterable[Path
         raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
     if path.exists() and any(_holds(read, path) for read in reads if read is not None):
         raise InputError(f"{path}: wanted another file to write than those that are read; name another")
-    return path
 
 
-def checked_folder(path: Path) -> Path:
-    """Return the path of a folder that may be written to, or made in a folder that exists."""
+def check_folder(path: Path | None) -> None:
+    """Refuse a folder that cannot be written to, nor made in a folder that exists."""
+    if path is None:
+        return
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: wanted a folder to write to, got a file of that name; name another")
     if not path.exists() and not path.parent.is_dir():
         raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
-    return path
 
 
 def name_of(path: Path) -> str:
@@ -279,24 +312,22 @@ def waiting(what: str) -> AbstractContextManager[object]:
     return stderr.status(what) if stderr.is_terminal else nullcontext()
 
 
-def table(title: str, *columns: str) -> "Table":
-    """Return an empty table; columns after the first are right-aligned, a unit in brackets goes on a line of its own."""
+def table(title: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> "Table":
+    """Return a table; columns after the first are right-aligned, a unit in brackets goes on a line of its own."""
     from rich import box
     from rich.table import Table
 
     made = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
-    for k, column in enumerate(columns):
-        head = column.replace(" (", "\n(")
-        made.add_column(head, justify="right" if k else "left", no_wrap=k > 0, overflow="fold")
+    for k, head in enumerate(heads):
+        made.add_column(head.replace(" (", "\n("), justify="right" if k else "left", no_wrap=k > 0, overflow="fold")
+    for row in rows:
+        made.add_row(*row)
     return made
 
 
 def show_table(title: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
     """Print a table."""
-    made = table(title, *heads)
-    for row in rows:
-        made.add_row(*row)
-    console().print(made, markup=False)
+    console().print(table(title, heads, rows), markup=False)
 
 
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
@@ -305,6 +336,13 @@ Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "
 def write_json(value: object) -> None:
     """Write one JSON object to stdout; NaN is written as null."""
     sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def save_json(path: Path, value: object) -> None:
+    """Write one JSON object to a file; NaN is written as null."""
+    from undrift.files import write_whole
+
+    write_whole(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
 
 
 def plain(value: object) -> Plain:

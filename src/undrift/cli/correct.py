@@ -1,6 +1,7 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
 import tempfile
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,8 +13,8 @@ from undrift.cli.common import (
     Output,
     Policy,
     calibrated_part,
-    checked_folder,
-    checked_output,
+    check_folder,
+    check_output,
     name_of,
     progress,
     say,
@@ -22,7 +23,7 @@ from undrift.cli.common import (
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from rich.progress import Progress
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from undrift.record import Record
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
+NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 or 1000 times; likewise 1 / 3 below
 
 
@@ -64,11 +66,6 @@ def correct(
         How to read a foreign recording.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
     from undrift.correction.stream import Corrector
     from undrift.io.store import read_calibration
@@ -80,9 +77,8 @@ def correct(
     folder = targets[0].parent
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
-    corrected = partial(
-        _correct_one, corrector=partial(Corrector, model, policy, power_on_s=power_on_s), model=model, opening=opening
-    )
+    corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
+    corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening)
     try:
         results = _correct_all(records, targets, corrected, scheduler)
     except BaseException:
@@ -104,25 +100,16 @@ def correct(
 
 def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks") -> dict[str, object]:
     """Return a recording as --json has it."""
+    outside = {f"samples_{kind}": getattr(state, f"samples_{kind}") for kind in NOT_COVERED}
+    outside |= {f"seconds_{kind}": getattr(state.reach, f"seconds_{kind}") for kind in NOT_COVERED}
     return {
         "recording": str(record),
         "output": str(target),
         "samples": state.samples,
-        "samples_outside": state.samples_outside,
-        "seconds_outside": state.reach.seconds_outside,
-        "samples_extrapolated": state.samples_extrapolated,
-        "seconds_extrapolated": state.reach.seconds_extrapolated,
-        "samples_without_temperature": state.samples_without_temperature,
-        "seconds_without_temperature": state.reach.seconds_without_temperature,
+        **outside,
         "beyond_range": [
-            {
-                "sensor": one.sensor,
-                "samples": one.samples,
-                "share": one.share,
-                "worst": one.worst,
-                "range": one.seen,
-                "unit": "rad/s" if one.sensor == "gyro" else "m/s2",
-            }
+            {key: getattr(one, key) for key in ("sensor", "samples", "share", "worst")}
+            | {"range": one.seen, "unit": "rad/s" if one.sensor == "gyro" else "m/s2"}
             for one in remarks.beyond
             if one.samples
         ],
@@ -142,7 +129,7 @@ def _correct_all(
     with tempfile.TemporaryDirectory(dir=targets[0].parent, prefix=".undrift-") as held, progress() as shown:
         parts = [Path(held) / target.name for target in targets]
         if scheduler is not None:
-            done = _on_workers(records, parts, correct_one, scheduler, shown)
+            done = _on_workers(list(zip(records, parts, strict=True)), correct_one, scheduler, shown)
         else:
             for record, part in zip(records, parts, strict=True):
                 task = shown.add_task(record.name, total=_rows(record))
@@ -152,35 +139,23 @@ def _correct_all(
     return [(record, target, *one) for record, target, one in zip(records, targets, done, strict=True)]
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """A recording for a worker: absolute paths, since a worker stands in a folder of its own."""
-
-    record: Path
-    part: Path
-    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]"
-
-
-def _do(job: _Job) -> tuple["CorrectorState", "Remarks"]:
-    return job.correct_one(job.record, job.part, advance=_unwatched)
-
-
-def _unwatched(_: float) -> None:
-    """Take no notice: a worker has no bar to move."""
+def _job(
+    correct_one: "Callable[..., tuple[CorrectorState, Remarks]]", job: tuple[Path, Path]
+) -> "tuple[CorrectorState, Remarks]":
+    """Correct on a worker: by absolute paths, since it stands in a folder of its own, and without a bar."""
+    return correct_one(*job, advance=bool)
 
 
 def _on_workers(
-    records: tuple[Path, ...],
-    parts: list[Path],
+    jobs: list[tuple[Path, Path]],
     correct_one: "Callable[..., tuple[CorrectorState, Remarks]]",
     scheduler: str,
     shown: "Progress",
 ) -> list[tuple["CorrectorState", "Remarks"]]:
     from undrift.study.run import Dask
 
-    jobs = [_Job(record.resolve(), part.resolve(), correct_one) for record, part in zip(records, parts, strict=True)]
     task, done = shown.add_task("recordings", total=len(jobs)), {}
-    for place, one in Dask(scheduler).run(_do, jobs):
+    for place, one in Dask(scheduler).run(partial(_job, correct_one), [(r.resolve(), p.resolve()) for r, p in jobs]):
         done[place] = one
         shown.advance(task)
     return [done[place] for place in range(len(jobs))]
@@ -196,7 +171,7 @@ def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, .
                 "a folder for several recordings" if len(records) > 1 else "a name ending in .parquet, .csv or .csv.gz"
             )
             raise InputError(f"output: wanted {wanted}, got {output}; name it so")
-        checked_folder(output)
+        check_folder(output)
         targets = [output / (name_of(record) + ".parquet") for record in records]
     doubled = sorted({t.name for t in targets if targets.count(t) > 1})
     if doubled:
@@ -205,7 +180,7 @@ def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, .
         )
     if output in targets or output.is_dir():
         for target in targets:
-            checked_output(target, endings=ENDINGS, reads=(*records, *read))
+            check_output(target, endings=ENDINGS, reads=(*records, *read))
     return targets
 
 
@@ -215,7 +190,7 @@ class Remarks:
 
     warnings: list[str]  # Where the calibration did not cover it, and signs that it was not read rightly
     notes: list[str]
-    beyond: "tuple[Beyond, ...]" = ()  # Readings beyond the range of the fits; in the warnings too
+    beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
 
 
 def _correct_one(
@@ -233,36 +208,29 @@ def _correct_one(
     from undrift.io.parquet import ParquetWriter
 
     stream, suspicions, notes = corrector(), list[str](), dict[str, None]()
-    if not part.name.endswith(".parquet"):
-        raw, left_out = calibrated_part(opening.read(record), model)
-        done = stream.push_checked(raw)
-        _check_unit(done.record, record, raw.accel_unit)
-        write_record(done.record, part)
-        suspicions = _suspicions(done.record, model)
-        return stream.state, _remarks(
-            suspicions, done.warnings, (*left_out, *done.notes), find_beyond(done.record, model)
-        )
     beyond: tuple[Beyond, ...] = ()
-    with ParquetWriter(part) as writer:
-        for read in read_ahead(iter_record(record, opening.columns(), settings=opening.settings())):
+    whole = not part.name.endswith(".parquet")
+    with nullcontext() if whole else ParquetWriter(part) as writer:
+        for read in (
+            (opening.read(record),)
+            if whole
+            else read_ahead(iter_record(record, opening.columns(), settings=opening.settings()))
+        ):
             chunk, left_out = calibrated_part(read, model)
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough
                 _check_unit(done.record, record, chunk.accel_unit)
                 suspicions = _suspicions(done.record, model)
-            writer.write(done.record)
+            if writer is None:
+                write_record(done.record, part)
+            else:
+                writer.write(done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
-    return stream.state, _remarks(suspicions, stream.warnings, notes, beyond)
-
-
-def _remarks(
-    suspicions: list[str], warnings: "Iterable[str]", notes: "Iterable[str]", beyond: "tuple[Beyond, ...]"
-) -> Remarks:
     texts = [one.text for one in beyond if one.text]
-    return Remarks(warnings=[*suspicions, *warnings, *texts], notes=[*notes], beyond=beyond)
+    return stream.state, Remarks(warnings=[*suspicions, *stream.warnings, *texts], notes=[*notes], beyond=beyond)
 
 
 def _check_unit(done: "Record", path: Path, unit: str) -> None:

@@ -5,19 +5,20 @@ nothing that fits or corrects knows the truth. The truth serves the checks at th
 """
 
 import json as text_json
+import shutil
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Flag
+from undrift.cli.common import Flag, check_folder, save_json, say, write_json
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.sim.device.model import DeviceModel
     from undrift.study.outcome import StudyOutcome
-    from undrift.study.plan import Study
-    from undrift.study.virtual_bench import BenchFit, Check, WornTrial
+    from undrift.study.virtual_bench import BenchFit, Check
     from undrift.validation.trial import Trial
 
 SEED = 2007
@@ -45,12 +46,10 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     int
         0, or 1 when a check fails.
     """
-    from undrift.cli.common import plain, write_json
     from undrift.cli.study import study_summary
-    from undrift.files import write_whole
     from undrift.io.store import calibration_json
     from undrift.report.demo import write_demo_report
-    from undrift.study.virtual_bench import bench_device, bench_plan, compare_with_truth, judge_levels, record_on_bench
+    from undrift.study.virtual_bench import bench_device, bench_plan, compare_with_truth, record_on_bench
 
     _check_fresh(out)
     device, plan = bench_device(), bench_plan(quick=quick)
@@ -59,9 +58,7 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     try:
         run = record_on_bench(plan, device, out, tell=lambda what, left_s: shown(what, left_s + after_s))
         shown("fitting calibration and tables, judging a worn trial", after_s)
-        fit = _fitted(out)
-        trials = judge_levels(fit, _worn(device, out))
-        _correct(out)
+        fit, trials = _judged(device, out)
         study = _studied(quick, out, shown)
         checks = compare_with_truth(fit, trials, device)
         shown("report", 0.5 * REST_HOST_S[quick])
@@ -73,7 +70,7 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
         "study": study_summary(study),
         "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
     }
-    write_whole(out / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
+    save_json(out / "summary.json", summary)
     if json:
         write_json(summary)
     else:
@@ -83,11 +80,7 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
 
 def _check_fresh(out: Path) -> None:
     """Refuse a folder that holds somebody's own files; take away the runs of an earlier demo."""
-    import shutil
-
-    from undrift.cli.common import checked_folder
-
-    checked_folder(out)
+    check_folder(out)
     if out.is_dir() and any(out.iterdir()) and not _is_demo(out):
         raise InputError(
             f"{out}: wanted a new folder, or that of an earlier demo, got one with other files; name another"
@@ -107,75 +100,57 @@ def _is_demo(out: Path) -> bool:
         return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "journal.jsonl").is_file()
 
 
-def _fitted(out: Path) -> "BenchFit":
+def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial", ...]]:
+    """Fit calibration and tables, and judge a worn trial."""
+    from undrift.correction.correct import correct_checked
+    from undrift.io.formats import read_record, read_reference, write_record
+    from undrift.io.reference import write_reference
     from undrift.io.session import read_session
-    from undrift.io.store import write_calibration
-    from undrift.study.virtual_bench import fit_bench
+    from undrift.io.store import read_calibration, write_calibration
+    from undrift.study.virtual_bench import WornTrial, fit_bench, judge_levels, worn_trial
 
     fit = fit_bench(read_session(out / "bench"), read_session(out / "thermal"))
     write_calibration(fit.drift.calibration, out / "calibration.json")
-    return fit
-
-
-def _worn(device: "DeviceModel", out: Path) -> "WornTrial":
-    """Simulate the trial; what is judged is read from the disk."""
-    from undrift.io.formats import read_record, read_reference, write_record
-    from undrift.io.reference import write_reference
-    from undrift.study.virtual_bench import WornTrial, worn_trial
-
     made = worn_trial(device, seed=SEED)
     write_record(made.record, out / "trial.parquet")
     write_reference(made.reference, out / "reference.parquet")
-    return WornTrial(record=read_record(out / "trial.parquet"), reference=read_reference(out / "reference.parquet"))
-
-
-def _correct(out: Path) -> None:
-    from undrift.correction.correct import correct_checked
-    from undrift.io.formats import read_record, write_record
-    from undrift.io.store import read_calibration
-
-    calibration = read_calibration(out / "calibration.json")
-    write_record(correct_checked(read_record(out / "trial.parquet"), calibration).record, out / "corrected.parquet")
-
-
-def _study(quick: bool) -> "Study":
-    """Return the note's study, reduced: a sit-to-stand brings Figure 3 with it, which the quick demo leaves out."""
-    from dataclasses import replace
-
-    from undrift.study.plan import note_study
-
-    whole = note_study(subjects=4 if quick else 8, seed=SEED, quick=True)
-    return replace(whole, tasks=whole.tasks[1:2]) if quick else whole
+    record = read_record(out / "trial.parquet")  # what is judged is read from the disk
+    worn = WornTrial(record=record, reference=read_reference(out / "reference.parquet"))
+    corrected = correct_checked(record, read_calibration(out / "calibration.json"))
+    write_record(corrected.record, out / "corrected.parquet")
+    return fit, judge_levels(fit, worn)
 
 
 def _studied(quick: bool, out: Path, shown: "_Shown") -> "StudyOutcome":
     from undrift.study.outcome import judge_study
+    from undrift.study.plan import note_study
     from undrift.study.run import InProcess, choose_executor
+
+    # the note's study, reduced: a sit-to-stand brings Figure 3 with it, which the quick demo leaves out
+    plan = note_study(subjects=4 if quick else 8, seed=SEED, quick=True)
+    plan = replace(plan, tasks=plan.tasks[1:2]) if quick else plan
 
     def advance(done: int, total: int) -> None:
         left_s = (1.0 - 0.5 * done / total) * STUDY_HOST_S[quick] + 0.5 * REST_HOST_S[quick]
         shown(f"study: {done} of {total} units of work", left_s)
 
-    return judge_study(
-        _study(quick), InProcess() if quick else choose_executor(None, None), out / "study", advance=advance
-    )
+    executor = InProcess() if quick else choose_executor(None, None)
+    return judge_study(plan, executor, out / "study", advance=advance)
 
 
 def _tell(out: Path, trials: tuple["Trial", ...], checks: tuple["Check", ...]) -> None:
-    from undrift.cli.common import console
-
-    shown = console()
-    for check in checks:
-        shown.print(
+    say(
+        *(
             f"{'pass' if check.passed else 'FAIL'}  {check.name}: {check.value:.2g} (at most {check.limit:.2g})"
-        )
-    for trial in trials:
-        shown.print(
+            for check in checks
+        ),
+        *(
             f"      pitch of the worn sit-to-stand, {trial.recording}: {trial.figures.max_abs_pitch_deg:.2f} deg at most, "
-            f"{trial.figures.rmse_pitch_deg:.2f} deg rms",
-            markup=False,
-        )
-    shown.print(f"Wrote {out}: look at {out / 'report.html'}", markup=False)
+            f"{trial.figures.rmse_pitch_deg:.2f} deg rms"
+            for trial in trials
+        ),
+        f"Wrote {out}: look at {out / 'report.html'}",
+    )
 
 
 class _Shown:

@@ -11,7 +11,7 @@ from undrift.cli.common import (
     Json,
     Opening,
     OptionalOutput,
-    checked_output,
+    check_output,
     progress,
     say,
     show_table,
@@ -21,17 +21,9 @@ from undrift.cli.common import (
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from undrift.drift.fit import DriftFit, DriftSettings, TableChoice
+    from undrift.drift.fit import DriftFit, DriftSettings
     from undrift.model import Calibration
     from undrift.record import Session
-
-TABLES: "dict[str, TableChoice]" = {
-    "auto": "auto",
-    "none": "none",
-    "scale": "scale",
-    "dynamic": "dynamic",
-    "scale+dynamic": "scale + dynamic",
-}
 
 
 def drift(
@@ -88,9 +80,10 @@ def drift(
     """
     from undrift.drift.checks import verdict_before
     from undrift.drift.fit import DriftSettings
-    from undrift.drift.static import StaticSettings
+    from undrift.drift.static import CurveSettings, StaticSettings
     from undrift.io.store import calibration_json, read_calibration, write_calibration
-    from undrift.report.figures import PICTURES
+    from undrift.report.drift import draw_offsets, write_drift_report
+    from undrift.report.figures import PICTURES, save_figure
 
     if not sessions:
         raise InputError("drift: wanted a session or recording, or more, got none; name them first")
@@ -100,18 +93,21 @@ def drift(
         range_c=None if span is None else _range(span),
         step_c=step_c,
         lag_s=lag_s,
-        tables=TABLES[tables],
-        static=StaticSettings(not_a_knot=spline == "not-a-knot", warm_up=warm_up),
+        tables="scale + dynamic" if tables == "scale+dynamic" else tables,
+        static=StaticSettings(not_a_knot=spline == "not-a-knot", curve=CurveSettings(warm_up=warm_up)),
     )
-    read = tuple(path for path in sessions if path.exists())
-    if output is not None:  # may be the calibration that was read: it is written whole
-        checked_output(output, endings=(".json",), reads=(*read, opening.column_map))
-    for path, endings in ((report, (".html",)), (figure, PICTURES)):
-        if path is not None:
-            checked_output(path, endings=endings, reads=(*read, calibration, opening.column_map))
+    read = (*(path for path in sessions if path.exists()), opening.column_map)
+    check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
+    check_output(report, endings=(".html",), reads=(*read, calibration))
+    check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
     fit = _fit(sessions, opening, model, settings)
-    _write_pictures(fit, report, figure)
+    if figure is not None:
+        if fit.gyro_summary is None:
+            raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
+        save_figure(draw_offsets(fit.gyro_summary), figure)
+    if report is not None:
+        write_drift_report(fit, report)
     if output is not None:
         write_calibration(fit.calibration, output)
     if json:
@@ -130,17 +126,22 @@ def _fit(
 ) -> "DriftFit":
     """Read the sessions and fit their tables, with a bar."""
     from undrift.drift.fit import fit_drift
-    from undrift.drift.sessions import check_once
+    from undrift.drift.sessions import check_once, one_power_on
+    from undrift.io.formats import detect
 
     with progress() as shown:
         task = shown.add_task("reading", total=1.0)
         held = []
         for k, path in enumerate(sessions):
             shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
-            held.append(_read(path, opening, model))
-        check_once(held)
+            held.append((_read(path, opening, model), detect(path) == "session"))
+        check_once([session for session, _ in held])
+        bare = [session for session, stated in held if not stated]
         return fit_drift(
-            _by_power_on(sessions, held),
+            [
+                *(session for session, stated in held if stated),
+                *one_power_on(bare),
+            ],  # together where their clock runs on
             model,
             settings=settings,
             progress=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
@@ -178,40 +179,18 @@ def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session
     )
 
 
-def _by_power_on(paths: tuple[Path, ...], held: "list[Session]") -> "list[Session]":
-    """Return the sessions as they are, and recordings by themselves together where their clock runs on."""
-    from undrift.drift.sessions import one_power_on
-    from undrift.io.formats import detect
-
-    bare = [detect(path) != "session" for path in paths]
-    whole = [session for session, alone in zip(held, bare, strict=True) if not alone]
-    return whole + one_power_on([session for session, alone in zip(held, bare, strict=True) if alone])
-
-
-def _write_pictures(fit: "DriftFit", report: Path | None, figure: Path | None) -> None:
-    from undrift.report.drift import draw_offsets, write_drift_report
-    from undrift.report.figures import save_figure
-
-    if figure is not None:
-        if fit.gyro_summary is None:
-            raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
-        save_figure(draw_offsets(fit.gyro_summary), figure)
-    if report is not None:
-        write_drift_report(fit, report)
-
-
 def _show(fit: "DriftFit") -> None:
-    from undrift.report.drift import CHOICE_HEADS, SCALE_HEADS, choice_rows, offset_table, offset_title, scale_rows
+    from undrift.report import drift as report
 
     device = fit.calibration.device or "device without a serial number"
     say(f"{device}: {len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates")
     for name, summary in (("gyroscope", fit.gyro_summary), ("accelerometer", fit.accel_summary)):
         if summary is not None:
-            show_table(offset_title(name, summary), *offset_table(summary))
-    if rows := scale_rows(fit):
-        show_table("gyroscope scale factor over temperature", SCALE_HEADS, rows)
+            show_table(report.offset_title(name, summary), *report.offset_table(summary))
+    if rows := report.scale_rows(fit):
+        show_table("gyroscope scale factor over temperature", report.SCALE_HEADS, rows)
     if fit.choice is not None:
-        show_table("which tables", CHOICE_HEADS, choice_rows(fit.choice.alternatives))
+        show_table("which tables", report.CHOICE_HEADS, report.choice_rows(fit.choice.alternatives))
     drift = fit.calibration.drift
     if drift is not None and drift.lag_s > 0.0:
         say(f"thermometer lag removed: {drift.lag_s:.3g} s")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from undrift.cli.common import Details, Json, Output, checked_output, say, show_table, show_verdict, write_json
+from undrift.cli.common import Details, Json, Output, check_output, say, show_table, show_verdict, write_json
 from undrift.errors import FileFormatError, InputError
 from undrift.export import ExportOptions, find_target
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -46,14 +46,14 @@ def export(
         0, or 1 when the calibration's own verdict is bad.
     """
     from undrift.files import write_whole
-    from undrift.io.store import verdict_json
+    from undrift.io.store import findings_json, verdict_json
 
     if options.fixed and options.double:
         raise InputError("export: wanted --fixed or --double, got both; the source holds both, name the default")
     chosen = find_target(target)
     files = (output, *(output.with_suffix(ending) for ending in chosen.more))
     for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):
-        checked_output(path, endings=endings, reads=(calibration,))
+        check_output(path, endings=endings, reads=(calibration,))
     model = _read(calibration)
     made = chosen.write(model, options, output.name)
     for path, text in zip(files, (made.text, *made.more), strict=True):
@@ -65,6 +65,7 @@ def export(
                 "files": [str(path) for path in files],
                 "not_carried": made.not_carried,
                 "notes": made.notes,
+                "findings": findings_json(made.findings),
                 **made.figures,
                 "verdict": verdict_json(model.verdict),
             }
@@ -99,11 +100,7 @@ def _show_builds(figures: Mapping[str, Any]) -> None:
     builds, bound = figures.get("builds"), figures.get("fixed_point_bound")
     if not builds or not bound:
         return
-    keys = {
-        "table_bytes": "tables (bytes)",
-        "flash_bytes": "flash (bytes, estimated)",
-        "cycles": "cycles (estimated)",
-    }
+    keys = {"table_bytes": "tables (bytes)", "flash_bytes": "flash (bytes, estimated)", "cycles": "cycles (estimated)"}
     if any(build["lead_cycles"] for build in builds):
         keys["lead_cycles"] = "and of the lag (estimated)"
     rows = [(build["arithmetic"], *(str(build[key]) for key in keys)) for build in builds]

@@ -35,11 +35,6 @@ def info(
         How to read a foreign recording.
     reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
     from undrift.io.inspect import describe
     from undrift.io.store import findings_json, read_calibration, verdict_json
@@ -56,22 +51,13 @@ def info(
         found = replace(found, temp_c=span)
     if json:
         verdict = None if calibration is None else calibration.verdict
+        keys = ("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s", "columns", "gaps", "temp_c")
         write_json(
-            {
-                "kind": found.kind,
-                "format": found.format,
-                "rows": found.rows,
-                "sample_rate_hz": found.sample_rate_hz,
-                "usual_rate_hz": found.usual_rate_hz,
-                "duration_s": found.duration_s,
-                "columns": found.columns,
+            {key: getattr(found, key) for key in (*keys, "problems", "summary")}
+            | {
                 "units": dict(found.units),
-                "gaps": found.gaps,
-                "temp_c": found.temp_c,
                 "stills": stills,
-                "problems": found.problems,
                 "findings": findings_json(found.findings),
-                "summary": found.summary,
                 "map": found.example,
                 "no_still_because": reason,
                 "effects": effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]},
@@ -110,16 +96,11 @@ def _tables(drift: "DriftTables") -> "tuple[list[str], list[FloatArray]]":
     """Return a line for each table, and the temperatures of their nodes."""
     static, scale, dynamic = drift.static, drift.scale, drift.dynamic
     parts = []
-    if static is not None:
-        parts += [
-            ("offset of the gyro", static.temp_c, static.gyro_offset, static.gyro_extrapolated),
-            ("offset of the accel", static.temp_c, static.accel_offset, static.accel_extrapolated),
-        ]
-    if scale is not None:
-        parts += [
-            ("matrix of the gyro", scale.temp_c, scale.gyro_matrix, scale.gyro_extrapolated),
-            ("matrix of the accel", scale.temp_c, scale.accel_matrix, scale.accel_extrapolated),
-        ]
+    for what, table in (("offset", static), ("matrix", scale)):
+        for name in ("gyro", "accel"):
+            if table is not None:
+                values, marks = getattr(table, f"{name}_{what}"), getattr(table, f"{name}_extrapolated")
+                parts.append((f"{what} of the {name}", table.temp_c, values, marks))
     if dynamic is not None:
         low, high = dynamic.turn_rate[0] / RADIAN_PER_DEGREE, dynamic.turn_rate[-1] / RADIAN_PER_DEGREE
         what = f"error of the gyro over {low:.0f} to {high:.0f} deg/s"
@@ -144,11 +125,9 @@ def _effects(file: Path) -> dict[str, list[str]]:
     from undrift.sim.device.model import read_device
 
     device = read_device(file)
-    return {
-        "gyro": [*effects_of(device.gyro), f"reading in {device.gyro.unit}"],
-        "accel": [*effects_of(device.accel), f"reading in {device.accel.unit}"],
-        "source": [device.source_tag],
-    }
+    triads = {"gyro": device.gyro, "accel": device.accel}
+    effects = {name: [*effects_of(triad), f"reading in {triad.unit}"] for name, triad in triads.items()}
+    return effects | {"source": [device.source_tag]}
 
 
 # ---- A folder that is neither a session nor a recording: one line for each file in it
@@ -203,16 +182,16 @@ def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[li
     from undrift.io.formats import read_record
     from undrift.io.session import read_session
 
+    records, stills, reason = tuple["Record", ...](), tuple["Still", ...](), ""
     if found.kind == "session":
         session = read_session(file)
-        stills = session.stills or tuple(s for k, record in enumerate(session.records) for s in _search(record, k)[0])
-        clocks = [record.time for record in session.records]
-        return [[float(clocks[s.recording][s.start]), float(clocks[s.recording][s.stop - 1])] for s in stills], ""
-    if found.kind != "recording":
-        return [], ""
-    record = read_record(file, opening.columns(), settings=opening.settings())
-    stills, reason = _search(record)
-    return [[float(record.time[s.start]), float(record.time[s.stop - 1])] for s in stills], reason
+        records, stills = session.records, session.stills
+        stills = stills or tuple(s for k, record in enumerate(records) for s in _search(record, k)[0])
+    elif found.kind == "recording":
+        records = (read_record(file, opening.columns(), settings=opening.settings()),)
+        stills, reason = _search(records[0])
+    clocks = [record.time for record in records]
+    return [[float(clocks[s.recording][k]) for k in (s.start, s.stop - 1)] for s in stills], reason
 
 
 def _search(record: "Record", recording: int = 0) -> "tuple[tuple[Still, ...], str]":

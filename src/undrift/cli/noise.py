@@ -1,5 +1,6 @@
 """``undrift noise``: noise coefficients of a device at rest."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,7 @@ from undrift.cli.common import (
     Opening,
     calibrated_part,
     check_gravity,
-    checked_output,
+    check_output,
     say,
     show_table,
     show_verdict,
@@ -22,7 +23,7 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.calibration.noise import AxisNoise, NoiseFit
+    from undrift.calibration.noise import AxisNoise
     from undrift.record import Record
 
 
@@ -57,17 +58,12 @@ def noise(
         Allan plot to write: .svg, .png or .pdf.
     opening : Opening
         How to read a foreign recording.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
     from undrift.calibration.noise import TERMS, fit_noise
+    from undrift.io.store import read_calibration, verdict_json
     from undrift.report.figures import PICTURES, draw_allan, save_figure
 
-    if figure is not None:
-        checked_output(figure, endings=PICTURES, reads=(record, calibration))
+    check_output(figure, endings=PICTURES, reads=(record, calibration))
     with waiting("reading and fitting"):
         readings, notes = opening.read(record), tuple[str, ...]()
         began = readings.time[0]
@@ -75,7 +71,6 @@ def noise(
             readings = _between(readings, start_s, stop_s)
         if calibration is not None:
             from undrift.correction.correct import correct_checked
-            from undrift.io.store import read_calibration
 
             since = None if power_on_s is None else float(power_on_s + readings.time[0] - began)
             model = read_calibration(calibration)
@@ -87,11 +82,21 @@ def noise(
     if figure is not None:
         save_figure(draw_allan(found, title=f"{record.name}: overlapping Allan deviation"), figure)
     if json:
-        write_json(_noise_json(found) | {"notes": notes})
+        triads = ("gyro", "accel")
+        write_json(
+            {name: [_axis_json(axis) for axis in getattr(found, name)] for name in triads}
+            | {
+                key: {name: getattr(found, f"{name}_{of}") for name in triads}
+                for key, of in (("adev", "adev"), ("units", "unit"))
+            }
+            | {key: getattr(found, key) for key in ("taus_s", "duration_s", "confidence")}
+            | {"verdict": verdict_json(found.verdict), "notes": notes}
+        )
         return 0
-    brackets = f"in brackets the {100.0 * found.confidence:g} % intervals"
-    _show(f"gyroscopes, {brackets}", found.gyro, tuple(TERMS["gyro"].values()))
-    _show(f"accelerometers, {brackets}", found.accel, tuple(TERMS["accel"].values()))
+    for what, triad, axes in (("gyroscopes", "gyro", found.gyro), ("accelerometers", "accel", found.accel)):
+        if axes:
+            title = f"{what}, in brackets the {100.0 * found.confidence:g} % intervals"
+            _show(title, axes, tuple(TERMS[triad].values()))
     show_verdict(found.verdict, details=details)
     say(*(f"  note: {note}" for note in notes), *([] if figure is None else [f"Wrote {figure}"]))
     return 0
@@ -109,26 +114,11 @@ def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "
     return record.between(start, stop)
 
 
-def _noise_json(found: "NoiseFit") -> dict[str, object]:
-    from undrift.io.store import verdict_json
-
-    return {
-        "gyro": [_axis_json(axis) for axis in found.gyro],
-        "accel": [_axis_json(axis) for axis in found.accel],
-        "taus_s": found.taus_s,
-        "adev": {"gyro": found.gyro_adev, "accel": found.accel_adev},
-        "units": {"gyro": found.gyro_unit, "accel": found.accel_unit},
-        "duration_s": found.duration_s,
-        "confidence": found.confidence,
-        "verdict": verdict_json(found.verdict),
-    }
-
-
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     made: dict[str, object] = {"axis": axis.axis}
     for name in ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization"):
         c = getattr(axis, name)
-        made[name] = {"value": c.value, "interval": c.interval, "unit": c.unit, "reason": c.reason}
+        made[name] = asdict(c)
     customary = _customary(axis)
     return made if customary is None else made | {customary[1]: customary[0]}
 
@@ -144,8 +134,6 @@ def _customary(axis: "AxisNoise") -> tuple[float, str, str] | None:
 
 
 def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, ...]) -> None:
-    if not axes:
-        return
     rows = []
     for axis in axes:
         three = (axis.angle_random_walk, axis.bias_instability, axis.rate_random_walk)

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.cli.common import Json, Opening, Output, Policy, Side, check_physical, checked_output, say, write_json
+from undrift.cli.common import Json, Opening, Output, Policy, Side, check_output, check_physical, say, write_json
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,11 +58,6 @@ def orient(
         temperature was recorded the result is a gap under each, and a warning says for how long.
     opening : Opening
         How to read a foreign recording.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
     from undrift.correction.correct import correct_checked
     from undrift.correction.coverage import find_beyond
@@ -71,7 +66,7 @@ def orient(
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
 
-    checked_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
+    check_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
     readings, model, notes = opening.read(record), None, tuple[str, ...]()
     if calibration is None:
         check_physical(readings, record)

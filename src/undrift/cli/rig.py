@@ -1,24 +1,22 @@
 """``undrift rig``: run a protocol on a rate table, stop it from another shell, check a table, or emulate one."""
 
 import sys
+from contextlib import ExitStack, suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App, Parameter
 
+from undrift.cli.common import Json, Output, device_at, say, show_verdict, write_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from contextlib import ExitStack
-
     from undrift.rig.check import CheckSettings, RigCheck
-    from undrift.rig.folder import RunFolder
-    from undrift.rig.guard import Guard
     from undrift.rig.programme import Programme
-    from undrift.rig.rig import RigSettings
-    from undrift.rig.run import Bench, Progress, RunResult, RunSettings, Watch
-    from undrift.sim.device.model import DeviceModel
+    from undrift.rig.rig import Limits, RigSettings
+    from undrift.rig.run import Bench, Progress, RunResult, Watch
 
 rig = App(
     name="rig",
@@ -28,7 +26,6 @@ rig = App(
     result_action="return_value",
 )
 LONGEST_SILENCE_S = 60.0  # of a check, s of the host; then it hangs, and the guard stops the table
-Output = Annotated[Path, Parameter(name=["--output", "-o"])]
 
 
 @rig.command
@@ -49,7 +46,7 @@ def run(
     device_lag_s: float = 120.0,
     resume: bool = False,
     yes: bool = False,
-    json: bool = False,
+    json: Json = False,
 ) -> int:
     """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
 
@@ -83,30 +80,16 @@ def run(
         Go on in a folder in which a run was interrupted.
     yes : bool
         Start without asking.
-    json : bool
-        One JSON object on stdout.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
-    from contextlib import ExitStack
-
     from undrift.rig.folder import RunFolder
-    from undrift.rig.guard import StopWatch, stopping_on_signals
+    from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
-    from undrift.rig.rig import Limits, RigSettings, check_programme, parse_address
-    from undrift.rig.run import RunSettings, Watch
+    from undrift.rig.rig import RigSettings, check_programme, parse_address
+    from undrift.rig.run import RunSettings, Watch, run_programme
 
     asked = read_protocol(protocol)
-    limits = Limits(
-        turn_rate=highest_turn_rate_dps * RADIAN_PER_DEGREE,
-        acceleration=highest_acceleration_dps2 * RADIAN_PER_DEGREE,
-        travel=None if travel_deg is None else travel_deg * RADIAN_PER_DEGREE,
-    )
+    limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
     settings = RigSettings(limits=limits, ask=_asked)
-    giving_up = RunSettings(device_lag_s=device_lag_s)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
     by_hand = rig.startswith("manual:")
     if not resume:
@@ -116,10 +99,25 @@ def run(
         check_programme(programme, limits, folder.done, by_hand=by_hand)
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
-        watch = Watch(StopWatch(rig), _guard(stack, rig, chamber), programme)
+        guard = None
+        if (
+            chamber is not None or not by_hand
+        ):  # guarded before they are opened, so that they are closed before the guard goes
+            guard = stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
+        watch = Watch(StopWatch(rig), guard, programme)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         watch.arm()
-        result = _performed(programme, bench, folder, watch, (serial or called, gravity_m_s2), giving_up)
+        shown = _Shown(watch)
+        stack.callback(shown.end)
+        result = run_programme(
+            programme,
+            bench,
+            folder,
+            report=shown,
+            serial=serial or called,
+            gravity_m_s2=gravity_m_s2,
+            settings=RunSettings(device_lag_s=device_lag_s),
+        )
     _result(result, output, json)
     return 0
 
@@ -138,7 +136,7 @@ def emulate(
     gravity_m_s2: float = STANDARD_GRAVITY,
     save_device: Path | None = None,
     seed: int = 0,
-    json: bool = False,
+    json: Json = False,
 ) -> int:
     """Emulate a table, a chamber, a device and an operator on loopback ports; print their addresses and go on until Ctrl-C.
 
@@ -167,64 +165,47 @@ def emulate(
         Write the device there, as device.json: the truth that a calibration should find.
     seed : int
         Of every random draw.
-    json : bool
-        One JSON object on stdout.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
+    import threading
+
+    import numpy as np
+
     from undrift.rig.guard import stopping_on_signals
     from undrift.sim.device.model import write_device
+    from undrift.sim.device.presets import PRESETS
     from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatorSettings, start_bench
     from undrift.sim.rig.stream import StreamSettings
 
-    stream = StreamSettings(
-        sample_rate_hz=sample_rate_hz,
-        mount_tilt_sd=mount_tilt_deg * RADIAN_PER_DEGREE,
-        gravity_m_s2=gravity_m_s2,
-        seed=seed,
-    )
+    tilt = mount_tilt_deg * RADIAN_PER_DEGREE
     settings = EmulatedBenchSettings(
         rig=EmulatorSettings(kind=kind, speed=speed, port=port),
         air=AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
-        stream=stream,
-        device=_device(device, seed),
+        stream=StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed),
+        device=device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None,
     )
-    with stopping_on_signals(), start_bench(settings) as bench:
+    with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
         if save_device is not None:
             write_device(bench.device, save_device)
-        _announce(
-            {
-                "rig": bench.rig_address,
-                "device": bench.device_address,
-                "chamber": bench.chamber_address,
-                "operator": bench.hands_address,
-            },
-            json,
-        )
-        _until_interrupted()
+        addresses = {"rig": bench.rig_address, "device": bench.device_address, "chamber": bench.chamber_address}
+        addresses["operator"] = bench.hands_address
+        if json:
+            write_json({**addresses, "hands": bench.hands_address})  # its name in earlier releases
+        else:
+            sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
+        sys.stdout.flush()
+        threading.Event().wait()
     return 0
 
 
 @rig.command
-def stop(*, rig: str, json: bool = False) -> int:
+def stop(*, rig: str, json: Json = False) -> int:
     """Stop the table and switch its motor off, whoever drives it.
 
     Parameters
     ----------
     rig : str
         Address of the table.
-    json : bool
-        One JSON object on stdout.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
-    from undrift.cli.common import console, write_json
     from undrift.rig.guard import mark_stop, stop_rig
 
     mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
@@ -232,48 +213,30 @@ def stop(*, rig: str, json: bool = False) -> int:
     if json:
         write_json({"rig": rig, "stopped": True, "motor_on": False})
     else:
-        console().print(f"{rig}: at rest, motor off", markup=False)
+        say(f"{rig}: at rest, motor off")
     return 0
 
 
 @rig.command
-def status(*, rig: str, json: bool = False) -> int:
+def status(*, rig: str, json: Json = False) -> int:
     """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed.
 
     Parameters
     ----------
     rig : str
         Address of the table.
-    json : bool
-        One JSON object on stdout.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
-    from undrift.cli.common import console, write_json
     from undrift.rig.galil import read_status
 
     found = read_status(rig)
-    if json:
-        write_json(
-            {
-                "rig": rig,
-                "identity": found.identity,
-                "moving": found.moving,
-                "motor_on": found.motor_on,
-                "angle_deg": found.angle / RADIAN_PER_DEGREE,
-                "following_error_deg": found.following_error / RADIAN_PER_DEGREE,
-                "fault": found.fault,
-            }
-        )
-        return 0
-    words = ("moves" if found.moving else "at rest", f"motor {'on' if found.motor_on else 'off'}")
     angle_deg = found.angle / RADIAN_PER_DEGREE
-    console().print(
-        f"{found.identity}: {', '.join(words)}, at {angle_deg:.3f} deg, {found.fault or 'no fault'}", markup=False
-    )
+    if json:
+        made = {"rig": rig, "identity": found.identity, "moving": found.moving, "motor_on": found.motor_on}
+        error_deg = found.following_error / RADIAN_PER_DEGREE
+        write_json(made | {"angle_deg": angle_deg, "following_error_deg": error_deg, "fault": found.fault})
+        return 0
+    words = f"{'moves' if found.moving else 'at rest'}, motor {'on' if found.motor_on else 'off'}"
+    say(f"{found.identity}: {words}, at {angle_deg:.3f} deg, {found.fault or 'no fault'}")
     return 0
 
 
@@ -287,7 +250,7 @@ def check(
     limit_deg: float = 0.012,
     travel_deg: float | None = None,
     set_gains: bool = False,
-    json: bool = False,
+    json: Json = False,
 ) -> int:
     """Accept a table: following error in a step wave, crossover and phase margin of its servo loop. The table turns.
 
@@ -307,37 +270,22 @@ def check(
         How far the table may turn either way, deg; without end where not given.
     set_gains : bool
         Set the suggested gains, until the controller is switched off.
-    json : bool
-        One JSON object on stdout.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
-    from contextlib import ExitStack
-
     from undrift.rig.check import CheckSettings, check_rig
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.link import Clock
-    from undrift.rig.rig import Limits, RigSettings, open_rig, parse_address
+    from undrift.rig.rig import RigSettings, open_rig, parse_address
 
-    dps = RADIAN_PER_DEGREE
+    limits = _limits(turn_rate_dps, acceleration_dps2, travel_deg)
     settings = CheckSettings(
-        turn_rate=turn_rate_dps * dps,
+        turn_rate=limits.turn_rate,
         duration_s=seconds,
-        acceleration=acceleration_dps2 * dps,
-        limit=limit_deg * dps,
+        acceleration=limits.acceleration,
+        limit=limit_deg * RADIAN_PER_DEGREE,
         set_gains=set_gains,
     )
     if parse_address(rig)[0] == "manual":
         raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
-    limits = Limits(
-        turn_rate=settings.turn_rate,
-        acceleration=settings.acceleration,
-        travel=None if travel_deg is None else travel_deg * dps,
-    )
-    asked = RigSettings(limits=limits)
     with ExitStack() as stack:
         stack.enter_context(stopping_on_signals())
         stops, guard = StopWatch(rig), stack.enter_context(Guard(rig))
@@ -349,7 +297,7 @@ def check(
             if sys.stderr.isatty():
                 sys.stderr.write(f"\r\x1b[K{line}")
 
-        table = open_rig(rig, asked)
+        table = open_rig(rig, RigSettings(limits=limits))
         stack.callback(table.close)
         guard.arm()
         found = check_rig(table, Clock(speed=parse_address(rig)[2].clock_speed), settings, report)
@@ -357,14 +305,12 @@ def check(
     return 1 if found.passed is False else 0
 
 
-def _guard(stack: "ExitStack", rig: str, chamber: str | None) -> "Guard | None":
-    """Have table and chamber guarded; before they are opened, so that they are closed before the guard goes."""
-    from undrift.rig.guard import Guard
+def _limits(turn_rate_dps: float, acceleration_dps2: float, travel_deg: float | None) -> "Limits":
+    from undrift.rig.rig import Limits
 
-    by_hand = rig.startswith("manual:")
-    if by_hand and chamber is None:
-        return None
-    return stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
+    dps = RADIAN_PER_DEGREE
+    travel = None if travel_deg is None else travel_deg * dps
+    return Limits(turn_rate=turn_rate_dps * dps, acceleration=acceleration_dps2 * dps, travel=travel)
 
 
 def _bench(
@@ -405,21 +351,6 @@ def _bench(
     return made, source.description.device
 
 
-def _device(name: str, seed: int) -> "DeviceModel | None":
-    import numpy as np
-
-    from undrift.sim.device.model import read_device
-    from undrift.sim.device.presets import PRESETS, random_device_of
-
-    if not name:
-        return None
-    if name in PRESETS:
-        return random_device_of(name, np.random.default_rng(seed))
-    if not Path(name).exists():
-        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
-    return read_device(Path(name))
-
-
 def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
     """Say on stderr how long each step and the whole takes, and ask whether to start."""
     from undrift.rig.programme import Dwell, Mount
@@ -445,39 +376,15 @@ def _forecast(programme: "Programme", done: frozenset[int], yes: bool) -> None:
         raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or --yes")
 
 
-def _performed(
-    programme: "Programme",
-    bench: "Bench",
-    folder: "RunFolder",
-    watch: "Watch",
-    what: tuple[str, float],
-    giving_up: "RunSettings",
-) -> "RunResult":
-    from undrift.rig.run import run_programme
-
-    shown = _Shown()
-    serial, gravity_m_s2 = what
-
-    def report(progress: "Progress") -> None:
-        watch(progress)
-        shown(progress)
-
-    try:
-        return run_programme(
-            programme, bench, folder, report=report, serial=serial, gravity_m_s2=gravity_m_s2, settings=giving_up
-        )
-    finally:
-        shown.end()
-
-
 class _Shown:
-    """Shows where a run is on stderr: one line that is written over on a terminal, else a line for each step."""
+    """Watches a run and shows where it is on stderr: one line that is written over on a terminal, else a line for each step."""
 
-    def __init__(self) -> None:
-        self._live = sys.stderr.isatty()
+    def __init__(self, watch: "Watch") -> None:
+        self._watch, self._live = watch, sys.stderr.isatty()
         self._last: int | None = None
 
     def __call__(self, progress: "Progress") -> None:
+        self._watch(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         if self._live:
             sys.stderr.write(f"\r\x1b[K{line}  {progress.live}"[:150])
@@ -492,117 +399,73 @@ class _Shown:
 
 
 def _result(result: "RunResult", folder: Path, json: bool) -> None:
-    from undrift.cli.common import console, write_json
-
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     missing = sum(piece.missing for piece in result.pieces)
     if json:
-        write_json(
+        rows = [
             {
-                "folder": str(folder),
-                "rig": result.rig,
-                "dwells": len(result.pieces),
-                "added": result.added,
-                "duration_s": result.duration_s,
-                "missing_readings": missing,
-                "turns": [
-                    {
-                        "axis": piece.axis,
-                        "nominal_dps": piece.nominal_turn_rate / RADIAN_PER_DEGREE,
-                        "achieved_dps": piece.turn_rate / RADIAN_PER_DEGREE,
-                        "standard_uncertainty_dps": piece.turn_rate_uncertainty / RADIAN_PER_DEGREE,
-                        "temp_c": piece.temp_c if piece.device_c is None else piece.device_c,
-                        "missing_readings": piece.missing,
-                    }
-                    for piece in turns
-                ],
+                "axis": piece.axis,
+                "nominal_dps": piece.nominal_turn_rate / RADIAN_PER_DEGREE,
+                "achieved_dps": piece.turn_rate / RADIAN_PER_DEGREE,
+                "standard_uncertainty_dps": piece.turn_rate_uncertainty / RADIAN_PER_DEGREE,
+                "temp_c": piece.temp_c if piece.device_c is None else piece.device_c,
+                "missing_readings": piece.missing,
             }
-        )
+            for piece in turns
+        ]
+        made = {"folder": str(folder), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
+        write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows})
         return
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
-    console().print(
+    say(
         f"{folder}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; achieved rates "
-        f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing",
-        markup=False,
+        f"differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} readings missing"
     )
 
 
 def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bool) -> None:
-    from dataclasses import asdict
-
-    from undrift.cli.common import console, show_verdict, write_json
     from undrift.io.store import verdict_json
 
-    dps, loop, error = RADIAN_PER_DEGREE, found.loop, found.error
-    verdict = verdict_json(found.verdict)
+    dps, loop, error, gains = RADIAN_PER_DEGREE, found.loop, found.error, found.gains
     if json:
+        verdict = verdict_json(found.verdict)
+        wave = {"turn_rate": settings.turn_rate, "achieved": error.turn_rate}
+        errors = {"rms": error.rms, "max": error.largest, "limit_deg": settings.limit}
+        errors |= {"run_up_max": error.in_run_up, "link_delay": error.unknown}
+        sets = {"read": gains, "suggested": found.suggested, "held": found.held}
         write_json(
             {
                 "kind": "undrift.rig_check",
                 "format": 1,
                 "rig": rig,
                 "identity": found.identity,
-                "wave": {
-                    "seconds": settings.duration_s,
-                    "turn_rate_dps": settings.turn_rate / dps,
-                    "achieved_dps": error.turn_rate / dps,
-                    "acceleration_dps2": settings.acceleration / dps,
-                },
-                "error_deg": {
-                    "rms": error.rms / dps,
-                    "max": error.largest / dps,
-                    "limit_deg": settings.limit / dps,
-                    "pass": found.passed,
-                    "run_up_max": error.in_run_up / dps,
-                    "link_delay": error.unknown / dps,
-                },
+                "wave": {"seconds": settings.duration_s}
+                | {f"{name}_dps": value / dps for name, value in wave.items()}
+                | {"acceleration_dps2": settings.acceleration / dps},
+                "error_deg": {name: value / dps for name, value in errors.items()} | {"pass": found.passed},
                 "crossover_rad_s": loop and loop.crossover,
                 "crossover_standard_uncertainty_rad_s": loop and loop.crossover_uncertainty,
                 "phase_margin_deg": loop and loop.margin / dps,
                 "phase_margin_standard_uncertainty_deg": loop and loop.margin_uncertainty / dps,
-                "gains": {
-                    "read": found.gains and asdict(found.gains),
-                    "suggested": found.suggested and asdict(found.suggested),
-                    "held": found.held and asdict(found.held),
-                },
+                "gains": {name: each and asdict(each) for name, each in sets.items()},
                 "verdict": verdict,
                 "findings": verdict["findings"],
             }
         )
         return
-    lines = [
+    say(
         f"{found.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
         f"following error {error.rms / dps:.4f} deg rms, {error.largest / dps:.4f} deg at most at steady rate; limit "
         f"{settings.limit / dps:g} deg",
-    ]
+    )
     if loop is not None:
-        lines.append(
+        say(
             f"crossover {loop.crossover:.1f} +- {loop.crossover_uncertainty:.1f} rad/s, phase margin {loop.margin / dps:.1f} "
             f"+- {loop.margin_uncertainty / dps:.1f} deg (standard uncertainties)"
         )
-    if found.gains is not None:
-        lines.append(f"gains KP {found.gains.kp:g}, KD {found.gains.kd:g}, KI {found.gains.ki:g}")
-    for line in lines:
-        console().print(line, markup=False)
+    if gains is not None:
+        say(f"gains KP {gains.kp:g}, KD {gains.kd:g}, KI {gains.ki:g}")
     show_verdict(found.verdict, details=True)
-
-
-def _announce(addresses: dict[str, str], json: bool) -> None:
-    from undrift.cli.common import write_json
-
-    if json:
-        write_json({**addresses, "hands": addresses["operator"]})  # its name in earlier releases
-    else:
-        sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
-    sys.stdout.flush()
-
-
-def _until_interrupted() -> None:
-    import contextlib
-    import threading
-
-    with contextlib.suppress(KeyboardInterrupt):
-        threading.Event().wait()
 
 
 def _asked(line: str) -> str:

@@ -1,9 +1,21 @@
 """``undrift simulate``: simulated sensor output for recorded poses, for a task, or for a thermal session."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
-from undrift.cli.common import Flag, Json, Output, Up, checked_folder, labels_of, say, show_table, waiting, write_json
+from undrift.cli.common import (
+    Flag,
+    Json,
+    Output,
+    Up,
+    check_folder,
+    device_at,
+    labels_of,
+    say,
+    show_table,
+    waiting,
+    write_json,
+)
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -11,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from undrift.arrays import FloatArray
-    from undrift.record import Reference
+    from undrift.record import Record, Reference
     from undrift.sim.device.model import DeviceModel
     from undrift.sim.device.simulate import Simulated, Triad
     from undrift.sim.motion.motion import Motion
@@ -75,11 +87,6 @@ def simulate(
         Write the device there, as device.json.
     seed : int
         Seed of every random draw: the same seed gives the same file.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
     import numpy as np
 
@@ -92,13 +99,12 @@ def simulate(
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
     rng, simulated = np.random.default_rng(seed), None
-    model = _device(device, draw, rng)
+    model = device_at(device, rng, draw=draw)
     if motion.startswith(THERMAL):
         kind = _thermal_kind(
             motion, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
         )
-        made = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
-        lines = [f"{motion} -> {output}: {_summary(made)}"]
+        made, lines = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
     else:
         with waiting(f"simulating {motion}"):
             moved, where, chosen = _motion(
@@ -119,7 +125,7 @@ def simulate(
         return 0
     say(*lines)
     if simulated is not None:
-        _show(simulated, model)
+        _show(model, simulated, made)
     return 0
 
 
@@ -144,59 +150,44 @@ def _thermal(
     output: Path,
     given: tuple[float | None, float | None, float],
     rng: "np.random.Generator",
-) -> dict[str, object]:
-    """Write a thermal session and return what it holds."""
+) -> tuple[dict[str, Any], list[str]]:
+    """Write a thermal session and return what it holds, for JSON and in a line."""
     from dataclasses import replace
 
     from undrift.io.session import write_session
     from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
-    checked_folder(output)
+    check_folder(output)
     sample_rate_hz, power_on_s, gravity_m_s2 = given
     if kind == "warm_up" and power_on_s is not None:
         raise InputError(
             f"{THERMAL}{kind}: wanted no --power-on-s, got {power_on_s:g}; this session begins at power-on, leave it out"
         )
-    settings = ThermalSettings()
-    bench = replace(settings.bench, gravity_m_s2=gravity_m_s2)
+    bench = replace(ThermalSettings().bench, gravity_m_s2=gravity_m_s2)
     bench = bench if sample_rate_hz is None else replace(bench, sample_rate_hz=sample_rate_hz)
-    settings = replace(settings, bench=bench)
+    settings = ThermalSettings(bench=bench)
     settings = settings if power_on_s is None else replace(settings, power_on_s=power_on_s)
     with waiting(f"simulating {THERMAL}{kind}"):
         session = simulate_thermal_session(kind, model, rng=rng, settings=settings)
         write_session(session, output)
-    record = session.records[0]
-    span = None if record.temp_c is None else [float(record.temp_c.min()), float(record.temp_c.max())]
+    temp_c = session.records[0].temp_c
+    span = None if temp_c is None else [float(temp_c.min()), float(temp_c.max())]
+    counts = {"stills": len(session.stills), "turns": len(session.turns)}
+    made = _held(model, session.records[0]) | {"temp_c": span, **counts}
+    line = (
+        "{} -> {}: {samples} samples at {sample_rate_hz:.6g} Hz over {duration_s:.0f} s, {temp_c[0]:.1f} to {temp_c[1]:.1f} degC, "
+        "{stills} stills, {turns} turns"
+    )
+    return made, [line.format(f"{THERMAL}{kind}", output, **made)]
+
+
+def _held(model: "DeviceModel", record: "Record") -> dict[str, object]:
     return {
-        "device": {"name": model.name, "serial": model.serial, "source_tag": model.source_tag},
+        "device": {key: getattr(model, key) for key in ("name", "serial", "source_tag")},
         "samples": len(record),
         "sample_rate_hz": record.sample_rate_hz,
         "duration_s": record.duration_s,
-        "temp_c": span,
-        "stills": len(session.stills),
-        "turns": len(session.turns),
     }
-
-
-def _summary(made: dict[str, object]) -> str:
-    low, high = cast("list[float]", made["temp_c"])
-    return (
-        f"{made['samples']} samples at {made['sample_rate_hz']:.6g} Hz over {made['duration_s']:.0f} s, "
-        f"{low:.1f} to {high:.1f} degC, {made['stills']} stills, {made['turns']} turns"
-    )
-
-
-def _device(name: str, draw: bool, rng: "np.random.Generator") -> "DeviceModel":
-    from undrift.sim.device.model import read_device
-    from undrift.sim.device.presets import PRESETS, preset, random_device_of
-
-    if name not in PRESETS and not Path(name).exists():
-        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
-    if name in PRESETS:
-        return random_device_of(name, rng) if draw else preset(name)
-    if draw:
-        raise InputError(f"--draw: wanted a preset to draw a unit of, got {name}; leave it out for a device.json")
-    return read_device(Path(name))
 
 
 def _motion(
@@ -262,43 +253,36 @@ def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
     """Return the device, saturation, and the size of each effect, for JSON."""
     import numpy as np
 
-    def side(triad: "Triad") -> dict[str, object]:
-        return {
-            "saturated_samples": int(triad.saturated.any(axis=1).sum()),
-            "contribution_rms": {
-                c.effect: np.sqrt(np.nanmean(np.square(c.value), axis=0)) for c in triad.contributions
-            },
-        }
-
-    return {
-        "device": {"name": model.name, "serial": model.serial, "source_tag": model.source_tag},
-        "samples": len(made.record),
-        "sample_rate_hz": made.record.sample_rate_hz,
-        "duration_s": made.record.duration_s,
-        "gaps": 0 if made.record.gyro is None else int(np.isnan(made.record.gyro[:, 0]).sum()),
-        "gyro_rad_s": side(made.gyro),
-        "accel_m_s2": side(made.accel),
+    record = made.record
+    gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
+    sides = {
+        key: {"saturated_samples": int(triad.saturated.any(axis=1).sum()), "contribution_rms": _rms(triad)}
+        for key, triad in (("gyro_rad_s", made.gyro), ("accel_m_s2", made.accel))
     }
+    return _held(model, record) | {"gaps": gaps, **sides}
 
 
-def _show(made: "Simulated", model: "DeviceModel") -> None:
-    """Show the size of each effect, saturation and gaps."""
+def _rms(triad: "Triad") -> "dict[str, FloatArray]":
     import numpy as np
 
-    rows, record = [], made.record
-    for unit, factor, triad in (("deg/s", RADIAN_PER_DEGREE, made.gyro), ("m/s2", 1.0, made.accel)):
-        for c in triad.contributions:
-            rms = np.sqrt(np.nanmean(np.square(c.value), axis=0)) / factor
-            rows.append((f"{c.effect.replace('_', ' ')}, {unit}", *(f"{value:.4g}" for value in rms)))
+    return {c.effect: np.sqrt(np.nanmean(np.square(c.value), axis=0)) for c in triad.contributions}
+
+
+def _show(model: "DeviceModel", simulated: "Simulated", made: dict[str, Any]) -> None:
+    """Show the size of each effect, saturation and gaps."""
+    rows, lines = [], []
+    for name, key, unit, factor in (
+        ("gyroscope", "gyro_rad_s", "deg/s", RADIAN_PER_DEGREE),
+        ("accelerometer", "accel_m_s2", "m/s2", 1.0),
+    ):
+        side = made[key]
+        for effect, rms in side["contribution_rms"].items():
+            rows.append((f"{effect.replace('_', ' ')}, {unit}", *(f"{value:.4g}" for value in rms / factor)))
+        if side["saturated_samples"]:
+            lines.append(f"  warning: {name} saturated in {side['saturated_samples']} samples")
     show_table(f"{model.name} {model.serial}: contribution of each effect (rms)", ("effect", "x", "y", "z"), rows)
-    lines = []
-    for name, triad in (("gyroscope", made.gyro), ("accelerometer", made.accel)):
-        saturated = int(triad.saturated.any(axis=1).sum())
-        if saturated:
-            lines.append(f"  warning: {name} saturated in {saturated} samples")
-    gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
-    if gaps:
-        lines.append(f"  warning: {gaps} samples are gaps, where the poses are not known")
-    if record.accel is None:
+    if made["gaps"]:
+        lines.append(f"  warning: {made['gaps']} samples are gaps, where the poses are not known")
+    if simulated.record.accel is None:
         lines.append("  no accelerometer: these poses hold no positions")
     say(*lines)

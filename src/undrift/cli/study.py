@@ -1,15 +1,24 @@
 """``undrift study``: which calibration protocol is enough for a task, found by simulation, tested on other subjects."""
 
-import json as text_json
 import sys
 import time
+from dataclasses import asdict, replace
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Literal
 
-from cyclopts import Parameter
-
-from undrift.cli.common import Flag
+from undrift.cli.common import (
+    Flag,
+    Json,
+    Output,
+    check_folder,
+    console,
+    progress,
+    save_json,
+    say,
+    show_table,
+    waiting,
+    write_json,
+)
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -29,7 +38,7 @@ def study(
     plan: Path | None = None,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("study"),
+    output: Output = Path("study"),
     preset: Literal["note"] | None = None,
     quick: Flag = False,
     search: Literal["grid", "halving"] | None = None,
@@ -39,7 +48,7 @@ def study(
     scheduler: str | None = None,
     no_rivals: Flag = False,
     real: Path | None = None,
-    json: Flag = False,
+    json: Json = False,
 ) -> int:
     """Try calibration protocols on simulated subjects; find which is enough, with its error and its minutes on the rig.
 
@@ -69,32 +78,27 @@ def study(
         15 s. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
-    json : bool
-        One JSON object on stdout.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
-    from undrift.cli.common import plain, waiting, write_json
-    from undrift.files import write_whole
     from undrift.report.study import write_study_report
     from undrift.study.outcome import forecast, judge_study
     from undrift.study.real import read_real
-    from undrift.study.run import choose_executor
+    from undrift.study.run import HEAD, RunStore, choose_executor
 
     planned = _planned(plan, preset, quick, search, subjects, seed)
-    held = None
-    if real is not None:
-        with waiting("reading real recordings"):
-            held = read_real(real)
+    with waiting("reading real recordings"):
+        held = None if real is None else read_real(real)
     executor = choose_executor(scheduler, workers)
     workers, rivals = executor.workers, not (no_rivals or quick)
-    _check_folder(output, planned)
+    check_folder(output)
+    if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
+        raise InputError(
+            f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
+        )
+    RunStore(output, planned)  # refuses the folder of another study before anything is computed
     stages = forecast(planned, output, workers=workers, rivals=rivals, real=held)
     _announce(planned, stages, workers, json)
-    with _Progress(planned, stages) as shown:
+    shown = _Progress(planned, stages)
+    with shown.display:
         outcome = judge_study(
             planned,
             executor,
@@ -106,7 +110,7 @@ def study(
             tell=shown.tell,
         )
     summary = study_summary(outcome)
-    write_whole(output / "summary.json", text_json.dumps(plain(summary), indent=1, allow_nan=False) + "\n")
+    save_json(output / "summary.json", summary)
     write_study_report(outcome, output / "report.html")
     if json:
         write_json(summary)
@@ -123,8 +127,6 @@ def _planned(
     subjects: int | None,
     seed: int | None,
 ) -> "Study":
-    from dataclasses import replace
-
     from undrift.study.plan import ends_of, note_study, read_study
 
     if (plan is None) == (preset is None):
@@ -139,19 +141,6 @@ def _planned(
     return replace(held, subjects=count, search=search or held.search, seed=held.seed if seed is None else seed)
 
 
-def _check_folder(output: Path, planned: "Study") -> None:
-    """Refuse a folder of another study, or one with somebody's own files, before anything is computed."""
-    from undrift.cli.common import checked_folder
-    from undrift.study.run import HEAD, RunStore
-
-    checked_folder(output)
-    if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
-        raise InputError(
-            f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
-        )
-    RunStore(output, planned)
-
-
 # ---- before and while it runs
 
 
@@ -159,7 +148,6 @@ def _announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json:
     """Print how many runs there are, about how long all stages take, and which values no protocol has."""
     from rich.console import Console
 
-    from undrift.cli.common import console
     from undrift.study.outcome import untried_findings
     from undrift.study.run import count_runs
 
@@ -181,23 +169,11 @@ class _Progress:
     """A bar on a terminal; elsewhere a line on stderr for each stage and round, and now and then one within the first."""
 
     def __init__(self, planned: "Study", stages: "tuple[Stage, ...]") -> None:
-        from undrift.cli.common import progress
-
         self._name, self._stages = planned.name, stages
         self._counted = "runs" if planned.search == "halving" else "units of work"
-        self._live = sys.stderr.isatty()
-        self._shown = progress()
-        self._bar = self._shown.add_task(self._name, total=None)
-        self._next_s = 0.0
-
-    def __enter__(self) -> Self:
-        self._shown.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._shown.stop()
+        self._live, self._next_s = sys.stderr.isatty(), 0.0
+        self.display = progress()
+        self._bar = self.display.add_task(self._name, total=None)
 
     def begin(self, stage: "StageName") -> None:
         """Show that a stage begins; one without a forecast has nothing to do."""
@@ -210,7 +186,7 @@ class _Progress:
 
     def advance(self, done: int, total: int) -> None:
         """Show how much of the first stage is done."""
-        self._shown.update(self._bar, completed=done, total=total)
+        self.display.update(self._bar, completed=done, total=total)
         now_s = time.monotonic()
         if self._live or done == 0:
             self._next_s = now_s + SHOWN_EVERY_S
@@ -221,8 +197,8 @@ class _Progress:
     def tell(self, text: str) -> None:
         """Show a line; on a terminal it begins a bar of its own."""
         if self._live:
-            self._shown.remove_task(self._bar)
-            self._bar = self._shown.add_task(f"{self._name}: {text}", total=None)
+            self.display.remove_task(self._bar)
+            self._bar = self.display.add_task(f"{self._name}: {text}", total=None)
         else:
             sys.stderr.write(f"{self._name}: {text}\n")
             sys.stderr.flush()
@@ -240,17 +216,9 @@ def duration(seconds: float) -> str:
 
 def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
     """Return the JSON of a study."""
-    from dataclasses import asdict
-
     held, figure = outcome.study, outcome.figure3
     return {
-        "name": held.name,
-        "device": held.device,
-        "subjects": held.subjects,
-        "seed": held.seed,
-        "objective": held.objective,
-        "search": held.search,
-        "level": held.level,
+        **{key: getattr(held, key) for key in ("name", "device", "subjects", "seed", "objective", "search", "level")},
         "runs": outcome.runs,
         "tasks": [_task_summary(task) for task in outcome.tasks],
         "cohorts": [
@@ -266,9 +234,7 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         ],
         "figure3": figure
         and {
-            "none_max_deg": figure.actual_max_deg[0],
-            "static_max_deg": figure.actual_max_deg[1],
-            "full_max_deg": figure.actual_max_deg[2],
+            **dict(zip(("none_max_deg", "static_max_deg", "full_max_deg"), figure.actual_max_deg, strict=True)),
             "decrease_deg": figure.decrease_deg,
             "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
             "simulated_max_deg": figure.simulated_max_deg,
@@ -285,12 +251,10 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
 
 def _with_old_key(row: dict[str, object], note: object) -> dict[str, object]:
     """Return a row with its notes under the key of earlier versions too."""
-    return row | dict.fromkeys(("said",), note)  # binding key
+    return row | {"said": note}  # binding key
 
 
 def _real_summary(real: "RealOutcome") -> dict[str, object]:
-    from dataclasses import asdict
-
     def compared(rows: "tuple[CohortComparison, ...]") -> list[dict[str, object]]:
         return [_with_old_key(asdict(row) | {"inside": row.inside}, row.note) for row in rows]
 
@@ -317,20 +281,15 @@ def _real_summary(real: "RealOutcome") -> dict[str, object]:
 
 
 def _task_summary(task: "TaskOutcome") -> dict[str, object]:
-    from dataclasses import asdict
-
     from undrift.io.store import findings_json
 
     surface, found, stopping, note = task.surface, task.optimum, task.stopping, task.note
     powers = {power.name: power for power in task.powers}
+    errors = ("error_rms_deg", "error_max_deg", "honest_error_deg", "honest_interval_deg", "p_value")
     return {
         "task": surface.task,
         "optimum": _protocol(surface, found.best),
-        "error_rms_deg": found.error_rms_deg,
-        "error_max_deg": found.error_max_deg,
-        "honest_error_deg": found.honest_error_deg,
-        "honest_interval_deg": found.honest_interval_deg,
-        "p_value": found.p_value,
+        **{key: getattr(found, key) for key in errors},
         "equivalent_protocols": int(found.equivalent.sum()),
         "protocols": len(surface.cutoff_hz),
         "flat": found.flat,
@@ -355,18 +314,12 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
         ],
         "effects": [_effect_summary(effect, powers.get(effect.name)) for effect in found.effects],
         "optional_stopping": stopping
-        and {
-            "parameter": task.stopping_of,
-            "looks": stopping.looks,
-            "crossings": stopping.crossings,
-            "false_alarm": stopping.false_alarm,
-        },
+        and {"parameter": task.stopping_of}
+        | {key: getattr(stopping, key) for key in ("looks", "crossings", "false_alarm")},
         "note": note
         and {
             **asdict(note.row),
-            "error_deg": note.error_deg,
-            "difference_deg": note.difference_deg,
-            "verdict": note.verdict,
+            **{key: getattr(note, key) for key in ("error_deg", "difference_deg", "verdict")},
             "because": note.finding.text,
         },
         "halving": _halving_summary(task),
@@ -393,33 +346,19 @@ def _halving_summary(task: "TaskOutcome") -> dict[str, object] | None:
     halving = task.halving
     if halving is None:
         return None
-    return {
-        "runs": halving.runs,
-        "runs_of_grid": halving.runs_of_grid,
-        "rounds": [
-            {
-                "subjects": each.subjects,
-                "protocols": [
-                    _protocol(halving.every, int(place)) | {"mean_deg": mean}
-                    for place, mean in zip(each.candidates, each.mean_deg.tolist(), strict=True)
-                ],
-            }
-            for each in halving.rounds
-        ],
-    }
+    rounds = []
+    for each in halving.rounds:
+        means = zip(each.candidates, each.mean_deg.tolist(), strict=True)
+        rows = [_protocol(halving.every, int(place)) | {"mean_deg": mean} for place, mean in means]
+        rounds.append({"subjects": each.subjects, "protocols": rows})
+    return {"runs": halving.runs, "runs_of_grid": halving.runs_of_grid, "rounds": rounds}
 
 
 def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, object]:
-    from dataclasses import asdict
-
     test = effect.test
     return {
         "parameter": effect.name,
-        "values": effect.values,
-        "means_deg": effect.means_deg,
-        "span_deg": effect.span_deg,
-        "missing": effect.missing,
-        "dropped": effect.dropped,
+        **{key: getattr(effect, key) for key in ("values", "means_deg", "span_deg", "missing", "dropped")},
         "untested": effect.untested and effect.untested.detail,
         "f": test and test.f,
         "p_value": test and test.p_value,
@@ -441,53 +380,52 @@ def _effect_summary(effect: "ParameterEffect", power: "EffectPower | None") -> d
 
 
 def _show(outcome: "StudyOutcome", output: Path) -> None:
-    from undrift.cli.common import console, table
     from undrift.findings import SHOWN_FIRST, most_consequential_first
 
-    out = console()
-    heads = ("cut-off (Hz)", "step (deg/s)", "omega_m (deg/s)", "omega_M (deg/s)", "p", "rms (deg)", "rig (min)")
-    shown = table("Optimised parameters and the note's", "task", *heads)
+    heads = (
+        "task",
+        "cut-off (Hz)",
+        "step (deg/s)",
+        "omega_m (deg/s)",
+        "omega_M (deg/s)",
+        "p",
+        "rms (deg)",
+        "rig (min)",
+    )
+    rows = []
     for task in outcome.tasks:
         found, surface, note = task.optimum, task.surface, task.note
-        rows = [(surface.task, found.best), (" cheapest", found.cheapest)]
-        for name, place in rows[: 1 if found.best == found.cheapest else 2]:
+        places = [(surface.task, found.best), (" cheapest", found.cheapest)]
+        for name, place in places[: 1 if found.best == found.cheapest else 2]:
             own = [f"{value:.4g}" for value in _protocol(surface, place).values()]
             p = f"{found.p_value:.2g}" if place == found.best else ""
             error, minutes = surface.error_rms_deg[:, place].mean(), surface.rig_minutes[place]
-            shown.add_row(name, *own, p, f"{error:.3f}", f"{minutes:.0f}")
+            rows.append((name, *own, p, f"{error:.3f}", f"{minutes:.0f}"))
         if note is not None:
-            four = (
-                note.row.cutoff_hz,
-                note.row.turn_rate_step_dps,
-                note.row.turn_rate_min_dps,
-                note.row.turn_rate_max_dps,
-            )
-            shown.add_row(" the note", *(f"{value:.4g}" for value in four), f"{note.row.p_value:.3f} (its own)", "", "")
-    out.print(shown)
+            row = note.row
+            four = (row.cutoff_hz, row.turn_rate_step_dps, row.turn_rate_min_dps, row.turn_rate_max_dps)
+            rows.append((" the note", *(f"{value:.4g}" for value in four), f"{row.p_value:.3f} (its own)", "", ""))
+    show_table("Optimised parameters and the note's", heads, rows)
     for task in outcome.tasks:
-        tested = task.tested[0]
-        out.print(
+        tested, note = task.tested[0], task.note
+        ordered = most_consequential_first(item for item in task.findings if note is None or item != note.finding)
+        more = len(ordered) - SHOWN_FIRST
+        say(
             f"{task.surface.task}: {tested.error_rms_deg:.3f} deg rms [{tested.interval_rms_deg[0]:.3f}, "
             f"{tested.interval_rms_deg[1]:.3f}] on {tested.subjects} other subjects, largest error {tested.error_max_deg:.3f} deg",
-            markup=False,
+            *(f"  {item.text}" for item in ordered[:SHOWN_FIRST]),
+            *([] if note is None else [f"  the note {note.verdict}: {note.finding.text}"]),
+            *([f"  {more} more in {output / 'report.html'}"] if more > 0 else []),
         )
-        own_findings = [item for item in task.findings if task.note is None or item != task.note.finding]
-        ordered = most_consequential_first(own_findings)
-        for item in ordered[:SHOWN_FIRST]:
-            out.print(f"  {item.text}", markup=False)
-        if task.note is not None:
-            out.print(f"  the note {task.note.verdict}: {task.note.finding.text}", markup=False)
-        if len(ordered) > SHOWN_FIRST:
-            out.print(f"  {len(ordered) - SHOWN_FIRST} more in {output / 'report.html'}", markup=False)
     if outcome.figure3 is not None:
         none, static, full = outcome.figure3.actual_max_deg
-        out.print(
+        say(
             f"Figure 3, largest error: {none:.2f} deg without compensation, {static:.2f} deg static, {full:.2f} deg static and "
             "dynamic"
         )
-    for line in () if outcome.real is None else real_lines(outcome.real):
-        out.print(line, markup=False)
-    out.print(f"Wrote {output}: look at {output / 'report.html'}", markup=False)
+    say(
+        *(() if outcome.real is None else real_lines(outcome.real)), f"Wrote {output}: look at {output / 'report.html'}"
+    )
 
 
 def real_lines(real: "RealOutcome") -> tuple[str, ...]:

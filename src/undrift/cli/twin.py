@@ -4,7 +4,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Json, Opening, OptionalOutput, Up, read_pairs, say, show_table, waiting, write_json
+from undrift.cli.common import Json, Opening, Optics, OptionalOutput, say, show_table, waiting, write_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -16,11 +16,9 @@ if TYPE_CHECKING:
 
 def twin(
     *records: Path,
-    reference: tuple[Path, ...] = (),
+    optics: Optics = Optics(),
     gravity_m_s2: float = STANDARD_GRAVITY,
     seed: int = 0,
-    markers: str | None = None,
-    reference_up: Up = None,
     output: OptionalOutput = None,
     opening: Opening = Opening(),
     json: Json = False,
@@ -34,25 +32,16 @@ def twin(
     ----------
     records : Path
         Raw recordings of one device in one mounting; each begins with a rest.
-    reference : Path
-        The reference of each recording, in the same order; a BROAD file holds its own.
+    optics : Optics
+        The reference of each recording.
     gravity_m_s2 : float
         Local gravity, m/s2; the accelerometer's scale is proportional to it.
     seed : int
         Seed of the noise of simulated devices.
-    markers : str or None
-        Labels of one rigid cluster, with commas between, for C3D and TRC.
-    reference_up : str or None
-        Laboratory axis that points up, for C3D and TRC.
     output : Path or None
         device.json to write.
     opening : Opening
         How to read foreign recordings.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
     import numpy as np
 
@@ -68,7 +57,7 @@ def twin(
     endings: tuple[Ending, ...] = ()
     parts: tuple[Part, ...] = ()
     with waiting("reading, fitting and simulating"):
-        pairs = read_pairs(records, reference, markers, reference_up, opening, command="twin")
+        pairs = optics.pairs(records, opening, command="twin")
         names = [record.name.split(".")[0] for record in records]
         prepared = prepare_twin([p[0] for p in pairs], [p[1] for p in pairs], settings=settings, names=names)
         fitted = fit_prepared(prepared, settings=settings)
@@ -83,7 +72,7 @@ def twin(
     if json:
         write_json(_twin_json(fitted, held, endings, parts))
     else:
-        _show(fitted, held, endings, parts, names)
+        _show(fitted, names, held, endings, parts)
         if output is not None:
             say(f"Wrote {output}")
     return 0
@@ -94,18 +83,9 @@ def _twin_json(
 ) -> dict[str, object]:
     deg = 1.0 / RADIAN_PER_DEGREE
     accel = fitted.accel
+    keys = ("name", "value", "standard_error", "unit", "identifiable", "reason")
     return {
-        "parameters": [
-            {
-                "name": p.name,
-                "value": p.value,
-                "standard_error": p.standard_error,
-                "unit": p.unit,
-                "identifiable": p.identifiable,
-                "reason": p.reason,
-            }
-            for p in fitted.parameters
-        ],
+        "parameters": [{key: getattr(p, key) for key in keys} for p in fitted.parameters],
         "heldout": [
             {
                 "recording": h.recording,
@@ -125,13 +105,8 @@ def _twin_json(
             "cutoff_hz": {"gyro": fitted.settings.gyro_cutoff_hz, "accel": fitted.settings.accel_cutoff_hz},
         },
         "end_errors": [
-            {
-                "recording": e.recording,
-                "row": e.row,
-                "real_deg": e.real * deg,
-                "simulated_95_deg": e.interval * deg,
-                "covered": e.covered,
-            }
+            {key: getattr(e, key) for key in ("recording", "row", "covered")}
+            | {"real_deg": e.real * deg, "simulated_95_deg": e.interval * deg}
             for e in endings
         ],
         "contributions": [
@@ -152,10 +127,10 @@ def _spread(values: "FloatArray") -> dict[str, float]:
 
 def _show(
     fitted: "Twin",
+    names: list[str],
     held: "tuple[HeldOutTrial, ...]",
     endings: "tuple[Ending, ...]",
     parts: "tuple[Part, ...]",
-    names: list[str],
 ) -> None:
     deg = 1.0 / RADIAN_PER_DEGREE
     rows, reasons = [], dict[str, list[str]]()
@@ -190,16 +165,12 @@ def _show(
     show_table(title, ("recording", "window s", "windows", "median", "95 %", "max"), windows)
     limits = [(p.name, f"{p.pitch * deg:.3f}", f"{p.tilt * deg:.3f}") for p in parts]
     show_table(f"its contributions, {names[0]}, 5 s windows, median", ("part", "pitch deg", "tilt deg"), limits)
-    ends = [
-        (
-            e.recording,
-            "none" if e.row == "raw" else "rest",
-            *chain.from_iterable(
-                (f"{r * deg:.1f}", f"{low * deg:.1f}-{high * deg:.1f}")
-                for r, (low, high) in zip(e.real, e.interval, strict=True)
-            ),
-        )
-        for e in endings
-    ]
+    ends = []
+    for e in endings:
+        cells = [
+            (f"{r * deg:.1f}", f"{low * deg:.1f}-{high * deg:.1f}")
+            for r, (low, high) in zip(e.real, e.interval, strict=True)
+        ]
+        ends.append((e.recording, "none" if e.row == "raw" else "rest", *chain.from_iterable(cells)))
     title = "end error, deg: real, and 95 % of simulated devices"
     show_table(title, ("recording", "offset", "total", "", "incl.", ""), ends)

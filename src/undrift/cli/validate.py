@@ -3,25 +3,22 @@
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
     Flag,
     Json,
     Opening,
+    Optics,
     OptionalOutput,
     Policy,
     Side,
-    Up,
+    check_folder,
     check_gravity,
+    check_output,
     check_physical,
-    checked_folder,
-    checked_output,
     name_of,
-    plain,
-    read_pairs,
+    save_json,
     say,
     show_table,
     waiting,
@@ -36,21 +33,21 @@ if TYPE_CHECKING:
     from undrift.validation.agreement import Validation
     from undrift.validation.trial import Trial, TrialSettings
 
-SHOWN = (
-    ("rmse_total_deg", "total"),
-    ("rmse_inclination_deg", "inclination"),
-    ("rmse_pitch_deg", "pitch"),
-    ("max_abs_pitch_deg", "pitch max"),
-    ("end_total_deg", "end total"),
-    ("end_inclination_deg", "end incl."),
-    ("lag_ms", "lag ms"),
-)
+SHOWN = {
+    "rmse_total_deg": "total",
+    "rmse_inclination_deg": "inclination",
+    "rmse_pitch_deg": "pitch",
+    "max_abs_pitch_deg": "pitch max",
+    "end_total_deg": "end total",
+    "end_inclination_deg": "end incl.",
+    "lag_ms": "lag ms",
+}
 SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
 
 
 def validate(
     *records: Path,
-    reference: Annotated[tuple[Path, ...], Parameter(show_default=False)] = (),
+    optics: Optics = Optics(),
     calibration: Path | None = None,
     calibrate_from: Literal["reference"] | None = None,
     leave_one_out: Flag = False,
@@ -61,8 +58,6 @@ def validate(
     power_on_s: float | None = None,
     policy: Policy = "raise",
     max_lag_s: float = 5.0,
-    markers: str | None = None,
-    reference_up: Up = None,
     output: OptionalOutput = None,
     report: Path | None = None,
     opening: Opening = Opening(),
@@ -74,8 +69,8 @@ def validate(
     ----------
     records : Path
         One or more recordings.
-    reference : Path
-        The reference of each recording, in the same order; a BROAD file holds its own.
+    optics : Optics
+        The reference of each recording.
     calibration : Path or None
         calibration.json of the device.
     calibrate_from : str or None
@@ -97,30 +92,19 @@ def validate(
         temperature was recorded the result is a gap under each, and a warning says for how long.
     max_lag_s : float
         Largest lag between the clocks of recording and reference, either way, s.
-    markers : str or None
-        Labels of one rigid cluster, with commas between, for C3D and TRC.
-    reference_up : str or None
-        Laboratory axis that points up, for C3D and TRC.
     output : Path or None
         Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
     report : Path or None
         Report page to write: .html; without a folder.
     opening : Opening
         How to read foreign recordings.
-
-    Returns
-    -------
-    int
-        Exit code.
     """
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
     _check_asked(records, calibration, calibrate_from, leave_one_out, max_lag_s)
-    if output is not None:
-        checked_folder(output)
-    if report is not None:
-        checked_output(report, endings=(".html",), reads=(*records, *reference, calibration))
+    check_folder(output)
+    check_output(report, endings=(".html",), reads=(*records, *optics.reference, calibration))
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
     settings = TrialSettings(
         offset=chosen,
@@ -132,7 +116,7 @@ def validate(
         lag=LagSettings(longest_lag_s=max_lag_s),
     )
     with waiting("reading, aligning and integrating"):
-        pairs = read_pairs(records, reference, markers, reference_up, opening, command="validate")
+        pairs = optics.pairs(records, opening, command="validate")
         if calibration is None and calibrate_from is None:
             for (readings, _), path in zip(pairs, records, strict=True):
                 check_physical(readings, path)
@@ -142,7 +126,8 @@ def validate(
     source = calibration.name if calibration else calibrate_from
     asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     made = _validation_json(result) | asked
-    _write(output, report, result, made, _method(records, reference, calibration, result, model, settings))
+    method = _method(records, optics.reference, calibration, result, model, settings)
+    _write(output, report, result, made, method)
     if json:
         write_json(made)
         return 0
@@ -152,6 +137,47 @@ def validate(
         *([] if output is None else [f"Wrote {output}: look at report.html"]),
     )
     return 0
+
+
+def _write(
+    folder: Path | None, page: Path | None, result: "Validation", made: dict[str, object], method: "Method"
+) -> None:
+    from undrift.io.store import write_calibration
+    from undrift.report.validation import write_validation_report
+
+    if page is not None:
+        write_validation_report(result, method, page)
+    if folder is not None:
+        folder.mkdir(exist_ok=True)
+        write_validation_report(result, method, folder / "report.html")
+        save_json(folder / "validation.json", made)
+        if method.calibration is not None and not method.source:
+            write_calibration(method.calibration, folder / "calibration.json")
+
+
+def _method(
+    records: tuple[Path, ...],
+    references: tuple[Path, ...],
+    calibration: Path | None,
+    result: "Validation",
+    model: "Calibration | None",
+    settings: "TrialSettings",
+) -> "Method":
+    from undrift.model import Verdict
+    from undrift.report.validation import Method
+
+    verdict = Verdict() if model is None or result.held_out else model.verdict
+    for held in result.held_out:
+        verdict = verdict.also(held.fit.triad.verdict)
+    return Method(
+        recordings=tuple(path.name for path in records),
+        references=tuple(path.name for path in references),
+        calibration=model,
+        source=calibration.name if calibration else "",
+        leave_one_out=bool(result.held_out),
+        verdict=verdict,
+        settings=settings,
+    )
 
 
 def _check_asked(
@@ -232,59 +258,14 @@ def _judged(
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     fitted = calibrate_to_references(records, references, adc=settings.adc, lag_settings=settings.lag) if fit else None
     model = fitted if calibration is None else read_calibration(calibration)
-    if leave_one_out:
-        result = validate_leave_one_out(pairs, settings=settings, names=names)
-    else:
-        result = validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
+    result = (
+        validate_leave_one_out(pairs, settings=settings, names=names)
+        if leave_one_out
+        else validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
+    )
     for trial in result.trials:
         _check_scale(trial)
     return result, model
-
-
-def _method(
-    records: tuple[Path, ...],
-    references: tuple[Path, ...],
-    calibration: Path | None,
-    result: "Validation",
-    model: "Calibration | None",
-    settings: "TrialSettings",
-) -> "Method":
-    """Return what was asked for, with the verdict of what judged: in leave-one-out that of all fits to the others."""
-    from undrift.model import Verdict
-    from undrift.report.validation import Method
-
-    verdict = Verdict() if model is None or result.held_out else model.verdict
-    for held in result.held_out:
-        verdict = verdict.also(held.fit.triad.verdict)
-    return Method(
-        recordings=tuple(path.name for path in records),
-        references=tuple(path.name for path in references),
-        calibration=model,
-        source=calibration.name if calibration else "",
-        leave_one_out=bool(result.held_out),
-        verdict=verdict,
-        settings=settings,
-    )
-
-
-def _write(
-    folder: Path | None, page: Path | None, result: "Validation", made: dict[str, object], method: "Method"
-) -> None:
-    import json
-
-    from undrift.files import write_whole
-    from undrift.io.store import write_calibration
-    from undrift.report.validation import write_validation_report
-
-    if page is not None:
-        write_validation_report(result, method, page)
-    if folder is None:
-        return
-    folder.mkdir(exist_ok=True)
-    write_validation_report(result, method, folder / "report.html")
-    write_whole(folder / "validation.json", json.dumps(plain(made), indent=1, allow_nan=False) + "\n")
-    if method.calibration is not None and not method.source:
-        write_calibration(method.calibration, folder / "calibration.json")
 
 
 def _show(result: "Validation", offset: str, *, in_sample: bool) -> None:
@@ -296,14 +277,13 @@ def _show(result: "Validation", offset: str, *, in_sample: bool) -> None:
     rows = [
         (
             name,
-            *(f"{getattr(figures, key):.2f}" for key, _ in SHOWN),
-            _percent(figures.pitch_defined),
-            _percent(figures.valid_optics),
+            *(f"{getattr(figures, key):.2f}" for key in SHOWN),
+            *(_percent(share) for share in (figures.pitch_defined, figures.valid_optics)),
         )
         for name, figures in figures_of
     ]
     title = f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})"
-    show_table(title, ("recording", *(head for _, head in SHOWN), "pitch %", "optics %"), rows)
+    show_table(title, ("recording", *SHOWN.values(), "pitch %", "optics %"), rows)
     lines = []
     if result.agreement is not None:
         limits, icc = result.agreement.limits, result.agreement.absolute

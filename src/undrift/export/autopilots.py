@@ -16,16 +16,17 @@ the cubic down; here X0 is the constant, as in its parameter reference. ArduPilo
 The constant has no place among the thermal coefficients: the offset at CALTEMP, OFFS, stands for it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.export import ExportOptions, Target
-from undrift.export.firmware import rounding_of
-from undrift.export.losses import Exported, Part, losses
-from undrift.export.programs import Constant, ConstantPair, constants_of
+from undrift.export.firmware import Triad, rounding_of
+from undrift.export.losses import Exported, Part, losses, said
+from undrift.export.programs import ConstantPair, constants_of
+from undrift.findings import Finding, finding
 from undrift.model import Calibration, DriftTables
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
@@ -56,6 +57,7 @@ class Cubic:
     low_c: float
     high_c: float
     misfit: FloatArray  # (3,), largest departure from the nodes that it was fitted to, SI
+    table: bool = False  # True where the cubic stands for a table, not for a constant
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", frozen(self.coefficients, (4, 3), "cubic coefficients"))
@@ -72,8 +74,7 @@ class Cubic:
         d = reference_c - self.reference_c
         c0, c1, c2, c3 = self.coefficients
         moved = np.array((c0 + d * (c1 + d * (c2 + d * c3)), c1 + d * (2.0 * c2 + d * 3.0 * c3), c2 + 3.0 * d * c3, c3))
-        low, high = self.low_c, self.high_c
-        return Cubic(reference_c=reference_c, coefficients=moved, low_c=low, high_c=high, misfit=self.misfit)
+        return replace(self, reference_c=reference_c, coefficients=moved)
 
 
 def fit_cubic(temp_c: FloatArray, offset: FloatArray) -> Cubic:
@@ -89,7 +90,7 @@ def fit_cubic(temp_c: FloatArray, offset: FloatArray) -> Cubic:
     for axis in range(3):
         column = chebyshev.cheb2poly(fitted[:, axis])
         powers[: len(column), axis] = column / half ** np.arange(len(column))
-    return Cubic(reference_c=middle, coefficients=powers, low_c=low, high_c=high, misfit=misfit)
+    return Cubic(reference_c=middle, coefficients=powers, low_c=low, high_c=high, misfit=misfit, table=True)
 
 
 # ---- A calibration in an autopilot's form
@@ -101,10 +102,8 @@ class AutopilotModel:
 
     gyro: Cubic | None  # None without a model
     accel: Cubic | None
-    gyro_table: bool  # True where the cubic stands for a table, not for a constant
-    accel_table: bool
     accel_gain: FloatArray  # (3,), diagonal of the accelerometers' matrix over the nominal gain
-    notes: tuple[str, ...]  # Misfits, and what was frozen
+    notes: tuple[Finding, ...]  # Misfits, and what was frozen
 
 
 def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> AutopilotModel:
@@ -116,40 +115,30 @@ def autopilot_model(calibration: Calibration, settings: AutopilotSettings) -> Au
     if temp is None and drift.scale is None and static is not None:
         temp = float(static.temp_c.mean())  # the cubics hold the offsets of every temperature: nothing is frozen here
     pair = constants_of(calibration, temp)
-    cubics: dict[str, Cubic] = {}
-    tables = {
-        "gyro": static is not None and static.gyro_offset is not None,
-        "accel": static is not None and static.accel_offset is not None,
-    }
+    made: dict[str, Cubic | None] = {"gyro": None, "accel": None}
     gain: FloatArray = np.ones(3)
-    if pair.gyro is not None:
-        nominal = _nominal(pair.gyro, "rate", settings.gyro_nominal)
-        cubics["gyro"] = _offsets(calibration, pair, pair.gyro, "gyro", nominal)
-    if pair.accel is not None:
-        nominal = _nominal(pair.accel, "accel", settings.accel_nominal)
-        cubics["accel"] = _offsets(calibration, pair, pair.accel, "accel", nominal)
-        gain = np.diag(pair.accel.matrix) / nominal
-    # of all that is read at one temperature a target carries these gains alone
-    frozen_gains = "accel" in cubics and drift.scale is not None and drift.scale.accel_matrix is not None
+    # of all that is read at one temperature a target carries the accelerometers' gains alone
+    frozen_gains = pair.accel is not None and drift.scale is not None and drift.scale.accel_matrix is not None
     notes = list(pair.notes) if frozen_gains else []
-    for name, what, factor, unit in (
-        ("gyro", "gyroscopes'", RADIAN_PER_DEGREE, "deg/s"),
-        ("accel", "accelerometers'", si_factor("mg", "accel"), "mg"),
-    ):
-        if name in cubics and tables[name]:
-            worst = " / ".join(f"{v:.2g}" for v in cubics[name].misfit / factor)
-            notes.append(f"the cubics depart from the {what} table by up to {worst} {unit}, x / y / z")
-    return AutopilotModel(
-        gyro=cubics.get("gyro"),
-        accel=cubics.get("accel"),
-        gyro_table=tables["gyro"],
-        accel_table=tables["accel"],
-        accel_gain=gain,
-        notes=tuple(notes),
+    sides: tuple[tuple[str, Triad | None, Quantity, float | None], ...] = (
+        ("gyro", pair.gyro, "rate", settings.gyro_nominal),
+        ("accel", pair.accel, "accel", settings.accel_nominal),
     )
+    for name, triad, quantity, stated in sides:
+        if triad is None:
+            continue
+        nominal = _nominal(triad, quantity, stated)
+        made[name] = cubic = _offsets(calibration, pair, triad, nominal)
+        if name == "accel":
+            gain = np.diag(triad.matrix) / nominal
+        if cubic.table:
+            whose, unit, shown = ("gyroscopes'", "dps", "deg/s") if name == "gyro" else ("accelerometers'", "mg", "mg")
+            misfit = cubic.misfit / si_factor(unit, quantity)
+            notes.append(finding("export.misfit", "info", triad=whose, misfit=misfit, unit=shown))
+    return AutopilotModel(**made, accel_gain=gain, notes=tuple(notes))
 
 
-def _nominal(triad: Constant, quantity: Quantity, stated: float | None) -> float:
+def _nominal(triad: Triad, quantity: Quantity, stated: float | None) -> float:
     if is_physical(triad.unit_in):
         return si_factor(triad.unit_in, quantity)
     if stated is None or not np.isfinite(stated) or stated <= 0.0:
@@ -162,17 +151,17 @@ def _nominal(triad: Constant, quantity: Quantity, stated: float | None) -> float
     return stated
 
 
-def _offsets(calibration: Calibration, pair: ConstantPair, triad: Constant, name: str, nominal: float) -> Cubic:
+def _offsets(calibration: Calibration, pair: ConstantPair, triad: Triad, nominal: float) -> Cubic:
     static = calibration.drift.static if calibration.drift else None
-    offset = None if static is None else static.gyro_offset if name == "gyro" else static.accel_offset
+    offset = getattr(static, f"{triad.name}_offset", None)
     if static is None or offset is None:
         reference = pair.temp_c if np.isfinite(pair.temp_c) else REFERENCE_OF_NO_TABLE_C
         powers = np.zeros((4, 3))
         powers[0] = triad.offset * nominal
         return Cubic(reference_c=reference, coefficients=powers, low_c=reference, high_c=reference, misfit=np.zeros(3))
-    marks = static.gyro_extrapolated if name == "gyro" else static.accel_extrapolated
+    marks = getattr(static, f"{triad.name}_extrapolated")
     seen = np.ones(len(static.temp_c), bool) if marks is None or (~marks).sum() < 2 else ~marks
-    _, shift = rounding_of(calibration, is_gyro=name == "gyro")
+    _, shift = rounding_of(calibration, is_gyro=triad.name == "gyro")
     return fit_cubic(static.temp_c[seen], (offset[seen] - shift) * nominal)
 
 
@@ -204,16 +193,14 @@ def export_ardupilot(calibration: Calibration, settings: AutopilotSettings = Aut
     """
     model = autopilot_model(calibration, settings)
     n, number = settings.sensor + 1, "" if settings.sensor == 0 else str(settings.sensor + 1)
-    triads = (("ACC", model.accel, model.accel_table), ("GYR", model.gyro, model.gyro_table))
-    tables = [cubic for _, cubic, table in triads if table and cubic is not None]
+    triads = [(group, cubic) for group, cubic in (("ACC", model.accel), ("GYR", model.gyro)) if cubic is not None]
+    tables = [cubic for _, cubic in triads if cubic.table]
     values: dict[str, float] = {f"INS_TCAL{n}_ENABLE": int(bool(tables))}
     notes = list(model.notes)
     low, high = max((c.low_c for c in tables), default=0.0), min((c.high_c for c in tables), default=0.0)
     if tables:
         values |= {f"INS_TCAL{n}_TMIN": low, f"INS_TCAL{n}_TMAX": high}
-    for group, cubic, table in triads:
-        if cubic is None:
-            continue
+    for group, cubic in triads:
         about, at = cubic.about(REFERENCE_C), cubic.reference_c  # the middle of the table
         if tables:
             known = np.isfinite(calibration.reference_temp_c)
@@ -225,20 +212,20 @@ def export_ardupilot(calibration: Calibration, settings: AutopilotSettings = Aut
             }
         values[f"INS_{group}{n}_CALTEMP"] = at
         values |= _by_axis(f"INS_{group}{number}OFFS_{{}}", cubic.at(np.array([at]))[0])
-        if group == "GYR" and table:
-            dropped = " / ".join(f"{v / RADIAN_PER_DEGREE:.6g}" for v in about.coefficients[0])
+        if group == "GYR" and cubic.table:
+            dropped = about.coefficients[0] / RADIAN_PER_DEGREE
+            place = f"INS_GYR{number}OFFS"
             notes.append(
-                f"the gyroscopes' constants at {REFERENCE_C:g} degC, {dropped} deg/s, have no place in the cubic: "
-                f"INS_GYR{number}OFFS holds the offset at {at:g} degC instead"
+                finding(
+                    "export.constant_moved", "info", at_c=REFERENCE_C, offset_dps=dropped, parameter=place, temp_c=at
+                )
             )
     if model.accel is not None:
         values |= _by_axis(f"INS_ACC{number}SCAL_{{}}", model.accel_gain)
-    notes += [
-        "ArduPilot measures INS_GYROFFS anew at every start unless INS_GYR_CAL is 0",
-        "ArduPilot keeps parameters in single precision",
-    ]
+    notes.append(finding("export.measured_anew", "info"))
+    notes.append(finding("export.parameters_single", "info", program="ArduPilot"))
     text = "".join(f"{name},{value!r}\n" for name, value in values.items())
-    return Exported(text=text, not_carried=losses(calibration, CARRIED), notes=tuple(notes))
+    return Exported(text=text, **said(losses(calibration, CARRIED), notes))
 
 
 def _by_axis(name: str, values: FloatArray) -> dict[str, float]:
@@ -272,14 +259,11 @@ def export_px4(calibration: Calibration, settings: AutopilotSettings = Autopilot
     """
     model = autopilot_model(calibration, settings)
     n, values = settings.sensor, dict[str, float]()
-    for letter, group, cubic, table in (
-        ("G", "GYRO", model.gyro, model.gyro_table),
-        ("A", "ACC", model.accel, model.accel_table),
-    ):
+    for letter, group, cubic in (("G", "GYRO", model.gyro), ("A", "ACC", model.accel)):
         if cubic is None:
             continue
-        values[f"TC_{letter}_ENABLE"] = int(table)
-        if table:
+        values[f"TC_{letter}_ENABLE"] = int(cubic.table)
+        if cubic.table:
             values |= {
                 f"TC_{letter}{n}_X{power}_{axis}": float(cubic.coefficients[power, axis])
                 for power in range(4)
@@ -287,17 +271,14 @@ def export_px4(calibration: Calibration, settings: AutopilotSettings = Autopilot
             }
             ends = (("TREF", cubic.reference_c), ("TMIN", cubic.low_c), ("TMAX", cubic.high_c))
             values |= {f"TC_{letter}{n}_{name}": value for name, value in ends}
-        values |= _by_axis(f"CAL_{group}{n}_{{}}OFF", np.zeros(3) if table else cubic.coefficients[0])
+        values |= _by_axis(f"CAL_{group}{n}_{{}}OFF", np.zeros(3) if cubic.table else cubic.coefficients[0])
     if model.accel is not None:
         values |= _by_axis(f"CAL_ACC{n}_{{}}SCALE", model.accel_gain)
     rows = [f"1\t1\t{k}\t{v!r}\t{INTEGER if isinstance(v, int) else REAL}\n" for k, v in values.items()]
-    notes = (
-        *model.notes,
-        f"set TC_G{n}_ID, TC_A{n}_ID, CAL_GYRO{n}_ID and CAL_ACC{n}_ID to the sensor's device id: no calibration knows it",
-        "PX4 keeps parameters in single precision",
-    )
+    notes = [*model.notes, finding("export.device_ids", "info", sensor=n)]
+    notes.append(finding("export.parameters_single", "info", program="PX4"))
     text = "# Vehicle-Id Component-Id Name Value Type\n" + "".join(rows)
-    return Exported(text=text, not_carried=losses(calibration, CARRIED), notes=notes)
+    return Exported(text=text, **said(losses(calibration, CARRIED), notes))
 
 
 # ---- Targets of ``undrift export``

@@ -22,6 +22,7 @@ from undrift.export.firmware import (
     ASSUMPTION,
     FULL_FORCE,
     FULL_RATE,
+    TABLES,
     Arithmetic,
     Axis,
     Cost,
@@ -37,7 +38,8 @@ from undrift.export.firmware import (
     nominal_triad,
     triads_of,
 )
-from undrift.export.losses import Exported, Part, losses
+from undrift.export.losses import Exported, Part, losses, said
+from undrift.findings import Finding, finding
 from undrift.model import Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -52,7 +54,7 @@ class Printer:
 
     def __init__(self, prefix: str) -> None:
         self.prefix, self.upper = prefix, prefix.upper()
-        self.sizes = {"float": 0, "double": 0, "fixed": 0}
+        self.sizes: dict[Arithmetic, int] = {"float": 0, "double": 0, "fixed": 0}
 
     def ints(self, kind: str, name: str, values: IntArray) -> str:
         """Return the definition of an array of integers."""
@@ -68,42 +70,37 @@ class Printer:
         return self._array(f"{self.prefix}_t", name, flat)
 
     def _array(self, kind: str, name: str, cells: list[str]) -> str:
-        lines, line = [], "   "
-        for cell in cells:
-            if len(line) + len(cell) + 2 > WIDTH:
-                lines.append(line)
-                line = "   "
-            line += f" {cell},"
-        lines.append(line.rstrip(","))
-        return f"static const {kind} {self.prefix}_{name}[{len(cells)}] = {{\n" + "\n".join(lines) + "\n};\n"
-
-    def fixed_cell(
-        self, triad: str, table: str, axis: FixedAxis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
-    ) -> str:
-        """Return the lines that find a cell and a position in it, and mark what lies outside."""
-        start, stop, name = int(axis.nodes[0]), int(axis.nodes[-1]), f"{self.prefix}_{triad}_{table}_{place}"
-        pad = "\n" + " " * (4 if cell == "cell" else 8)
-        held = f"status |= {x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0;{pad}" if what else ""
-        if axis.axis.even:
-            inner = f"{x}, {start}, {stop}, {int(axis.inverse[0])}u, {axis.shift}, {axis.axis.cells}, &{fraction}"
-            return f"{held}{cell} = {self.prefix}_cell({inner});"
-        inner = f"{x}, {name}, {name}_inverse, {axis.shift}, {axis.axis.cells}, {axis.axis.stride}, &{fraction}"
-        return f"{held}{cell} = {self.prefix}_search({inner});"
-
-    def real_cell(
-        self, triad: str, table: str, axis: Axis, x: str, place: str, fraction: str, what: str, cell: str = "cell"
-    ) -> str:
-        """Return the lines that find a cell and a position in it, and mark what lies outside."""
-        c, name = f"{self.upper}_C", f"{self.prefix}_{triad}_{table}_{place}"
-        start, stop = literal(axis.start), literal(axis.stop)
-        pad = "\n" + " " * (4 if cell == "cell" else 8)
-        held = (
-            f"status |= {x} >= {c}({start}) && {x} <= {c}({stop}) ? 0 : {self.upper}_{what}_HELD;{pad}" if what else ""
+        text = textwrap.fill(
+            ", ".join(cells) + ",", WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
         )
-        if axis.even:
-            inner = f"{x}, {c}({start}), {c}({literal(float(axis.inverse[0]))}), {axis.cells}, &{fraction}"
-            return f"{held}{cell} = {self.prefix}_cell({inner});"
-        inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {axis.stride}, &{fraction}"
+        return f"static const {kind} {self.prefix}_{name}[{len(cells)}] = {{\n{text.rstrip(',')}\n}};\n"
+
+    def lookup(
+        self,
+        triad: str,
+        table: str,
+        axis: Axis | FixedAxis,
+        x: str,
+        place: str,
+        fraction: str,
+        what: str,
+        cell: str = "cell",
+    ) -> str:
+        """Return the lines that find a cell and a position in it, and mark what lies outside."""
+        name, c = f"{self.prefix}_{triad}_{table}_{place}", f"{self.upper}_C"
+        if isinstance(axis, FixedAxis):
+            real, start, stop = axis.axis, str(axis.nodes[0]), str(axis.nodes[-1])
+            outside = f"{x} < {start} || {x} > {stop} ? {self.upper}_{what}_HELD : 0"
+            even, uneven = f"{start}, {stop}, {axis.inverse[0]}u, {axis.shift}", f", {axis.shift}"
+        else:
+            real, start, stop = axis, f"{c}({literal(axis.start)})", f"{c}({literal(axis.stop)})"
+            outside = f"{x} >= {start} && {x} <= {stop} ? 0 : {self.upper}_{what}_HELD"
+            even, uneven = f"{start}, {c}({literal(float(axis.inverse[0]))})", ""
+        pad = "\n" + " " * (4 if cell == "cell" else 8)
+        held = f"status |= {outside};{pad}" if what else ""
+        if real.even:
+            return f"{held}{cell} = {self.prefix}_cell({x}, {even}, {real.cells}, &{fraction});"
+        inner = f"{x}, {name}, {name}_inverse{uneven}, {real.cells}, {real.stride}, &{fraction}"
         return f"{held}{cell} = {self.prefix}_search({inner});"
 
 
@@ -160,6 +157,7 @@ class ExportedC:
     not_carried: tuple[str, ...]  # What the calibration holds and the source does not
     notes: tuple[str, ...]  # What the firmware must know or do
     costs: tuple[Cost, ...]  # Of the float, double and fixed builds
+    findings: tuple[Finding, ...]  # What is not carried, and the notes, as codes with numbers
     gyro_bound: FloatArray  # (3,), fixed point: worst error against exact arithmetic, rad/s
     accel_bound: FloatArray  # (3,), the same, m/s2
 
@@ -177,18 +175,15 @@ class _View:
 
     @property
     def named_tables(self) -> list[tuple[str, Table]]:
-        return [(name, getattr(self.real, name)) for name in _TABLES if getattr(self.real, name) is not None]
+        return [(name, getattr(self.real, name)) for name in TABLES if getattr(self.real, name) is not None]
 
     @property
     def fixed_tables(self) -> list[tuple[str, FixedTable]]:
-        return [(name, getattr(self.fixed, name)) for name in _TABLES if getattr(self.fixed, name) is not None]
+        return [(name, getattr(self.fixed, name)) for name, _ in self.named_tables]
 
     @property
     def rates(self) -> int:
         return 0 if self.real.error_table is None else self.real.error_table.values.shape[1]
-
-
-_TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
 
 
 def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> ExportedC:
@@ -229,7 +224,8 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     for bits in (settings.gyro_raw_bits, settings.accel_raw_bits):
         if bits is not None and not 0 <= bits <= 30:
             raise InputError(f"export c: wanted 0 to 30 bits behind the point of a reading, got {bits}; choose fewer")
-    gyro, accel, notes = _triads(calibration, settings)
+    notes: list[Finding] = []
+    gyro, accel = (_triad_of(calibration, settings, name, notes) for name in ("gyro", "accel"))
     of_accel = fixed_triad(accel, raw_bits=settings.accel_raw_bits, full=FULL_FORCE)
     of_gyro = fixed_triad(
         gyro, raw_bits=settings.gyro_raw_bits, full=FULL_RATE, accel_bound=of_accel.bound, accel_full=FULL_FORCE
@@ -237,51 +233,39 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     views = [_View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro))]
     lead = lead_of(calibration)
     if lead is not None:
-        notes += (
-            f"the thermometer's lag of {lead.lag_s:.3g} s is removed by {settings.prefix}_temperature: pass every reading "
-            f"through it before {settings.prefix}_correct",
-        )
+        notes.append(finding("export.lag_removed", "info", lag_s=lead.lag_s, prefix=settings.prefix))
     if gyro.warm_up_table is not None:
         over = gyro.warm_up_table.temp.stop
-        notes += (
-            f"the extra offset after power-on, zero from {over:g} s on, is subtracted by {settings.prefix}_correct_since, which "
-            f"takes the time since power-on; {settings.prefix}_correct leaves it in",
-        )
+        notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=settings.prefix))
+    texts = said(losses(calibration, CARRIED), notes)
     source, sizes = _source(views, calibration, settings, lead)
     triads = tuple(view.real for view in views)
-    costs = tuple(cost_of(triads, arithmetic, size, lead=lead is not None) for arithmetic, size in sizes)
-    not_carried = losses(calibration, CARRIED)
+    costs = tuple(cost_of(triads, arithmetic, size, lead=lead is not None) for arithmetic, size in sizes.items())
     return ExportedC(
-        header=_header(views, calibration, settings, costs, not_carried + notes, lead),
+        header=_header(views, calibration, settings, costs, texts["not_carried"] + texts["notes"], lead),
         source=source,
-        not_carried=not_carried,
-        notes=notes,
         costs=costs,
         gyro_bound=of_gyro.bound,
         accel_bound=of_accel.bound,
+        **texts,
     )
 
 
-def _triads(calibration: Calibration, settings: CSettings) -> tuple[Triad, Triad, tuple[str, ...]]:
-    """Return both triads, nominal where there is no model, with a note on those."""
-    gyro, accel = triads_of(calibration)
-    for name, triad, unit in (("gyro", gyro, settings.gyro_unit), ("accel", accel, settings.accel_unit)):
-        if triad is not None and unit is not None:
-            raise InputError(
-                f"export c: wanted no unit of the {name}, whose model is for {triad.unit_in}, got {unit}; leave {name}_unit out",
-                wanted=triad.unit_in,
-                got=unit,
-            )
-    notes = []
-    if gyro is None:
-        gyro = nominal_triad("gyro", "rate", settings.gyro_unit or "rad/s")
-        notes.append(f"gyroscopes have no model: nominal values are passed on; gyro_raw is taken as {gyro.unit_in}")
-    if accel is None:
-        accel = nominal_triad("accel", "accel", settings.accel_unit or "m/s2")
-        notes.append(
-            f"accelerometers have no model: nominal values are passed on; accel_raw is taken as {accel.unit_in}"
+def _triad_of(calibration: Calibration, settings: CSettings, name: str, notes: list[Finding]) -> Triad:
+    """Return a triad, nominal where there is no model, with a note on that."""
+    triad = dict(zip(("gyro", "accel"), triads_of(calibration), strict=True))[name]
+    unit = settings.gyro_unit if name == "gyro" else settings.accel_unit
+    if triad is not None and unit is not None:
+        raise InputError(
+            f"export c: wanted no unit of the {name}, whose model is for {triad.unit_in}, got {unit}; leave {name}_unit out",
+            wanted=triad.unit_in,
+            got=unit,
         )
-    return gyro, accel, tuple(notes)
+    if triad is None:
+        what, si = ("gyroscopes", "rad/s") if name == "gyro" else ("accelerometers", "m/s2")
+        triad = nominal_triad(name, "rate" if name == "gyro" else "accel", unit or si)
+        notes.append(finding("export.nominal", "info", triad=what, name=name, unit=triad.unit_in))
+    return triad
 
 
 def _environment() -> Any:
@@ -306,7 +290,7 @@ def _axes(table: Table | FixedTable, what: str = "") -> list[tuple[str, Any]]:
 
 def _source(
     views: list[_View], calibration: Calibration, settings: CSettings, lead: Lead | None
-) -> tuple[str, tuple[tuple[Arithmetic, int], ...]]:
+) -> tuple[str, dict[Arithmetic, int]]:
     printer = Printer(settings.prefix)
     tables = [table for view in views for table in view.real.every_table]
     axes = [axis for table in tables for _, axis in _axes(table)]
@@ -318,14 +302,9 @@ def _source(
         any_line=any(table.turn_rate is None for table in tables),
         any_plane=any(table.turn_rate is not None for table in tables),
         ints=printer.ints, reals_of=printer.reals, axes_of=_axes, places=int,
-        lead=lead, literal=literal, fixed_cell=printer.fixed_cell, real_cell=printer.real_cell,
+        lead=lead, literal=literal, lookup=printer.lookup,
     )  # fmt: skip
-    sizes: tuple[tuple[Arithmetic, int], ...] = (
-        ("float", printer.sizes["float"]),
-        ("double", printer.sizes["double"]),
-        ("fixed", printer.sizes["fixed"]),
-    )
-    return re.sub(r"\n{3,}", "\n\n", text), sizes
+    return re.sub(r"\n{3,}", "\n\n", text), printer.sizes
 
 
 def _title(calibration: Calibration) -> str:
@@ -340,65 +319,24 @@ def _header(
     notes: tuple[str, ...],
     lead: Lead | None,
 ) -> str:
-    p = calibration.provenance
-    warm = [view.real.warm_up_table for view in views if view.real.warm_up_table is not None]
-    return str(
-        _environment().get_template("undrift.h.j2").render(
-            title=_title(calibration),
-            comment=[comment_text(line) for line in _comment(views, calibration, settings, costs, notes)],
-            default=settings.default, p=settings.prefix, P=settings.prefix.upper(), triads=views, created=p.created,
-            lead=lead, lag_s=f"{lead.lag_s:g}" if lead else "", smooth_s=f"{lead.smooth_s:g}" if lead else "",
-            warm_up=bool(warm), warm_s=f"{warm[0].temp.stop:g}" if warm else "",
-        )
-    )  # fmt: skip
+    warm = next((view.real.warm_up_table for view in views if view.real.warm_up_table is not None), None)
+    about = {
+        "title": _title(calibration), "default": settings.default, "date": settings.date, "p": settings.prefix,
+        "P": settings.prefix.upper(), "triads": views, "created": calibration.provenance.created, "lead": lead,
+        "verdict": calibration.verdict.status, "costs": costs, "notes": notes, "assumption": ASSUMPTION, "span": _span,
+        "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
+        "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
+        "dps": RADIAN_PER_DEGREE, "g": STANDARD_GRAVITY,
+    }  # fmt: skip
+    lines = _environment().get_template("comment.j2").render(about).splitlines()
+    comment = [comment_text(part) for line in lines for part in wrapped(line)]
+    return str(_environment().get_template("undrift.h.j2").render(about, comment=comment))
 
 
-def _comment(
-    views: list[_View], calibration: Calibration, settings: CSettings, costs: tuple[Cost, ...], notes: tuple[str, ...]
-) -> list[str]:
-    warming = " and warm-up" if any(view.real.warm_up_table is not None for view in views) else ""
-    lines = [
-        f"Calibrated: {calibration.provenance.created or 'not stated'}. Exported: {settings.date or 'not stated'}.",
-        f"Verdict of the calibration: {calibration.verdict.status}.",
-        "",
-        "Readings in sensor axes s, results in the case frame b: gyroscopes rad/s, accelerometers m/s2, temperature degC.",
-    ]
-    lines += [f"  {view.name}_raw: {view.real.unit_in}, temperatures {_span(view.real)}" for view in views]
-    lines += [
-        f"Order of the steps: 1 half a code step back, 2 offset(T){warming}, 3 matrix M(T), 4 g-sensitivity, "
-        "5 dynamic drift e(w, T).",
-        "Tables are linear between their nodes and held at their ends; the return value says when.",
-        "Input and output may be the same arrays. No allocation, no library, no state; a lookup takes the same time everywhere.",
-        "",
-        f"Builds: define {settings.prefix.upper()}_FLOAT, _DOUBLE or _FIXED; without any: {settings.default}.",
-        "Flash (tables exact, code estimated) and time of one call, estimated:",
-        f"  {ASSUMPTION}",
-    ]
-    lines += [
-        f"  {c.arithmetic:6} {c.table_bytes} + {c.code_bytes} = {c.flash_bytes} bytes, {c.cycles} cycles"
-        + (f", and {c.lead_cycles} of {settings.prefix}_temperature" if c.lead_cycles else "")
-        for c in costs
-    ]
-    lines += [
-        "",
-        "Fixed point: int32, 16 bits behind the point (Q16.16) unless a _RAW_BITS below says fewer. Error against exact",
-    ]
-    lines += ["arithmetic on the same inputs, at most, while no axis exceeds 2000 deg/s and 16 g:"]
-    for view in views:
-        worst = float(view.fixed.bound.max())
-        if view.name == "gyro":
-            lines.append(f"  gyro_out {worst:.3g} rad/s ({worst / RADIAN_PER_DEGREE:.3g} deg/s)")
-        else:
-            lines.append(f"  accel_out {worst:.3g} m/s2 ({worst / STANDARD_GRAVITY * 1e3:.3g} mg)")
-    if notes:
-        lines += ["", "Not carried, and notes:", *(f"  - {text}" for text in notes)]
-    return [part for line in lines for part in wrapped(line)]
-
-
-def _span(triad: Triad) -> str:
-    if not triad.tables:
+def _span(tables: tuple[Table, ...]) -> str:
+    if not tables:
         return "without a table"
-    low, high = max(t.temp.start for t in triad.tables), min(t.temp.stop for t in triad.tables)
+    low, high = max(t.temp.start for t in tables), min(t.temp.stop for t in tables)
     return f"{low:g} to {high:g} degC"
 
 
@@ -411,28 +349,20 @@ def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Expo
         raise InputError(
             f"{name}: wanted a file name of letters, digits, -, _ and . for a C header, got others; rename it"
         )
+    keys = ("prefix", "gyro_raw_bits", "accel_raw_bits", "gyro_unit", "accel_unit")
     settings = CSettings(
         default="fixed" if options.fixed else "double" if options.double else "float",
-        prefix=options.prefix,
         header_name=name,
-        gyro_raw_bits=options.gyro_raw_bits,
-        accel_raw_bits=options.accel_raw_bits,
-        gyro_unit=options.gyro_unit,
-        accel_unit=options.accel_unit,
         date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        **{key: getattr(options, key) for key in keys},
     )
     made = export_c(calibration, settings)
-    keys = ("arithmetic", "table_bytes", "flash_bytes", "cycles", "lead_cycles")
-    figures = {
-        "builds": [{key: getattr(cost, key) for key in keys} for cost in made.costs],
-        "fixed_point_bound": {
-            "gyro_rad_s": float(made.gyro_bound.max()),
-            "accel_m_s2": float(made.accel_bound.max()),
-        },
-    }
-    return Exported(
-        text=made.header, more=(made.source,), not_carried=made.not_carried, notes=made.notes, figures=figures
-    )
+    cost_keys = ("arithmetic", "table_bytes", "flash_bytes", "cycles", "lead_cycles")
+    bound = {"gyro_rad_s": float(made.gyro_bound.max()), "accel_m_s2": float(made.accel_bound.max())}
+    builds = [{key: getattr(cost, key) for key in cost_keys} for cost in made.costs]
+    texts = {key: getattr(made, key) for key in ("not_carried", "notes", "findings")}
+    figures = {"builds": builds, "fixed_point_bound": bound}
+    return Exported(text=made.header, more=(made.source,), figures=figures, **texts)
 
 
 TARGET = Target(endings=(".h",), more=(".c",), write=write_c)

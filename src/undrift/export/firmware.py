@@ -16,7 +16,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.correction.plan import even_nodes
 from undrift.errors import InputError
-from undrift.model import Calibration, TriadModel
+from undrift.model import Calibration, DriftTables, TriadModel
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, canonical_unit, is_physical, si_factor
 
 
@@ -63,6 +63,9 @@ class Table:
     values: FloatArray  # (n, c), c values at each node
 
 
+TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Triad:
     """One triad as firmware evaluates it."""
@@ -73,9 +76,9 @@ class Triad:
     offset: FloatArray  # (3,), raw unit; less half a step where codes are rounded down
     half_step: FloatArray | None  # (3,), raw unit; None unless codes are cut off toward zero
     g_sensitivity: FloatArray | None  # (3, 3), rad/s per m/s2
-    offset_table: Table | None  # In the same units
-    matrix_table: Table | None
-    error_table: Table | None
+    offset_table: Table | None = None  # In the same units
+    matrix_table: Table | None = None
+    error_table: Table | None = None
     # Extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
     warm_up_table: Table | None = None
 
@@ -111,20 +114,26 @@ def triads_of(calibration: Calibration) -> tuple[Triad | None, Triad | None]:
     """Return gyroscopes and accelerometers as firmware evaluates them."""
     if calibration.gyro is None and calibration.accel is None:
         raise InputError("export: wanted a model of gyroscopes or accelerometers, got neither; calibrate first")
-    gyro = None if calibration.gyro is None else _triad(calibration, calibration.gyro, "rate")
+    gyro = None if calibration.gyro is None else _triad(calibration, calibration.gyro, "gyro")
     accel = None if calibration.accel is None else _triad(calibration, calibration.accel, "accel")
     return gyro, accel
 
 
-def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> Triad:
-    is_gyro, out = quantity == "rate", si_factor(model.unit_out, quantity)
-    name = "gyro" if is_gyro else "accel"
-    drift = calibration.drift
-    static, scale, dynamic = (drift.static, drift.scale, drift.dynamic) if drift else (None, None, None)
-    offsets = None if static is None else static.gyro_offset if is_gyro else static.accel_offset
-    matrices = None if scale is None else scale.gyro_matrix if is_gyro else scale.accel_matrix
-    warm_up = None if static is None or not is_gyro else static.warm_up
+def _triad(calibration: Calibration, model: TriadModel, name: str) -> Triad:
+    is_gyro = name == "gyro"
+    out = si_factor(model.unit_out, "rate" if is_gyro else "accel")
+    drift = calibration.drift or DriftTables()
+    static, scale, dynamic = drift.static, drift.scale, drift.dynamic
     half_step, shift = rounding_of(calibration, is_gyro=is_gyro)
+    tables: dict[str, Table] = {}
+    if static is not None and getattr(static, f"{name}_offset") is not None:
+        tables["offset_table"] = _line(static.temp_c, getattr(static, f"{name}_offset") - shift)
+    if scale is not None and getattr(scale, f"{name}_matrix") is not None:
+        tables["matrix_table"] = _line(scale.temp_c, getattr(scale, f"{name}_matrix").reshape(-1, 9) * out)
+    if is_gyro and dynamic is not None:
+        tables["error_table"] = _plane(dynamic.temp_c, dynamic.turn_rate, dynamic.error)
+    if is_gyro and static is not None and static.warm_up is not None:
+        tables["warm_up_table"] = _line(static.warm_up.power_on_s, static.warm_up.gyro_offset)
     made = Triad(
         name=name,
         unit_in=model.unit_in,
@@ -132,14 +141,16 @@ def _triad(calibration: Calibration, model: TriadModel, quantity: Quantity) -> T
         offset=model.offset - shift,
         half_step=half_step,
         g_sensitivity=model.g_sensitivity * out if is_gyro and model.g_sensitivity is not None else None,
-        offset_table=None if static is None or offsets is None else _line(static.temp_c, offsets - shift),
-        matrix_table=None if scale is None or matrices is None else _line(scale.temp_c, matrices.reshape(-1, 9) * out),
-        error_table=_plane(dynamic.temp_c, dynamic.turn_rate, dynamic.error)
-        if is_gyro and dynamic is not None
-        else None,
-        warm_up_table=None if warm_up is None else _line(warm_up.power_on_s, warm_up.gyro_offset),
+        **tables,
     )
-    _check_finite(made)
+    parts = [made.matrix, *(table.values for table in made.every_table), made.half_step, made.g_sensitivity]
+    parts += [made.offset] if made.offset_table is None else []
+    missing = sum(int(np.isnan(part).sum()) for part in parts if part is not None)
+    if missing:
+        raise InputError(
+            f"export: wanted numbers throughout the model of the {name}, got {missing} NaN; calibrate what is missing",
+            missing=missing,
+        )
     return made
 
 
@@ -157,9 +168,6 @@ def nominal_triad(name: str, quantity: Quantity, unit: str) -> Triad:
         offset=np.zeros(3),
         half_step=None,
         g_sensitivity=None,
-        offset_table=None,
-        matrix_table=None,
-        error_table=None,
     )
 
 
@@ -198,18 +206,6 @@ def _plane(temp_c: FloatArray, turn_rate: FloatArray, values: FloatArray) -> Tab
     temp, rate = _axis(temp_c), _axis(turn_rate)
     over_rate = np.moveaxis(_filled(rate, turn_rate, np.moveaxis(values, 1, 0)), 0, 1)
     return Table(temp=temp, turn_rate=rate, values=_filled(temp, temp_c, over_rate))
-
-
-def _check_finite(triad: Triad) -> None:
-    parts = [triad.matrix, *(table.values for table in triad.every_table)]
-    parts += [triad.offset] if triad.offset_table is None else []
-    parts += [part for part in (triad.half_step, triad.g_sensitivity) if part is not None]
-    missing = sum(int(np.isnan(part).sum()) for part in parts)
-    if missing:
-        raise InputError(
-            f"export: wanted numbers throughout the model of the {triad.name}, got {missing} NaN; calibrate what is missing",
-            missing=missing,
-        )
 
 
 # ---- Fixed point
@@ -303,11 +299,9 @@ def fixed_triad(
             raw_bits=raw,
         )
     g_bits = 1 if triad.g_sensitivity is None else max(1, min(_bits_of(triad.g_sensitivity[None]), MOST_SHIFT))
-    offset_table = None if triad.offset_table is None else fixed_table(triad.offset_table, raw)
-    matrix_table = None if triad.matrix_table is None else fixed_table(triad.matrix_table, bits)
-    error_table = None if triad.error_table is None else fixed_table(triad.error_table, OUT_BITS)
-    warm_up = None if triad.warm_up_table is None else fixed_table(triad.warm_up_table, raw)
-    tables = offset_table, matrix_table, error_table, warm_up
+    places = dict(zip(TABLES, (raw, bits, OUT_BITS, raw), strict=True))
+    held = {name: getattr(triad, name) for name in TABLES}
+    tables = {name: None if table is None else fixed_table(table, places[name]) for name, table in held.items()}
     return FixedTriad(
         raw_bits=raw,
         matrix=_rounded(triad.matrix.ravel(), bits),
@@ -316,11 +310,8 @@ def fixed_triad(
         half_step=None if triad.half_step is None else _rounded(triad.half_step, raw),
         g_sensitivity=None if triad.g_sensitivity is None else _rounded(triad.g_sensitivity.ravel(), g_bits),
         g_bits=g_bits,
-        offset_table=offset_table,
-        matrix_table=matrix_table,
-        error_table=error_table,
-        warm_up_table=warm_up,
         bound=_bound(triad, tables, (raw, bits, g_bits), full, (accel_bound, accel_full)),
+        **tables,
     )
 
 
@@ -395,13 +386,13 @@ def _rounded(x: FloatArray, bits: int) -> IntArray:
 
 def _bound(
     triad: Triad,
-    tables: tuple[FixedTable | None, FixedTable | None, FixedTable | None, FixedTable | None],
+    tables: dict[str, FixedTable | None],
     bits: tuple[int, int, int],
     full: float,
     accel: tuple[FloatArray | None, float],
 ) -> FloatArray:
     """Sum of the worst cases, step by step."""
-    of_offset, of_matrix, of_error, of_warm_up = tables
+    of_offset, of_matrix, of_error, of_warm_up = (tables[name] for name in TABLES)
     raw, matrix, g = (2.0**-b for b in bits)
     out, gain = 2.0**-OUT_BITS, np.abs(triad.matrices).max(axis=0)
     g_sensitivity = np.zeros((3, 3)) if triad.g_sensitivity is None else np.abs(triad.g_sensitivity)
@@ -453,18 +444,20 @@ class Steps:
     code_lead: int
 
 
-FLOAT = Steps(
-    call=40, place=24, stride=9, between=12, both=36, row=17, less=8, lead=320,
-    code_base=300, code_triad=140, code_table=120, code_warm_up=200, code_lead=260,
-)  # fmt: skip
-DOUBLE = Steps(
-    call=55, place=290, stride=40, between=190, both=560, row=330, less=90, lead=4900,
-    code_base=520, code_triad=260, code_table=260, code_warm_up=400, code_lead=520,
-)  # fmt: skip
-FIXED = Steps(
-    call=40, place=20, stride=8, between=24, both=52, row=44, less=16, lead=1700,
-    code_base=430, code_triad=170, code_table=150, code_warm_up=250, code_lead=460,
-)  # fmt: skip
+STEPS: dict[Arithmetic, Steps] = {
+    "float": Steps(
+        call=40, place=24, stride=9, between=12, both=36, row=17, less=8, lead=320,
+        code_base=300, code_triad=140, code_table=120, code_warm_up=200, code_lead=260,
+    ),
+    "double": Steps(
+        call=55, place=290, stride=40, between=190, both=560, row=330, less=90, lead=4900,
+        code_base=520, code_triad=260, code_table=260, code_warm_up=400, code_lead=520,
+    ),
+    "fixed": Steps(
+        call=40, place=20, stride=8, between=24, both=52, row=44, less=16, lead=1700,
+        code_base=430, code_triad=170, code_table=150, code_warm_up=250, code_lead=460,
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -485,7 +478,7 @@ class Cost:
 
 def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int, *, lead: bool = False) -> Cost:
     """Return what a build costs."""
-    steps = FLOAT if arithmetic == "float" else DOUBLE if arithmetic == "double" else FIXED
+    steps = STEPS[arithmetic]
     cycles, code = steps.call, steps.code_base
     for triad in triads:
         code += steps.code_triad + steps.code_table * len(triad.tables)
@@ -501,13 +494,8 @@ def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int,
         if triad.warm_up_table is not None:
             code += steps.code_warm_up
             cycles += _place(triad.warm_up_table.temp, steps) + 3 * (steps.between + steps.less)
-    return Cost(
-        arithmetic=arithmetic,
-        table_bytes=table_bytes,
-        code_bytes=code + steps.code_lead * lead,
-        cycles=cycles,
-        lead_cycles=steps.lead * lead,
-    )
+    code, ahead = code + steps.code_lead * lead, steps.lead * lead
+    return Cost(arithmetic=arithmetic, table_bytes=table_bytes, code_bytes=code, cycles=cycles, lead_cycles=ahead)
 
 
 def _place(axis: Axis, steps: Steps) -> int:

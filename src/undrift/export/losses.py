@@ -1,13 +1,14 @@
-"""What a target cannot carry, in sentences with figures: the parts of a calibration, and those that a target has a place for."""
+"""What a target cannot carry, with figures: the parts of a calibration, and those that a target has a place for."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from undrift.model import Calibration, DriftTables, TriadModel
-from undrift.units import RADIAN_PER_DEGREE, Quantity, si_factor
+from undrift.findings import Finding, finding
+from undrift.model import Calibration, DriftTables
+from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 # ---- Exported: a text for another program, and what that program cannot do with the calibration.
 
@@ -28,6 +29,8 @@ class Exported:
         Files beside it.
     figures : mapping
         Sizes and error bounds, for ``--json``.
+    findings : tuple of Finding
+        What is not carried, and the notes, as codes with numbers.
     """
 
     text: str
@@ -35,6 +38,14 @@ class Exported:
     notes: tuple[str, ...] = ()
     more: tuple[str, ...] = ()
     figures: Mapping[str, object] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+
+def said(lost: tuple[Finding, ...], notes: Iterable[Finding]) -> dict[str, Any]:
+    """Return what is not carried, and the notes, as the fields of an export: texts, and findings."""
+    notes = tuple(notes)
+    texts = {key: tuple(item.text for item in items) for key, items in (("not_carried", lost), ("notes", notes))}
+    return {**texts, "findings": (*lost, *notes)}
 
 
 # ---- losses
@@ -45,70 +56,59 @@ Part = Literal[
 ]  # fmt: skip
 
 
-def losses(calibration: Calibration, carried: frozenset[Part]) -> tuple[str, ...]:
+def losses(calibration: Calibration, carried: frozenset[Part]) -> tuple[Finding, ...]:
     """Return what a target that carries some parts leaves out of this calibration."""
-    found: list[tuple[Part, str]] = [*_of_matrix(calibration), *_of_tables(calibration.drift or DriftTables())]
-    adc = calibration.adc
+    return tuple(found for part, found in _parts(calibration) if part not in carried)
+
+
+def _parts(calibration: Calibration) -> Iterator[tuple[Part, Finding]]:
+    adc, gyro = calibration.adc, calibration.gyro
     if adc is not None and "toward_zero" in (
         adc.gyro_rounding if adc.gyro_lsb is not None else "",
         adc.accel_rounding if adc.accel_lsb is not None else "",
     ):
-        found.insert(0, ("rounding", "half a code step for codes cut off toward zero"))
-    found.append(("uncertainty", "uncertainties, marks of extrapolation and the verdict"))
-    if calibration.noise is not None:
-        found.append(("noise", "noise coefficients"))
-    return tuple(text for part, text in found if part not in carried)
-
-
-def _of_matrix(calibration: Calibration) -> list[tuple[Part, str]]:
-    found: list[tuple[Part, str]] = []
-    triads: tuple[tuple[TriadModel | None, Quantity, Part, Part, str], ...] = (
-        (calibration.gyro, "rate", "gain", "cross", "gyroscopes"),
-        (calibration.accel, "accel", "accel gain", "accel cross", "accelerometers"),
+        yield "rounding", finding("export.rounding", "warn")
+    triads: tuple[tuple[Any, Part, Part, str], ...] = (
+        (gyro, "gain", "cross", "gyroscopes"),
+        (calibration.accel, "accel gain", "accel cross", "accelerometers"),
     )
-    for model, _, gain, cross, what in triads:
-        if model is None:
-            continue
-        diagonal = np.abs(np.diag(model.matrix))
-        found.append((gain, f"gains of the {what}"))
-        off = model.matrix - np.diag(np.diag(model.matrix))
-        least = float(diagonal.min())
-        size = float(np.abs(off).max()) / least * 100.0 if least > 0.0 else float("inf")
-        if size > 0.0:
-            found.append((cross, f"cross-axis terms of the {what}, up to {size:.2g} %"))
-    gyro = calibration.gyro
+    for model, gain, cross, triad in triads:
+        if model is not None:
+            yield gain, finding("export.gain", "warn", triad=triad)
+            diagonal = np.diag(model.matrix)
+            least, off = float(np.abs(diagonal).min()), float(np.abs(model.matrix - np.diag(diagonal)).max())
+            if off > 0.0:
+                most = off / least * 100.0 if least > 0.0 else float("inf")
+                yield cross, finding("export.cross", "warn", triad=triad, most_percent=most)
     if gyro is not None and gyro.g_sensitivity is not None:
         rate = np.abs(gyro.g_sensitivity).max() * si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
-        found.append(("g", f"g-sensitivity, up to {rate * si_factor('g', 'accel'):.2g} deg/s per g"))
-    return found
+        yield "g", finding("export.g_sensitivity", "warn", most_dps_per_g=rate * si_factor("g", "accel"))
+    yield from _tables(calibration.drift or DriftTables())
+    yield "uncertainty", finding("export.uncertainty", "warn")
+    if calibration.noise is not None:
+        yield "noise", finding("export.noise", "warn")
 
 
-def _of_tables(drift: DriftTables) -> list[tuple[Part, str]]:
-    found: list[tuple[Part, str]] = []
+def _tables(drift: DriftTables) -> Iterator[tuple[Part, Finding]]:
     static, scale, dynamic = drift.static, drift.scale, drift.dynamic
     if static is not None:
-        found.append(("static", "offsets over temperature (the static table)"))
+        yield "static", finding("export.static", "warn")
         if static.gyro_hysteresis is not None:
-            found.append(("hysteresis", "hysteresis: the table holds the middle of the loop"))
+            yield "hysteresis", finding("export.hysteresis", "warn")
         if static.warm_up is not None:
-            found.append(("warm-up", "the extra offset after power-on"))
+            yield "warm-up", finding("export.warm_up", "warn")
     if scale is not None:
-        found.append(("scale", "gains and cross-axis terms over temperature (the scale table)" + _change(drift)))
+        diagonal = np.diagonal(
+            np.zeros((1, 3, 3)) if scale.gyro_matrix is None else scale.gyro_matrix, axis1=1, axis2=2
+        )
+        middle = np.abs(diagonal.mean(axis=0))
+        if (middle > 0.0).all():
+            change = float((np.ptp(diagonal, axis=0) / middle).max()) * 100.0
+            yield "scale", finding("export.scale_change", "warn", change_percent=change)
+        else:
+            yield "scale", finding("export.scale", "warn")
     if dynamic is not None:
         worst = float(np.abs(dynamic.error).max()) / RADIAN_PER_DEGREE
-        found.append(("dynamic", f"error over rate and temperature (the dynamic table), up to {worst:.2g} deg/s"))
+        yield "dynamic", finding("export.dynamic", "warn", most_dps=worst)
     if drift.lag_s > 0.0:
-        found.append(
-            ("lag", f"the thermometer's lag of {drift.lag_s:.3g} s: give the temperature with the lag removed")
-        )
-    return found
-
-
-def _change(drift: DriftTables) -> str:
-    if drift.scale is None or drift.scale.gyro_matrix is None:
-        return ""
-    diagonal = np.diagonal(drift.scale.gyro_matrix, axis1=1, axis2=2)
-    middle = np.abs(diagonal.mean(axis=0))
-    if not (middle > 0.0).all():
-        return ""
-    return f": the gyroscopes' gains change by {float((np.ptp(diagonal, axis=0) / middle).max()) * 100.0:.2g} %"
+        yield "lag", finding("export.lag", "warn", lag_s=drift.lag_s)

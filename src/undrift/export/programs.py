@@ -24,7 +24,7 @@ SM and bias are the accelerometer again, as imu_calib has it: SM raw - bias; noi
 import json
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,8 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.export import Target
 from undrift.export.firmware import Table, Triad, triads_of
-from undrift.export.losses import Exported, Part, losses
-from undrift.findings import finding
+from undrift.export.losses import Exported, Part, losses, said
+from undrift.findings import Finding, finding
 from undrift.io.store import calibration_text
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Calibration, Provenance, TriadModel, Verdict
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
@@ -43,35 +43,20 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, i
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Constant:
-    """A triad at one temperature: SI = matrix (reading - offset) - g_sensitivity a."""
-
-    unit_in: str  # Unit of the reading
-    matrix: FloatArray  # (3, 3), SI per raw unit
-    offset: FloatArray  # (3,), raw unit
-    g_sensitivity: FloatArray | None  # (3, 3), rad/s per m/s2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ConstantPair:
     """Both triads at one temperature."""
 
-    gyro: Constant | None  # None where the calibration has no model
-    accel: Constant | None
+    gyro: Triad | None  # SI = matrix (reading - offset) - g_sensitivity a; None where the calibration has no model
+    accel: Triad | None
     temp_c: float  # Where tables were read; NaN where there are none and the reference temperature is not known
-    notes: tuple[str, ...]  # What was frozen
+    notes: tuple[Finding, ...]  # What was frozen
 
 
 def constants_of(calibration: Calibration, temp_c: float | None = None) -> ConstantPair:
     """Return both triads at one temperature; at the reference temperature by default."""
     gyro, accel = triads_of(calibration)
-    tables = [
-        table
-        for triad in (gyro, accel)
-        if triad is not None
-        for table in (triad.offset_table, triad.matrix_table)
-        if table is not None
-    ]
+    held = [table for triad in (gyro, accel) if triad is not None for table in (triad.offset_table, triad.matrix_table)]
+    tables = [table for table in held if table is not None]
     temp = calibration.reference_temp_c if temp_c is None else temp_c
     if tables:
         low, high = max(t.temp.start for t in tables), min(t.temp.stop for t in tables)
@@ -85,20 +70,19 @@ def constants_of(calibration: Calibration, temp_c: float | None = None) -> Const
         gyro=None if gyro is None else _at(gyro, temp),
         accel=None if accel is None else _at(accel, temp),
         temp_c=temp,
-        notes=(f"tables over temperature are read at {temp:g} degC",) if tables else (),
+        notes=(finding("export.read_at", "info", temp_c=temp),) if tables else (),
     )
 
 
-def _at(triad: Triad, temp: float) -> Constant:
+def _at(triad: Triad, temp: float) -> Triad:
     def read(table: Table) -> FloatArray:
         return np.array([np.interp(temp, table.temp.nodes, column) for column in table.values.T])
 
     offset, matrix = triad.offset_table, triad.matrix_table
-    return Constant(
-        unit_in=triad.unit_in,
+    return replace(
+        triad,
         matrix=triad.matrix if matrix is None else read(matrix).reshape(3, 3),
         offset=triad.offset if offset is None else read(offset),
-        g_sensitivity=triad.g_sensitivity,
     )
 
 
@@ -139,10 +123,10 @@ def export_fusion(calibration: Calibration, *, temp_c: float | None = None) -> E
         ("accelerometer", pair.accel, STANDARD_GRAVITY),
     ):
         if triad is None:
-            notes.append(f"no {name} constants: the calibration has no model of it")
+            notes.append(finding("export.no_constants", "info", triad=name))
             continue
         misalignment, sensitivity = decompose(triad.matrix / unit)
-        notes.append(f"{name} readings are in {triad.unit_in}")
+        notes.append(finding("export.readings", "info", triad=name, unit=triad.unit_in))
         rows = ", ".join("{" + _floats(row) + "}" for row in misalignment)
         lines += [
             f"static const FusionMatrix {name}Misalignment = {{.array = {{{rows}}}}};",
@@ -150,8 +134,8 @@ def export_fusion(calibration: Calibration, *, temp_c: float | None = None) -> E
             f"static const FusionVector {name}Offset = {{.array = {{{_floats(triad.offset)}}}}};",
             "",
         ]
-    notes.append("single precision")
-    return Exported(text="\n".join(lines) + "\n", not_carried=losses(calibration, CARRIED_FUSION), notes=tuple(notes))
+    notes.append(finding("export.single_precision", "info"))
+    return Exported(text="\n".join(lines) + "\n", **said(losses(calibration, CARRIED_FUSION), notes))
 
 
 def decompose(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -170,15 +154,7 @@ CARRIED_IMUCAL: frozenset[Part] = frozenset(("gain", "cross", "accel gain", "acc
 VERSION = "2.0.0"
 KIND = "Ferraris"
 GRAVITY = 9.81  # m/s2: the default of imucal's procedure
-UNIT_NAMES = {
-    "m/s2": "m/s^2",
-    "dps": "deg/s",
-    "count": "a.u.",
-    "rad/s": "rad/s",
-    "g": "g",
-    "mg": "mg",
-    "v": "V",
-}
+UNIT_NAMES = {"m/s2": "m/s^2", "dps": "deg/s", "count": "a.u.", "rad/s": "rad/s", "g": "g", "mg": "mg", "v": "V"}
 WHAT = "imucal calibration"
 
 
@@ -231,7 +207,7 @@ def export_imucal(calibration: Calibration, *, temp_c: float | None = None) -> E
         "_format_version": VERSION,
     }
     text = json.dumps(content, indent=4) + "\n"
-    return Exported(text=text, not_carried=losses(calibration, CARRIED_IMUCAL), notes=pair.notes)
+    return Exported(text=text, **said(losses(calibration, CARRIED_IMUCAL), pair.notes))
 
 
 def import_imucal(text: str, *, device: str = "") -> Calibration:
@@ -401,8 +377,8 @@ def export_ros(calibration: Calibration, *, temp_c: float | None = None) -> Expo
         }
         known = {name: float(np.nanmax(axes)) for name, axes in densities.items() if np.isfinite(axes).any()}
         lines += [f"    {name}: {number(worst)}" for name, worst in known.items()]
-    notes = (*pair.notes, "no standard names these keys: map them to those of your node")
-    return Exported(text="\n".join(lines) + "\n", not_carried=losses(calibration, CARRIED_ROS), notes=notes)
+    notes = (*pair.notes, finding("export.keys_of_node", "info"))
+    return Exported(text="\n".join(lines) + "\n", **said(losses(calibration, CARRIED_ROS), notes))
 
 
 def number(x: float) -> str:

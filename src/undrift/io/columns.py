@@ -31,6 +31,7 @@ EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
 # Ending of a native column name for each unit that a channel may have.
 GYRO_SUFFIX = {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"}
 ACCEL_SUFFIX = {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"}
+NATIVE = {"gyro": GYRO_SUFFIX, "accel": ACCEL_SUFFIX, "mag": {"ut": "ut"}}
 TEMP_SUFFIX = {"degc": "c", "lm335_v": "lm335_v", "count": "count", "v": "v"}
 
 
@@ -59,8 +60,8 @@ class Trim:
     true_c: float  # Temperature that it had, degC
 
     def __post_init__(self) -> None:
-        for name in ("reads_c", "true_c"):
-            value, (low, high) = getattr(self, name), LM335_RANGE_C
+        low, high = LM335_RANGE_C
+        for name, value in (("reads_c", self.reads_c), ("true_c", self.true_c)):
             if not low <= value <= high:
                 raise InputError(
                     f"temp_trim.{name}: wanted {low:g} to {high:g} degC, got {value:g}; state the LM335's reading and the "
@@ -204,11 +205,11 @@ READ_SETTINGS = ReadSettings()
 
 def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: str = "") -> ColumnMap:
     """Return the map of a file that uses undrift's own column names."""
+    held: dict[str, Any] = {"time": "time_s" if "time_s" in names else None, "time_unit": "s"}
     try:
-        gyro, gyro_unit = _native_triple(names, "gyro", GYRO_SUFFIX)
-        accel, accel_unit = _native_triple(names, "accel", ACCEL_SUFFIX)
-        mag, mag_unit = _native_triple(names, "mag", {"ut": "ut"})
-        if gyro is None and accel is None:
+        for channel, suffixes in NATIVE.items():
+            held[channel], held[f"{channel}_unit"] = _native_triple(names, channel, suffixes)
+        if held["gyro"] is None and held["accel"] is None:
             shown = ", ".join(repr(name) for name in names[:12]) or "no columns"
             more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
@@ -220,21 +221,9 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
             raise InputError(
                 f"columns: wanted one temperature, got {temps[0][0]} and {temps[1][0]}; map the one to use"
             )
-        return ColumnMap(
-            time="time_s" if "time_s" in names else None,
-            gyro=gyro,
-            accel=accel,
-            mag=mag,
-            temp=temps[0][0] if temps else None,
-            time_unit="s",
-            gyro_unit=gyro_unit,
-            accel_unit=accel_unit,
-            mag_unit=mag_unit,
-            temp_unit=temps[0][1] if temps else "",
-            sample_rate_hz=settings.sample_rate_hz,
-            gaps=settings.gaps or "raise",
-            repair_time=settings.repair_time,
-        )
+        held["temp"], held["temp_unit"] = temps[0] if temps else (None, "")
+        rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
+        return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
 
@@ -243,8 +232,8 @@ def is_native(names: Names) -> bool:
     """Tell whether a file uses undrift's own names for a gyroscope or an accelerometer."""
     return any(
         f"{channel}_{axis}_{suffix}" in names
-        for channel, suffixes in (("gyro", GYRO_SUFFIX), ("accel", ACCEL_SUFFIX))
-        for suffix in suffixes.values()
+        for channel in ("gyro", "accel")
+        for suffix in NATIVE[channel].values()
         for axis in AXES
     )
 
@@ -297,7 +286,7 @@ class Table:
             values, numeric = np.full(len(values), np.nan) if str(values.type) == "null" else values.to_numpy(), "fiu"
         if values.dtype.kind in numeric:
             return np.asarray(values, dtype=np.float64)
-        row = next((k for k, cell in enumerate(values) if not _is_number(cell)), 0)
+        row = next((k for k, cell in enumerate(values) if not is_number(cell)), 0)
         cell = str(values[row])[:40] if len(values) else ""
         raise FileFormatError(
             f"{self.source}: column {self.names[position]!r}: wanted numbers, got {cell!r} in data row {self.row(row)}; "
@@ -309,11 +298,12 @@ class Table:
         return int(index if self.rows is None else self.rows[index]) + 1
 
 
-def _is_number(cell: Any) -> bool:
+def is_number(cell: Any, *, empty: bool = False) -> bool:
+    """Tell whether a cell reads as a number, or is empty where that will do."""
     try:
         float(cell)
     except (TypeError, ValueError):
-        return False
+        return empty and not cell.strip()
     return True
 
 
@@ -336,16 +326,10 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
 # ---- from a table and a map to a Record
 
 # Largest believable size of a reading, in its own unit: it finds a broken cell, not a wrong scale (io/inspect.py does).
-_LARGEST: dict[tuple[Quantity, str], float] = {
-    ("rate", "rad/s"): 500.0,
-    ("rate", "dps"): 30_000.0,
-    ("accel", "m/s2"): 20_000.0,
-    ("accel", "g"): 2_000.0,
-    ("accel", "mg"): 2_000_000.0,
-    ("temp", "degc"): 300.0,
-    ("mag", "ut"): 100_000.0,
-}
-_DEVICE_LARGEST = {"count": 2.0**24, "v": 1000.0}
+_LARGEST = {
+    "rad/s": 500.0, "dps": 30_000.0, "m/s2": 20_000.0, "g": 2_000.0, "mg": 2_000_000.0, "degc": 300.0, "ut": 100_000.0,
+    "count": 2.0**24, "v": 1000.0,
+}  # fmt: skip
 _RATE_AGREES = 0.05
 
 
@@ -381,9 +365,8 @@ def build_record(table: Table, columns: ColumnMap) -> ReadResult:
         state=columns.state,
         device=columns.device,
     )
-    return ReadResult(
-        record=record, dropped_rows=table.dropped, repaired_rows=0 if keep is None else int((~keep).sum())
-    )
+    repaired = 0 if keep is None else int((~keep).sum())
+    return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired)
 
 
 def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
@@ -399,7 +382,7 @@ def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
     if unit == "lm335_v":
         return _lm335(table, columns, wanted[0], scale)
     factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
-    limit = _DEVICE_LARGEST.get(unit) or _LARGEST[QUANTITY[channel], "ut" if channel == "mag" else unit]
+    limit = _LARGEST["ut" if channel == "mag" else unit]
     out = np.empty((len(table), len(wanted)))
     for k, column in enumerate(wanted):
         values = scale.applied(table.numbers(column), k)
@@ -542,14 +525,13 @@ def two_rates(time: FloatArray) -> tuple[float, float, float] | None:
 def native_columns(record: Record) -> tuple[tuple[str, ...], tuple[FloatArray, ...]]:
     """Return a record as named columns, undrift's own names."""
     names, columns = ["time_s"], [record.time]
-    triples: list[tuple[str, str, Any]] = [
-        ("gyro", GYRO_SUFFIX[record.gyro_unit], record.gyro),
-        ("accel", ACCEL_SUFFIX[record.accel_unit], record.accel),
+    for channel, unit, values in (
+        ("gyro", record.gyro_unit, record.gyro),
+        ("accel", record.accel_unit, record.accel),
         ("mag", "ut", record.mag_ut),
-    ]
-    for channel, suffix, values in triples:
+    ):
         if values is not None:
-            names += [f"{channel}_{axis}_{suffix}" for axis in AXES]
+            names += [f"{channel}_{axis}_{NATIVE[channel][unit]}" for axis in AXES]
             columns += [np.ascontiguousarray(values[:, k]) for k in range(3)]
     if record.temp_c is not None:
         names.append("temp_c")

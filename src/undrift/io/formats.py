@@ -214,20 +214,20 @@ def outside_formats() -> Mapping[str, Format]:
     return found
 
 
+def _in_turn() -> Iterator[tuple[str, Format]]:
+    """Yield the formats in the order in which they are tried; those of other packages are loaded only when it comes to them."""
+    yield from ((name, entry) for name, entry in FORMATS.items() if not entry.generic)
+    yield from ((name, entry) for name, entry in outside_formats().items() if name not in FORMATS)
+    yield from ((name, entry) for name, entry in FORMATS.items() if entry.generic)
+
+
 def format_of(path: str | Path) -> tuple[str, Format]:
     """Return the format of a file or folder, and its name."""
     path = Path(path)
     head = b"" if path.is_dir() else read_bytes(checked_file(path), _HEAD)
-    for generic in (False, True):
-        for name, entry in FORMATS.items():
-            if entry.generic is generic and entry.recognise(path, head):
-                return name, entry
-        if not generic:
-            for name, entry in outside_formats().items():
-                if name not in FORMATS and entry.recognise(path, head):
-                    return name, entry
-        if not head:
-            break
+    for name, entry in _in_turn():
+        if (head or not entry.generic) and entry.recognise(path, head):
+            return name, entry
     raise InputError(
         f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3) or "
         "*_CalInertialAndMag.csv (x-IMU), got another directory; name a file in it"
@@ -283,7 +283,7 @@ def read_counted(
     path, settings = Path(path), settings or READ_SETTINGS
     name, entry = format_of(path)
     if columns is not None:
-        columns = columns if settings.gaps is None else replace(columns, gaps=settings.gaps)
+        columns = replace(columns, gaps=settings.gaps or columns.gaps)
         if "columns" not in entry.honours and (entry.record or name == "text"):  # a map makes a table of any text
             entry = FORMATS["csv"]
     if entry.record is None:
@@ -304,7 +304,7 @@ def iter_record(
     settings = settings or READ_SETTINGS
     chunks = format_of(path)[1].chunks
     if chunks is not None:
-        columns = columns if columns is None or settings.gaps is None else replace(columns, gaps=settings.gaps)
+        columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
         yield from chunks(Path(path), columns, settings, rows)
         return
     if rows < 2:

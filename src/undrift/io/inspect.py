@@ -6,9 +6,11 @@ A recording that reads well may still have a wrong unit, gaps, drop-outs, dead a
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
-from undrift.io.arrays import Arrays, mat_arrays, npz_arrays
+from undrift.io.arrays import mat_arrays, npz_arrays
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
@@ -25,16 +27,17 @@ from undrift.io.columns import (
     ReadSettings,
     TextLayout,
     is_native,
+    is_number,
     native_columns,
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.mocap import Up
+from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
 from undrift.io.text import MARK, Text, open_text
 from undrift.io.wearables import apdm_sensors
-from undrift.record import Record
+from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- symptoms
@@ -50,9 +53,9 @@ STUCK = 8  # samples in a row at the largest reading
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
     """Return what looks wrong with a recording."""
     found = [*_gravity(record), *_rest(record), *_temperature(record), *_sampling(record.time)]
-    for name, values in (("gyro", record.gyro), ("accel", record.accel)):
-        if values is not None:
-            found += _axes(name, values)
+    for name in ("gyro", "accel"):
+        if getattr(record, name) is not None:
+            found += _axes(name, getattr(record, name))
     return tuple(found)
 
 
@@ -73,102 +76,80 @@ def median_accel_g(record: Record) -> float:
     return float(np.nanmedian(size)) if np.isfinite(size).any() else float("nan")
 
 
-def _gravity(record: Record) -> list[Finding]:
+def _gravity(record: Record) -> Iterator[Finding]:
     median = median_accel_g(record)
-    if np.isnan(median) or GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
-        return []
-    small = 0.0 < median < 1.0
-    return [
-        finding(
-            "recording.gravity",
-            "warn",
-            median_g=median,
-            factor=1.0 / median if small else median,
-            direction="small" if small else "large",
-        )
-    ]
+    if not np.isnan(median) and not GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
+        small = 0.0 < median < 1.0
+        factor, direction = (1.0 / median, "small") if small else (median, "large")
+        yield finding("recording.gravity", "warn", median_g=median, factor=factor, direction=direction)
 
 
-def _rest(record: Record) -> list[Finding]:
+def _rest(record: Record) -> Iterator[Finding]:
     """Look at the quietest two seconds: a gyroscope reads its offset there."""
-    if record.gyro is None or not is_physical(record.gyro_unit):
-        return []
-    rate = record.gyro * si_factor(record.gyro_unit, "rate")
     size = max(8, int(2.0 * record.sample_rate_hz))
-    count = len(rate) // size
-    if count < 3:
-        return []
+    count = len(record) // size
+    if record.gyro is None or not is_physical(record.gyro_unit) or count < 3:
+        return
+    rate = record.gyro * si_factor(record.gyro_unit, "rate")
     blocks = rate[: count * size].reshape(count, size, 3)
     spread = blocks.std(axis=1).sum(axis=1)
-    if not np.isfinite(spread).any():
-        return []
-    best = int(np.nanargmin(spread))
-    mean = float(np.linalg.norm(blocks[best].mean(axis=0)))
-    if mean < REST_TURN_RATE or spread[best] > 0.1 * mean:
-        return []
-    at_s = record.time[best * size]
-    return [finding("recording.rest_rate", "warn", turn_rate_dps=mean / RADIAN_PER_DEGREE, at_s=at_s)]
+    if np.isfinite(spread).any():
+        best = int(np.nanargmin(spread))
+        mean = float(np.linalg.norm(blocks[best].mean(axis=0)))
+        if mean >= REST_TURN_RATE and spread[best] <= 0.1 * mean:
+            at_s = record.time[best * size]
+            yield finding("recording.rest_rate", "warn", turn_rate_dps=mean / RADIAN_PER_DEGREE, at_s=at_s)
 
 
-def _temperature(record: Record) -> list[Finding]:
+def _temperature(record: Record) -> Iterator[Finding]:
     if record.temp_c is None:
-        return []
+        return
     temp = record.temp_c[np.isfinite(record.temp_c)]
     if not len(temp):
-        return [finding("recording.no_temperature", "info")]
-    found: list[Finding] = []
+        yield finding("recording.no_temperature", "info")
+        return
     low, high = float(temp.min()), float(temp.max())
     if low > ROOM_C[1] or high < ROOM_C[0]:
-        found.append(finding("recording.temperature_range", "warn", low_c=low, high_c=high))
+        yield finding("recording.temperature_range", "warn", low_c=low, high_c=high)
     jumps = np.flatnonzero(np.abs(np.diff(temp)) > JUMP_C)
     if len(jumps):
-        found.append(
-            finding("recording.temperature_jumps", "warn", count=len(jumps), limit_k=JUMP_C, first_sample=jumps[0])
-        )
-    return found
+        first = jumps[0]
+        yield finding("recording.temperature_jumps", "warn", count=len(jumps), limit_k=JUMP_C, first_sample=first)
 
 
-def _sampling(time: FloatArray) -> list[Finding]:
+def _sampling(time: FloatArray) -> Iterator[Finding]:
     steps = np.diff(time)
-    middle = float(np.median(steps))
-    found: list[Finding] = []
-    low, high = np.quantile(steps, (0.25, 0.75))
+    low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
     if high - low > UNEVEN * middle:
-        found.append(finding("recording.uneven_sampling", "warn", low_ms=1e3 * low, high_ms=1e3 * high))
+        yield finding("recording.uneven_sampling", "warn", low_ms=1e3 * low, high_ms=1e3 * high)
     lost = steps > 1.5 * middle
     if lost.any():
-        found.append(
-            finding(
-                "recording.dropouts",
-                "warn",
-                count=lost.sum(),
-                longest_s=steps.max(),
-                at_s=time[int(steps.argmax())],
-                step_ms=1e3 * middle,
-                mean_rate_hz=(len(time) - 1) / (time[-1] - time[0]),
-            )
+        yield finding(
+            "recording.dropouts",
+            "warn",
+            count=lost.sum(),
+            longest_s=steps.max(),
+            at_s=time[int(steps.argmax())],
+            step_ms=1e3 * middle,
+            mean_rate_hz=(len(time) - 1) / (time[-1] - time[0]),
         )
-    return found
 
 
-def _axes(channel: str, values: FloatArray) -> list[Finding]:
-    found: list[Finding] = []
+def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
     for axis, column in zip(AXES, values.T, strict=True):
         column = column[np.isfinite(column)]
         if len(column) < 2 * STUCK:
             continue
         if column.min() == column.max():
-            found.append(finding("recording.dead_axis", "warn", channel=channel, axis=axis))
+            yield finding("recording.dead_axis", "warn", channel=channel, axis=axis)
             continue
-        spread = float(np.median(np.abs(column - np.median(column))))
+        middle = np.median(column)
+        spread = float(np.median(np.abs(column - middle)))
         for limit in (column.max(), column.min()):
             edges = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0]))))
             longest = (edges[1::2] - edges[::2]).max()
-            if longest >= STUCK and abs(limit - np.median(column)) > 10.0 * spread > 0.0:
-                found.append(
-                    finding("recording.saturated", "warn", channel=channel, axis=axis, reading=limit, count=longest)
-                )
-    return found
+            if longest >= STUCK and abs(limit - middle) > 10.0 * spread > 0.0:
+                yield finding("recording.saturated", "warn", channel=channel, axis=axis, reading=limit, count=longest)
 
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need
@@ -205,29 +186,29 @@ def sniff(path: object) -> Text:
         delimiter = " "
     width = max(len(_cells(line, delimiter)) for line in body)
     skip = next((k for k, line in enumerate(lines) if len(_cells(line, delimiter)) == width), 0)
-    header = not all(_is_number(cell) for cell in _cells(lines[skip], delimiter))
+    header = not all(is_number(cell, empty=True) for cell in _cells(lines[skip], delimiter))
     return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header))
 
 
 def foreign_kind(text: Text) -> str | None:
     """Name a table that is no recording of an inertial sensor."""
     names = [name for name in text.names if name.strip()]
-    if any(_FORCE.search(name) for name in names):
-        return f"a force plate's table ({', '.join(names[:4])}, ...), not a recording of an inertial sensor"
-    if any(_PLACE.search(name) for name in names):
-        return f"a table of positions ({', '.join(names[:4])}, ...), not a recording of an inertial sensor"
+    shown = ", ".join(names[:4])
+    for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
+        if any(pattern.search(name) for name in names):
+            return f"{what} ({shown}, ...), not a recording of an inertial sensor"
     if sum(bool(_QUATERNION.match(name)) for name in names) >= 4:
         quaternion = ", ".join(f'"{name}"' for name in names if _QUATERNION.match(name))
         return f"a table of orientations; read it as a reference with quaternion=({quaternion})"
     lines = text.head.decode("utf-8", "replace").splitlines()
     row = _cells(lines[text.skip], text.layout.delimiter) if text.skip < len(lines) else []
-    if sum(_is_number(cell) for cell in row) < 0.5 * len(row):
-        return f"a table of text ({len(names)} columns: {', '.join(names[:4])}, ...), not a recording"
+    if sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row):
+        return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
     triples = triples_of(text.names)
     if text.layout.header and not triples:
         return f"a table without three axes ({', '.join(names[:8])}), not a recording of an inertial sensor"
     if triples and all(re.search(r"a\.u\.|uT|gauss|\(G\)", name) for triple in triples for name in triple):
-        return f"a magnetometer's table ({', '.join(names[:4])}), without gyroscope or accelerometer"
+        return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
     return None
 
 
@@ -247,19 +228,21 @@ def example_map(
     names: tuple[str, ...] = (), *, text: Text | None = None, arrays: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
     """Return an example of the map that a table needs; a unit that no name states is "?", for a person to fill in."""
-    names = names if text is None else text.names
+    names, keys = names if text is None else text.names, dict[str, str]()
     if text is not None and not text.layout.header:
         keys = _by_position(text)
     elif arrays:
         keys = {channel: f'"{name}"' for channel in _LIKELY if (name := _likely(channel, arrays))}
     else:
-        keys = {}
         triples = {triple[0]: triple for triple in triples_of(names)}
         gyro = _likely("gyro", tuple(triples))
         others = tuple(name for name in triples if name != gyro)
-        for channel, first in (("gyro", gyro), ("accel", _likely("accel", others) or next(iter(others), None))):
-            if first is not None:
-                keys[channel] = "[" + ", ".join(f'"{name}"' for name in triples[first]) + "]"
+        accel = _likely("accel", others) or next(iter(others), None)
+        keys = {
+            channel: json.dumps(triples[first], ensure_ascii=False)
+            for channel, first in (("gyro", gyro), ("accel", accel))
+            if first
+        }
     for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
         name = next((name for name in names if re.match(pattern, name.strip(), re.IGNORECASE)), None)
         if name is not None:
@@ -286,7 +269,7 @@ def _by_position(text: Text) -> dict[str, str]:
     width = len(text.names)
     lines = text.head.decode("utf-8", "replace").splitlines()[text.skip :][:8]
     first = [_cells(line, text.layout.delimiter)[0] for line in lines]
-    numbers = [float(cell) for cell in first if cell and _is_number(cell)]
+    numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
     grows = all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1
     keys = {"time": "0"} if grows else {"temp": "0"} if width % 3 == 1 else {}
     start = len(keys)
@@ -304,14 +287,6 @@ def _likely(channel: str, names: tuple[str, ...]) -> str | None:
 
 def _cells(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == " " else line.split(delimiter)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return not cell.strip()
-    return True
 
 
 # ---- describe
@@ -383,55 +358,50 @@ def describe(
 
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
     """Return what a record holds."""
-    record, left_out = read.record, []
-    if read.dropped_rows:
-        left_out.append(finding("recording.rows_dropped", "warn", count=read.dropped_rows))
+    record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
+    left_out = [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
     if read.repaired_rows:
         left_out.append(finding("recording.rows_repaired", "warn", count=read.repaired_rows))
-    mean, usual = mean_rate_hz(record), record.sample_rate_hz
-    rate = (
-        f"{mean:.6g} Hz"
-        if abs(mean / usual - 1.0) < _REGULAR
-        else f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
-    )
+    rate = f"{mean:.6g} Hz"
+    if abs(mean / usual - 1.0) >= _REGULAR:
+        rate = f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
     return Description(
         path=path,
         kind="recording",
         format=format_name,
         summary=f"{len(record)} samples at {rate}, {record.duration_s:.6g} s"
-        + (f", {record.device}" if record.device else ""),
-        rows=len(record),
-        sample_rate_hz=mean,
-        usual_rate_hz=usual,
-        duration_s=record.duration_s,
-        columns=native_columns(record)[0],
-        units=_units(record),
-        gaps=gaps_of(record),
-        temp_c=_temperatures(record),
+        + f", {record.device}" * bool(record.device),
         findings=(*left_out, *find_symptoms(record)),
+        **_of_records(record),
     )
+
+
+def _of_records(*records: Record) -> dict[str, Any]:
+    """Return what a description says of recordings: columns and units of the first, the rest of all."""
+    first = records[0]
+    channels = {
+        "time": ("s", first.time),
+        "gyro": (first.gyro_unit, first.gyro),
+        "accel": (first.accel_unit, first.accel),
+    }
+    channels |= {"temp": ("degC", first.temp_c), "mag": ("uT", first.mag_ut)}
+    seen = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
+    temp_c = np.concatenate(seen) if seen else np.empty(0)
+    return {
+        "rows": sum(len(record) for record in records),
+        "sample_rate_hz": mean_rate_hz(*records),
+        "usual_rate_hz": first.sample_rate_hz,
+        "duration_s": sum(record.duration_s for record in records),
+        "columns": native_columns(first)[0],
+        "units": tuple((name, unit) for name, (unit, values) in channels.items() if values is not None),
+        "gaps": sum(gaps_of(record) for record in records),
+        "temp_c": (float(temp_c.min()), float(temp_c.max())) if len(temp_c) else None,
+    }
 
 
 def mean_rate_hz(*records: Record) -> float:
     """Return samples over time, drop-outs included."""
     return sum(len(record) - 1 for record in records) / sum(record.duration_s for record in records)
-
-
-def _temperatures(*records: Record) -> tuple[float, float] | None:
-    seen = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
-    every = np.concatenate(seen) if seen else np.empty(0)
-    return (float(every.min()), float(every.max())) if len(every) else None
-
-
-def _units(record: Record) -> tuple[tuple[str, str], ...]:
-    units = (
-        ("time", "s", record.time),
-        ("gyro", record.gyro_unit, record.gyro),
-        ("accel", record.accel_unit, record.accel),
-        ("temp", "degC", record.temp_c),
-        ("mag", "uT", record.mag_ut),
-    )
-    return tuple((name, unit) for name, unit, values in units if values is not None)
 
 
 def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
@@ -445,41 +415,24 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
         return _not_read(path, name, held, what) if len(held) > 1 else None
     if name not in ("npz", "mat", "parquet", "csv"):
         return None
-    text: Text | None = None
-    arrays: Arrays = ()
-    if name in ("npz", "mat"):
-        arrays = npz_arrays(path) if name == "npz" else mat_arrays(path)
-        names = tuple(array_name for array_name, _ in arrays)
-    elif name == "parquet":
-        names = parquet_names(path)
-    else:
-        text = sniff(path)
-        names = text.names
+    text = sniff(path) if name == "csv" else None
+    arrays = npz_arrays(path) if name == "npz" else mat_arrays(path) if name == "mat" else ()
+    names = text.names if text else parquet_names(path) if name == "parquet" else tuple(key for key, _ in arrays)
     if native_reference(names) is not None:
         return _reference(path, name)
     if is_native(names):
         return None
+    foreign = None if text is None else foreign_kind(text)
+    if foreign is not None:
+        return _not_read(path, name, names, foreign)
+    threes = tuple(key for key, array in arrays if array.ndim == 2 and array.shape[1] == 3)
+    example = example_map(names, text=text, arrays=threes)
+    what = f"{len(names)} arrays or columns"
     if text is not None:
-        foreign = foreign_kind(text)
-        if foreign is not None:
-            return _not_read(path, name, names, foreign)
-        what, example = (
-            "a table of {} columns" + ("" if text.layout.header else " without names"),
-            example_map(text=text),
-        )
-    else:
-        what = "{} arrays or columns"
-        threes = tuple(array_name for array_name, array in arrays if array.ndim == 2 and array.shape[1] == 3)
-        example = example_map(names, arrays=threes)
-    return replace(
-        _not_read(
-            path,
-            name,
-            tuple(f"{array_name} {array.shape}" for array_name, array in arrays) or names,
-            f"{what.format(len(names))}; needs a map with the true units, for example {', '.join(example)}",
-        ),
-        example=example,
-    )
+        what = f"a table of {len(names)} columns" + ("" if text.layout.header else " without names")
+    shown = tuple(f"{key} {array.shape}" for key, array in arrays) or names
+    needed = f"{what}; needs a map with the true units, for example {', '.join(example)}"
+    return replace(_not_read(path, name, shown, needed), example=example)
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str) -> Description:
@@ -495,10 +448,8 @@ def _reference(path: Path, name: str) -> Description:
         kind="reference",
         format=name,
         summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen",
-        rows=len(reference),
-        sample_rate_hz=reference.sample_rate_hz,
-        duration_s=float(reference.time[-1] - reference.time[0]),
         gaps=len(reference) - seen,
+        **_of_clock(reference),
     )
 
 
@@ -513,21 +464,23 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
         findings.append(finding("recording.up_axis", "warn"))
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]
-    if never:
-        findings.append(finding("recording.markers_never_seen", "warn", labels=never))
+    findings += [finding("recording.markers_never_seen", "warn", labels=never)] if never else []
     return Description(
         path=str(path),
         kind="markers",
         format=name,
         summary=f"{len(markers.labels)} markers, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
-        rows=len(markers),
-        sample_rate_hz=markers.sample_rate_hz,
-        duration_s=float(markers.time[-1] - markers.time[0]),
         columns=markers.labels,
         units=(("position", SI_UNIT["length"]),),
         gaps=int(gap.any(axis=1).sum()),
         findings=tuple(findings),
+        **_of_clock(markers),
     )
+
+
+def _of_clock(held: Reference | Markers) -> dict[str, Any]:
+    duration_s = float(held.time[-1] - held.time[0])
+    return {"rows": len(held), "sample_rate_hz": held.sample_rate_hz, "duration_s": duration_s}
 
 
 def _session(path: Path) -> Description:
@@ -539,19 +492,12 @@ def _session(path: Path) -> Description:
         kind="session",
         format="session",
         summary=f"{session.kind} of {session.serial}: {held}",
-        rows=sum(len(record) for record in session.records),
-        sample_rate_hz=mean_rate_hz(*session.records),
-        usual_rate_hz=session.records[0].sample_rate_hz,
-        duration_s=sum(record.duration_s for record in session.records),
-        columns=native_columns(session.records[0])[0],
-        units=_units(session.records[0]),
-        gaps=sum(gaps_of(record) for record in session.records),
-        temp_c=_temperatures(*session.records),
         findings=tuple(
             replace(item, values={**item.values, "recording": number})
             for number, record in enumerate(session.records)
             for item in find_symptoms(record)
         ),
+        **_of_records(*session.records),
     )
 
 

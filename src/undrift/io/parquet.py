@@ -6,6 +6,7 @@ The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "fo
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -105,15 +106,15 @@ class ParquetWriter:
         from pyarrow import parquet as pq
 
         names, columns = native_columns(record)
-        held = {
+        held: dict[str, Any] = {
             "kind": KIND,
             "format": FORMAT,
-            "gyro_unit": record.gyro_unit if record.gyro is not None else None,
-            "accel_unit": record.accel_unit if record.accel is not None else None,
             "frame": record.frame,
             "state": record.state,
             "device": record.device,
         }
+        held["gyro_unit"] = record.gyro_unit if record.gyro is not None else None
+        held["accel_unit"] = record.accel_unit if record.accel is not None else None
         metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
@@ -168,8 +169,14 @@ def _open(path: str | Path, *, stream: bool = False) -> Any:
 
 
 def _whole(path: str | Path, handle: Any) -> Any:
-    try:
+    with _sound(path):
         return handle.read()
+
+
+@contextmanager
+def _sound(path: str | Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise FileFormatError(f"{path}: wanted a sound Parquet file, got a damaged one; {first_line(error)}") from error
 
@@ -178,9 +185,8 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
     """Yield Arrow tables of ``rows`` rows; a last single row goes with the chunk before it."""
     import pyarrow as pa
 
-    held: list[Any] = []
-    count = 0
-    try:
+    held, count = list[Any](), 0
+    with _sound(path):
         for batch in handle.iter_batches(batch_size=rows):
             held.append(batch)
             count += batch.num_rows
@@ -188,8 +194,6 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
                 table = pa.Table.from_batches(held)
                 yield table.slice(0, rows)
                 held, count = table.slice(rows).to_batches(), count - rows
-    except OSError as error:
-        raise FileFormatError(f"{path}: wanted a sound Parquet file, got a damaged one; {first_line(error)}") from error
     yield pa.Table.from_batches(held, schema=handle.schema_arrow)
 
 

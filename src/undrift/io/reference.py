@@ -26,7 +26,7 @@ from undrift.io.arrays import Arrays, table_of_arrays
 from undrift.io.columns import Column, Table, TextLayout
 from undrift.io.mocap import Markers, fit_cluster
 from undrift.io.parquet import read_parquet_table
-from undrift.io.text import open_text, parse_text
+from undrift.io.text import open_text, parse_text, write_rows
 from undrift.record import Reference
 from undrift.units import si_factor
 
@@ -73,9 +73,9 @@ class Body:
 def find_body(markers: Markers, name: BodyName) -> Body:
     """Return an anatomical segment from marker trajectories."""
     if name == "pelvis":
-        return _rigid(markers, _pelvis_labels(markers), _pelvis_axes, "pelvis")
+        return _rigid(markers, _pelvis_labels(markers), _pelvis_axes, name)
     if name == "thorax":
-        return _rigid(markers, _needed(markers, _THORAX, "thorax"), _thorax_axes, "thorax")
+        return _rigid(markers, _needed(markers, _THORAX, name), _thorax_axes, name)
     if name == "trunk":
         return _trunk(markers)
     raise InputError(f"body: wanted {', '.join(get_args(BodyName))}, got {name!r}; choose one")
@@ -223,17 +223,15 @@ class ReferenceMap:
             raise InputError(
                 "reference: wanted a time column or sample_rate_hz, got neither; the rate is never assumed"
             )
-        if self.time is not None:
-            si_factor(self.time_unit, "time")
-        if self.position is not None:
-            si_factor(self.position_unit, "length")
+        si_factor(self.time_unit if self.time is not None else "s", "time")
+        si_factor(self.position_unit if self.position is not None else "m", "length")
         if self.turns not in ("body_to_level", "level_to_body"):
             raise InputError(f"turns: wanted body_to_level or level_to_body, got {self.turns!r}")
 
     def wanted(self) -> tuple[Column, ...]:
         """Return all mapped columns."""
-        more = (*(self.position or ()), *(() if self.moving is None else (self.moving,)))
-        return (*(() if self.time is None else (self.time,)), *self.quaternion, *more)
+        singles = [() if column is None else (column,) for column in (self.time, self.moving)]
+        return (*singles[0], *self.quaternion, *(self.position or ()), *singles[1])
 
 
 def read_text_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
@@ -258,30 +256,25 @@ def read_array_poses(arrays: Arrays, path: Path, columns: ReferenceMap | None = 
 def write_reference(reference: Reference, path: str | Path) -> None:
     """Write poses with undrift's own names; every number reads back to the same bits (unit length apart)."""
     import pyarrow as pa
-    from pyarrow import csv as arrow_csv
     from pyarrow import parquet as pq
 
-    names = ["time_s", *QUATERNION]
-    columns = [reference.time, *reference.q_nb.T]
+    path, names, columns = Path(path), ["time_s", *QUATERNION], [reference.time, *reference.q_nb.T]
     if reference.position is not None:
         names += POSITION
         columns += [*reference.position.T]
     if reference.moving is not None:
         names.append("moving")
         columns.append(reference.moving)
-    table = pa.table([pa.array(np.ascontiguousarray(column), from_pandas=True) for column in columns], names=names)
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".csv", ".parquet"):
+    if path.suffix.lower() == ".csv":
+        write_rows(path, names, columns)
+    elif path.suffix.lower() == ".parquet":
+        held = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
+        try:
+            pq.write_table(pa.table(held), str(path), use_dictionary=False)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error
+    else:
         raise InputError(f"{path}: wanted a name ending in .parquet or .csv, got another; name the format so")
-    try:
-        if suffix == ".csv":
-            with pa.OSFile(str(path), "wb") as sink:
-                sink.write(",".join(names).encode() + b"\n")
-                arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
-        else:
-            pq.write_table(table, str(path), use_dictionary=False)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error
 
 
 def native_reference(names: tuple[str, ...]) -> ReferenceMap | None:
@@ -308,15 +301,15 @@ def _native_map(path: Path, names: tuple[str, ...]) -> ReferenceMap:
 
 
 def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
-    quat = np.stack([table.numbers(column) for column in columns.quaternion], axis=1)
-    quat[np.isnan(quat).any(axis=1)] = np.nan
+    def read(names: tuple[Column, ...]) -> FloatArray:
+        values = np.stack([table.numbers(name) for name in names], axis=1)
+        values[np.isnan(values).any(axis=1)] = np.nan
+        return values
+
+    quat = read(columns.quaternion)
     norm = np.linalg.norm(quat, axis=1)[:, None]
     quat = np.where(np.abs(norm - 1.0) < _NEARLY_UNIT, quat / np.where(norm > 0.0, norm, 1.0), quat)
-    position: FloatArray | None = None
-    if columns.position is not None:
-        stacked = np.stack([table.numbers(column) for column in columns.position], axis=1)
-        position = stacked * si_factor(columns.position_unit, "length")
-        position[np.isnan(position).any(axis=1)] = np.nan
+    length = si_factor(columns.position_unit, "length") if columns.position is not None else 1.0
     if columns.time is None:
         # ReferenceMap has checked that the rate is there
         time: FloatArray = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)
@@ -326,7 +319,7 @@ def _poses(table: Table, columns: ReferenceMap, path: Path) -> Reference:
         return Reference(
             time=time,
             q_nb=quat if columns.turns == "body_to_level" else quaternion_conjugate(quat),
-            position=position,
+            position=None if columns.position is None else read(columns.position) * length,
             moving=None if columns.moving is None else table.numbers(columns.moving),
             name=path.name,
         )

@@ -25,6 +25,8 @@ gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows =
 """
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -35,7 +37,7 @@ from pydantic import Field
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, sha256_of
-from undrift.io.columns import Column, ColumnMap, Gaps, ReadSettings, Scale, TextLayout, Trim
+from undrift.io.columns import ColumnMap, Gaps, ReadSettings, Scale, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, Kind, Record, Session, Still, Turn
@@ -110,39 +112,13 @@ class MapEntry(Entry):
     def maps(self) -> tuple[ColumnMap, ...]:
         """Return one column map for each table of columns."""
         tables = self.columns if isinstance(self.columns, list) else [] if self.columns is None else [self.columns]
-        trim, units, scale = self.temp_trim, self.units, self.scale
-        return tuple(
-            ColumnMap(
-                time=columns.time,
-                gyro=_columns(columns.gyro),
-                accel=_columns(columns.accel),
-                temp=columns.temp,
-                mag=_columns(columns.mag),
-                time_unit=units.time,
-                gyro_unit=units.gyro,
-                accel_unit=units.accel,
-                temp_unit=units.temp,
-                mag_unit=units.mag,
-                gyro_scale=_scale(scale.gyro, "gyro"),
-                accel_scale=_scale(scale.accel, "accel"),
-                temp_scale=_scale(scale.temp, "temp"),
-                mag_scale=_scale(scale.mag, "mag"),
-                temp_trim=None if trim is None else Trim(reads_c=trim.reads_c, true_c=trim.true_c),
-                sample_rate_hz=self.sample_rate_hz,
-                layout=TextLayout(
-                    delimiter=self.delimiter,
-                    header=self.header,
-                    skip_rows=self.skip_rows,
-                    decimal=self.decimal,
-                    drop_bad_rows=self.drop_bad_rows,
-                ),
-                gaps=self.gaps,
-                repair_time=self.repair_time,
-                frame=self.frame,
-                device=self.device,
-            )
-            for columns in tables
-        )
+        shared: dict[str, Any] = {f"{channel}_unit": unit for channel, unit in self.units}
+        shared |= {f"{channel}_scale": _scale(entry, channel) for channel, entry in self.scale}
+        shared |= {key: getattr(self, key) for key in ("sample_rate_hz", "gaps", "repair_time", "frame", "device")}
+        shared["temp_trim"] = None if self.temp_trim is None else Trim(**dict(self.temp_trim))
+        keys = ("delimiter", "header", "skip_rows", "decimal", "drop_bad_rows")
+        shared["layout"] = TextLayout(**{key: getattr(self, key) for key in keys})
+        return tuple(ColumnMap(**{key: _columns(key, value) for key, value in table}, **shared) for table in tables)
 
 
 def read_column_map(path: str | Path) -> ColumnMap:
@@ -165,16 +141,19 @@ def read_map_settings(path: str | Path) -> ReadSettings | None:
             f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
             f"names only {', '.join(sorted(NATIVE_KEYS))}"
         )
-    return ReadSettings(
-        sample_rate_hz=entry.sample_rate_hz,
-        gaps=entry.gaps if "gaps" in given else None,
-        repair_time=entry.repair_time,
-        drop_bad_rows=entry.drop_bad_rows,
+    return _settings(entry)
+
+
+def _settings(entry: MapEntry) -> ReadSettings:
+    gaps = entry.gaps if "gaps" in entry.model_fields_set else None
+    return ReadSettings(gaps=gaps, **{key: getattr(entry, key) for key in NATIVE_KEYS - {"gaps"}})
+
+
+def _columns(channel: str, value: Any) -> Any:
+    """Return the column of time or temperature, and the columns of a triad as a tuple."""
+    return (
+        tuple(value) if isinstance(value, list) else value if channel in ("time", "temp") or value is None else (value,)
     )
-
-
-def _columns(entry: list[str | int] | str | None) -> tuple[Column, ...] | None:
-    return None if entry is None else (entry,) if isinstance(entry, str) else tuple(entry)
 
 
 def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
@@ -197,7 +176,6 @@ NAME = "session.toml"
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-273.15, allow_inf_nan=False)]
 Clock = tuple[FloatArray, float]  # times and their step, s
-Place = tuple[str | int, ...]
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
@@ -286,25 +264,20 @@ def read_session(folder: str | Path) -> Session:
     held = read_toml(path, SessionFile)
     text = path.read_text(encoding="utf-8")
     inputs = [(path.name, sha256_of(path))]
-    records: list[Record] = []
+    records, stills, turns = list[Record](), list[Still](), list[Turn]()
     for number, entry in enumerate(held.recording):
         names = [entry.file] if isinstance(entry.file, str) else entry.file
-        try:
+        with _at(path, text, "recording", number):
             records.append(_read_recording(path.parent, names, entry))
-        except InputError as error:
-            raise type(error)(f"{_where(path, text, ('recording', number))}: {error}") from error
         inputs += [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
     clocks = [(record.time, float(np.median(np.diff(record.time)))) for record in records]
-    place: Place = ("session",)
-    try:
-        stills, turns = [], []
-        for number, still in enumerate(held.still):
-            place = ("still", number)
-            stills.append(_still(still, clocks))
-        for number, turn in enumerate(held.turn):
-            place = ("turn", number)
+    for number, still in enumerate(held.still):
+        with _at(path, text, "still", number):
+            stills.append(Still(face=still.face, **_samples(still, clocks)))
+    for number, turn in enumerate(held.turn):
+        with _at(path, text, "turn", number):
             turns.append(_turn(turn, clocks))
-        place = ("session",)
+    with _at(path, text, "session"):
         return Session(
             kind=held.session.kind,
             serial=held.session.serial,
@@ -314,8 +287,16 @@ def read_session(folder: str | Path) -> Session:
             turns=tuple(turns),
             inputs=tuple(inputs),
         )
+
+
+@contextmanager
+def _at(path: Path, text: str, *place: str | int) -> Iterator[None]:
+    """Name the line and the entry in errors."""
+    try:
+        yield
     except InputError as error:
-        raise type(error)(f"{_where(path, text, place)}: {error}") from error
+        where = f"line {line_of(text, place)}: {entry_name(place) or place[0]}"
+        raise type(error)(f"{checked_file(path)}: {where}: {error}") from error
 
 
 def write_session(session: Session, folder: str | Path) -> None:
@@ -343,16 +324,10 @@ def write_session(session: Session, folder: str | Path) -> None:
             name = f"recording_{number}.parquet"
             write_parquet(record, folder / name)
             lines += ["", "[[recording]]", f'file = "{name}"']
-        for still in session.stills:
-            lines += ["", "[[still]]", *_span(still, session)]
-            lines += [] if still.face is None else [f'face = "{still.face}"']
-        for turn in session.turns:
-            lines += ["", "[[turn]]", *_span(turn, session)]
-            lines += [] if turn.axis is None else [f'axis = "{turn.axis}"']
-            lines += (
-                [] if turn.turn_rate is None else [f"turn_rate_dps = {float(turn.turn_rate / RADIAN_PER_DEGREE)!r}"]
-            )
-            lines += [] if turn.angle is None else [f"angle_deg = {float(turn.angle / RADIAN_PER_DEGREE)!r}"]
+        pieces: list[Still | Turn] = [*session.stills, *session.turns]
+        for piece in pieces:
+            kind = "turn" if isinstance(piece, Turn) else "still"
+            lines += ["", f"[[{kind}]]", *_keys(piece, session.records[piece.recording].time)]
         (folder / NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(
@@ -372,10 +347,9 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Re
         raise InputError(
             f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
         )
-    gaps = entry.gaps if "gaps" in entry.model_fields_set else None
-    settings = ReadSettings(sample_rate_hz=entry.sample_rate_hz, sensor=entry.sensor, gaps=gaps)
-    if not maps:
-        settings = replace(settings, repair_time=entry.repair_time, drop_bad_rows=entry.drop_bad_rows)
+    settings = replace(_settings(entry), sensor=entry.sensor)
+    if maps:
+        settings = replace(settings, repair_time=False, drop_bad_rows=False)
     records = tuple(
         read_record(folder / name, columns, settings=settings)
         for name, columns in zip(names, maps or (None,) * len(names), strict=True)
@@ -391,13 +365,11 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Re
             )
         added: dict[str, Any] = {}
         for channel in ("gyro", "accel", "temp_c", "mag_ut"):
-            values = getattr(record, channel)
-            if values is not None and getattr(joined, channel) is not None:
-                raise InputError(f"{name}: wanted channels that {names[0]} lacks, got {channel} again; map it once")
-            if values is not None:
-                added[channel] = values
-                if channel in ("gyro", "accel"):
-                    added[f"{channel}_unit"] = getattr(record, f"{channel}_unit")
+            if getattr(record, channel) is not None:
+                if getattr(joined, channel) is not None:
+                    raise InputError(f"{name}: wanted channels that {names[0]} lacks, got {channel} again; map it once")
+                keys = (channel, f"{channel}_unit") if channel in ("gyro", "accel") else (channel,)
+                added |= {key: getattr(record, key) for key in keys}
         joined = replace(joined, **added)
     return joined
 
@@ -414,30 +386,21 @@ def _gravity(head: HeadEntry) -> float:
     raise InputError(f"wanted gravity_m_s2, or latitude_deg and height_m, got {got}; state local gravity once")
 
 
-def _still(entry: StillEntry, clocks: list[Clock]) -> Still:
-    start, stop = _samples(entry, clocks)
-    return Still(start=start, stop=stop, face=entry.face, recording=entry.recording, temp_c=entry.temp_c)
-
-
 def _turn(entry: TurnEntry, clocks: list[Clock]) -> Turn:
     if entry.turn_rate_dps is not None and entry.angle_deg is not None:
         raise FileFormatError("wanted turn_rate_dps or angle_deg, got both; keep the one that was measured")
     if entry.angle_deg == 0.0:
         raise FileFormatError("wanted angle_deg other than 0, got 0; state the angle turned, 360 for a full turn")
-    start, stop = _samples(entry, clocks)
     return Turn(
-        start=start,
-        stop=stop,
         axis=entry.axis,
         turn_rate=None if entry.turn_rate_dps is None else entry.turn_rate_dps * RADIAN_PER_DEGREE,
         angle=None if entry.angle_deg is None else entry.angle_deg * RADIAN_PER_DEGREE,
-        recording=entry.recording,
-        temp_c=entry.temp_c,
+        **_samples(entry, clocks),
     )
 
 
-def _samples(entry: PieceEntry, clocks: list[Clock]) -> tuple[int, int]:
-    """Return the samples [start, stop) of a stated span of time."""
+def _samples(entry: PieceEntry, clocks: list[Clock]) -> dict[str, Any]:
+    """Return the samples [start, stop) of a stated span of time, and what else both kinds of piece have."""
     if not 0 <= entry.recording < len(clocks):
         raise FileFormatError(f"wanted recording 0 to {len(clocks) - 1}, got {entry.recording}")
     time, step = clocks[entry.recording]
@@ -449,15 +412,18 @@ def _samples(entry: PieceEntry, clocks: list[Clock]) -> tuple[int, int]:
     start, stop = np.searchsorted(time, (entry.start_s - _SLACK * step, entry.stop_s - _SLACK * step))
     if stop <= start:
         raise FileFormatError(f"wanted a sample or more between {entry.start_s:g} and {entry.stop_s:g} s, got none")
-    return int(start), int(stop)
+    return {"start": int(start), "stop": int(stop), "recording": entry.recording, "temp_c": entry.temp_c}
 
 
-def _span(piece: Still | Turn, session: Session) -> list[str]:
-    time = session.records[piece.recording].time
+def _keys(piece: Still | Turn, time: FloatArray) -> list[str]:
+    """Return the lines of a piece."""
     stop = time[piece.stop] if piece.stop < len(time) else time[-1] + np.median(np.diff(time))
-    lines = [f"recording = {piece.recording}", f"start_s = {float(time[piece.start])!r}", f"stop_s = {float(stop)!r}"]
-    return lines if piece.temp_c is None else [*lines, f"temp_c = {float(piece.temp_c)!r}"]
-
-
-def _where(path: Path, text: str, place: Place) -> str:
-    return f"{checked_file(path)}: line {line_of(text, place)}: {entry_name(place) or place[0]}"
+    held: dict[str, Any] = {"recording": piece.recording, "start_s": float(time[piece.start]), "stop_s": float(stop)}
+    held["temp_c"] = None if piece.temp_c is None else float(piece.temp_c)
+    if isinstance(piece, Turn):
+        held["axis"] = piece.axis
+        for key, value in (("turn_rate_dps", piece.turn_rate), ("angle_deg", piece.angle)):
+            held[key] = None if value is None else float(value / RADIAN_PER_DEGREE)
+    else:
+        held["face"] = piece.face
+    return [f"{key} = {json.dumps(value)}" for key, value in held.items() if value is not None]

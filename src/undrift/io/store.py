@@ -8,9 +8,9 @@ written whole or not at all: into a temporary neighbour first, which then takes 
 import json
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
@@ -35,6 +35,7 @@ from undrift.model import (
     WarmUp,
 )
 
+Value = TypeVar("Value")
 KIND = "undrift.calibration"
 FORMAT = 1
 
@@ -196,6 +197,7 @@ class CalibrationFile(BaseModel, strict=True, extra="forbid", frozen=True):
 
 # ---- reading and writing
 
+ADC_KEYS = ("gyro_lsb", "gyro_rounding", "accel_lsb", "accel_rounding")
 LATER_KEYS = (
     "gyro_uncertainty", "accel_uncertainty", "gyro_extrapolated", "accel_extrapolated", "gyro_hysteresis", "warm_up",
     "uncertainty", "extrapolated",
@@ -288,26 +290,17 @@ def read_calibration(path: Path | str) -> Calibration:
 
 def calibration_json(calibration: Calibration) -> dict[str, Any]:
     """Return a calibration as the object that its file holds."""
-    drift, adc, noise = calibration.drift, calibration.adc, calibration.noise
-    p = calibration.provenance
+    adc, p = calibration.adc, calibration.provenance
     return {
         "kind": KIND,
         "format": FORMAT,
-        "device": calibration.device,
-        "reference_temp_c": _number(calibration.reference_temp_c),
-        "gravity_m_s2": _number(calibration.gravity_m_s2),
-        "gyro": _plain(calibration.gyro),
-        "accel": _plain(calibration.accel),
-        "drift": _drift_json(drift),
-        "adc": None
-        if adc is None
-        else {
-            "lsb": _plain(adc.gyro_lsb),
-            "rounding": adc.gyro_rounding,
-            "accel_lsb": _plain(adc.accel_lsb),
-            "accel_rounding": adc.accel_rounding,
+        **{
+            key: _plain(getattr(calibration, key))
+            for key in ("device", "reference_temp_c", "gravity_m_s2", "gyro", "accel")
         },
-        "noise": _plain(noise),
+        "drift": _drift_json(calibration.drift),
+        "adc": adc and {key.removeprefix("gyro_"): _plain(getattr(adc, key)) for key in ADC_KEYS},
+        "noise": _plain(calibration.noise),
         "verdict": verdict_json(calibration.verdict),
         "provenance": {
             "inputs": [{"file": name, "sha256": digest} for name, digest in p.inputs],
@@ -320,33 +313,20 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
     """Return a verdict as files and ``--json`` hold it: status, reasons as texts, findings with their numbers."""
-    return {
-        "status": verdict.status,
-        "reasons": list(verdict.reasons),
-        "findings": findings_json(verdict.findings),
-    }
+    findings = findings_json(verdict.findings)
+    return {"status": verdict.status, "reasons": list(verdict.reasons), "findings": findings}
 
 
 def findings_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     """Return findings as files and ``--json`` hold them."""
-    return [
-        {
-            "code": item.code,
-            "level": item.level,
-            "values": {name: _plain(value) for name, value in item.values.items()},
-            "text": item.text,
-            "action": item.action,
-        }
-        for item in findings
-    ]
+    keys = ("code", "level", "values", "text", "action")
+    return [{key: _plain(getattr(item, key)) for key in keys} for item in findings]
 
 
 def calibration_schema() -> dict[str, Any]:
     """Return the JSON Schema of a calibration file, made from the models that read it."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **CalibrationFile.model_json_schema(mode="validation"),
-    }
+    schema = CalibrationFile.model_json_schema(mode="validation")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 def _first_problem(error: ValidationError) -> str:
@@ -364,7 +344,6 @@ def _by_name(pairs: tuple[tuple[str, str], ...], what: str) -> dict[str, str]:
 
 
 def _number(x: float) -> float | str | None:
-    x = float(x)
     return x if math.isfinite(x) else None if math.isnan(x) else "inf" if x > 0.0 else "-inf"
 
 
@@ -372,14 +351,14 @@ def _plain(value: Any) -> Any:
     """A value as JSON knows it: dataclasses by field, arrays and tuples as lists."""
     if value is None or isinstance(value, str | int):
         return value
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return _number(float(value))
-    if isinstance(value, np.ndarray):
+    if isinstance(value, float):
+        return _number(value)
+    if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
     return {name: _plain(getattr(value, name)) for name in value.__slots__}
 
 
@@ -408,8 +387,12 @@ def _array(values: Any) -> FloatArray:
     return np.array(values, dtype=np.float64)  # None becomes NaN
 
 
-def _maybe(values: Any) -> FloatArray | None:
-    return None if values is None else _array(values)
+def _made(kind: Callable[..., Value], file: BaseModel | None, **given: Any) -> Value | None:
+    """A value by the fields of its file, lists as arrays; the value makes booleans of its marks."""
+    if file is None:
+        return None
+    held = {name: _array(item) if isinstance(item, list) else item for name, item in file if name not in given}
+    return kind(**held, **given)
 
 
 def _scalar(x: float | str | None) -> float:
@@ -432,64 +415,33 @@ def _triad(file: TriadFile | None) -> TriadModel | None:
     if file is None:
         return None
     p = len(file.parameters)
-    return TriadModel(
-        method=file.method,
-        unit_in=file.unit_in,
-        unit_out=file.unit_out,
-        matrix=_array(file.matrix),
-        offset=_array(file.offset),
-        g_sensitivity=_maybe(file.g_sensitivity),
+    return _made(
+        TriadModel,
+        file,
         parameters=tuple(file.parameters),
         covariance=_array(file.covariance).reshape(p, p) if p == 0 else _array(file.covariance),
         rms_residual=_scalar(file.rms_residual),
-        count=file.count,
-        rank=file.rank,
         condition=_scalar(file.condition),
         valid_range=(_scalar(file.valid_range[0]), _scalar(file.valid_range[1])),
     )
 
 
-def _drift(file: DriftFile | None) -> DriftTables | None:
-    if file is None:
-        return None
-    static = scale = dynamic = None
-    if file.static is not None:
-        warm_up = None if file.static.warm_up is None else WarmUp(**_arrays(file.static.warm_up))
-        static = StaticDrift(**_arrays(file.static, but="warm_up"), warm_up=warm_up)
-    if file.scale is not None:
-        scale = ScaleDrift(**_arrays(file.scale))
-    if file.dynamic is not None:
-        dynamic = DynamicDrift(**_arrays(file.dynamic))
-    return DriftTables(static=static, scale=scale, dynamic=dynamic, lag_s=file.lag_s, lag_smooth_s=file.lag_smooth_s)
-
-
-def _arrays(file: WarmUpFile | StaticFile | ScaleFile | DynamicFile, but: str = "") -> dict[str, Any]:
-    """Arrays by name; the value makes booleans of its marks."""
-    return {name: _maybe(values) for name, values in file if name != but}
-
-
-def _adc(file: AdcFile | None) -> AdcModel | None:
-    if file is None:
-        return None
-    return AdcModel(
-        gyro_lsb=_maybe(file.lsb),
-        accel_lsb=_maybe(file.accel_lsb),
-        gyro_rounding=file.rounding,
-        accel_rounding=file.accel_rounding,
-    )
-
-
 def _value(file: CalibrationFile) -> Calibration:
-    p = file.provenance
+    p, tables = file.provenance, dict[str, Any]()
+    if file.drift is not None:
+        static, warm_up = file.drift.static, None if file.drift.static is None else file.drift.static.warm_up
+        tables["static"] = _made(StaticDrift, static, warm_up=_made(WarmUp, warm_up))
+        tables["scale"] = _made(ScaleDrift, file.drift.scale)
+        tables["dynamic"] = _made(DynamicDrift, file.drift.dynamic)
     return Calibration(
         device=file.device,
         reference_temp_c=_scalar(file.reference_temp_c),
         gravity_m_s2=file.gravity_m_s2,
         gyro=_triad(file.gyro),
         accel=_triad(file.accel),
-        drift=_drift(file.drift),
-        adc=_adc(file.adc),
-        noise=None if file.noise is None else NoiseModel(**{k: _array(v) for k, v in file.noise}),
+        drift=_made(DriftTables, file.drift, **tables),
+        adc=_made(lambda lsb, rounding, **accel: AdcModel(gyro_lsb=lsb, gyro_rounding=rounding, **accel), file.adc),
+        noise=_made(NoiseModel, file.noise),
         verdict=_verdict(file.verdict),
         provenance=Provenance(
             inputs=tuple((i.file, i.sha256) for i in p.inputs),

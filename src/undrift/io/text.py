@@ -9,12 +9,14 @@ corrected file is never corrected twice::
 
 import csv
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes
 from undrift.frames import Frame
@@ -58,20 +60,26 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
 
 def write_csv(record: Record, path: str | Path) -> None:
     """Write a record with undrift's own column names; every number reads back to the same bits."""
+    names, columns = native_columns(record)
+    mark = ""
+    if record.frame != "s" or record.state != "raw" or record.device:
+        device = " ".join(record.device.replace(";", ",").split())
+        mark = f"# undrift record; frame={record.frame}; state={record.state}; device={device}\n"
+    write_rows(Path(path), names, columns, mark)
+
+
+def write_rows(path: Path, names: Sequence[str], columns: Sequence[FloatArray], mark: str = "") -> None:
+    """Write named columns as CSV, gaps as empty cells; every number reads back to the same bits."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names, columns = native_columns(record)
-    table = pa.table([pa.array(column, from_pandas=True) for column in columns], names=list(names))
-    head = ",".join(names) + "\n"
-    if record.frame != "s" or record.state != "raw" or record.device:
-        device = " ".join(record.device.replace(";", ",").split())
-        head = f"# undrift record; frame={record.frame}; state={record.state}; device={device}\n{head}"
-    path = Path(path)
+    table = pa.table(
+        [pa.array(np.ascontiguousarray(column), from_pandas=True) for column in columns], names=list(names)
+    )
     try:
         with pa.OSFile(str(path), "wb") as raw:
             sink = pa.CompressedOutputStream(raw, "gzip") if path.suffix == ".gz" else raw
-            sink.write(head.encode())
+            sink.write(f"{mark}{','.join(names)}\n".encode())
             arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
             if sink is not raw:
                 sink.close()

@@ -43,26 +43,14 @@ def read_apdm(path: str | Path, sensor: str | None = None) -> Record:
         ) from error
     units = dict(zip(text.names, lines[text.skip], strict=False))
 
-    def triple(quantity: str) -> tuple[Column, ...] | None:
+    held: dict[str, Any] = {"time": "Time", "time_unit": units["Time"]}
+    for channel, quantity in (("gyro", "Angular Velocity"), ("accel", "Acceleration"), ("mag", "Magnetic Field")):
         names = tuple(f"{sensor}/{quantity}/{axis.upper()}" for axis in AXES)
-        return names if all(name in text.names for name in names) else None
-
-    gyro, accel, mag = triple("Angular Velocity"), triple("Acceleration"), triple("Magnetic Field")
-    temp = f"{sensor}/Temperature/Scalar"
-    columns = ColumnMap(
-        time="Time",
-        gyro=gyro,
-        accel=accel,
-        mag=mag,
-        temp=temp if temp in text.names else None,
-        time_unit=units["Time"],
-        gyro_unit=units[str(gyro[0])] if gyro else "",
-        accel_unit=units[str(accel[0])] if accel else "",
-        mag_unit=units[str(mag[0])] if mag else "",
-        temp_unit=units.get(temp, ""),
-        device=sensor,
-        sample_rate_hz=rate,
-    )
+        if all(name in text.names for name in names):
+            held |= {channel: names, f"{channel}_unit": units[names[0]]}
+    if (temp := f"{sensor}/Temperature/Scalar") in text.names:
+        held |= {"temp": temp, "temp_unit": units.get(temp, "")}
+    columns = ColumnMap(**held, device=sensor, sample_rate_hz=rate)
     return build_record(parse_text(replace(text, skip=text.skip + 1), columns.wanted()), columns).record
 
 
