@@ -19,8 +19,6 @@ SETTINGS = ChamberSettings(clock_speed=SPEED, soak=SOAK, reply_timeout_s=20.0)
 TRUE = {
     "*IDN?": b"maker,model,7,1.2\n",
     "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?": b"45.0\n",
-    "TEMP:RAMP 2.00;:TEMP:RAMP?": b"2.0\n",
-    "TEMP:SPO?": b"45.0\n",
     "SYST:ERR?": b'0,"No error"\n',
     "MEAS:TEMP?": b"24.9\r\n",
     "OUTP OFF;:OUTP?": b"0\n",
@@ -41,6 +39,16 @@ def emulated():
         chamber.close()
 
 
+def soak(chamber, deadline_s):
+    """Wait until the temperature is steady at the set-point."""
+    last = time.monotonic() + deadline_s / SPEED
+    while not chamber.soaked():
+        if time.monotonic() >= last:
+            raise RigTimeout("not steady in time")
+        time.sleep(chamber.criterion.window_s / 30.0 / SPEED)
+    return chamber.read()
+
+
 def patience(chamber, seconds):
     """Let answers be due so soon from now on."""
     chamber._link.settings = replace(chamber._link.settings, reply_timeout_s=seconds)
@@ -49,13 +57,11 @@ def patience(chamber, seconds):
 def test_every_command_goes_out_as_written():
     with scripted() as server, open_chamber(server.url, SETTINGS) as chamber:
         assert chamber.identity == "maker,model,7,1.2"
-        assert chamber.set_ramp(2.0) == 2.0
         assert chamber.set(45.0) == 45.0
-        assert chamber.set_point() == 45.0
         assert chamber.read() == 24.9
         assert chamber.soaked() is False
     assert server.heard == [
-        "*IDN?", "TEMP:RAMP 2.00;:TEMP:RAMP?", "SYST:ERR?", "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", "SYST:ERR?", "TEMP:SPO?",
+        "*IDN?", "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", "SYST:ERR?",
         "MEAS:TEMP?", "MEAS:TEMP?", "OUTP OFF;:OUTP?",
     ]  # fmt: skip
 
@@ -67,14 +73,6 @@ def test_a_set_point_beyond_the_limits_is_refused_before_a_byte_is_sent(temp_c):
             LimitError, match=r"chamber: wanted a set-point from 0 to 80 degC, got .*; choose one in between"
         ):
             chamber.set(temp_c)
-        assert server.heard == ["*IDN?"]
-
-
-@pytest.mark.parametrize("ramp", [0.0, 21.0, math.nan])
-def test_a_ramp_beyond_the_limits_is_refused_before_a_byte_is_sent(ramp):
-    with scripted() as server, open_chamber(server.url, SETTINGS) as chamber:
-        with pytest.raises(LimitError, match=r"wanted a ramp above 0 and up to 20 K/min, got"):
-            chamber.set_ramp(ramp)
         assert server.heard == ["*IDN?"]
 
 
@@ -131,7 +129,7 @@ def test_the_heater_is_off_after_every_end(emulated):
 def test_a_soak_ends_when_the_air_is_steady_at_its_set_point(emulated):
     with open_chamber(emulated.address, SETTINGS) as chamber:
         chamber.set(45.0)
-        temp = chamber.soak(1200.0)
+        temp = soak(chamber, 1200.0)
         times = np.linspace(emulated.air.time[-1] - SETTINGS.soak.window_s, emulated.air.time[-1], 100)
         air = emulated.air.at(times)[0]
         assert temp == pytest.approx(45.0, abs=0.1)
@@ -141,29 +139,26 @@ def test_a_soak_ends_when_the_air_is_steady_at_its_set_point(emulated):
 
 
 @pytest.mark.parametrize("fault", ["stuck_heater", "open_door"])
-def test_a_chamber_that_does_not_get_there_is_a_timeout_that_says_how_far_it_came(emulated, fault):
+def test_a_chamber_that_does_not_get_there_is_never_soaked(emulated, fault):
     emulated.inject(fault)
     with open_chamber(emulated.address, SETTINGS) as chamber:
         chamber.set(45.0)
-        start = time.monotonic()
-        with pytest.raises(
-            RigTimeout, match=r"wanted 45 degC and less than 0.1 K/min within 120 s, got 2\d.* check door and heater"
-        ):
-            chamber.soak(120.0)
-        assert time.monotonic() - start < 30.0
+        with pytest.raises(RigTimeout):
+            soak(chamber, 120.0)
+        assert 20.0 <= chamber.read() < 30.0
 
 
 def test_a_door_that_opens_ends_a_soak_and_one_that_closes_lets_it_come(emulated):
     with open_chamber(emulated.address, SETTINGS) as chamber:
         chamber.set(40.0)
-        chamber.soak(1200.0)
+        soak(chamber, 1200.0)
         emulated.inject("open_door")
         end = time.monotonic() + 60.0 / SPEED
         while time.monotonic() < end:
             assert chamber.read() < 41.0
         assert not chamber.soaked()
         emulated.clear()
-        assert chamber.soak(1200.0) == pytest.approx(40.0, abs=0.1)
+        assert soak(chamber, 1200.0) == pytest.approx(40.0, abs=0.1)
 
 
 @pytest.mark.parametrize("fault", ["stall", "garbage", "half_reply", "drop_bytes", "disconnect"])
@@ -196,7 +191,7 @@ def test_a_soak_needs_a_set_point(emulated):
         open_chamber(emulated.address, SETTINGS) as chamber,
         pytest.raises(InputError, match=r"chamber: wanted a set-point before a soak, got none; set it first"),
     ):
-        chamber.soak(1.0)
+        chamber.soaked()
 
 
 def test_steady_is_a_full_window_of_little_slope_near_the_set_point():

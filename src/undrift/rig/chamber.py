@@ -9,14 +9,10 @@
     OUTP ON           OUTP?        heater and compressor, 1 or 0
     SYST:ERR?                      0,"No error" or the oldest fault
 
-A device has soaked when the readings of a stated time lie within a tolerance of the set-point and none of the straight lines
-through all of them, through their first and through their second half is steeper than 0.1 K/min.
-
-The device's board in a chamber: it follows the air late, so a soak ends when the board stands still, not the air.
-
-Its thermometer is averaged over a fifteenth of the criterion's window at a time; the slopes of those means, over the window and its
-halves, must be below the criterion. A device without a thermometer is given five of its stated time constants, exp(-5) = 0.7 % of
-the step left, during which the air must be steady without a break.
+The air has soaked when the readings of a stated time lie within a tolerance of the set-point and none of the straight lines through
+all of them, through their first and through their second half is steeper than 0.1 K/min. A device's board follows the air late, so
+a soak ends when its thermometer, averaged over a fifteenth of that time, stands still likewise; without one, after five of its
+stated time constants of steady air (exp(-5) = 0.7 % of the step left).
 """
 
 import contextlib
@@ -28,7 +24,8 @@ from typing import Protocol
 
 import numpy as np
 
-from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
+from undrift.arrays import FloatArray
+from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault
 from undrift.record import Face, Record
 from undrift.rig.link import Clock, Link, LinkSettings
 from undrift.rig.programme import Soak
@@ -58,7 +55,6 @@ class ChamberSettings:
 
     lowest_c: float = 0.0  # Set-points beyond are refused before a byte is sent, degC
     highest_c: float = 80.0
-    steepest_c_per_min: float = 20.0  # Steepest ramp, likewise, K/min
     soak: SoakSettings = field(default_factory=SoakSettings)  # When its temperature counts as steady
     reply_timeout_s: float = 2.0  # Longest wait for an answer, host s
     baud: int = 9600  # Bits per second of a serial port
@@ -69,7 +65,7 @@ class ChamberSettings:
             raise InputError(
                 f"chamber: wanted a lowest set-point below the highest, got {self.lowest_c} and {self.highest_c} degC; state both"
             )
-        for name in ("steepest_c_per_min", "reply_timeout_s", "clock_speed"):
+        for name in ("reply_timeout_s", "clock_speed"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"chamber: wanted {name} above 0, got {getattr(self, name)}; state it")
 
@@ -107,7 +103,7 @@ class ScpiChamber:
     """A chamber that is connected; a context manager that lets go of it."""
 
     def __init__(self, url: str, settings: ChamberSettings = ChamberSettings()) -> None:
-        self.settings = settings
+        self.settings, self.criterion = settings, settings.soak
         self._link = Link(url, LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud))
         self._steadiness = Steadiness(settings.soak)
         self._set_point: float | None = None
@@ -123,17 +119,10 @@ class ScpiChamber:
             raise
 
     def __enter__(self) -> "ScpiChamber":
-        """Return the chamber itself."""
         return self
 
     def __exit__(self, *failure: object) -> None:
-        """Close it."""
         self.close()
-
-    @property
-    def criterion(self) -> SoakSettings:
-        """When its temperature counts as steady."""
-        return self.settings.soak
 
     def set(self, temp_c: float) -> float:
         """Switch on and set a temperature to go to."""
@@ -144,27 +133,13 @@ class ScpiChamber:
                 temp_c=temp_c,
             )
         held = self._number(f"TEMP:SPO {temp_c:.2f};:OUTP ON;:TEMP:SPO?")
-        self._check_error()
+        answer = self._ask("SYST:ERR?")
+        if answer.partition(",")[0] not in ("0", "+0"):
+            raise RigFault(f"chamber: wanted a command obeyed, got error {answer[:60]}; look at the chamber")
         if abs(held - temp_c) > 0.1:
             raise RigFault(f"chamber: wanted a set-point of {temp_c:g} degC, got {held:g}; look at the chamber")
         self._set_point, self._steadiness = held, Steadiness(self.settings.soak)
         return held
-
-    def set_ramp(self, slope_c_per_min: float) -> float:
-        """Set the steepest change of temperature."""
-        steepest = self.settings.steepest_c_per_min
-        if not 0.0 < slope_c_per_min <= steepest:
-            raise LimitError(
-                f"chamber: wanted a ramp above 0 and up to {steepest:g} K/min, got {slope_c_per_min:g}; choose a gentler one",
-                slope_c_per_min=slope_c_per_min,
-            )
-        held = self._number(f"TEMP:RAMP {slope_c_per_min:.2f};:TEMP:RAMP?")
-        self._check_error()
-        return held
-
-    def set_point(self) -> float:
-        """Return the temperature that it goes to, degC."""
-        return self._number("TEMP:SPO?")
 
     def read(self) -> float:
         """Return the temperature of its air now, degC."""
@@ -178,22 +153,6 @@ class ScpiChamber:
             raise InputError("chamber: wanted a set-point before a soak, got none; set it first")
         self.read()
         return self._steadiness.steady_at(self._set_point)
-
-    def soak(self, deadline_s: float) -> float:
-        """Wait until the temperature is steady at the set-point."""
-        speed = self.settings.clock_speed
-        last = time.monotonic() + deadline_s / speed
-        pause_s = min(self.settings.soak.window_s / 30.0, 10.0) / speed
-        while not self.soaked():
-            if time.monotonic() >= last:
-                raise RigTimeout(
-                    f"chamber: wanted {self._set_point:g} degC and less than {self.settings.soak.slope_c_per_min:g} K/min within "
-                    f"{deadline_s:g} s, got {self.read():g} degC and {self._steadiness.slope_c_per_min():.2g} K/min; "
-                    "check door and heater, or wait longer",
-                    deadline_s=deadline_s,
-                )
-            time.sleep(pause_s)
-        return self.read()
 
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
@@ -227,25 +186,19 @@ class ScpiChamber:
             )
         return value
 
-    def _check_error(self) -> None:
-        answer = self._ask("SYST:ERR?")
-        code = answer.partition(",")[0]
-        if code not in ("0", "+0"):
-            raise RigFault(f"chamber: wanted a command obeyed, got error {answer[:60]}; look at the chamber")
-
 
 def open_chamber(address: str, settings: ChamberSettings = ChamberSettings()) -> ScpiChamber:
     """Open a chamber; its temperature is left as it is."""
     return ScpiChamber(address, settings)
 
 
-def _slope(t: "np.typing.NDArray[np.float64]", temp: "np.typing.NDArray[np.float64]") -> float:
+def _slope(t: FloatArray, temp: FloatArray) -> float:
     apart = t - t.mean()
     spread = float(apart @ apart)
     return float(apart @ temp) / spread if spread > 0.0 else math.inf
 
 
-# ---- What a run needs beside the rig: readings of the device, a chamber, an operator. Live ones and fakes fit alike.
+# ---- What a run needs beside the rig and a chamber: readings of the device and an operator. Live ones and fakes fit alike.
 
 
 class Readings(Protocol):
@@ -262,26 +215,6 @@ class Readings(Protocol):
 
     def close(self) -> None:
         """Let go of the device; harmless when called again."""
-
-
-class Chamber(Protocol):
-    """A thermal chamber."""
-
-    @property
-    def criterion(self) -> SoakSettings:
-        """When its temperature counts as steady, and how far from the set-point it may be."""
-
-    def set(self, temp_c: float) -> float:
-        """Set a temperature to go to."""
-
-    def read(self) -> float:
-        """Return the temperature now, degC."""
-
-    def soaked(self) -> bool:
-        """Return whether the set-point is reached and the slope is below the criterion."""
-
-    def close(self) -> None:
-        """Let go of the chamber; harmless when called again."""
 
 
 class Mounting(Protocol):

@@ -198,7 +198,6 @@ def _record(
             watched = ChamberSettings(
                 soak=plan.soak,
                 clock_speed=plan.speed,
-                steepest_c_per_min=AIR.ramp_c_per_min,
                 reply_timeout_s=PATIENCE_S,
             )
             chamber = open_chamber(bench.chamber_address, watched)

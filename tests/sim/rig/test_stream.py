@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from testkit.waiting import eventually
 from undrift.arrays import frozen
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.live.decoder import FrameDecoder, LineDecoder, StreamDescription
@@ -230,7 +231,7 @@ def test_a_whole_bench_works_over_its_sockets(kind, tmp_path):
         soak = SoakSettings(window_s=20.0)
         with open_chamber(bench.chamber_address, ChamberSettings(clock_speed=SPEED, soak=soak)) as chamber:
             chamber.set(35.0)
-            chamber.soak(300.0)
+            eventually(chamber.soaked, "the air is steady")
             dwells.start()
             time.sleep(0.25)
             warm = dwells.stop()
