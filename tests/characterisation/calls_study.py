@@ -203,7 +203,7 @@ def programmes() -> Result:
     return {
         name: {
             "duration_s": made.duration_s,
-            "rig_s": made.rig_s,
+            "rig_s": sum(dwell.duration_s for dwell in made.dwells),
             "steps": [
                 len(made.steps),
                 *(sum(isinstance(s, kind) for s in made.steps) for kind in (Mount, Soak, Dwell)),

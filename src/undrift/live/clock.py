@@ -2,19 +2,11 @@
 
 Packets come late, never early: the clock is the line below all points (device, host) that lies closest to them on the whole,
 min sum(host - offset - rate device). Its solution is the edge of their lower convex hull that spans the mean device time [1]_, and
-the hull is kept up at a few operations a packet. Old points are forgotten, since a clock drifts with temperature.
+the hull is kept up at a few operations a packet. Old points are forgotten, since a clock drifts with temperature. A backlog that
+drains shows a clock that is too late, until the first prompt packet: the clock is settled when several packets in turn, over a
+while, did not come earlier than those before allow. A constant delay cannot be seen from one side.
 
-A backlog that drains shows a clock that is too late, until the first prompt packet. The clock is settled when several packets in
-turn, over a while, did not come earlier than the packets before them allow. A constant delay cannot be seen from one side.
-
-References
-----------
-.. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay
-   measurements", IEEE INFOCOM 1999.
-
-Gaps: readings that never came are counted and marked with rows of NaN, which means a gap everywhere in undrift.
-
-A step of device time of m + 1 periods lacks m readings. A gap longer than a stated span is marked by one row only.
+.. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999.
 """
 
 from collections import deque
@@ -124,7 +116,8 @@ class DeviceClock:
                 _extend(hull, point)
         count = sum(block.count for block in self._blocks)
         mean = sum(block.total for block in self._blocks) / count
-        slope = self._held(_slope_at(hull, mean, self._nominal))
+        low, high = (self._nominal * (1.0 + sign * self._settings.rate_tolerance) for sign in (-1.0, 1.0))
+        slope = min(max(_slope_at(hull, mean, self._nominal), low), high)
         offset = min(y - slope * x for x, y in hull)
         x, y = np.array(self._recent).T
         return ClockFit(
@@ -136,10 +129,6 @@ class DeviceClock:
             settled=len(y) > SETTLED_PACKETS and bool(y[-1] - self._prompt[1] >= SETTLED_S),
             count=count,
         )
-
-    def _held(self, slope: float) -> float:
-        low, high = (self._nominal * (1.0 + sign * self._settings.rate_tolerance) for sign in (-1.0, 1.0))
-        return min(max(slope, low), high)
 
 
 def _extend(hull: list[Point], point: Point) -> None:
@@ -164,11 +153,11 @@ def _slope_at(hull: list[Point], x: float, nominal: float) -> float:
     return nominal
 
 
-# ---- Gaps: readings that never came are counted and marked with rows of NaN, which means a gap everywhere in undrift.
+# ---- Readings in order, gaps marked.
 
 
 class GapMarker:
-    """Marks what is missing, chunk by chunk."""
+    """Counts what is missing and marks it with rows of NaN, chunk by chunk; a gap beyond a stated span by one row only."""
 
     def __init__(self, period_s: float, longest_fill_s: float = 1.0) -> None:
         self._period = period_s
@@ -196,9 +185,6 @@ class GapMarker:
         return np.insert(time, at, gone), np.insert(values, at, np.nan, axis=0)
 
 
-# ---- Timeline: chunks as they came in become readings on the device's own clock, gaps marked, the host's clock beside it.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
     """Readings on the device's clock."""
@@ -208,46 +194,27 @@ class Block:
 
 
 class Timeline:
-    """Puts the readings of one connection in order."""
+    """Puts the readings of one connection on the device's own clock, gaps marked, the host's clock beside it."""
 
     def __init__(self, description: StreamDescription, clock: ClockSettings = ClockSettings()) -> None:
-        self.description = description
+        speed = description.clock_speed
         self.readings = 0
-        self._counter = Counter(description.counter_bits, description.tick_s, description.clock_speed)
-        self._arrivals = Arrivals(description.rate, description.clock_speed)
-        self._clock = DeviceClock(description.clock_speed, clock)
-        self._marker = GapMarker(1.0 / description.rate)
-
-    @property
-    def missing(self) -> int:
-        """Readings that never came."""
-        return self._marker.missing
-
-    @property
-    def gaps(self) -> int:
-        """Stretches of such."""
-        return self._marker.gaps
-
-    @property
-    def late(self) -> int:
-        """Readings that came late or twice and were left out."""
-        return self._counter.late
-
-    @property
-    def restarts(self) -> int:
-        """Times that the device began to count anew."""
-        return self._counter.restarts
+        self.counter = Counter(description.counter_bits, description.tick_s, speed)
+        self.marker = GapMarker(1.0 / description.rate)
+        self._tick_s = description.tick_s
+        self._arrivals = Arrivals(description.rate, speed)
+        self._clock = DeviceClock(speed, clock)
 
     def add(self, chunk: Chunk) -> Block:
         """Take a chunk."""
         if chunk.counter is None:
             count, kept = self._arrivals.count(chunk.host_time), np.ones(len(chunk), dtype=bool)
         else:
-            count, kept = self._counter.unwrap(chunk.counter, chunk.host_time)
-        time = count[kept] * self.description.tick_s
+            count, kept = self.counter.unwrap(chunk.counter, chunk.host_time)
+        time = count[kept] * self._tick_s
         self.readings += len(time)
         self._clock.add(time, chunk.host_time[kept])
-        return Block(*self._marker.mark(time, chunk.values[kept]))
+        return Block(*self.marker.mark(time, chunk.values[kept]))
 
     def clock(self) -> ClockFit:
         """Return how the device's clock stands to the host's."""

@@ -1,20 +1,8 @@
 """Decoders: bytes in, rows of numbers out. What is garbled is counted and left out; it is never fatal here.
 
-StreamDescription: what a device sends: which channels in which order, in which units, how it is framed.
-
-Written in an address, ``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp&rate=100&gyro_unit=count``,
-or under ``[stream]`` in a TOML file with the same keys, which an address names as ``description=FILE``.
-
-Counters: what the device counted, made to go on for ever.
-
-A counter of b bits wraps at 2^b. Steps are taken modulo that; whole turns that went by in a silence are estimated from the host's
-clock. A step back by a little is a reading that came late or twice: it is left out. A step that disagrees with the host's
-clock by more than ``RESTART_S`` is a device that started anew: its count goes on from where the host's clock says it would be.
-
-Checksums that devices put behind their readings.
-
-``xor`` is that of NMEA 0183, ``sum`` the low byte of the sum, ``crc16`` CRC-16/CCITT-FALSE (0x1021 from 0xFFFF), ``crc32`` that of
-Ethernet. Of the nine digits "123456789" they make 0x31, 0xDD, 0x29B1 and 0xCBF43926.
+A StreamDescription says what a device sends: which channels in which order, in which units, how it is framed. It is written in an
+address, ``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp&rate=100&gyro_unit=count``, or under
+``[stream]`` in a TOML file with the same keys, which an address names as ``description=FILE``.
 """
 
 import binascii
@@ -26,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 from functools import reduce
 from operator import xor
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -35,7 +23,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.record import Record
 from undrift.units import canonical_unit
 
-# ---- Checksums that devices put behind their readings.
+# ---- Checksums behind readings: ``xor`` is that of NMEA 0183, ``sum`` the low byte of the sum, ``crc16`` CRC-16/CCITT-FALSE
+# (0x1021 from 0xFFFF), ``crc32`` that of Ethernet. Of "123456789" they make 0x31, 0xDD, 0x29B1 and 0xCBF43926.
 
 
 class Checksum(NamedTuple):
@@ -160,18 +149,20 @@ class StreamDescription:
             raise InputError("stream: wanted channels of gyro or accel, got neither; say what the device sends")
 
 
+KINDS: dict[str, Any] = {field.name: type(field.default) for field in fields(StreamDescription)}
+
+
 def described(base: StreamDescription | None, options: tuple[tuple[str, str], ...]) -> StreamDescription:
     """Return a description with options of an address in it."""
-    kinds = {field.name: type(field.default) for field in fields(StreamDescription)}
     given: dict[str, object] = {}
     for name, text in options:
-        if name not in kinds:
-            raise InputError(f"stream: wanted options out of {', '.join(kinds)}, got '{name}'; mend the address")
+        if name not in KINDS:
+            raise InputError(f"stream: wanted options out of {', '.join(KINDS)}, got '{name}'; mend the address")
         try:
-            given[name] = _read(text, kinds[name])
+            given[name] = tuple(text.split(",")) if KINDS[name] is tuple else KINDS[name](text)
         except ValueError as error:
             raise InputError(f"stream: wanted a number for {name}, got '{text}'; mend the address") from error
-    return _made(base, given)
+    return StreamDescription(**given) if base is None else replace(base, **given)  # type: ignore[arg-type]
 
 
 def read_description(path: str | Path) -> StreamDescription:
@@ -180,30 +171,17 @@ def read_description(path: str | Path) -> StreamDescription:
         held = tomllib.loads(Path(path).read_text(encoding="utf-8")).get("stream")
     except (OSError, ValueError) as error:
         raise FileFormatError(f"{path}: wanted a stream description, got '{error}'; check the file") from error
-    kinds = {field.name: type(field.default) for field in fields(StreamDescription)}
-    if not isinstance(held, dict) or not held.keys() <= kinds.keys():
-        raise FileFormatError(f"{path}: wanted [stream] with keys out of {', '.join(kinds)}, got others; mend the file")
+    if not isinstance(held, dict) or not held.keys() <= KINDS.keys():
+        raise FileFormatError(f"{path}: wanted [stream] with keys out of {', '.join(KINDS)}, got others; mend the file")
     given = {name: tuple(value) if isinstance(value, list) else value for name, value in held.items()}
     for name, value in given.items():
-        number = isinstance(value, int) and not isinstance(value, bool) and kinds[name] is float
-        if not number and type(value) is not kinds[name]:
-            raise FileFormatError(f"{path}: wanted {kinds[name].__name__} for {name}, got {value!r}; mend the file")
+        number = isinstance(value, int) and not isinstance(value, bool) and KINDS[name] is float
+        if not number and type(value) is not KINDS[name]:
+            raise FileFormatError(f"{path}: wanted {KINDS[name].__name__} for {name}, got {value!r}; mend the file")
     try:
-        return _made(None, given)
+        return StreamDescription(**given)  # type: ignore[arg-type]
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
-
-
-def _read(text: str, kind: type) -> object:
-    if kind is tuple:
-        return tuple(text.split(","))
-    return int(text) if kind is int else float(text) if kind is float else text
-
-
-def _made(base: StreamDescription | None, given: dict[str, object]) -> StreamDescription:
-    if base is None:
-        return StreamDescription(**given)  # type: ignore[arg-type]
-    return replace(base, **given)  # type: ignore[arg-type]
 
 
 # ---- Counters: what the device counted, made to go on for ever.
@@ -213,7 +191,12 @@ SILENCE_S = 0.25
 
 
 class Counter:
-    """Unwraps the device's counter."""
+    """Unwraps the device's counter.
+
+    A counter of b bits wraps at 2^b; whole turns that went by in a silence are estimated from the host's clock. A step back by a
+    little is a reading that came late or twice: it is left out. A step that disagrees with the host's clock by more than
+    ``RESTART_S`` is a device that started anew: its count goes on from where the host's clock says it would be.
+    """
 
     def __init__(self, bits: int, tick_s: float, clock_speed: float = 1.0) -> None:
         self._modulus = 2.0**bits if bits else 0.0
@@ -311,15 +294,6 @@ class Chunk:
 LONGEST_LINE = 4096
 
 
-class Decoder(Protocol):
-    """Turns bytes into rows."""
-
-    errors: int
-
-    def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
-        """Take bytes, return what they complete."""
-
-
 class LineDecoder:
     """Lines of numbers, ``12,0.5,-3`` or ``$12,0.5,-3*5C`` with a checksum of what stands between $ and *."""
 
@@ -357,19 +331,14 @@ class LineDecoder:
 
     def _row(self, line: bytes) -> list[float] | None:
         line = line.removeprefix(b"$")
-        if self._checksum is not None:
-            line, _, stated = line.rpartition(b"*")
-            if len(stated) != 2 * self._checksum.size:
-                return None
-            try:
-                if int(stated, 16) != self._checksum.of(line):
-                    return None
-            except ValueError:
-                return None
-        parts = line.split(self._separator)
-        if len(parts) != self._width or b"_" in line:  # Python reads 1_0 as ten
-            return None
         try:
+            if self._checksum is not None:
+                line, _, stated = line.rpartition(b"*")
+                if len(stated) != 2 * self._checksum.size or int(stated, 16) != self._checksum.of(line):
+                    return None
+            parts = line.split(self._separator)
+            if len(parts) != self._width or b"_" in line:  # Python reads 1_0 as ten
+                return None
             return [float(part) for part in parts]
         except ValueError:
             return None
@@ -447,6 +416,6 @@ def finite(rows: FloatArray) -> FloatArray:
     return sound
 
 
-def decoder_for(description: StreamDescription) -> Decoder:
+def decoder_for(description: StreamDescription) -> LineDecoder | FrameDecoder:
     """Return the decoder of a stream."""
     return LineDecoder(description) if description.format == "line" else FrameDecoder(description)

@@ -19,7 +19,7 @@ the other gives their standard uncertainties (jackknife). It is the sampled loop
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -79,13 +79,11 @@ class WaveError:
     rms: float  # At steady rate, rad
     largest: float  # At steady rate and at rest at the end, rad
     in_run_up: float  # Largest while the rate changes, rad; NaN where that is not recorded
-    turn_rate: (
-        float  # Mean of the rates that were achieved, either way, by the controller's clock where it has one, rad/s
-    )
+    turn_rate: float  # Mean of the rates achieved, either way, by the controller's clock where it has one, rad/s
     unknown: float = 0.0  # So much of it the link's delays may be, rad
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Loop:
     """The open loop near its crossover."""
 
@@ -100,7 +98,7 @@ class Loop:
         return complex(-math.cos(self.margin), -math.sin(self.margin))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RigCheck:
     """What a check found."""
 
@@ -154,16 +152,8 @@ def _checked(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) ->
     findings = tuple(_findings(error, passed, loop, (gains, suggested, held), settings))
     levels = {item.level for item in findings}
     status: Status = "bad" if "fail" in levels else "marginal" if "warn" in levels else "good"
-    return RigCheck(
-        identity=identity,
-        error=error,
-        passed=passed,
-        loop=loop,
-        gains=gains,
-        suggested=suggested,
-        held=held,
-        verdict=Verdict(status=status, findings=findings),
-    )
+    verdict = Verdict(status=status, findings=findings)
+    return RigCheck(identity, error, passed, loop, gains, suggested, held, verdict)
 
 
 # ---- Step wave
@@ -317,9 +307,7 @@ def open_loop(traces: Sequence[Trace]) -> Loop | None:
     if any(found is None for found in left_out):
         return None
     spread = np.sqrt((len(traces) - 1) * np.var(np.array(left_out, float), axis=0))
-    return Loop(
-        crossover=whole[0], crossover_uncertainty=float(spread[0]), margin=whole[1], margin_uncertainty=float(spread[1])
-    )
+    return Loop(whole[0], float(spread[0]), whole[1], float(spread[1]))
 
 
 def _faster(commanded: FloatArray, over: int) -> FloatArray:
@@ -365,47 +353,27 @@ def _findings(
     gains: tuple[Gains | None, Gains | None, Gains | None],
     settings: CheckSettings,
 ) -> list[Finding]:
-    dps = RADIAN_PER_DEGREE
-    largest_deg, limit_deg, unknown_deg = error.largest / dps, settings.limit / dps, error.unknown / dps
-    made = []
+    dps, made = RADIAN_PER_DEGREE, []
+    wave = {"largest_deg": error.largest / dps, "limit_deg": settings.limit / dps}
     if passed is False:
-        made.append(finding("rig_check.error", "fail", largest_deg=largest_deg, limit_deg=limit_deg))
+        made.append(finding("rig_check.error", "fail", **wave))
     elif passed is None:
-        late = finding(
-            "rig_check.link_delay", "warn", largest_deg=largest_deg, unknown_deg=unknown_deg, limit_deg=limit_deg
-        )
-        made.append(late)
+        made.append(finding("rig_check.link_delay", "warn", **wave, unknown_deg=error.unknown / dps))
     read, suggested, held = gains
     if read is None:
         made.append(finding("rig_check.no_encoder", "warn"))
     elif loop is None:
         made.append(finding("rig_check.loop_not_observed", "warn"))
     else:
-        margin_deg, omega = loop.margin / dps, loop.crossover
-        if margin_deg < LEAST_MARGIN_DEG:
-            made.append(
-                finding(
-                    "rig_check.low_margin",
-                    "warn",
-                    margin_deg=margin_deg,
-                    crossover_rad_s=omega,
-                    least_deg=LEAST_MARGIN_DEG,
-                )
-            )
+        seen = {"margin_deg": loop.margin / dps, "crossover_rad_s": loop.crossover}
+        if seen["margin_deg"] < LEAST_MARGIN_DEG:
+            made.append(finding("rig_check.low_margin", "warn", **seen, least_deg=LEAST_MARGIN_DEG))
         if suggested is None:
-            made.append(
-                finding(
-                    "rig_check.no_gains",
-                    "info",
-                    margin_deg=margin_deg,
-                    crossover_rad_s=omega,
-                    wanted_deg=WANTED_MARGIN_DEG,
-                )
-            )
+            made.append(finding("rig_check.no_gains", "info", **seen, wanted_deg=WANTED_MARGIN_DEG))
     if suggested is not None and suggested != read:
-        kp, kd, ki = suggested.kp, suggested.kd, suggested.ki
+        numbers = {**asdict(suggested), "wanted_deg": WANTED_MARGIN_DEG}
         if held == suggested:
-            made.append(finding("rig_check.gains_set", "info", kp=kp, kd=kd, ki=ki, wanted_deg=WANTED_MARGIN_DEG))
+            made.append(finding("rig_check.gains_set", "info", **numbers))
         else:
-            made.append(finding("rig_check.gains", "info", kp=kp, kd=kd, ki=ki, wanted_deg=WANTED_MARGIN_DEG))
+            made.append(finding("rig_check.gains", "info", **numbers))
     return made

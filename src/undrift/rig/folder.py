@@ -6,15 +6,10 @@
     session.toml      made from the journal after each dwell
     aside/            pieces that a crash left half written, or without a line in the journal
 
-A piece is written and synchronised first, then its line in the journal, then session.toml. What has no line was never done.
-
-Journal: one line for each thing done, appended and brought to the disk before the next begins.
-
-    {"length": 123, "crc32": "89abcdef", "entry": {...}}
-
-Length and checksum belong to the entry's text as it stands in the line: they tell a line torn by a power cut from a whole one.
-Only the last line can be torn; one in the middle means that the file was damaged or edited, and is refused. One program at a time
-has it: the file is locked, and the lock goes with the program however it ends.
+A piece is written and synchronised first, then its line in the journal, then session.toml. What has no line was never done. A
+line is {"length": 123, "crc32": "89abcdef", "entry": {...}}: length and checksum of the entry's text tell a line torn by a power
+cut from a whole one. Only the last can be torn; one in the middle was damaged or edited, and is refused. One program at a time has
+a folder: its journal is locked, and the lock goes with the program however it ends.
 """
 
 import errno
@@ -26,6 +21,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -68,8 +64,11 @@ class Journal:
         try:
             self._file.write(line_of(entry))
             self._sync()
-        except OSError:
-            self._take_back(before)
+        except OSError:  # half a line is cut off; where even that fails, the checksum tells
+            with suppress(OSError):  # the buffer is written again on closing, and fails again
+                self._file.close()
+            self._file = self.path.open("ab")
+            os.truncate(self.path, before)
             raise
         self.entries = (*self.entries, entry)
 
@@ -83,11 +82,6 @@ class Journal:
     def _sync(self) -> None:
         self._file.flush()
         os.fsync(self._file.fileno())
-
-    def _take_back(self, length: int) -> None:
-        """Cut off half a line; where even that fails, the checksum tells."""
-        self._file = reopened(self._file, self.path)
-        os.truncate(self.path, length)
 
 
 def locked(path: Path) -> BinaryIO:
@@ -110,13 +104,6 @@ def locked(path: Path) -> BinaryIO:
             "wait for it or end it, or choose another folder"
         ) from error
     return file
-
-
-def reopened(file: BinaryIO, path: Path) -> BinaryIO:
-    """Return a file opened afresh, free of what its buffer could not write."""
-    with suppress(OSError):  # the buffer is written again on closing, and fails again
-        file.close()
-    return path.open("ab")
 
 
 def line_of(entry: Entry) -> bytes:
@@ -159,19 +146,18 @@ def _entry(line: bytes) -> Entry | None:
 
 def synchronise(path: Path) -> None:
     """Bring a file and its name to the disk."""
-    handle = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    _fsync(path, os.O_RDWR)
     synchronise_names(path.parent)
 
 
 def synchronise_names(folder: Path) -> None:
     """Bring the names in a folder to the disk."""
-    if os.name != "posix":
-        return
-    handle = os.open(folder, os.O_RDONLY)
+    if os.name == "posix":
+        _fsync(folder, os.O_RDONLY)
+
+
+def _fsync(path: Path, flags: int) -> None:
+    handle = os.open(path, flags)
     try:
         os.fsync(handle)
     finally:
@@ -266,7 +252,7 @@ class RunFolder:
                 )
             if self.head is None:
                 write_protocol(protocol, path / PROTOCOL)
-            self.put_aside()
+            self._put_aside()
             with room(path):
                 for place in (path / PIECES, path, path.parent):
                     synchronise_names(place)
@@ -333,7 +319,7 @@ class RunFolder:
                 "another folder"
             )
 
-    def put_aside(self) -> tuple[Path, ...]:
+    def _put_aside(self) -> None:
         """Move what a crash left half written, or without a line in the journal, out of the way."""
         for piece in self.pieces:
             path = self.path / piece.name
@@ -343,23 +329,17 @@ class RunFolder:
                     "restore the file, or begin in another folder"
                 )
         known = {self.path / piece.name for piece in self.pieces}
-        moved = []
         for path in sorted((self.path / PIECES).iterdir()):
             if path not in known:
                 (self.path / ASIDE).mkdir(exist_ok=True)
-                moved.append(path.replace(_free(self.path / ASIDE / path.name)))
-        return tuple(moved)
+                path.replace(_free(self.path / ASIDE / path.name))
 
 
 def protocol_digest(protocol: Protocol) -> str:
     """Return what tells a protocol from another; turns count only where there are any, as in folders from before them."""
-    fields = {
-        name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in asdict(protocol).items()
-    }
-    if not protocol.turn_axes:
-        fields = {
-            name: value for name, value in fields.items() if name not in ("turn_angle", "turn_axes", "turn_rest_s")
-        }
+    left_out = () if protocol.turn_axes else ("turn_angle", "turn_axes", "turn_rest_s")
+    held = {name: value for name, value in asdict(protocol).items() if name not in left_out}
+    fields = {name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in held.items()}
     return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 
@@ -395,22 +375,15 @@ def session_text(head: Head, pieces: tuple[Piece, ...]) -> str:
         span = [f"recording = {number}", f"start_s = {piece.start_s!r}", f"stop_s = {piece.stop_s!r}"]
         temp_c = piece.temp_c if piece.device_c is None else piece.device_c
         span += [] if piece.temp_c is None else [f"temp_c = {temp_c!r}"]
-        if piece.angle is not None:
-            angle_deg = piece.angle / RADIAN_PER_DEGREE
-            lines += ["", "[[turn]]", *span, f'axis = "{piece.axis}"', f"angle_deg = {angle_deg!r}"]
-        elif piece.purpose == "rate":
-            dps = piece.turn_rate / RADIAN_PER_DEGREE
-            lines += ["", "[[turn]]", *span, f'axis = "{piece.axis}"', f"turn_rate_dps = {dps!r}"]
-        else:
+        if piece.angle is None and piece.purpose != "rate":
             lines += ["", "[[still]]", *span, f'face = "{piece.up}"']
+            continue
+        turned, key = (piece.turn_rate, "turn_rate_dps") if piece.angle is None else (piece.angle, "angle_deg")
+        lines += ["", "[[turn]]", *span, f'axis = "{piece.axis}"', f"{key} = {turned / RADIAN_PER_DEGREE!r}"]
     return "\n".join(lines) + "\n"
 
 
 def _free(path: Path) -> Path:
     """Return a name that is not taken."""
-    number = 0
-    free = path
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.name}.{number}")
-    return free
+    names = (path.with_name(f"{path.name}.{number}") for number in count(1))
+    return next(free for free in chain((path,), names) if not free.exists())

@@ -1,14 +1,12 @@
 """Guard: a second process that stops the table, and switches the chamber off, when the first one is gone or silent.
 
-A card that jogs keeps jogging when the program that started it is killed (kill -9, out of memory) or halted
-(kill -STOP, a computer that swaps). The guard listens at a pipe from that program: a beat every second, "done" when all ended
-well. The end of the pipe without "done", or 5 s of silence, has it open the rig itself and close it again: stop, motor off. That
-needs a rig that takes a second connection, or a port that is free again: TCP and serial.
+A card that jogs keeps jogging when the program that started it is killed (kill -9, out of memory) or halted (kill -STOP, a computer
+that swaps). The guard listens at a pipe from that program: a beat every second, "done" when all ended well. The end of the pipe
+without "done", or 5 s of silence, has it open the rig itself and close it again: stop, motor off. That needs a rig that takes a
+second connection, or a port that is free again: TCP and serial.
 
-Marks that ``undrift rig stop`` leaves on this computer, so that a run that mounts or soaks does not switch the motor on again.
-
-A controller keeps nothing that tells a stop by another connection from one's own while the motor is off; a file in the user's own
-temporary folder does. It tells programs of the same user on the same computer, and for the same address.
+``undrift rig stop`` leaves a mark in the user's temporary folder, so that a run that mounts or soaks, whose motor is off, does not
+switch it on again: on the same computer, by the same user and for the same address.
 """
 
 import contextlib
@@ -77,12 +75,8 @@ def _mark(address: str) -> Path:
 
 # ---- Ctrl-C, Ctrl-Z and SIGTERM while a rig is driven: an exception first, and no disturbance while the table is stopped.
 
-NAMES = (
-    "SIGINT",
-    "SIGTERM",
-    "SIGHUP",
-    "SIGTSTP",
-)  # as far as the system has them; a halted program leaves a table turning
+# as far as the system has them; a halted program leaves a table turning
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP")
 
 
 @contextmanager

@@ -64,13 +64,8 @@ class Protocol:
     turn_rest_s: float = 3.0  # Rest before and after each of those turns, s
 
     def __post_init__(self) -> None:
-        for name, least in (
-            ("turn_rest_s", 0.5),
-            ("face_s", 0.0),
-            ("bracket_s", 0.0),
-            ("cutoff_hz", 1e-3),
-            ("soak_c_per_min", 1e-6),
-        ):
+        least_of = {"turn_rest_s": 0.5, "face_s": 0.0, "bracket_s": 0.0, "cutoff_hz": 1e-3, "soak_c_per_min": 1e-6}
+        for name, least in least_of.items():
             if not least <= getattr(self, name) < np.inf:
                 raise InputError(f"protocol: wanted {name} of {least:g} or more, got {getattr(self, name):g}")
         if not 0.0 < self.acceleration < np.inf:
@@ -271,6 +266,7 @@ def whole_turns_time(turn_rate: float, least_s: float) -> float:
 
 # ---- programme
 
+PLUS: dict[Axis, Face] = {"x": "+x", "y": "+y", "z": "+z"}
 Purpose = Literal["face", "bracket", "rate", "turn"]
 TURN_S = 10.0  # how long an operator takes for a turn, s: only for the forecast
 
@@ -380,18 +376,11 @@ class Programme:
         """Forecast of the whole, s."""
         return sum(step.duration_s for step in self.steps)
 
-    @property
-    def rig_s(self) -> float:
-        """Time in which the table and the device work, mounting and chamber left out, s."""
-        return sum(step.duration_s for step in self.dwells)
-
 
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
     """Write a protocol out."""
     turning = protocol.axes if protocol.turn_rate_step > 0.0 else ()
-    mountings: list[Face] = list(protocol.faces)
-    for axis in (*turning, *protocol.turn_axes):
-        mountings += [up for up in (_plus(axis),) if up not in mountings]
+    mountings = tuple(dict.fromkeys((*protocol.faces, *(PLUS[axis] for axis in (*turning, *protocol.turn_axes)))))
     rng = np.random.default_rng(protocol.seed)
     steps: list[Step] = []
     before_c = settings.room_c
@@ -405,10 +394,10 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
             if up in protocol.faces:
                 steps.append(_rest("face", up, None, protocol.face_s, protocol, temp_c))
             for axis in turning:
-                if up == _plus(axis):
+                if up == PLUS[axis]:
                     steps += _block(axis, protocol, settings, temp_c, rng)
             for axis in protocol.turn_axes:
-                if up == _plus(axis):
+                if up == PLUS[axis]:
                     rest = _rest("bracket", up, axis, protocol.turn_rest_s, protocol, temp_c)
                     turn = replace(
                         rest, purpose="turn", dwell_s=2.0 * protocol.turn_rest_s + TURN_S, angle=protocol.turn_angle
@@ -423,20 +412,12 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
 def _block(
     axis: Axis, protocol: Protocol, settings: ProgrammeSettings, temp_c: float | None, rng: np.random.Generator
 ) -> Iterator[Dwell]:
-    up = _plus(axis)
-    yield _rest("bracket", up, axis, protocol.bracket_s, protocol, temp_c)
+    bracket = _rest("bracket", PLUS[axis], axis, protocol.bracket_s, protocol, temp_c)
+    yield bracket
     for turn_rate in _ordered(protocol, rng):
-        yield Dwell(
-            purpose="rate",
-            up=up,
-            axis=axis,
-            turn_rate=turn_rate,
-            ramp_s=abs(turn_rate) / protocol.acceleration,
-            settle_s=settle_time(protocol.cutoff_hz),
-            dwell_s=_dwell_s(turn_rate, protocol, settings),
-            temp_c=temp_c,
-        )
-    yield _rest("bracket", up, axis, protocol.bracket_s, protocol, temp_c)
+        dwell_s, ramp_s = _dwell_s(turn_rate, protocol, settings), abs(turn_rate) / protocol.acceleration
+        yield replace(bracket, purpose="rate", turn_rate=turn_rate, ramp_s=ramp_s, dwell_s=dwell_s)
+    yield bracket
 
 
 def _ordered(protocol: Protocol, rng: np.random.Generator) -> list[float]:
@@ -465,11 +446,6 @@ def _rest(
     )
 
 
-def _plus(axis: Axis) -> Face:
-    faces: dict[Axis, Face] = {"x": "+x", "y": "+y", "z": "+z"}
-    return faces[axis]
-
-
 def _check_dwell(number: int, dwell: Dwell, up: Face | None, temp_c: float | None) -> None:
     what = f"programme: step {number} ({dwell})"
     if dwell.up != up:
@@ -478,12 +454,12 @@ def _check_dwell(number: int, dwell: Dwell, up: Face | None, temp_c: float | Non
         raise InputError(f"{what}: wanted a soak at its temperature before it, got {temp_c}; soak first")
     if dwell.purpose != "rate" and dwell.turn_rate != 0.0:
         raise InputError(f"{what}: wanted a rest at 0 rad/s, got {dwell.turn_rate:g}; a rest does not turn")
-    if dwell.purpose == "rate" and (dwell.turn_rate == 0.0 or dwell.axis is None or dwell.up != _plus(dwell.axis)):
+    if dwell.purpose == "rate" and (dwell.turn_rate == 0.0 or dwell.axis is None or dwell.up != PLUS[dwell.axis]):
         raise InputError(
             f"{what}: wanted a rate about the axis that is up, got {dwell.turn_rate:g} rad/s; correct the step"
         )
     if (dwell.purpose == "turn") != (dwell.angle != 0.0) or (
-        dwell.angle and (not dwell.axis or dwell.up != _plus(dwell.axis))
+        dwell.angle and (not dwell.axis or dwell.up != PLUS[dwell.axis])
     ):
         raise InputError(
             f"{what}: wanted an angle about the axis that is up, got {dwell.angle:g} rad; correct the step"

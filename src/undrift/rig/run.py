@@ -1,20 +1,14 @@
 """Run: a programme on a rig, dwell by dwell to the disk; whatever ends it, the table is at rest and its motor off.
 
 For each dwell: turn, wait for the ramp, let the device settle, read while positions are polled, stop, and write. The rate that goes
-with the readings is the one that the encoder shows over that dwell.
-
-Whether a dwell may be kept: the table turned steadily, the device spoke, air and board kept their temperature.
-
-With rate w, dwell T, time d in which a position may have been taken (the link's delay, or a tick) and a = angle_tolerance, a dwell
-is refused unless
+with the readings is the one that the encoder shows over that dwell. With rate w, dwell T, time d in which a position may have been
+taken (the link's delay, or a tick) and a = angle_tolerance, a dwell is refused unless
 
     |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
     |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
     misfit                <= a                                    no stop, no jump: rig/rig.py
     2 d / T               <= link_tolerance, where w is not 0     else the link hides what the table does: read once more
-    finite readings       >= least_part * rate * T                gaps are no readings
-    air, at every look    within the tolerance of the set-point
-    board, in eighths     medians within the tolerance of each other, a step of the thermometer more
+    finite readings, air and board: at least least_part of them, and steady (check_readings, check_board, _look_at_air)
 """
 
 import logging
@@ -26,7 +20,7 @@ import numpy as np
 
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
 from undrift.record import Kind, Record
-from undrift.rig.chamber import Board, Chamber, Mounting, Readings, mean_temp
+from undrift.rig.chamber import Board, Mounting, Readings, ScpiChamber, mean_temp
 from undrift.rig.folder import Head, Piece, RunFolder
 from undrift.rig.guard import Guard, StopWatch, uninterrupted
 from undrift.rig.link import Clock
@@ -64,11 +58,6 @@ class RunSettings:
 def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
     """Tell whether the positions came too late to say how fast the table turned."""
     return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
-
-
-def covers(record: Record, dwell_s: float, settings: RunSettings) -> bool:
-    """Tell whether readings span a dwell; readings that came too late to be certain are missing at its start."""
-    return record.duration_s + 1.0 / record.sample_rate_hz >= settings.least_part * dwell_s
 
 
 def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:
@@ -110,16 +99,6 @@ def check_readings(record: Record, dwell_s: float, settings: RunSettings, where:
     return len(record) - finite
 
 
-def check_air(air_c: float, set_point_c: float, tolerance_c: float, where: str) -> None:
-    """Refuse a dwell in air that left its set-point."""
-    if not abs(air_c - set_point_c) <= tolerance_c:
-        raise RigFault(
-            f"chamber: wanted {set_point_c:g} degC within {tolerance_c:g} K throughout {where}, got {air_c:.2f} degC; look at door "
-            "and heater, then continue with --resume",
-            temp_c=air_c,
-        )
-
-
 def check_board(record: Record, tolerance_c: float, where: str) -> None:
     """Refuse a dwell in which the device's own thermometer drifts or jumps; without one nothing is checked."""
     if record.temp_c is None:
@@ -159,7 +138,7 @@ class Bench:
     rig: Rig  # Open
     readings: Readings  # Of the device
     mounting: Mounting  # The operator
-    chamber: Chamber | None = None  # Needed where the programme soaks
+    chamber: ScpiChamber | None = None  # Needed where the programme soaks
     clock: Clock = field(default_factory=Clock)  # The rig's
 
 
@@ -203,16 +182,11 @@ def run_programme(
     try:
         done = folder.done
         check_programme(programme, bench.rig.limits, done, by_hand=isinstance(bench.rig, ManualRig))
-        run.check_chamber()
+        if bench.chamber is None and any(isinstance(step, Soak) for step in programme.steps):
+            raise InputError("run: wanted a chamber for the programme's temperatures, got none; give its address")
         name = bench.rig.identify()
         folder.begin(
-            Head(
-                protocol=folder.digest,
-                rig=name,
-                serial=serial,
-                gravity_m_s2=gravity_m_s2,
-                kind=_kind_of(programme),
-            )
+            Head(protocol=folder.digest, rig=name, serial=serial, gravity_m_s2=gravity_m_s2, kind=_kind_of(programme))
         )
         start = bench.clock.now()
         run.all_but(done)
@@ -244,10 +218,6 @@ class _Run:
         self._step: Step = programme.steps[0]
         self._began = bench.clock.now()
         self._number, self._left_s = 0, 0.0
-
-    def check_chamber(self) -> None:
-        if self._bench.chamber is None and any(isinstance(step, Soak) for step in self._programme.steps):
-            raise InputError("run: wanted a chamber for the programme's temperatures, got none; give its address")
 
     def all_but(self, done: frozenset[int]) -> None:
         """Do the dwells that are not done, each with the mounting and the soak that it needs."""
@@ -286,13 +256,11 @@ class _Run:
         if isinstance(step, Mount):
             self._say("mounting")
             self._bench.mounting.mount(step.up)
-        else:
-            self._soak(step)
+        elif self._bench.chamber is not None:
+            self._soak(step, self._bench.chamber)
 
-    def _soak(self, step: Soak) -> None:
-        chamber, clock = self._bench.chamber, self._bench.clock
-        if chamber is None:
-            return
+    def _soak(self, step: Soak, chamber: ScpiChamber) -> None:
+        clock = self._bench.clock
         self._say("soaking")
         chamber.set(step.temp_c)
         board = Board(self._bench.readings, clock, step, chamber.criterion, self._settings.device_lag_s)
@@ -385,7 +353,9 @@ class _Run:
             record, achieved = self._read(step)
             if turning and link_hides(achieved, self._settings):
                 continue
-            if left == 1 or covers(record, step.dwell_s, self._settings):  # the last is for check_readings to refuse
+            # readings that came too late to be certain are missing at its start; the last is for check_readings to refuse
+            spanned_s = record.duration_s + 1.0 / record.sample_rate_hz
+            if left == 1 or spanned_s >= self._settings.least_part * step.dwell_s:
                 return record, achieved
         raise RigTimeout(
             f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
@@ -428,8 +398,13 @@ class _Run:
         if chamber is None:
             return None
         air_c = chamber.read()
-        if step.temp_c is not None:
-            check_air(air_c, step.temp_c, chamber.criterion.tolerance_c, f"step {self._number} ({step})")
+        tolerance_c = chamber.criterion.tolerance_c
+        if step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
+            raise RigFault(
+                f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout step {self._number} ({step}), got "
+                f"{air_c:.2f} degC; look at door and heater, then continue with --resume",
+                temp_c=air_c,
+            )
         return air_c
 
     def _enable(self) -> None:
@@ -449,15 +424,9 @@ class _Run:
 
     def _say(self, phase: Phase, live: str = "") -> None:
         spent = min(self._bench.clock.now() - self._began, self._step.duration_s)
+        steps, left_s = len(self._programme.steps), self._left_s - spent
         self._report(
-            Progress(
-                phase=phase,
-                number=self._number,
-                steps=len(self._programme.steps),
-                step=str(self._step),
-                left_s=self._left_s - spent,
-                live=live,
-            )
+            Progress(phase=phase, number=self._number, steps=steps, step=str(self._step), left_s=left_s, live=live)
         )
 
 
