@@ -242,8 +242,8 @@ def details() -> Result:
         found[name] = {
             "slope": triad.slope,
             "slope_uncertainty": triad.slope_uncertainty,
-            "leave_out_rms": triad.leave_out_rms,
-            "scatter": triad.scatter,
+            "leave_out_rms": triad.curve.spline.leave_out_rms,
+            "scatter": triad.curve.spline.scatter_deviation,
             "span_c": triad.span_c,
             "value": at.value,
             "covariance_at_nodes": at.covariance,

@@ -10,7 +10,8 @@ from testkit.data import show
 from testkit.full_calibration import device
 from undrift.correction.correct import correct
 from undrift.drift.checks import rests_verdict
-from undrift.drift.static import fit_static, with_g_sensitivity
+from undrift.drift.rests import with_g_sensitivity
+from undrift.drift.static import fit_static
 from undrift.model import G_NAMES, DriftTables
 from undrift.record import Record
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from undrift.drift.observe import RestBlocks
-from undrift.drift.thermometer_lag import LagSettings, estimate_lag
+from undrift.drift.thermometer_lag import estimate_lag
 
 STEP_S = 10.0
 
@@ -93,7 +93,7 @@ def test_one_speed_both_ways_does_not_separate_lag_from_hysteresis():
 
 
 def test_a_lag_beyond_the_search_is_not_observable():
-    found = estimate_lag(two_ramps(), settings=LagSettings(longest_s=20.0))
+    found = estimate_lag(two_ramps(), longest_s=20.0)
     assert not found.observable
     assert [why.code for why in found.findings] == ["drift.lag_unbounded"]
     assert found.findings[0].values["longest_s"] == 20.0

@@ -10,7 +10,7 @@ from undrift.correction.correct import correct, correct_checked
 from undrift.drift import fit as procedure_module
 from undrift.drift.checks import static_verdict, verdict_before
 from undrift.drift.fit import DriftSettings, fit_drift
-from undrift.drift.static import CurveSettings, StaticSettings
+from undrift.drift.static import StaticSettings
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.model import Verdict
@@ -143,7 +143,7 @@ def test_sessions_over_days_state_how_far_the_offset_moves_between_switch_ons():
 
 def test_a_warm_up_is_fitted_where_it_is_asked_for():
     days = [warmed(30, start_c=8.0), warmed(31, start_c=18.0), warmed(32, start_c=28.0)]
-    asked = DriftSettings(static=StaticSettings(curve=CurveSettings(warm_up=True)))
+    asked = DriftSettings(static=StaticSettings(warm_up=True))
     table = fit_drift(days, CALIBRATION, settings=asked).calibration.drift.static
     assert table.warm_up is not None
     assert fit_drift(days, CALIBRATION).calibration.drift.static.warm_up is None

@@ -56,7 +56,6 @@ def test_what_gravity_and_earth_feign_is_taken_off():
     np.testing.assert_allclose(fit.table.gyro_offset, line(NODES, rng, 0.0), atol=5e-6)
     heading = EARTH_RATE * np.cos(np.radians(50.0)) / 2.0**0.5  # in an unknown direction
     assert (fit.table.gyro_uncertainty > 0.9 * heading).all()
-    np.testing.assert_allclose(fit.gyro_slope, model.matrix @ fit.gyro.slope)
     with pytest.raises(InputError, match="Earth rate: wanted a calibration of both triads"):
         fit_static(made, nodes=NODES, settings=settings)
 
@@ -92,7 +91,7 @@ def test_accelerometer_offsets_hang_on_the_calibration_at_its_reference_temperat
 
 
 def test_nodes_without_data_near_them_are_marked():
-    near = near_data(np.array([18.0, 19.6, 25.0, 30.0, 40.0, 41.0]), np.array([20.0, 40.0]), edge_c=0.5, gap_c=5.0)
+    near = near_data(np.array([18.0, 19.6, 25.0, 30.0, 40.0, 41.0]), np.array([20.0, 40.0]), gap_c=5.0)
     np.testing.assert_array_equal(near, [False, True, True, False, True, False])
 
 

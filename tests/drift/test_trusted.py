@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.drift.temperature import TemperatureSettings, check_span, step_of, trusted_temperature
+from undrift.drift.temperature import check_span, step_of, trusted_temperature
 from undrift.errors import InputError, NotObservable
 from undrift.io.columns import ColumnMap, Scale, TextLayout
 from undrift.io.text import read_csv
 from undrift.io.wearables import read_actigraph
 from undrift.record import Record, Session, Still
 
-ANY_SPAN = TemperatureSettings(least_span_c=0.0)
 TIME = np.arange(0.0, 2400.0, 0.1)
 WARM_UP = 10.0 + 19.0 * (0.3 * (1.0 - np.exp(-TIME / 90.0)) + 0.7 * (1.0 - np.exp(-TIME / 700.0)))
 
@@ -178,14 +177,14 @@ def test_set_points_stand_in_for_a_column():
 )
 def test_what_no_thermal_fit_can_use_is_refused(raw, kind, words):
     with pytest.raises(kind, match=words):
-        trusted_temperature(session(raw), 0)
+        check_span([trusted_temperature(session(raw), 0)])
 
 
 def test_noise_is_no_span():
     raw = 25.0 + np.random.default_rng(0).normal(0.0, 0.5, len(TIME))
     assert np.ptp(raw) > 3.0
     with pytest.raises(NotObservable, match=r"wanted a span of 2 degC or more, got 0\.0"):
-        trusted_temperature(session(raw), 0)
+        check_span([trusted_temperature(session(raw), 0)])
 
 
 def test_recordings_at_several_temperatures_are_one_span():
@@ -251,7 +250,7 @@ def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
         read_csv(data_path("thermal_bmi270_two_point", f"BMI_270_{k}_test.csv.gz"), columns).record
         for k in ("hot", "cold")
     )
-    found = [trusted_temperature(of(record), 0, settings=ANY_SPAN) for record in (hot, cold)]
+    found = [trusted_temperature(of(record), 0) for record in (hot, cold)]
     wanted = float(np.quantile(hot.temp_c, 0.99) - np.quantile(cold.temp_c, 0.01))
     show(
         "BMI270 span, K",
@@ -264,7 +263,7 @@ def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
         for seen in found[0].findings
     )  # its first ten rows are 2 K warmer
     with pytest.raises(NotObservable, match=r"wanted a span of 2 degC or more, got 0\.\d+ \(13\.0"):
-        trusted_temperature(of(cold), 0)
+        check_span(found[1:])
 
 
 def test_eleven_recordings_on_a_bicycle_span_two_degrees_together():

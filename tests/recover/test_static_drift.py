@@ -8,7 +8,7 @@ import pytest
 from testkit.data import show
 from testkit.simulated_device import motion_of
 from undrift.drift.observe import observe_rests
-from undrift.drift.static import CurveSettings, StaticSettings, fit_static
+from undrift.drift.static import StaticSettings, fit_static
 from undrift.record import Record, Session, Still
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
@@ -65,7 +65,7 @@ def fitted(
         blocks,
         nodes=nodes,
         calibration=true_calibration(device),
-        settings=StaticSettings(curve=CurveSettings(warm_up=fit_warm_up)),
+        settings=StaticSettings(warm_up=fit_warm_up),
     )
     board = nodes - device.thermometer.trim_error_c - device.thermometer.self_heating_c
     truth = np.array([true_calibration(device, temp_c=float(t)).gyro.offset for t in board])

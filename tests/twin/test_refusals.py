@@ -8,7 +8,7 @@ import pytest
 from testkit.hand_turns import make_recording
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.record import Reference
-from undrift.twin.accel import fit_accel, lever_matrix, match, prepare_accel
+from undrift.twin.accel import lever_matrix, match, prepare_accel, solve_accel
 from undrift.twin.fit import fit_twin, prepare_twin
 from undrift.twin.heldout import compare_held_out
 from undrift.units import STANDARD_GRAVITY
@@ -21,6 +21,10 @@ def pair():
 
 def placed(reference: Reference) -> Reference:
     return replace(reference, position=np.zeros((len(reference), 3)))
+
+
+def fit_accel(recording):
+    return solve_accel(prepare_accel([recording], gravity_m_s2=STANDARD_GRAVITY))
 
 
 def test_records_and_references_must_match(pair):
@@ -49,7 +53,7 @@ def test_one_recording_leaves_none_to_hold_out(pair):
 
 def test_poses_without_positions_tell_nothing_of_the_accelerometer(pair):
     with pytest.raises(InputError, match="wanted accel readings and positions of the reference"):
-        fit_accel([match(*pair)], gravity_m_s2=STANDARD_GRAVITY)
+        fit_accel(match(*pair))
     twin = fit_twin([pair[0]], [pair[1]])
     lost = {p.name: p.reason for p in twin.parameters if not p.identifiable}
     assert "positions of the reference" in lost["lever_arm"]
@@ -59,7 +63,7 @@ def test_poses_without_positions_tell_nothing_of_the_accelerometer(pair):
 def test_short_motion_is_refused(pair):
     record, reference = make_recording(np.random.default_rng(2), turn_s=12.0)
     with pytest.raises(NotObservable, match=r"wanted 20 s of motion with known poses or more, got 1[0-9] s"):
-        fit_accel([match(record, placed(reference))], gravity_m_s2=STANDARD_GRAVITY)
+        fit_accel(match(record, placed(reference)))
 
 
 def test_readings_full_of_gaps_are_refused(pair):
@@ -78,7 +82,7 @@ def test_one_pose_leaves_matrix_and_offset_together(pair):
     stuck = replace(match(record, placed(reference)), reference=still)
     flat = replace(stuck, spline=replace(stuck.spline, pieces=match_pieces(still)))
     with pytest.raises(NotObservable, match="wanted motion about all three axes, got a design of rank"):
-        fit_accel([flat], gravity_m_s2=STANDARD_GRAVITY)
+        fit_accel(flat)
 
 
 def match_pieces(reference: Reference):

@@ -80,7 +80,7 @@ def drift(
     """
     from undrift.drift.checks import verdict_before
     from undrift.drift.fit import DriftSettings
-    from undrift.drift.static import CurveSettings, StaticSettings
+    from undrift.drift.static import StaticSettings
     from undrift.io.store import calibration_json, read_calibration, write_calibration
     from undrift.report.drift import draw_offsets, write_drift_report
     from undrift.report.figures import PICTURES, save_figure
@@ -94,7 +94,7 @@ def drift(
         step_c=step_c,
         lag_s=lag_s,
         tables="scale + dynamic" if tables == "scale+dynamic" else tables,
-        static=StaticSettings(not_a_knot=spline == "not-a-knot", curve=CurveSettings(warm_up=warm_up)),
+        static=StaticSettings(not_a_knot=spline == "not-a-knot", warm_up=warm_up),
     )
     read = (*(path for path in sessions if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole

@@ -25,22 +25,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.correction.coverage import (
-    NOWHERE,
-    Reach,
-    Span,
-    coverage_findings,
-    find_extrapolated,
-    find_missing,
-    find_outside,
-    model_findings,
-    seconds_of,
-    temperature_reach,
-)
+from undrift.correction import coverage
 from undrift.correction.plan import (
     NOTHING,
     Carry,
-    Conditions,
     Plans,
     TriadPlan,
     carry_at_start,
@@ -62,7 +50,7 @@ REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offset
 
 def _evaluate_triad(
     plan: TriadPlan, u: FloatArray, temp: FloatArray, since: FloatArray, a: FloatArray, w: FloatArray
-) -> Span:
+) -> coverage.Span:
     """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do, since without warm-up."""
     from undrift.kernels.correct import affine, subtract_g, tabulated, warmed
 
@@ -77,26 +65,28 @@ def _evaluate_triad(
     affine(u, w, plan.matrix, plan.offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
         subtract_g(a, w, g)  # step 4: w - G a
-    return NOWHERE
+    return coverage.NOWHERE
 
 
-def _evaluate(record: Record, plans: Plans, at: Conditions, outputs: Buffers, start: int, stop: int) -> Span:
-    """Evaluate the model for the samples [start, stop) and return the least and greatest rate that met the dynamic table."""
+def _evaluate(
+    record: Record, plans: Plans, temp_c: FloatArray, power_on_s: FloatArray, outputs: Buffers, rows: slice
+) -> coverage.Span:
+    """Evaluate the model for some samples and return the least and greatest rate that met the dynamic table."""
     from undrift.kernels.correct import affine_pair
 
     gyro, accel = plans
-    u, v = flat(record.gyro, start, stop), flat(record.accel, start, stop)
-    w, a = flat(outputs[0], start, stop), flat(outputs[1], start, stop)
-    temp, since = at.temp_c[start:stop], at.power_on_s[start:stop]
+    u, v = flat(record.gyro, rows.start, rows.stop), flat(record.accel, rows.start, rows.stop)
+    w, a = flat(outputs[0], rows.start, rows.stop), flat(outputs[1], rows.start, rows.stop)
+    temp, since = temp_c[rows], power_on_s[rows]
     g = None if gyro is None else gyro.g_sensitivity
     plain = all(plan is not None and plan.tables is None for plan in plans) and not since.size
     if gyro is not None and accel is not None and g is not None and plain:
         of_accel = (accel.matrix, accel.offset, accel.half_step)  # both triads in one pass over the memory
         affine_pair(u, v, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
-        return NOWHERE
+        return coverage.NOWHERE
     if accel is not None:  # first, since step 4 wants a
         _evaluate_triad(accel, v, temp, NOTHING, NOTHING, a)
-    return NOWHERE if gyro is None else _evaluate_triad(gyro, u, temp, since, NOTHING if g is None else a, w)
+    return coverage.NOWHERE if gyro is None else _evaluate_triad(gyro, u, temp, since, NOTHING if g is None else a, w)
 
 
 class DriftRangeWarning(UserWarning):
@@ -130,7 +120,7 @@ class Corrected:
     extrapolated: BoolArray
     missing: BoolArray
     findings: tuple[Finding, ...]
-    reach: Reach
+    reach: coverage.Reach
     carry: Carry
 
     @property
@@ -291,25 +281,29 @@ def correct_planned(
     carry: Carry = Carry(),
 ) -> Corrected:
     """Correct a record with plans made beforehand, as a stream has them."""
-    at = conditions_of(record, calibration, plans, carry)
-    before, missing = carry.last_time, find_missing(record, at.temp_c, plans)
-    outside = find_outside(record, at.temp_c, plans, allowed=policy != "raise", before=before)
+    temp_c, since, coming = conditions_of(record, calibration, plans, carry)
+    before, missing = carry.last_time, coverage.find_missing(record, temp_c, plans)
+    outside = coverage.find_outside(record, temp_c, plans, allowed=policy != "raise", before=before)
     outputs = _buffers(len(record), plans, out)
-    spans = in_pieces(lambda start, stop: _evaluate(record, plans, at, outputs, start, stop), len(record), threads)
-    extrapolated, stated = find_extrapolated(record, at.temp_c, plans, outputs, threads)
+
+    def evaluate(start: int, stop: int) -> coverage.Span:
+        return _evaluate(record, plans, temp_c, since, outputs, slice(start, stop))
+
+    spans = in_pieces(evaluate, len(record), threads)
+    extrapolated, stated = coverage.find_extrapolated(record, temp_c, plans, outputs, threads)
     if policy == "nan" and outside.any():
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    span_c, departure_c = temperature_reach(at.temp_c, calibration, plans)
-    reach = Reach(
+    span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
+    reach = coverage.Reach(
         temp_c=span_c,
         departure_c=departure_c,
-        seconds_outside=seconds_of(outside, record.time, before),
+        seconds_outside=coverage.seconds_of(outside, record.time, before),
         turn_rate=(min(low for low, _ in spans), max(high for _, high in spans)),
-        seconds_extrapolated=seconds_of(extrapolated, record.time, before),
+        seconds_extrapolated=coverage.seconds_of(extrapolated, record.time, before),
         stated=stated,
-        seconds_without_temperature=seconds_of(missing, record.time, before),
+        seconds_without_temperature=coverage.seconds_of(missing, record.time, before),
     )
     return Corrected(
         record=_adopted(record, plans, outputs),
@@ -317,11 +311,11 @@ def correct_planned(
         extrapolated=extrapolated,
         missing=missing,
         findings=(
-            *coverage_findings(reach, calibration, reference_span_c),
-            *model_findings(record, calibration, power_on_known=carry.power_on_time is not None),
+            *coverage.coverage_findings(reach, calibration, reference_span_c),
+            *coverage.model_findings(record, calibration, power_on_known=carry.power_on_time is not None),
         ),
         reach=reach,
-        carry=at.carry,
+        carry=coming,
     )
 
 

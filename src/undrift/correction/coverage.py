@@ -12,12 +12,13 @@
 Temperatures are those of the sensors, the thermometer's lag subtracted (correction/plan.py).
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.correction.plan import MarkedTable, Plans, flat, has_tables, in_pieces
+from undrift.correction.plan import Kind, MarkedTable, Plans, flat, has_tables, in_pieces
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
 from undrift.model import Calibration, TriadModel
@@ -31,21 +32,6 @@ MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device t
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stated:
-    """Largest standard uncertainties that tables state at the extrapolated nodes that were met; 0 where none was met."""
-
-    rate: float = 0.0  # rad/s: offsets of the gyroscopes and the dynamic table
-    accel: float = 0.0  # m/s2: offsets of the accelerometers
-    scale: float = 0.0  # of either as a share of itself, 1: matrices over temperature
-
-    def joined(self, other: "Stated") -> "Stated":
-        """Return the larger of both."""
-        return Stated(
-            rate=max(self.rate, other.rate), accel=max(self.accel, other.accel), scale=max(self.scale, other.scale)
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Reach:
     """How far readings went, as far as the calibration cares; of a record, or of all chunks of a stream so far."""
 
@@ -54,19 +40,19 @@ class Reach:
     departure_c: float = 0.0  # from the temperature of the constant offsets, degC; 0 where no offset is constant
     turn_rate: Span = NOWHERE  # measured, that met the dynamic table, rad/s; infinite the wrong way round without one
     seconds_extrapolated: float = 0.0  # inside the tables at nodes that no data were near
-    stated: Stated = Stated()  # by the tables, at those nodes
+    # Largest standard uncertainties that tables state at those nodes: rate, rad/s; accel, m/s2; scale, a share of either, 1
+    stated: Mapping[Kind, float] = field(default_factory=dict)
     seconds_without_temperature: float = 0.0  # that the tables need: the result is a gap there, whatever the policy
 
     def joined(self, later: "Reach") -> "Reach":
         """Return the reach of both."""
+        sums = ("seconds_outside", "seconds_extrapolated", "seconds_without_temperature")
         return Reach(
-            seconds_outside=self.seconds_outside + later.seconds_outside,
+            **{name: getattr(self, name) + getattr(later, name) for name in sums},
             temp_c=(min(self.temp_c[0], later.temp_c[0]), max(self.temp_c[1], later.temp_c[1])),
             departure_c=max(self.departure_c, later.departure_c),
             turn_rate=(min(self.turn_rate[0], later.turn_rate[0]), max(self.turn_rate[1], later.turn_rate[1])),
-            seconds_extrapolated=self.seconds_extrapolated + later.seconds_extrapolated,
-            stated=self.stated.joined(later.stated),
-            seconds_without_temperature=self.seconds_without_temperature + later.seconds_without_temperature,
+            stated={k: max(self.stated.get(k, 0.0), later.stated.get(k, 0.0)) for k in {**self.stated, **later.stated}},
         )
 
 
@@ -119,33 +105,32 @@ def find_outside(
 
 def find_extrapolated(
     record: Record, temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray], threads: int | None
-) -> tuple[BoolArray, Stated]:
+) -> tuple[BoolArray, dict[Kind, float]]:
     """Find the samples whose correction draws on nodes that no data were near; corrected (N, 3) each, SI."""
-    mask, stated = np.zeros(len(record), dtype=bool), Stated()
-    if not any(plan is not None and plan.marked for plan in plans):
+    mask, stated = np.zeros(len(record), dtype=bool), dict[Kind, float]()
+    tables = [
+        (plan, table, values) for plan, values in zip(plans, corrected, strict=True) if plan for table in plan.marked
+    ]
+    if not tables:
         return mask, stated
     least, greatest = _extremes(temp_c)
-    for plan, values in zip(plans, corrected, strict=True):
-        if plan is None:
-            continue
+    for plan, table, values in tables:
         low, high = max(plan.temp_range[0], least), min(plan.temp_range[1], greatest)
-        for table in plan.marked:
-            if not _may_meet(table, low, high):  # most records stay where data were near
-                continue
+        if not _may_meet(table, low, high):  # most records stay where data were near
+            continue
 
-            def mark(
-                start: int, stop: int, table: MarkedTable = table, values: FloatArray = values, ends: Span = (low, high)
-            ) -> float:
-                from undrift.kernels.correct import mark_line, mark_plane
+        def mark(
+            start: int, stop: int, table: MarkedTable = table, values: FloatArray = values, ends: Span = (low, high)
+        ) -> float:
+            from undrift.kernels.correct import mark_line, mark_plane
 
-                temp, marks = temp_c[start:stop], mask[start:stop]
-                if table.rate is None:
-                    return float(mark_line(temp, *ends, table.temp, table.stated, marks))
-                rates = flat(values, start, stop)
-                return float(mark_plane(temp, rates, *ends, table.temp, table.rate, table.stated, marks))
+            temp, marks = temp_c[start:stop], mask[start:stop]
+            if table.rate is None:
+                return float(mark_line(temp, *ends, table.temp, table.stated, marks))
+            rates = flat(values, start, stop)
+            return float(mark_plane(temp, rates, *ends, table.temp, table.rate, table.stated, marks))
 
-            largest = max(0.0, *in_pieces(mark, len(record), threads))
-            stated = stated.joined(Stated(**{table.kind: largest}))
+        stated[table.kind] = max(stated.get(table.kind, 0.0), *in_pieces(mark, len(record), threads))
     return mask, stated
 
 
@@ -188,23 +173,14 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
     drift, found = calibration.drift, list[Finding]()
     if reach.seconds_without_temperature > 0.0:
         found.append(finding("correct.no_temperature", "warn", seconds=reach.seconds_without_temperature))
-    if reach.seconds_outside > 0.0:
+    if (seconds := reach.seconds_outside) > 0.0:
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
-        found.append(
-            finding("correct.outside", "warn", seconds=reach.seconds_outside, low_c=low, high_c=high, lag_s=lag_s)
-        )
+        found.append(finding("correct.outside", "warn", seconds=seconds, low_c=low, high_c=high, lag_s=lag_s))
     if reach.seconds_extrapolated > 0.0:
         found.append(_extrapolated(reach))
-    if reach.departure_c > reference_span_c:
-        found.append(
-            finding(
-                "correct.departure",
-                "warn",
-                departure_c=reach.departure_c,
-                reference_c=calibration.reference_temp_c,
-                span_c=reference_span_c,
-            )
-        )
+    if (away := reach.departure_c) > reference_span_c:
+        at, span = calibration.reference_temp_c, reference_span_c
+        found.append(finding("correct.departure", "warn", departure_c=away, reference_c=at, span_c=span))
     rates = drift.dynamic.turn_rate if drift and drift.dynamic else None
     if rates is not None and (reach.turn_rate[0] < rates[0] or reach.turn_rate[1] > rates[-1]):
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))
@@ -215,15 +191,12 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
 
 
 def _extrapolated(reach: Reach) -> Finding:
-    stated = reach.stated
-    values = (
-        (np.degrees(stated.rate), "deg/s"),
-        (stated.accel / si_factor("mg", "accel"), "mg"),
-        (100.0 * stated.scale, "% of the reading"),
-    )
-    if np.isinf([value for value, _ in values]).any():
+    rate, accel, scale = (reach.stated.get(kind, 0.0) for kind in ("rate", "accel", "scale"))
+    values = np.array((np.degrees(rate), accel / si_factor("mg", "accel"), 100.0 * scale))
+    if np.isinf(values).any():
         return finding("correct.extrapolated_unstated", "warn", seconds=reach.seconds_extrapolated)
-    met = tuple(f"{value:.2g} {unit}" for value, unit in values if value > 0.0)
+    units = ("deg/s", "mg", "% of the reading")
+    met = tuple(f"{value:.2g} {unit}" for value, unit in zip(values, units, strict=True) if value > 0.0)
     return finding("correct.extrapolated", "warn", seconds=reach.seconds_extrapolated, uncertainty=met)
 
 
@@ -274,13 +247,8 @@ class Beyond:
 
     def joined(self, later: "Beyond") -> "Beyond":
         """Return both."""
-        return Beyond(
-            sensor=self.sensor,
-            seen=self.seen,
-            samples=self.samples + later.samples,
-            of=self.of + later.of,
-            worst=_furthest(self.worst, later.worst, self.seen),
-        )
+        samples, of, worst = self.samples + later.samples, self.of + later.of, (self.worst, later.worst)
+        return replace(self, samples=samples, of=of, worst=_furthest(*worst, self.seen))
 
     @property
     def text(self) -> str:

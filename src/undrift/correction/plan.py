@@ -16,7 +16,7 @@ thermometer lags (lag_s > 0), drift/thermometer_lag.py subtracts that lag, looki
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
@@ -137,9 +137,7 @@ def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quanti
 def _rounding(calibration: Calibration, sensor: Sensor, factor: float) -> tuple[FloatArray, FloatArray]:
     """Half a step to add with the sign of the code, and half a step to add always; reading unit."""
     lsb, zero = _part(calibration.adc, sensor, "lsb"), np.zeros(3)
-    if lsb is None:
-        return zero, zero
-    mode, half = _part(calibration.adc, sensor, "rounding"), 0.5 * lsb / factor
+    mode, half = _part(calibration.adc, sensor, "rounding"), zero if lsb is None else 0.5 * lsb / factor
     return (half if mode == "toward_zero" else zero), (half if mode == "floor" else zero)
 
 
@@ -238,18 +236,20 @@ def _marked_tables(drift: DriftTables, model: TriadModel, sensor: Sensor, out: f
     Uncertainties u of offsets become those of the result by the constant matrix M, sqrt(M^2 u^2), those U of a matrix a share of
     the result, sqrt(U^2 K^2) with K = M^-1 (squares by element); the largest axis counts.
     """
-    static, scale, dynamic = drift.static, drift.scale, drift.dynamic if sensor == "gyro" else None
     found: list[MarkedTable] = []
-    marks, u = _part(static, sensor, "extrapolated"), _part(static, sensor, "uncertainty")
-    if static is not None and _part(static, sensor, "offset") is not None and marks is not None and marks.any():
-        grid, u = grid_of(static.temp_c), None if u is None else np.sqrt(u**2 @ (model.matrix * out).T ** 2).max(axis=1)
-        halves = _halves(grid, static.temp_c, _at_nodes(marks, u))
-        found.append(MarkedTable(kind="rate" if sensor == "gyro" else "accel", temp=grid, rate=None, stated=halves))
-    marks, u = _part(scale, sensor, "extrapolated"), _part(scale, sensor, "uncertainty")
-    if scale is not None and _part(scale, sensor, "matrix") is not None and marks is not None and marks.any():
-        grid, u = grid_of(scale.temp_c), None if u is None else np.sqrt(u**2 @ model.forward_matrix**2).max(axis=(1, 2))
-        halves = _halves(grid, scale.temp_c, _at_nodes(marks, u))
-        found.append(MarkedTable(kind="scale", temp=grid, rate=None, stated=halves))
+    kind: Kind = "rate" if sensor == "gyro" else "accel"
+    for table, values in ((drift.static, "offset"), (drift.scale, "matrix")):
+        marks, u = _part(table, sensor, "extrapolated"), _part(table, sensor, "uncertainty")
+        if table is None or _part(table, sensor, values) is None or marks is None or not marks.any():
+            continue
+        if u is not None:
+            offset = values == "offset"
+            spread = u**2 @ (model.matrix * out).T ** 2 if offset else u**2 @ model.forward_matrix**2
+            u = np.sqrt(spread).reshape(len(u), -1).max(axis=1)
+        grid = grid_of(table.temp_c)
+        halves = _halves(grid, table.temp_c, _at_nodes(marks, u))
+        found.append(MarkedTable(kind=kind if values == "offset" else "scale", temp=grid, rate=None, stated=halves))
+    dynamic = drift.dynamic if sensor == "gyro" else None
     if dynamic is not None and dynamic.extrapolated is not None and dynamic.extrapolated.any():
         u = None if dynamic.uncertainty is None else dynamic.uncertainty.max(axis=2)
         temp, rate = grid_of(dynamic.temp_c), grid_of(dynamic.turn_rate)
@@ -289,16 +289,6 @@ class Carry:
     last_time: float | None = None  # time of the last sample, s; None before the first
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Conditions:
-    """Temperature of the sensors and time since power-on."""
-
-    temp_c: FloatArray  # (N,), degC; empty where none was recorded
-    # (N,), s; empty where it is not known, no table asks for it, or the warm-up is over
-    power_on_s: FloatArray
-    carry: Carry  # for the chunk that follows
-
-
 def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
     """Begin a record or a stream."""
     if power_on_s is None:
@@ -312,8 +302,13 @@ def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
     return Carry(power_on_time=first_time - power_on_s)
 
 
-def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry: Carry) -> Conditions:
-    """Find what the tables are looked up with; the record keeps the temperature that was recorded."""
+def conditions_of(
+    record: Record, calibration: Calibration, plans: Plans, carry: Carry
+) -> tuple[FloatArray, FloatArray, Carry]:
+    """Return temperature of the sensors, degC, time since power-on, s, and what the chunk that follows needs.
+
+    Empty: a temperature that was not recorded; a time that is not known, or that no table asks for, or after the warm-up.
+    """
     drift, lag = calibration.drift, carry.lag
     temp_c = NOTHING if record.temp_c is None else record.temp_c
     if has_tables(plans) and drift is not None and drift.lag_s > 0.0:
@@ -325,8 +320,7 @@ def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry:
         since = record.time - carry.power_on_time
         if since[0] >= plans[0].warm_up[0].nodes[-1]:
             since = NOTHING
-    coming = Carry(power_on_time=carry.power_on_time, lag=lag, last_time=float(record.time[-1]))
-    return Conditions(temp_c=temp_c, power_on_s=since, carry=coming)
+    return temp_c, since, replace(carry, lag=lag, last_time=float(record.time[-1]))
 
 
 # ---- pieces of a long record, a thread each: the kernels let other threads run, and no sample looks at another

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from undrift.correction.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
 from undrift.correction.coverage import Reach, coverage_findings
 from undrift.correction.plan import Carry, Plans, carry_at_start, plan_record
@@ -28,7 +26,6 @@ class CorrectorState:
     samples_outside: int = 0  # Of those, outside the tuning tables
     samples_extrapolated: int = 0  # Of those, inside them at nodes that no data were near
     samples_without_temperature: int = 0  # Of those, without the temperature that the tables want
-    last_time: float = -np.inf  # Time of the last sample, s; minus infinity before the first
     reach: Reach = field(default_factory=Reach)  # How far temperature and rate went so far, where the calibration cares
     carry: Carry = field(default_factory=Carry)  # Time of power-on and state of the thermometer's lag
 
@@ -125,9 +122,10 @@ class Corrector:
         DriftRangeError
             As for ``push``.
         """
-        if chunk.time[0] <= self.state.last_time:
+        last_time = self.state.carry.last_time
+        if last_time is not None and chunk.time[0] <= last_time:
             raise InputError(
-                f"corrector: wanted a chunk that begins after {self.state.last_time:.6g} s, got one from {chunk.time[0]:.6g} s; "
+                f"corrector: wanted a chunk that begins after {last_time:.6g} s, got one from {chunk.time[0]:.6g} s; "
                 "push chunks in order, each once"
             )
         key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
@@ -147,7 +145,6 @@ class Corrector:
             samples_outside=self.state.samples_outside + int(done.outside.sum()),
             samples_extrapolated=self.state.samples_extrapolated + int(done.extrapolated.sum()),
             samples_without_temperature=self.state.samples_without_temperature + int(done.missing.sum()),
-            last_time=float(chunk.time[-1]),
             reach=self.state.reach.joined(done.reach),
             carry=done.carry,
         )

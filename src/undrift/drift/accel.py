@@ -21,10 +21,11 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.multi_position import WEAKEST, NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
-from undrift.drift.scale import NodeSettings
+from undrift.drift.rests import bins_of
+from undrift.drift.scale import MATRIX_GAP_C
 from undrift.drift.static import near_data
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
-from undrift.findings import finding
+from undrift.findings import Level, finding
 from undrift.fit.least_squares import excess_variance
 from undrift.fit.smooth import fit_smooth
 from undrift.model import AXES, Calibration, DriftTables, ScaleDrift, StaticDrift, TriadModel, Verdict
@@ -38,6 +39,7 @@ JOINT_NAMES = (
 )
 _SYMMETRIC = (np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2]))  # rows and columns of P's six elements
 _FULL, _DIAGONAL = 9, 6
+_ON_AXES = np.array([0, 1, 2, 6, 7, 8])  # P's diagonal and d
 _MISSES_G = (3e-3, 2e-2)  # rms residual length from which a joint fit is marginal, and bad
 _MOST_STEPS = 50
 _SETTLED = 1e-3  # of the standard deviation of a length: no step moves a length by more
@@ -72,33 +74,7 @@ class WarmPoses:
     verdict: Verdict  # what was left out
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JointFit:
-    """All poses fitted together."""
-
-    p: FloatArray  # (12,), 1 + s0 (3), d0 (3, m/s2), s1 (3, 1/K), d1 (3, m/s2/K)
-    covariance: FloatArray  # (12, 12), of p
-    origin_c: float  # T_0, degC
-    rms: float  # Residual length, m/s2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Curves:
-    """P's six elements and d at the nodes and at the ends of the data, with standard uncertainties."""
-
-    value: FloatArray  # (n + 2, 9)
-    uncertainty: FloatArray
-    method: str
-    verdict: Verdict
-
-
-def fit_accel_drift(
-    rests: RestBlocks,
-    calibration: Calibration,
-    *,
-    temp_c: FloatArray,
-    settings: NodeSettings = NodeSettings(),
-) -> AccelDriftFit:
+def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: FloatArray) -> AccelDriftFit:
     """Fit the accelerometers' offset and matrix over temperature, at nodes (n,), degC."""
     model = calibration.accel
     if model is None:
@@ -106,14 +82,42 @@ def fit_accel_drift(
             "accelerometers over temperature: wanted a calibration with accelerometers, got one without; calibrate six faces first"
         )
     poses = warm_poses(rests, model)
-    if np.ptp(poses.temp_c) < 2.0:
+    low, high = poses.temp_c.min(), poses.temp_c.max()
+    if high - low < 2.0:
         raise NotObservable(
-            f"accelerometers over temperature: wanted poses 2 degC apart or more, got {np.ptp(poses.temp_c):.2g} degC; rest on the "
+            f"accelerometers over temperature: wanted poses 2 degC apart or more, got {high - low:.2g} degC; rest on the "
             "same faces at another temperature"
         )
-    at = np.concatenate((temp_c, [poses.temp_c.min(), poses.temp_c.max()]))
-    curves = _by_temperature(poses, calibration.gravity_m_s2, at) or _joint(poses, calibration.gravity_m_s2, at)
-    return _made(curves, model, poses, temp_c, settings)
+    n, at = len(temp_c), np.concatenate((temp_c, [low, high]))
+    alone = _by_temperature(poses, calibration.gravity_m_s2, at)
+    value, deviation, verdict = alone or _joint(poses, calibration.gravity_m_s2, at)
+    symmetric, spread = np.zeros((n + 2, 3, 3)), np.zeros((n + 2, 3, 3))
+    i, j = _SYMMETRIC
+    symmetric[:, i, j] = symmetric[:, j, i] = value[:, :6]
+    spread[:, i, j] = spread[:, j, i] = deviation[:, :6]
+    own = model.standard_uncertainty[:9].reshape(3, 3)
+    own = (
+        own * (1.0 - np.eye(3)) if (spread[:, 0, 1] == 0.0).all() else np.zeros((3, 3))
+    )  # not measured: the calibration's
+    back = model.forward_matrix / si_factor(model.unit_out, "accel")
+    slope = 100.0 * (symmetric[n + 1] - symmetric[n]).diagonal() / (high - low)
+    doubt = 100.0 * np.hypot(spread[n + 1].diagonal(), spread[n].diagonal()) / (high - low)
+    scale = (
+        finding("drift.accel_scale", "info", axis=axis, percent_per_k=-s, expanded_percent_per_k=2.0 * u)
+        for axis, s, u in zip(AXES, slope, doubt, strict=True)
+    )
+    return AccelDriftFit(
+        temp_c=temp_c,
+        offset=model.offset + value[:n, 6:] @ back.T,
+        offset_uncertainty=np.sqrt(deviation[:n, 6:] ** 2 @ (back**2).T),
+        matrix=symmetric[:n] @ model.matrix,
+        matrix_uncertainty=np.sqrt(spread[:n] ** 2 @ model.matrix**2 + own**2),
+        extrapolated=~near_data(temp_c, poses.temp_c, gap_c=MATRIX_GAP_C),
+        percent_per_k=-slope,
+        percent_per_k_uncertainty=doubt,
+        method="by temperature" if alone else "joint",
+        verdict=verdict.also(Verdict.of(*scale)).also(poses.verdict),
+    )
 
 
 def with_accel(tables: DriftTables, fit: AccelDriftFit) -> DriftTables:
@@ -125,55 +129,37 @@ def with_accel(tables: DriftTables, fit: AccelDriftFit) -> DriftTables:
                 f"{table.temp_c[-1]:g} degC, got {len(fit.temp_c)} from {fit.temp_c[0]:g} to {fit.temp_c[-1]:g}; fit on the same"
             )
     static = tables.static or StaticDrift(temp_c=fit.temp_c)
-    scale = tables.scale or ScaleDrift(temp_c=fit.temp_c)
-    return replace(
-        tables,
-        static=replace(
-            static,
-            accel_offset=fit.offset,
-            accel_uncertainty=fit.offset_uncertainty,
-            accel_extrapolated=fit.extrapolated,
-        ),
-        scale=replace(
-            scale,
-            accel_matrix=fit.matrix,
-            accel_uncertainty=fit.matrix_uncertainty,
-            accel_extrapolated=fit.extrapolated,
-        ),
+    static = replace(
+        static, accel_offset=fit.offset, accel_uncertainty=fit.offset_uncertainty, accel_extrapolated=fit.extrapolated
     )
+    scale = tables.scale or ScaleDrift(temp_c=fit.temp_c)
+    scale = replace(
+        scale, accel_matrix=fit.matrix, accel_uncertainty=fit.matrix_uncertainty, accel_extrapolated=fit.extrapolated
+    )
+    return replace(tables, static=static, scale=scale)
 
 
-def _by_temperature(poses: WarmPoses, gravity: float, at: FloatArray) -> _Curves | None:
-    """Fit each temperature by itself; None where fewer than two have poses enough."""
+def _by_temperature(poses: WarmPoses, gravity: float, at: FloatArray) -> tuple[FloatArray, FloatArray, Verdict] | None:
+    """Return P's six elements and d at temperatures, each fitted by itself; None where fewer than two have poses enough."""
     for count in (_FULL, _DIAGONAL):
-        temps, values, variances = [], [], []
+        found = []
         for s in np.unique(poses.group):
             rows = poses.group == s
             fit = _norm(poses.v[rows], poses.variance[rows], gravity, count)
             if fit is not None:
-                value, variance = _symmetric(fit)
-                temps.append(poses.temp_c[rows].mean())
-                values.append(value)
-                variances.append(variance)
-        if len(temps) >= 2 and np.ptp(temps) > 0.8 * np.ptp(poses.temp_c):
+                found.append((poses.temp_c[rows].mean(), *_symmetric(fit)))
+        if len(found) >= 2 and found[-1][0] - found[0][0] > 0.8 * np.ptp(poses.temp_c):
             break
     else:
         return None
-    free = np.arange(9) if count == _FULL else np.array([0, 1, 2, 6, 7, 8])
-    found = fit_smooth(np.array(temps), np.array(values)[:, free], np.array(variances)[:, free]).at(at)
+    free = np.arange(9) if count == _FULL else _ON_AXES
+    temps, values, variances = (np.array(column) for column in zip(*found, strict=True))
+    curve = fit_smooth(temps, values[:, free], variances[:, free]).at(at)
     value, uncertainty = np.zeros((len(at), 9)), np.zeros((len(at), 9))
-    value[:, free], uncertainty[:, free] = found.value, found.uncertainty
-    notes = []
-    if len(temps) == 2:
-        notes.append(finding("drift.accel_two_temperatures", "warn"))
-    if count == _DIAGONAL:
-        notes.append(finding("drift.accel_faces_only", "info"))
-    return _Curves(
-        value=value,
-        uncertainty=uncertainty,
-        method="by temperature",
-        verdict=Verdict(status="good" if len(temps) > 2 else "marginal", findings=tuple(notes)),
-    )
+    value[:, free], uncertainty[:, free] = curve.value, curve.uncertainty
+    notes = [finding("drift.accel_two_temperatures", "warn")] if len(found) == 2 else []
+    notes += [finding("drift.accel_faces_only", "info")] if count == _DIAGONAL else []
+    return value, uncertainty, Verdict.of(*notes)
 
 
 def _norm(v: FloatArray, variance: FloatArray, gravity: float, count: int) -> NormFit | None:
@@ -201,66 +187,20 @@ def _symmetric(fit: NormFit) -> tuple[FloatArray, FloatArray]:
     return made(fit.p), np.diag(jacobian @ fit.covariance @ jacobian.T).copy()
 
 
-def _joint(poses: WarmPoses, gravity: float, at: FloatArray) -> _Curves:
+def _joint(poses: WarmPoses, gravity: float, at: FloatArray) -> tuple[FloatArray, FloatArray, Verdict]:
     """Fit all poses at once: d and a diagonal P, linear in temperature."""
-    fit = fit_joint(poses, gravity)
-    warm = at - fit.origin_c
+    p, c, rms = fit_joint(poses, gravity)
+    warm = (at - float(poses.temp_c.mean()))[:, None]
     value, variance = np.zeros((len(at), 9)), np.zeros((len(at), 9))
-    for column, (constant, slope) in enumerate(zip(range(6), range(6, 12), strict=True)):
-        place = column if column < 3 else column + 3
-        value[:, place] = fit.p[constant] + fit.p[slope] * warm
-        c = fit.covariance
-        variance[:, place] = c[constant, constant] + 2.0 * warm * c[constant, slope] + warm**2 * c[slope, slope]
-    verdict = Verdict(status="marginal", findings=(finding("drift.accel_joint", "warn", parameters=len(JOINT_NAMES)),))
-    if fit.rms / gravity >= _MISSES_G[0]:
-        bad = fit.rms / gravity > _MISSES_G[1]
-        missing = finding(
-            "drift.accel_misses_gravity",
-            "fail" if bad else "warn",
-            rms_mg=1e3 * fit.rms / gravity,
-            limit_mg=1e3 * _MISSES_G[0],
-        )
-        verdict = verdict.also(Verdict(status="bad" if bad else "marginal", findings=(missing,)))
-    return _Curves(
-        value=value,
-        uncertainty=np.sqrt(np.maximum(variance, 0.0)),
-        method="joint",
-        verdict=verdict,
-    )
-
-
-def _made(
-    curves: _Curves, model: TriadModel, poses: WarmPoses, nodes: FloatArray, settings: NodeSettings
-) -> AccelDriftFit:
-    n, unit = len(nodes), si_factor(model.unit_out, "accel")
-    symmetric, spread = np.zeros((n + 2, 3, 3)), np.zeros((n + 2, 3, 3))
-    for k, (i, j) in enumerate(zip(*_SYMMETRIC, strict=True)):
-        symmetric[:, i, j] = symmetric[:, j, i] = curves.value[:, k]
-        spread[:, i, j] = spread[:, j, i] = curves.uncertainty[:, k]
-    own = model.standard_uncertainty[:9].reshape(3, 3).copy()
-    if (spread[:, 0, 1] == 0.0).all():
-        np.fill_diagonal(own, 0.0)  # measured here; off the diagonal it is the calibration's
-    else:
-        own[:] = 0.0
-    back = model.forward_matrix / unit
-    slope = 100.0 * (symmetric[n + 1] - symmetric[n]).diagonal() / (poses.temp_c.max() - poses.temp_c.min())
-    doubt = 100.0 * np.hypot(spread[n + 1].diagonal(), spread[n].diagonal()) / np.ptp(poses.temp_c)
-    scale = tuple(
-        finding("drift.accel_scale", "info", axis=axis, percent_per_k=-s, expanded_percent_per_k=2.0 * u)
-        for axis, s, u in zip(AXES, slope, doubt, strict=True)
-    )
-    return AccelDriftFit(
-        temp_c=nodes,
-        offset=model.offset + curves.value[:n, 6:] @ back.T,
-        offset_uncertainty=np.sqrt(curves.uncertainty[:n, 6:] ** 2 @ (back**2).T),
-        matrix=symmetric[:n] @ model.matrix,
-        matrix_uncertainty=np.sqrt(spread[:n] ** 2 @ model.matrix**2 + own**2),
-        extrapolated=~near_data(nodes, poses.temp_c, edge_c=settings.edge_c, gap_c=settings.gap_c),
-        percent_per_k=-slope,
-        percent_per_k_uncertainty=doubt,
-        method=curves.method,
-        verdict=curves.verdict.also(Verdict(findings=scale)).also(poses.verdict),
-    )
+    value[:, _ON_AXES] = p[:6] + p[6:] * warm
+    own = np.diag(c)
+    variance[:, _ON_AXES] = own[:6] + 2.0 * warm * np.diag(c[:6, 6:]) + warm**2 * own[6:]
+    notes = [finding("drift.accel_joint", "warn", parameters=len(JOINT_NAMES))]
+    if rms / gravity >= _MISSES_G[0]:
+        level: Level = "fail" if rms / gravity > _MISSES_G[1] else "warn"
+        limit = 1e3 * _MISSES_G[0]
+        notes.append(finding("drift.accel_misses_gravity", level, rms_mg=1e3 * rms / gravity, limit_mg=limit))
+    return value, np.sqrt(np.maximum(variance, 0.0)), Verdict.of(*notes)
 
 
 # ---- poses at rest, and the fit of all of them together
@@ -275,36 +215,35 @@ def warm_poses(rests: RestBlocks, model: TriadModel) -> WarmPoses:
             "them usable; check the temperature column and the gaps"
         )
     used = rests.taken(rows[np.argsort(rests.temp_c[rows], kind="stable")])
-    temps, group, start = used.temp_c, np.zeros(len(used), dtype=np.int64), float(used.temp_c[0])
-    for k in range(1, len(temps)):
-        begins = temps[k] - start > _GROUP_C
-        start = float(temps[k]) if begins else start
-        group[k] = group[k - 1] + begins
-    which, inside = np.unique(np.column_stack((group, used.pose)), axis=0, return_inverse=True)
-    count = np.bincount(inside.reshape(-1))[:, None]
+    labels = np.column_stack((bins_of(used.temp_c, _GROUP_C), used.pose))
+    which, inside = np.unique(labels, axis=0, return_inverse=True)
+    inside = inside.reshape(-1)
+    count = np.bincount(inside)[:, None]
 
     def mean(x: FloatArray) -> FloatArray:
-        return np.stack([np.bincount(inside.reshape(-1), column) for column in x.T], axis=1) / count
+        return np.stack([np.bincount(inside, column) for column in x.T], axis=1) / count
 
     unit = si_factor(model.unit_out, "accel")
     known = np.isfinite(used.accel_variance) & (used.accel_variance > 0.0)
     variance = np.where(known, used.accel_variance, np.median(used.accel_variance[known]) if known.any() else 0.0)
     lost = len(rests) - len(rows)
-    gaps = finding("drift.accel_left_out", "warn", count=lost, blocks=len(rests))
+    gaps = [finding("drift.accel_left_out", "warn", count=lost, blocks=len(rests))] if lost else []
     return WarmPoses(
-        temp_c=mean(temps[:, None])[:, 0],
+        temp_c=mean(used.temp_c[:, None])[:, 0],
         group=which[:, 0],
         pose=which[:, 1],
         v=(mean(used.accel) - model.offset) @ model.matrix.T * unit,
         variance=mean(variance) / count @ (model.matrix.T * unit) ** 2,
-        verdict=Verdict(status="marginal", findings=(gaps,)) if lost else Verdict(),
+        verdict=Verdict.of(*gaps),
     )
 
 
-def fit_joint(poses: WarmPoses, gravity: float) -> JointFit:
-    """Fit offset and sensitivity, both linear in temperature, to all poses at once."""
-    origin = float(poses.temp_c.mean())
-    warm = poses.temp_c - origin
+def fit_joint(poses: WarmPoses, gravity: float) -> tuple[FloatArray, FloatArray, float]:
+    """Fit offset and sensitivity, both linear in temperature, to all poses at once.
+
+    Returns p (12,): 1 + s0 (3), d0 (3, m/s2), s1 (3, 1/K), d1 (3, m/s2/K), its covariance, and the rms residual length, m/s2.
+    """
+    warm = poses.temp_c - float(poses.temp_c.mean())
     _check_seen(poses, warm, gravity)
     p = np.concatenate((np.ones(3), np.zeros(9)))
     variance = np.full(len(warm), 1.0)
@@ -324,17 +263,15 @@ def fit_joint(poses: WarmPoses, gravity: float) -> JointFit:
             "offset and sensitivity are linear in temperature could give; check that it lay still"
         )
     design = _linearised(poses.v, warm, p, gravity)[0] / np.sqrt(variance)[:, None]
-    rms = float(np.sqrt(np.mean(residual**2)))
-    return JointFit(p=p, covariance=np.linalg.inv(design.T @ design), origin_c=origin, rms=rms)
+    return p, np.linalg.inv(design.T @ design), float(np.sqrt(np.mean(residual**2)))
 
 
 def _linearised(v: FloatArray, warm: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
     """Return design (K, 12) and residual length (K,) at p."""
     gain = p[0:3] + warm[:, None] * p[6:9]
     centred = v - p[3:6] - warm[:, None] * p[9:12]
-    a = gain * centred
-    length = np.linalg.norm(a, axis=1)
-    n = a / length[:, None]
+    length = np.linalg.norm(gain * centred, axis=1)
+    n = gain * centred / length[:, None]
     by_gain, by_offset = n * centred, -n * gain
     return np.column_stack((by_gain, by_offset, by_gain * warm[:, None], by_offset * warm[:, None])), length - gravity
 

@@ -18,7 +18,7 @@ unknown), many nodes without data, a temperature that looks wrong or is a set-po
 that cannot be gravity, accelerometers of one pose whose unknown change of scale is most of the uncertainty.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,15 +26,14 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.checks import check_axis_order, check_handedness
 from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.rests import UNKNOWN_SCALE_PER_K, Offsets, accel_offsets, gyro_offsets
+from undrift.drift.rests import UNKNOWN_SCALE_PER_K
 from undrift.drift.scale import ScaleFit, SoakMatrices, soak_matrices, steps_of
-from undrift.drift.select import Choice
-from undrift.drift.static import StaticFit, StaticSettings, TriadDrift, cooling
+from undrift.drift.static import StaticFit, TriadDrift, cooling
 from undrift.drift.temperature import Temperature
 from undrift.drift.thermometer_lag import LagFit
 from undrift.errors import CalibrationError, Implausible
 from undrift.findings import Finding, finding
-from undrift.model import AXES, MATRIX_NAMES, Calibration, ScaleDrift, StaticDrift, Status, TriadModel, Verdict
+from undrift.model import AXES, Calibration, Status, TriadModel, Verdict, level_of
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
 
 # ---- Summary of a thermal fit in SI units, per sensor: y = (u - offset) / scale_factor
@@ -55,13 +54,13 @@ class TriadSummary:
     slope: FloatArray  # (3,), mean over the temperatures seen, per K
     slope_uncertainty: FloatArray  # (3,)
     left_out_rms: FloatArray  # (3,), cross-validated error; NaN where there are too few temperatures
-    half_loop: FloatArray | None  # (3,), hysteresis half-width, cooling less warming; None where it did not show
-    half_loop_uncertainty: FloatArray | None  # (3,)
-    loop_kept: bool  # whether the loop is significant and part of the table
-    turn_on: FloatArray | None  # (3,), standard deviation from session to session; None for one session
-    block_temp_c: FloatArray  # (k,), degC; may be empty
-    block_departure: FloatArray  # (k, 3)
-    block_cooling: FloatArray  # (k,), 1 while cooling, -1 while warming
+    half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling less warming; None where it did not show
+    half_loop_uncertainty: FloatArray | None = None  # (3,)
+    loop_kept: bool = False  # whether the loop is significant and part of the table
+    turn_on: FloatArray | None = None  # (3,), standard deviation from session to session; None for one session
+    block_temp_c: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), degC; may be empty
+    block_departure: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (k, 3)
+    block_cooling: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), 1 while cooling, -1 while warming
 
     @property
     def usual_uncertainty(self) -> FloatArray:
@@ -83,59 +82,98 @@ class ScaleSummary:
     soak_uncertainty: FloatArray  # (S, 3)
 
 
-def summarise_gyro(
-    static: StaticFit, rests: RestBlocks, device: Calibration, settings: StaticSettings
-) -> TriadSummary | None:
+def summarise_gyro(static: StaticFit, device: Calibration) -> TriadSummary | None:
     """Return the gyroscopes' offsets over temperature."""
     found, model = static.gyro, device.gyro
-    offsets = gyro_offsets(rests, device, settings.latitude_deg)
-    if found is None or found.offset is None or offsets is None:
+    if found is None or found.offset is None:
         return None
-    factor, unit = _factor(model, "rate", "")
     constant = model is not None and model.method != "nominal"
-    zero = (np.zeros(3) if model is None else model.offset, "the constant offset" if constant else "zero")
-    return _summary(found, offsets, static.table, found.offset, zero, (factor, unit))
+    zero, against = np.zeros(3) if model is None else model.offset, "the constant offset" if constant else "zero"
+    return _summary_of(found, static.table.temp_c, found.offset - zero, zero, against, _factor(model, "rate", ""))
 
 
 def summarise_accel(
-    static: StaticFit, poses: AccelDriftFit | None, rests: RestBlocks, device: Calibration, settings: StaticSettings
+    static: StaticFit, poses: AccelDriftFit | None, device: Calibration, unit: str
 ) -> TriadSummary | None:
     """Return the accelerometers' offsets over temperature: from several poses where possible, else from one."""
-    model = device.accel
-    factor, unit = _factor(model, "accel", settings.accel_unit)
-    if poses is not None and model is not None:
-        return _of_poses_summary(poses, model, factor)
-    offsets, found = accel_offsets(rests, device, settings.accel_unit), static.accel
-    if found is None or isinstance(offsets, Finding):
-        return None
-    reference = device.reference_temp_c if model is not None else np.nan
-    if not np.isfinite(reference):
-        reference = 0.5 * (found.span_c[0] + found.span_c[1])
-    zero = (found.curve.spline.at(np.array([reference])).value[0], f"that at {reference:.1f} degC")
-    value = found.curve.spline.at(static.table.temp_c).value
-    return _summary(found, offsets, static.table, value, zero, (factor, unit))
+    model, found, nodes = device.accel, static.accel, static.table.temp_c
+    factor, name = _factor(model, "accel", unit)
+    if poses is None or model is None:
+        if found is None:
+            return None
+        reference = device.reference_temp_c if model is not None else np.nan
+        if not np.isfinite(reference):
+            reference = 0.5 * (found.span_c[0] + found.span_c[1])
+        spline = found.curve.spline
+        zero = spline.at(np.array([reference])).value[0]
+        against = f"that at {reference:.1f} degC"
+        return _summary_of(found, nodes, spline.at(nodes).value - zero, zero, against, (factor, name))
+    near = np.flatnonzero(~poses.extrapolated)
+    first, last = (near[0], near[-1]) if len(near) > 1 else (0, -1)
+    span, doubt = poses.temp_c[last] - poses.temp_c[first], poses.offset_uncertainty
+    return TriadSummary(
+        unit=name,
+        seen_c=(float(poses.temp_c[first]), float(poses.temp_c[last])),
+        temp_c=poses.temp_c,
+        against="the constant offset",
+        departure=(poses.offset - model.offset) * factor,
+        uncertainty=doubt * factor,
+        extrapolated=poses.extrapolated,
+        in_table=True,
+        slope=(poses.offset[last] - poses.offset[first]) / span * factor,
+        slope_uncertainty=np.hypot(doubt[last], doubt[first]) / span * factor,
+        left_out_rms=np.full(3, np.nan),
+    )
+
+
+def _summary_of(
+    found: TriadDrift,
+    nodes: FloatArray,
+    departure: FloatArray,
+    zero: FloatArray,
+    against: str,
+    units: tuple[FloatArray, str],
+) -> TriadSummary:
+    factor, unit = units
+    loop, turn_on, blocks = found.curve.loop, found.curve.turn_on, found.offsets.blocks
+    return TriadSummary(
+        unit=unit,
+        seen_c=found.span_c,
+        temp_c=nodes,
+        against=against,
+        departure=departure * factor,
+        uncertainty=found.uncertainty * factor,
+        extrapolated=found.extrapolated,
+        in_table=found.offset is not None,
+        slope=found.slope * factor,
+        slope_uncertainty=found.slope_uncertainty * factor,
+        left_out_rms=found.curve.spline.leave_out_rms * factor,
+        half_loop=None if loop is None else loop.half * factor,
+        half_loop_uncertainty=None if loop is None else loop.uncertainty * factor,
+        loop_kept=found.curve.kept_loop,
+        turn_on=None if turn_on is None else np.sqrt(turn_on.variance) * factor,
+        block_temp_c=blocks.temp_c,
+        block_departure=(found.offsets.value - zero) * factor,
+        block_cooling=cooling(blocks),
+    )
 
 
 def summarise_scale(fit: ScaleFit, device: Calibration) -> ScaleSummary | None:
     """Return scale factors over temperature against those of the calibration."""
-    drift: ScaleDrift = fit.drift
-    if device.gyro is None or drift.gyro_matrix is None:
+    drift, soaks = fit.drift, fit.soaks
+    if device.gyro is None or drift.gyro_matrix is None or drift.gyro_uncertainty is None:
         return None
     kept = device.gyro.forward_matrix.diagonal() / si_factor(device.gyro.unit_out, "rate")
     own = np.linalg.inv(drift.gyro_matrix).diagonal(axis1=1, axis2=2) / si_factor(device.gyro.unit_out, "rate")
-    matrix = drift.gyro_matrix.diagonal(axis1=1, axis2=2)
-    doubt = drift.gyro_uncertainty
-    n = len(drift.temp_c)
+    share = drift.gyro_uncertainty.diagonal(axis1=1, axis2=2) / drift.gyro_matrix.diagonal(axis1=1, axis2=2)
     return ScaleSummary(
         temp_c=drift.temp_c,
         percent=100.0 * (own / kept - 1.0),
-        uncertainty=np.full((n, 3), np.nan)
-        if doubt is None
-        else 100.0 * np.abs(doubt.diagonal(axis1=1, axis2=2) / matrix),
-        extrapolated=np.zeros(n, bool) if drift.gyro_extrapolated is None else drift.gyro_extrapolated,
-        soak_temp_c=fit.soaks.temp_c,
-        soak_percent=100.0 * (fit.soaks.forward.diagonal(axis1=1, axis2=2) / kept - 1.0),
-        soak_uncertainty=100.0 * np.sqrt(fit.soaks.variance.diagonal(axis1=1, axis2=2)) / np.abs(kept),
+        uncertainty=100.0 * np.abs(share),
+        extrapolated=np.zeros(len(own), bool) if drift.gyro_extrapolated is None else drift.gyro_extrapolated,
+        soak_temp_c=soaks.temp_c,
+        soak_percent=100.0 * (soaks.forward.diagonal(axis1=1, axis2=2) / kept - 1.0),
+        soak_uncertainty=100.0 * np.sqrt(soaks.variance.diagonal(axis1=1, axis2=2)) / np.abs(kept),
     )
 
 
@@ -147,65 +185,6 @@ def _factor(model: TriadModel | None, quantity: Quantity, unit: str) -> tuple[Fl
     if is_physical(unit):
         return np.full(3, si_factor(unit, quantity)), si
     return np.ones(3), unit or "raw unit"
-
-
-def _summary(
-    found: TriadDrift,
-    offsets: Offsets,
-    table: StaticDrift,
-    value: FloatArray,
-    reference: tuple[FloatArray, str],
-    units: tuple[FloatArray, str],
-) -> TriadSummary:
-    zero, factor = reference[0], units[0]
-    loop, turn_on = found.curve.loop, found.curve.turn_on
-    return TriadSummary(
-        unit=units[1],
-        seen_c=found.span_c,
-        temp_c=table.temp_c,
-        against=reference[1],
-        departure=(value - zero) * factor,
-        uncertainty=found.uncertainty * factor,
-        extrapolated=found.extrapolated,
-        in_table=found.offset is not None,
-        slope=found.slope * factor,
-        slope_uncertainty=found.slope_uncertainty * factor,
-        left_out_rms=found.leave_out_rms * factor,
-        half_loop=None if loop is None else loop.half * factor,
-        half_loop_uncertainty=None if loop is None else loop.uncertainty * factor,
-        loop_kept=found.curve.kept_loop,
-        turn_on=None if turn_on is None else np.sqrt(turn_on.variance) * factor,
-        block_temp_c=offsets.blocks.temp_c,
-        block_departure=(offsets.value - zero) * factor,
-        block_cooling=cooling(offsets.blocks),
-    )
-
-
-def _of_poses_summary(poses: AccelDriftFit, model: TriadModel, factor: FloatArray) -> TriadSummary:
-    near = np.flatnonzero(~poses.extrapolated)
-    first, last = (near[0], near[-1]) if len(near) > 1 else (0, -1)
-    span = poses.temp_c[last] - poses.temp_c[first]
-    doubt = poses.offset_uncertainty
-    return TriadSummary(
-        unit="m/s2",
-        seen_c=(float(poses.temp_c[first]), float(poses.temp_c[last])),
-        temp_c=poses.temp_c,
-        against="the constant offset",
-        departure=(poses.offset - model.offset) * factor,
-        uncertainty=doubt * factor,
-        extrapolated=poses.extrapolated,
-        in_table=True,
-        slope=(poses.offset[last] - poses.offset[first]) / span * factor,
-        slope_uncertainty=np.hypot(doubt[last], doubt[first]) / span * factor,
-        left_out_rms=np.full(3, np.nan),
-        half_loop=None,
-        half_loop_uncertainty=None,
-        loop_kept=False,
-        turn_on=None,
-        block_temp_c=np.zeros(0),
-        block_departure=np.zeros((0, 3)),
-        block_cooling=np.zeros(0),
-    )
 
 
 TURN_ON_DPS = 2.0  # a shift from one switch-on to the next; consumer gyroscopes state less
@@ -229,7 +208,6 @@ _WIDE_C = 2.0  # a wider one is a sweep
 _FEW = 5  # set-points: above, what lies between is known about as well as they are
 _ENOUGH = 6
 _MORE = 2.0  # times what noise and bias instability explain: disagreement that is reported
-_FIGURES = ("drift.scale", "drift.accel_scale")  # tables of the page and the terminal show them
 
 
 def verdict_before(calibration: Calibration) -> Verdict:
@@ -275,14 +253,11 @@ def _scale_verdict(against: FloatArray, soaks: SoakMatrices, reference_temp_c: f
             at = reference_temp_c if np.isfinite(reference_temp_c) else temp_c[np.abs(ratio - 1.0).argmin()]
             off[j] = np.interp(at, temp_c, ratio) - 1.0
             allowed[j] = _SCALE_PER_C * np.abs(temp_c - at).min()
-    beyond = float((np.abs(off) - allowed).max())
-    if beyond <= _SCALE_OFF[0]:
+    level = level_of(float((np.abs(off) - allowed).max()), _SCALE_OFF)
+    if level == "info":
         return Verdict()
-    bad = beyond > _SCALE_OFF[1]
-    differs = finding(
-        "drift.scale_differs", "fail" if bad else "warn", percent=100.0 * off, limit_percent=100.0 * _SCALE_OFF[0]
-    )
-    return Verdict(status="bad" if bad else "marginal", findings=(differs,))
+    limit = 100.0 * _SCALE_OFF[0]
+    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=limit))
 
 
 def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
@@ -290,48 +265,25 @@ def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
     model, found, offset = device.gyro, static.gyro, static.table.gyro_offset
     if model is None or model.method == "nominal" or found is None or offset is None:
         return Verdict()
+    nodes, reference, low_high = static.table.temp_c, device.reference_temp_c, np.array(found.span_c)
+    seen = np.flatnonzero((nodes >= low_high[0] - 1.0) & (nodes <= low_high[1] + 1.0))
+    seen = seen if len(seen) else np.arange(len(nodes))
+    if np.isfinite(reference):
+        node = int(seen[np.abs(nodes[seen] - reference).argmin()])
+        away_c = float(abs(nodes[node] - reference))
+    else:  # the best case for the device
+        node, away_c = int(seen[np.abs(offset - model.offset)[seen].max(axis=1).argmin()]), 0.0
     per_raw = _dps_per_raw(model)
-    node, away_c = _nearest(static.table.temp_c, found, device.reference_temp_c, offset - model.offset)
     off = (offset[node] - model.offset) * per_raw
-    names = [model.parameters.index(f"offset_{axis}") for axis in AXES]
-    sure = np.hypot(found.uncertainty[node], np.sqrt(np.diag(model.covariance)[names])) * per_raw
-    allowed = np.abs(found.slope) * per_raw * (2.0 * away_c + _TEMPERATURE_OFF_C)
-    beyond = np.abs(off) - allowed
+    sure = np.hypot(found.uncertainty[node], model.standard_uncertainty[9:12]) * per_raw
+    beyond = np.abs(off) - np.abs(found.slope) * per_raw * (2.0 * away_c + _TEMPERATURE_OFF_C)
+    at = {"temp_c": float(nodes[node]), "offset_dps": off, "uncertainty_dps": sure}
     if beyond.max() <= TURN_ON_DPS:
         return Verdict()
-    significant = (beyond > TURN_ON_DPS) & (np.abs(off) > _SIGNIFICANT * sure)
-    temp_c = float(static.table.temp_c[node])
-    if not significant.any():
-        unclear = finding(
-            "drift.offset_unclear",
-            "info",
-            temp_c=temp_c,
-            offset_dps=off,
-            uncertainty_dps=sure,
-            least_uncertainties=_SIGNIFICANT,
-        )
-        return Verdict(findings=(unclear,))
-    far = bool(((beyond > FAR_DPS) & (np.abs(off) > _CERTAIN * sure)).any())
-    differs = finding(
-        "drift.offset_differs",
-        "fail" if far else "warn",
-        temp_c=temp_c,
-        offset_dps=off,
-        uncertainty_dps=sure,
-        turn_on_dps=TURN_ON_DPS,
-    )
-    return Verdict(status="bad" if far else "marginal", findings=(differs,))
-
-
-def _nearest(nodes: FloatArray, found: TriadDrift, reference_temp_c: float, off: FloatArray) -> tuple[int, float]:
-    """Return the node to compare at, and how far from the reference it lies, degC."""
-    low, high = found.span_c
-    seen = np.flatnonzero((nodes >= low - 1.0) & (nodes <= high + 1.0))
-    seen = seen if len(seen) else np.arange(len(nodes))
-    if not np.isfinite(reference_temp_c):  # the best case for the device
-        return int(seen[np.abs(off[seen]).max(axis=1).argmin()]), 0.0
-    node = int(seen[np.abs(nodes[seen] - reference_temp_c).argmin()])
-    return node, float(abs(nodes[node] - reference_temp_c))
+    if not ((beyond > TURN_ON_DPS) & (np.abs(off) > _SIGNIFICANT * sure)).any():
+        return Verdict.of(finding("drift.offset_unclear", "info", **at, least_uncertainties=_SIGNIFICANT))
+    far = ((beyond > FAR_DPS) & (np.abs(off) > _CERTAIN * sure)).any()
+    return Verdict.of(finding("drift.offset_differs", "fail" if far else "warn", **at, turn_on_dps=TURN_ON_DPS))
 
 
 def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
@@ -340,25 +292,20 @@ def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
     if accel is None or model is None or model.method == "nominal" or accel.extrapolated.all():
         return Verdict()
     near = np.flatnonzero(~accel.extrapolated)
-    away = (
-        np.abs(accel.temp_c[near] - device.reference_temp_c)
-        if np.isfinite(device.reference_temp_c)
-        else np.zeros(len(near))
-    )
-    node, away_c = int(near[away.argmin()]), float(away.min())
-    inverse, deviation = model.forward_matrix, np.sqrt(np.diag(model.covariance))
-    own = deviation[[model.parameters.index(name) for name in MATRIX_NAMES]].reshape(3, 3)
+    away = np.nan_to_num(np.abs(accel.temp_c[near] - device.reference_temp_c))  # 0 where no reference is known
+    node, temp_c = int(near[away.argmin()]), float(accel.temp_c[near[away.argmin()]])
+    inverse = model.forward_matrix
     off = accel.matrix[node] @ inverse - np.eye(3)
+    own = model.standard_uncertainty[:9].reshape(3, 3)
     sure = np.sqrt((accel.matrix_uncertainty[node] ** 2 + own**2) @ inverse**2)
-    beyond = np.where(np.abs(off) > _SIGNIFICANT * sure, np.abs(off) - UNKNOWN_SCALE_PER_K * away_c * np.eye(3), 0.0)
-    own_offset = deviation[[model.parameters.index(f"offset_{axis}") for axis in AXES]]
+    allowed = UNKNOWN_SCALE_PER_K * float(away.min()) * np.eye(3)
+    beyond = np.where(np.abs(off) > _SIGNIFICANT * sure, np.abs(off) - allowed, 0.0)
     per_g = 1.0 / (model.scale_factor * device.gravity_m_s2 / si_factor(model.unit_out, "accel"))
     shift = (accel.offset[node] - model.offset) * per_g
-    shift_sure = np.hypot(accel.offset_uncertainty[node], own_offset) * per_g
+    shift_sure = np.hypot(accel.offset_uncertainty[node], model.standard_uncertainty[9:12]) * per_g
     moved = np.where(np.abs(shift) > _SIGNIFICANT * shift_sure, np.abs(shift), 0.0)
     found: list[Finding] = []
     bad = bool(max(beyond.max() / _ACCEL_SCALE_OFF[1], moved.max() / _ACCEL_OFFSET_OFF[1]) > 1.0)
-    temp_c = float(accel.temp_c[node])
     if beyond.max() > _ACCEL_SCALE_OFF[0]:
         i, j = np.unravel_index(int(beyond.argmax()), (3, 3))
         found.append(
@@ -384,9 +331,7 @@ def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
                 limit_mg=1e3 * _ACCEL_OFFSET_OFF[0],
             )
         )
-    if not found:
-        return Verdict()
-    return Verdict(status="bad" if bad else "marginal", findings=tuple(found))
+    return Verdict.of(*found)
 
 
 def check_sessions(static: StaticFit, device: Calibration) -> None:
@@ -408,10 +353,11 @@ def check_sessions(static: StaticFit, device: Calibration) -> None:
 
 def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
     """Return what the offsets' fit is worth; accelerometers of one pose count where no poses determined them."""
-    gyro, status, hidden = static.gyro, static.verdict.status, {"drift.no_hysteresis"}
+    gyro, hidden = static.gyro, {"drift.no_hysteresis"}
+    marginal = static.verdict.status != "good"
     if gyro is not None:
         few = gyro.extrapolated.mean() <= _MOST_EXTRAPOLATED
-        status = status if gyro.curve.loop is not None and few else _worse(status)
+        marginal |= gyro.curve.loop is None or not few
         hidden |= {"drift.nodes_extrapolated"} if few else set()
     of_accel = [item for item in static.verdict.findings if item.code.startswith("drift.accel_")]
     kept = [
@@ -423,13 +369,8 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
         kept += [item for item in of_accel if item.code != "drift.accel_one_pose"][:1]
     elif accel is None:
         kept += [item for item in of_accel if item.code == "drift.accel_one_pose"]
-        unknown = static.accel is not None and static.accel.mostly_unknown_scale
-        status = _worse(status) if unknown else status
-    return Verdict(status=status, findings=tuple(kept))
-
-
-def _worse(status: Status) -> Status:
-    return "marginal" if status == "good" else status
+        marginal |= static.accel is not None and static.accel.mostly_unknown_scale
+    return Verdict(status="marginal" if marginal else "good", findings=tuple(kept))
 
 
 def single_sweep_verdict(gyro: TriadSummary | None, rests: RestBlocks, *, warm_up_fitted: bool) -> Verdict:
@@ -437,61 +378,47 @@ def single_sweep_verdict(gyro: TriadSummary | None, rests: RestBlocks, *, warm_u
     if gyro is None or gyro.half_loop is not None:
         return Verdict()
     ramp = float(np.quantile(np.abs(rests.ramp_c_per_min), 0.95))
-    rad = gyro.unit == "rad/s"
-    shift = np.abs(gyro.slope) * (ramp / 60.0) * _SUPPOSED_LAG_S / (RADIAN_PER_DEGREE if rad else 1.0)
+    unit, factor = ("deg/s", RADIAN_PER_DEGREE) if gyro.unit == "rad/s" else (gyro.unit, 1.0)
     found = [
         finding(
             "drift.lag_and_hysteresis_excluded",
             "warn",
-            shift=shift,
-            unit="deg/s" if rad else gyro.unit,
+            shift=np.abs(gyro.slope) * (ramp / 60.0) * _SUPPOSED_LAG_S / factor,
+            unit=unit,
             lag_s=_SUPPOSED_LAG_S,
             ramp_c_per_min=ramp,
         )
     ]
-    order = np.lexsort((rests.time, rests.session))
-    ordered = np.abs(rests.ramp_c_per_min[order])
+    ordered = np.abs(rests.ramp_c_per_min[np.lexsort((rests.time, rests.session))])
     part = max(len(ordered) // 4, 1)
-    fastest_first = bool(ordered[:part].mean() > 2.0 * ordered[-part:].mean())
+    fastest_first = ordered[:part].mean() > 2.0 * ordered[-part:].mean()
     if not warm_up_fitted and (float(rests.power_on_s.min()) < _SHORTLY_S or fastest_first):
         found.append(finding("drift.power_on_transient", "warn"))
-    return Verdict(status="marginal", findings=tuple(found))
+    return Verdict.of(*found)
 
 
 def temperature_verdict(temperatures: tuple[Temperature, ...]) -> Verdict:
     """Return what the temperatures are worth."""
-    found = tuple(item for temperature in temperatures for item in temperature.findings)
     if all(temperature.source == "set-points" for temperature in temperatures):
-        found = (finding("drift.set_points_only", "warn"),)
-    return Verdict(status="marginal" if any(item.level == "warn" for item in found) else "good", findings=found)
+        return Verdict.of(finding("drift.set_points_only", "warn"))
+    return Verdict.of(*(item for temperature in temperatures for item in temperature.findings))
 
 
-def choice_verdict(choice: Choice | None, why_not: Finding | None) -> Verdict:
-    """Return what the matrix and dynamic tables are worth."""
-    if choice is not None:
-        return _without_figures(choice.verdict)
-    return Verdict() if why_not is None else Verdict(status="marginal", findings=(why_not,))
-
-
-def accel_verdict(accel: AccelDriftFit | None) -> Verdict:
-    """Return what the accelerometers' tables from poses are worth."""
-    return Verdict() if accel is None else _without_figures(accel.verdict)
-
-
-def _without_figures(verdict: Verdict) -> Verdict:
-    return replace(verdict, findings=tuple(item for item in verdict.findings if item.code not in _FIGURES))
+def without_figures(verdict: Verdict) -> Verdict:
+    """Return a verdict without the findings that tables of the page and the terminal show."""
+    shown = ("drift.scale", "drift.accel_scale")
+    return replace(verdict, findings=tuple(item for item in verdict.findings if item.code not in shown))
 
 
 def lag_verdict(lag: LagFit | None, subtracted_s: float) -> Verdict:
     """Return the findings on the thermometer's lag."""
-    if lag is None:
+    # No lag explains the loop: nothing to separate
+    if lag is None or (subtracted_s == 0.0 and len(lag.lags_s) and lag.lag_s < _LEAST_LAG_S and not lag.observable):
         return Verdict()
-    if subtracted_s > 0.0:
-        done = finding("drift.lag_subtracted", "info", lag_s=subtracted_s, uncertainty_s=lag.uncertainty_s)
-        return Verdict(findings=(done, *lag.findings))
-    if len(lag.lags_s) and lag.lag_s < _LEAST_LAG_S and np.isinf(lag.uncertainty_s) and not lag.observable:
-        return Verdict()  # no lag explains the loop: nothing to separate
-    return Verdict(findings=lag.findings)
+    if subtracted_s == 0.0:
+        return Verdict(findings=lag.findings)
+    done = finding("drift.lag_subtracted", "info", lag_s=subtracted_s, uncertainty_s=lag.uncertainty_s)
+    return Verdict(findings=(done, *lag.findings))
 
 
 # ---- few set-points, and rests of one set-point that disagree
@@ -505,52 +432,44 @@ def with_set_points(verdict: Verdict, static: StaticFit, rests: RestBlocks, devi
     return verdict.also(disagree).also(set_points_verdict(static, rests, device))
 
 
-def _physical(device: Calibration) -> tuple[FloatArray, str]:
-    """Return deg/s per raw unit of each gyroscope, and the unit's name."""
-    if device.gyro is None:
-        return np.ones(3), "raw units"
-    return _dps_per_raw(device.gyro), "deg/s"
-
-
 def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:
     """Return how far rests of one set-point disagree beyond their noise, and what is the likely reason."""
     between = None if static.gyro is None else static.gyro.curve.cells.between
     if between is None:
         return Verdict()
-    factor, unit = _physical(device)
+    factor, unit = (np.ones(3), "raw units") if device.gyro is None else (_dps_per_raw(device.gyro), "deg/s")
     known, found = between.known * factor, list[Finding]()
     if (between.pose > _MORE * between.known).any():
-        size, poses = between.pose * factor, between.poses
-        if device.gyro is not None and device.gyro.g_sensitivity is not None:
-            found.append(finding("drift.poses_disagree", "info", deviation=size, unit=unit, poses=poses, known=known))
-        elif device.accel is None:
-            found.append(finding("drift.poses_g_no_accel", "info", deviation=size, unit=unit, poses=poses, known=known))
-        else:
-            found.append(finding("drift.poses_g", "info", deviation=size, unit=unit, poses=poses, known=known))
-    if (between.rest > _MORE * between.known).any():
-        size = between.rest * factor
+        g_known = device.gyro is not None and device.gyro.g_sensitivity is not None
+        size, poses, no_accel = between.pose * factor, between.poses, device.accel is None
         found.append(
-            finding("drift.rests_disagree", "info", deviation=size, unit=unit, rests=between.rests, known=known)
+            finding(
+                "drift.poses_disagree" if g_known else "drift.poses_g_no_accel" if no_accel else "drift.poses_g",
+                "info",
+                deviation=size,
+                unit=unit,
+                poses=poses,
+                known=known,
+            )
         )
+    if (between.rest > _MORE * between.known).any():
+        size, rests = between.rest * factor, between.rests
+        found.append(finding("drift.rests_disagree", "info", deviation=size, unit=unit, rests=rests, known=known))
     return Verdict(findings=tuple(found))
 
 
 def set_points_verdict(static: StaticFit, rests: RestBlocks, device: Calibration) -> Verdict:
     """Return what few set-points leave open between them, and where to soak as well."""
-    found, points = static.gyro, set_points_of(rests.temp_c)
+    found, points, nodes = static.gyro, set_points_of(rests.temp_c), static.table.temp_c
     if found is None or not 2 <= len(points) <= _FEW:
         return Verdict()
-    nodes = static.table.temp_c
     inside = (nodes >= points[0] - 1e-6) & (nodes <= points[-1] + 1e-6)
-    if not inside.any():
-        return Verdict()
     at = np.array([np.interp(points, nodes, column) for column in found.uncertainty.T]).mean(axis=1)
-    between = found.uncertainty[inside].max(axis=0)
+    between = found.uncertainty[inside].max(axis=0, initial=0.0)
     if (between < _MORE * at).all():
         return Verdict()
-    factor, unit = _physical(device)
+    factor, unit = (np.ones(3), "raw units") if device.gyro is None else (_dps_per_raw(device.gyro), "deg/s")
     gaps = np.argsort(-np.diff(points))[: max(_ENOUGH - len(points), 1)]
-    middles = np.sort(0.5 * (points[gaps] + points[gaps + 1]))
     few = finding(
         "drift.few_set_points",
         "info",
@@ -559,7 +478,7 @@ def set_points_verdict(static: StaticFit, rests: RestBlocks, device: Calibration
         at=at * factor,
         between=between * factor,
         unit=unit,
-        also_c=middles,
+        also_c=np.sort(0.5 * (points[gaps] + points[gaps + 1])),
     )
     return Verdict(findings=(few,))
 

@@ -19,18 +19,20 @@ References
 .. [2] G. Wahba, "Bayesian confidence intervals for the cross-validated smoothing spline", J. R. Stat. Soc. B 45, 1983, 133-150.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.scale import NodeSettings, Steps, measured_rate, rests_of, steps_of
+from undrift.drift.scale import MATRIX_GAP_C, Steps, measured_rate, rests_of, steps_of
 from undrift.drift.static import near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.least_squares import excess_variance
 from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
+
+Softness = tuple[tuple[float, float], ...]  # of each axis' surface over rate and temperature
 
 DEFAULT_STEP_C = 5.0
 _OWN = 0.5  # share of the turning rate from which a row counts for an axis
@@ -40,18 +42,6 @@ _LOOSE = 1e2  # variance of d_g about the mean of its rows, in units of the resi
 _SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # prior size of a second derivative, in spans and in residuals; stiff first
 _MOST_INTERVALS = 6  # of 30 deg/s over the note's rates
 _NEGLIGIBLE = 1e-2  # weight
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DynamicSettings:
-    """Nodes of the table, and how stiff its surface is."""
-
-    # (k,), nodes of the measured rate, rad/s; None takes the imposed rates, zero, and the ends of what was measured
-    turn_rate: FloatArray | None = None
-    temp_c: FloatArray | None = None  # (m,), nodes of the temperature, degC; None takes every 5 degC over the soaks
-    # Of each axis' surface over rate and temperature, as an earlier fit found it; None finds it by cross-validation
-    softness: tuple[tuple[float, float], ...] | None = None
-    nodes: NodeSettings = field(default_factory=NodeSettings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -142,43 +132,45 @@ class DynamicFit:
 
 
 def fit_dynamic(
-    steps: RateSteps | Steps,
+    steps: RateSteps,
     calibration: Calibration,
     *,
     static: StaticDrift | None,
     scale: ScaleDrift | None,
     rests: RestBlocks | None = None,
-    settings: DynamicSettings = DynamicSettings(),
+    turn_rate: FloatArray | None = None,
+    temp_c: FloatArray | None = None,
+    softness: Softness | None = None,
 ) -> DynamicFit:
-    """Fit the dynamic drift of the gyroscopes."""
+    """Fit the dynamic drift of the gyroscopes.
+
+    Nodes of the measured rate (k,), rad/s, are the imposed rates, zero and the ends of what was measured, those of the temperature
+    (m,) every 5 degC over the soaks; the softness of each axis' surface over rate and temperature is found by cross-validation.
+    """
     clean = steps_of(steps)
-    rate = measured_rate(clean.gyro, clean.temp_c, calibration, static=static, scale=scale)
-    at_rest = _rest_rows(clean, rests, calibration, static, scale)
-    model_variance = _variances(clean, calibration)
-    points = tuple(_points(clean, rate, at_rest, model_variance, axis) for axis in range(3))
-    turn_rate, temp_c = _nodes(clean, points, settings)
-    surfaces: list[Surface | None] = []
-    for axis in range(3):
-        own = points[axis]
-        softness = None if settings.softness is None else settings.softness[axis]
-        surfaces.append(
-            None
-            if own is None
-            else fit_surface(
-                own,
-                rate_span=(float(turn_rate[0]), float(turn_rate[-1])),
-                temp_span=(float(temp_c[0]), float(temp_c[-1])),
-                softness=softness,
-            )
-        )
-    drift = _table(points, surfaces, turn_rate, temp_c, settings)
+    points = _points(clean, calibration, static, scale, rests)
+    turn_rate, temp_c = _nodes(clean, points, turn_rate, temp_c)
+    shape = (len(temp_c), len(turn_rate), 3)
+    error, uncertainty, marks = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape[:2], dtype=bool)
+    w, t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
     before, after, excess = (np.full(3, np.nan) for _ in range(3))
-    for axis, (own, surface) in enumerate(zip(points, surfaces, strict=True)):
-        if own is not None and surface is not None:
-            before[axis], after[axis] = _rms_about_mountings(own), float(np.sqrt(np.mean(surface.residuals**2)))
-            excess[axis] = surface.excess
+    surfaces: list[Surface | None] = [None, None, None]
+    for axis, own in enumerate(points):
+        if own is None:
+            continue
+        ends = (float(turn_rate[0]), float(turn_rate[-1])), (float(temp_c[0]), float(temp_c[-1]))
+        alike = None if softness is None else softness[axis]
+        surface = surfaces[axis] = fit_surface(own, rate_span=ends[0], temp_span=ends[1], softness=alike)
+        error[:, :, axis] = surface.at(w, t).reshape(shape[:2])
+        uncertainty[:, :, axis] = surface.uncertainty(w, t).reshape(shape[:2])
+        marks |= _unseen(own, turn_rate, temp_c)
+        means = np.bincount(own.mounting, own.value) / np.bincount(own.mounting)
+        before[axis] = np.sqrt(np.mean((own.value - means[own.mounting]) ** 2))
+        after[axis], excess[axis] = np.sqrt(np.mean(surface.residuals**2)), surface.excess
     return DynamicFit(
-        drift=drift,
+        drift=DynamicDrift(
+            temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=marks
+        ),
         surfaces=(surfaces[0], surfaces[1], surfaces[2]),
         before=before,
         after=after,
@@ -187,65 +179,54 @@ def fit_dynamic(
     )
 
 
-def softness_of(fit: DynamicFit) -> tuple[tuple[float, float], ...]:
+def softness_of(fit: DynamicFit) -> Softness:
     """Return how soft each axis' surface was found to be, to fit parts of the same data alike."""
     return tuple((1e-2, 1e-2) if surface is None else surface.softness for surface in fit.surfaces)
 
 
-def _variances(steps: Steps, calibration: Calibration) -> FloatArray:
-    """Return the variance of each row's rate, (rad/s)^2, shape (n, 3)."""
-    eye = np.zeros((4, 3))
-    eye[1:] = np.eye(3)
-    made = measured_rate(eye, np.zeros(4), calibration, static=None, scale=None)
-    matrix = (made[1:] - made[0]).T
-    return np.asarray(steps.variance @ (matrix**2).T)
-
-
-def _rest_rows(
+def _points(
     steps: Steps,
-    rests: RestBlocks | None,
     calibration: Calibration,
     static: StaticDrift | None,
     scale: ScaleDrift | None,
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return rate, temperature and step row of the rests that lay as the device turned."""
-    block, of = rests_of(steps, rests)
-    if rests is None or not len(block):
-        return np.empty((0, 3)), np.empty(0), of
-    found = rests.taken(block)
-    rate = measured_rate(found.gyro, found.temp_c, calibration, static=static, scale=scale)
-    return rate, found.temp_c, of
+    rests: RestBlocks | None,
+) -> list[SurfacePoints | None]:
+    """Return the rows of each axis' own rate, rests that lay as the device turned among them.
 
-
-def _points(
-    steps: Steps,
-    rate: FloatArray,
-    at_rest: tuple[FloatArray, FloatArray, IntArray],
-    variances: FloatArray,
-    axis: int,
-) -> SurfacePoints | None:
-    """Return the rows of one axis' own rate; None where it was not turned at two soaks and two rates."""
-    own = np.flatnonzero(np.abs(steps.rate_b[:, axis]) > _OWN * np.linalg.norm(steps.rate_b, axis=1))
-    if len(np.unique(steps.soak[own])) < 2 or len(np.unique(steps.rate_b[own, axis])) < 2:
-        return None
-    of = at_rest[2]
-    still = np.flatnonzero(np.isin(steps.mounting[of], steps.mounting[own]))
-    rows = np.concatenate((own, of[still]))
-    imposed = np.abs(steps.rate_b[own, axis])
-    level = np.round(imposed / (_SAME_RATE * imposed.max())).astype(np.int64)
-    return SurfacePoints(
-        turn_rate=np.concatenate((rate[own, axis], np.zeros(len(still)))),
-        temp_c=np.concatenate((steps.temp_c[own], at_rest[1][still])),
-        value=np.concatenate((rate[own, axis] - steps.rate_b[own, axis], at_rest[0][still, axis])),
-        variance=variances[rows, axis],
-        soak=np.unique(steps.soak[rows], return_inverse=True)[1].reshape(-1),
-        mounting=np.unique(steps.mounting[rows], return_inverse=True)[1].reshape(-1),
-        level=np.concatenate((level, np.zeros(len(still), dtype=np.int64))),
-    )
+    None for an axis that was not turned at two soaks and two rates.
+    """
+    n, (block, of) = len(steps), rests_of(steps, rests)
+    gyro, temp_c = steps.gyro, steps.temp_c
+    if rests is not None and len(block):
+        gyro, temp_c = np.concatenate((gyro, rests.gyro[block])), np.concatenate((temp_c, rests.temp_c[block]))
+    rate = measured_rate(gyro, temp_c, calibration, static=static, scale=scale)
+    row, imposed = np.concatenate((np.arange(n), of)), np.concatenate((steps.rate_b, np.zeros((len(of), 3))))
+    made = measured_rate(np.eye(4, 3, -1), np.zeros(4), calibration, static=None, scale=None)
+    variance = steps.gyro_variance @ ((made[1:] - made[0]).T ** 2).T
+    found: list[SurfacePoints | None] = []
+    for axis in range(3):
+        own = np.flatnonzero(np.abs(steps.rate_b[:, axis]) > _OWN * np.linalg.norm(steps.rate_b, axis=1))
+        if len(np.unique(steps.soak[own])) < 2 or len(np.unique(steps.rate_b[own, axis])) < 2:
+            found.append(None)
+            continue
+        rows = np.concatenate((own, n + np.flatnonzero(np.isin(steps.mounting[of], steps.mounting[own]))))
+        size = np.abs(imposed[rows, axis])
+        found.append(
+            SurfacePoints(
+                turn_rate=np.where(rows < n, rate[rows, axis], 0.0),
+                temp_c=temp_c[rows],
+                value=rate[rows, axis] - imposed[rows, axis],
+                variance=variance[row[rows], axis],
+                soak=np.unique(steps.soak[row[rows]], return_inverse=True)[1].reshape(-1),
+                mounting=np.unique(steps.mounting[row[rows]], return_inverse=True)[1].reshape(-1),
+                level=np.round(size / (_SAME_RATE * size.max())).astype(np.int64),
+            )
+        )
+    return found
 
 
 def _nodes(
-    steps: Steps, points: tuple[SurfacePoints | None, ...], settings: DynamicSettings
+    steps: Steps, points: list[SurfacePoints | None], turn_rate: FloatArray | None, temp_c: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     have = [p for p in points if p is not None]
     soaks = len(np.unique(steps.soak))
@@ -255,12 +236,10 @@ def _nodes(
             f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC; repeat the steps at another temperature",
             soaks=soaks,
         )
-    temps = np.concatenate([p.temp_c for p in have])
-    temp_c, turn_rate = settings.temp_c, settings.turn_rate
     if temp_c is None:
-        low = DEFAULT_STEP_C * float(np.floor(round(float(temps.min() / DEFAULT_STEP_C), 2)))
-        high = DEFAULT_STEP_C * float(np.ceil(round(float(temps.max() / DEFAULT_STEP_C), 2)))
-        temp_c = np.linspace(low, high, round((high - low) / DEFAULT_STEP_C) + 1)
+        temps = np.concatenate([p.temp_c for p in have]) / DEFAULT_STEP_C
+        first, last = np.floor(np.round(temps.min(), 2)), np.ceil(np.round(temps.max(), 2))
+        temp_c = DEFAULT_STEP_C * np.arange(first, last + 0.5)
     if turn_rate is None:
         turn_rate = _rate_nodes(np.concatenate([p.turn_rate for p in have]), steps.along)
     if (np.diff(turn_rate) <= 0.0).any() or (np.diff(temp_c) <= 0.0).any():
@@ -272,8 +251,7 @@ def _rate_nodes(measured: FloatArray, imposed: FloatArray) -> FloatArray:
     """Return the imposed rates, zero, and the ends of what was measured where they lie beyond."""
     tolerance = _SAME_RATE * float(np.abs(imposed).max())
     wanted = np.sort(np.concatenate((imposed, [0.0])))
-    first = np.concatenate(([True], np.diff(wanted) > tolerance))
-    groups = np.split(wanted, np.flatnonzero(first)[1:])
+    groups = np.split(wanted, np.flatnonzero(np.diff(wanted) > tolerance) + 1)
     nodes = np.array([0.0 if (g == 0.0).any() else g.mean() for g in groups])
     low, high = float(measured.min()), float(measured.max())
     below = [low] if low < nodes[0] - tolerance else []
@@ -281,60 +259,33 @@ def _rate_nodes(measured: FloatArray, imposed: FloatArray) -> FloatArray:
     return np.concatenate((below, nodes, above))
 
 
-def _table(
-    points: tuple[SurfacePoints | None, ...],
-    surfaces: list[Surface | None],
-    turn_rate: FloatArray,
-    temp_c: FloatArray,
-    settings: DynamicSettings,
-) -> DynamicDrift:
-    shape = (len(temp_c), len(turn_rate), 3)
-    error, uncertainty = np.zeros(shape), np.full(shape, np.nan)
-    marks = np.zeros(shape[:2], dtype=bool)
-    w, t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
-    for axis, (own, surface) in enumerate(zip(points, surfaces, strict=True)):
-        if own is None or surface is None:
-            continue
-        error[:, :, axis] = surface.at(w, t).reshape(shape[:2])
-        uncertainty[:, :, axis] = surface.uncertainty(w, t).reshape(shape[:2])
-        marks |= _unseen(own, turn_rate, temp_c, settings)
-    return DynamicDrift(temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=marks)
-
-
-def _unseen(own: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray, settings: DynamicSettings) -> BoolArray:
+def _unseen(own: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) -> BoolArray:
     """Mark nodes beyond the temperatures, or beyond the rates that were measured around their temperature."""
-    soaks = np.unique(own.soak)
-    at = np.array([own.temp_c[own.soak == s].mean() for s in soaks])
+    rows = [own.soak == s for s in np.unique(own.soak)]
+    at = np.array([own.temp_c[r].mean() for r in rows])
     order = np.argsort(at)
-    ends = [np.array([f(np.append(own.turn_rate[own.soak == s], 0.0)) for s in soaks])[order] for f in (np.min, np.max)]
+    ends = [np.array([f(np.append(own.turn_rate[r], 0.0)) for r in rows])[order] for f in (np.min, np.max)]
     slack = _NEAR_RATE * float(np.abs(own.turn_rate).max())
     low, high = (np.interp(temp_c, at[order], end)[:, None] for end in ends)
     outside = (turn_rate < low - slack) | (turn_rate > high + slack)
-    near = near_data(temp_c, at, edge_c=settings.nodes.edge_c, gap_c=settings.nodes.gap_c)
-    return np.asarray(outside | ~near[:, None])
+    return np.asarray(outside | ~near_data(temp_c, at, gap_c=MATRIX_GAP_C)[:, None])
 
 
-def _rms_about_mountings(own: SurfacePoints) -> float:
-    means = np.bincount(own.mounting, own.value) / np.bincount(own.mounting)
-    return float(np.sqrt(np.mean((own.value - means[own.mounting]) ** 2)))
-
-
-def _verdict(points: tuple[SurfacePoints | None, ...]) -> Verdict:
-    found = []
+def _verdict(points: list[SurfacePoints | None]) -> Verdict:
+    found, two = [], []
     for axis, own in zip(AXES, points, strict=True):
         if own is None:
             found.append(finding("drift.dynamic_not_observable", "warn", axis=axis))
             continue
         steady = own.turn_rate[own.level > 0]
         if (steady > 0.0).all() or (steady < 0.0).all():
-            way, other = ("+", "-") if (steady > 0.0).all() else ("-", "+")
+            way, other = ("+", "-") if steady[0] > 0.0 else ("-", "+")
             found.append(finding("drift.dynamic_one_way", "warn", axis=axis, way=way + axis, other=other + axis))
-    two = tuple(
-        axis for axis, own in zip(AXES, points, strict=True) if own is not None and len(np.unique(own.soak)) == 2
-    )
+        if len(np.unique(own.soak)) == 2:
+            two.append(axis)
     if two:
         found.append(finding("drift.dynamic_two_temperatures", "warn", axes=two))
-    return Verdict(status="marginal" if found else "good", findings=tuple(found))
+    return Verdict.of(*found)
 
 
 # ---- the surface e(w, T) with e(0, T) = 0 through scattered points
@@ -347,7 +298,7 @@ def fit_surface(
     temp_span: tuple[float, float],
     softness: tuple[float, float] | None = None,
 ) -> Surface:
-    """Fit a surface to the residual rates of one axis."""
+    """Fit a surface to the residual rates of one axis: find the excess, fit again with it, mix those that predict about as well."""
     soaks, levels = len(np.unique(points.soak)), len(np.unique(points.turn_rate))
     if soaks < 2 or levels < 2:
         raise NotObservable(
@@ -356,15 +307,10 @@ def fit_surface(
             soaks=soaks,
             rates=levels,
         )
-    low, high = (f((*rate_span, 0.0, f(points.turn_rate))) for f in (min, max))
-    cold, hot = (f((*temp_span, f(points.temp_c))) for f in (min, max))
-    rate = Cubics(low=float(low), high=float(high), intervals=min(_MOST_INTERVALS, max(2, levels // 2)))
-    temp = Cubics(low=float(cold), high=float(hot), intervals=min(_MOST_INTERVALS, max(1, soaks - 1)))
-    return _settled(points, rate, temp, softness)
-
-
-def _settled(points: SurfacePoints, rate: Cubics, temp: Cubics, softness: tuple[float, float] | None) -> Surface:
-    """Fit, find the excess, fit again with it, and mix the surfaces that predict about as well."""
+    low, high = (float(f((*rate_span, 0.0, f(points.turn_rate)))) for f in (min, max))
+    cold, hot = (float(f((*temp_span, f(points.temp_c)))) for f in (min, max))
+    rate = Cubics(low=low, high=high, intervals=min(_MOST_INTERVALS, max(2, levels // 2)))
+    temp = Cubics(low=cold, high=hot, intervals=min(_MOST_INTERVALS, max(1, soaks - 1)))
     groups = int(points.mounting.max()) + 1
     means = np.bincount(points.mounting, points.value, groups) / np.maximum(np.bincount(points.mounting), 1)
     points = replace(points, value=points.value - means[points.mounting])
@@ -378,23 +324,23 @@ def _settled(points: SurfacePoints, rate: Cubics, temp: Cubics, softness: tuple[
         if softness is None and (turn == 0 or (turn == 1 and excess > float(np.median(points.variance)))):
             pairs, weights = _softnesses(points, x, v, size, bends)
         solutions = [_solve(points, x, v, _penalty(pair, size, bends, groups)) for pair in pairs]
-        r = sum((w * s.residuals for w, s in zip(weights, solutions, strict=True)), np.zeros(len(points)))
-        freedom = len(points) - float(weights @ [s.effective for s in solutions])
+        r = sum((w * s[2] for w, s in zip(weights, solutions, strict=True)), np.zeros(len(points)))
+        freedom = len(points) - float(weights @ [s[3] for s in solutions])
         before, excess = excess, excess_variance(r, points.variance, round(freedom))
         if abs(excess - before) <= 0.02 * float(np.median(v)):
             break
-    c = weights @ np.array([s.coefficients for s in solutions])
-    typical = np.exp(weights @ np.log(np.array(pairs)))
+    c = weights @ np.array([s[0] for s in solutions])
+    of_rate, of_temp = np.exp(weights @ np.log(np.array(pairs))).tolist()
     covariance = np.zeros((p, p))
     for w, s in zip(weights, solutions, strict=True):
-        off = (s.coefficients - c)[:p]
-        covariance += w * (s.covariance[:p, :p] + np.outer(off, off))
+        off = (s[0] - c)[:p]
+        covariance += w * (s[1][:p, :p] + np.outer(off, off))
     return Surface(
         rate=rate,
         temp=temp,
         coefficients=c[:p],
         covariance=covariance,
-        softness=(float(typical[0]), float(typical[1])),
+        softness=(of_rate, of_temp),
         excess=float(np.sqrt(excess)),
         residuals=r,
         offsets=means + c[p:],
@@ -419,45 +365,34 @@ def _held_out_square(points: SurfacePoints, x: FloatArray, v: FloatArray, penalt
     """Return the weighted sum of squares of all rows when their soak, or their rate, is held out."""
     z = np.linalg.inv(np.linalg.cholesky(x.T @ (x / v[:, None]) + penalty)) @ x.T
     r = points.value - z.T @ (z @ (points.value / v))
-    total = 0.0
-    soaks = np.unique(points.soak)
+
+    def missed(rows: IntArray) -> FloatArray:
+        hat = z[:, rows].T @ z[:, rows] / v[rows]
+        return np.asarray(np.linalg.solve(np.eye(len(rows)) - hat, r[rows]))
+
+    total, soaks = 0.0, np.unique(points.soak)
     middle = np.array([points.temp_c[points.soak == s].mean() for s in soaks])
     for s in soaks[(middle > middle.min()) & (middle < middle.max())]:
         rows = np.flatnonzero(points.soak == s)
-        missed = _missed(rows, z, r, v)
+        off = missed(rows)
         for g in np.unique(points.mounting[rows]):  # its offset is its own: only how it differs over rate counts
             own = points.mounting[rows] == g
             w = 1.0 / v[rows][own]
-            missed[own] -= (w * missed[own]).sum() / w.sum()
-        total += float((missed**2 / v[rows]).sum())
-    inner = np.unique(points.level[points.level > 0])[:-1]
-    for level in inner:
+            off[own] -= (w * off[own]).sum() / w.sum()
+        total += float((off**2 / v[rows]).sum())
+    for level in np.unique(points.level[points.level > 0])[:-1]:
         rows = np.flatnonzero(points.level == level)
-        total += float((_missed(rows, z, r, v) ** 2 / v[rows]).sum())
+        total += float((missed(rows) ** 2 / v[rows]).sum())
     return total
 
 
-def _missed(rows: IntArray, z: FloatArray, r: FloatArray, v: FloatArray) -> FloatArray:
-    hat = z[:, rows].T @ z[:, rows] / v[rows]
-    missed: FloatArray = np.linalg.solve(np.eye(len(rows)) - hat, r[rows])
-    return missed
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Solution:
-    """Coefficients of surface and offsets, their covariance, what is left, and the parameters in effect."""
-
-    coefficients: FloatArray
-    covariance: FloatArray
-    residuals: FloatArray
-    effective: float
-
-
-def _solve(points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray) -> _Solution:
+def _solve(
+    points: SurfacePoints, x: FloatArray, v: FloatArray, penalty: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return coefficients of surface and offsets, their covariance, what is left, and the parameters in effect."""
     covariance = np.linalg.inv(x.T @ (x / v[:, None]) + penalty)
     c = covariance @ (x.T @ (points.value / v))
-    effective = float(((x @ covariance) * x / v[:, None]).sum())
-    return _Solution(coefficients=c, covariance=covariance, residuals=points.value - x @ c, effective=effective)
+    return c, covariance, points.value - x @ c, float(((x @ covariance) * x / v[:, None]).sum())
 
 
 def _penalty(

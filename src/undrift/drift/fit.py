@@ -21,28 +21,10 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.observe import in_one_unit
+from undrift.drift import checks
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
-from undrift.drift.checks import (
-    STATUS_BEFORE,
-    ScaleSummary,
-    TriadSummary,
-    accel_verdict,
-    check_sessions,
-    check_turns,
-    choice_verdict,
-    lag_verdict,
-    offsets_verdict,
-    poses_verdict,
-    single_sweep_verdict,
-    static_verdict,
-    summarise_accel,
-    summarise_gyro,
-    summarise_scale,
-    temperature_verdict,
-    verdict_before,
-    with_set_points,
-)
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks, observe_rests, observe_steps
+from undrift.drift.rests import with_g_sensitivity
 from undrift.drift.scale import Asymmetry, scale_asymmetry
 from undrift.drift.select import Alternative, Choice, choose_tables, cropped_choice, cropped_static, widened
 from undrift.drift.sessions import (
@@ -54,11 +36,11 @@ from undrift.drift.sessions import (
     nominal_models,
     since_power_on,
 )
-from undrift.drift.static import StaticFit, StaticSettings, fit_static, with_g_sensitivity
+from undrift.drift.static import StaticFit, StaticSettings, fit_static
 from undrift.drift.temperature import Temperature, TemperatureSettings, check_span, trusted_temperature
 from undrift.drift.thermometer_lag import LagFit, default_smooth_s, estimate_lag, without_lag_smooth
 from undrift.errors import InputError, NotObservable
-from undrift.findings import Finding, finding
+from undrift.findings import finding
 from undrift.model import Calibration, DriftTables, Provenance, Verdict
 from undrift.record import Session
 
@@ -145,9 +127,9 @@ class DriftFit:
     rests: RestBlocks
     steps: RateSteps
     temperatures: tuple[Temperature, ...]
-    gyro_summary: TriadSummary | None
-    accel_summary: TriadSummary | None
-    scale_summary: ScaleSummary | None
+    gyro_summary: checks.TriadSummary | None
+    accel_summary: checks.TriadSummary | None
+    scale_summary: checks.ScaleSummary | None
     verdict: Verdict
 
 
@@ -200,42 +182,44 @@ def fit_drift(
     (17.5, 75.0)
     """
     report = progress or (lambda what, share: None)
-    _check(sessions, calibration, settings)
-    sessions, device = _prepared(sessions, calibration)
+    sessions = _checked(sessions, calibration, settings)
+    device = nominal_models(sessions) if calibration is None else calibration
+    device = replace(device, verdict=checks.verdict_before(device))
+    sessions = [in_units_of(session, device) for session in sessions]
     static_settings = replace(settings.static, accel_unit=accel_unit_of(sessions, device))
     report("smoothing the temperature", 0.0)
-    trusted, together = _trusted(sessions, settings.temperature)
+    trusted = [
+        [trusted_temperature(s, k, settings=settings.temperature) for k in range(len(s.records))] for s in sessions
+    ]
+    together = tuple(temperature for of_session in trusted for temperature in of_session)
+    check_span(together, settings=settings.temperature)
     report("gathering rests and turns", 0.15)
-    lag, lag_s, rests, course = _without_lag(sessions, trusted, settings)
+    lag, lags_s, rests, course = _without_lag(sessions, trusted, settings)
     check_at_rest(rests, device)
     device, g_estimated = with_g_sensitivity(rests, device)
     steps = observe_steps(sessions, temperatures=course, settings=settings.observe)
     report("fitting offsets over temperature", 0.4)
-    smooth_s = _smooth_s(lag_s, sessions, together)
-    seen = np.concatenate([rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, lag_s, smooth_s)])
+    seen = np.concatenate([rests.temp_c, steps.temp_c, *met_in_use(sessions, trusted, course, *lags_s)])
     nodes = table_nodes(seen, settings)
     wider = widened(nodes, _whole_range(seen, settings.step_c))  # the verdict does not depend on the range asked for
     wide = fit_static(rests, nodes=wider, calibration=device, settings=static_settings)
-    check_sessions(wide, device)
-    agrees = check_turns(steps, device, wide).also(offsets_verdict(wide, device))
+    checks.check_sessions(wide, device)
+    agrees = checks.check_turns(steps, device, wide).also(checks.offsets_verdict(wide, device))
     report("cross-validating scale and dynamic tables", 0.5)
-    choice, why_not = _chosen(steps, device, wide, rests, settings)
+    choice, of_choice = _chosen(steps, device, wide, rests, settings)
     static, choice = cropped_static(wide, nodes), choice and cropped_choice(choice, nodes)
     report("fitting accelerometers over temperature", 0.95)
     accel = _accelerometers(rests, device, nodes)
-    gyro = summarise_gyro(static, rests, device, static_settings)
-    of_offsets = with_set_points(static_verdict(static, accel), wide, rests, device)
-    of_sweep = single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
-    of_accel = poses_verdict(accel, device).also(accel_verdict(accel))
-    of_tables = choice_verdict(choice, why_not).also(of_offsets).also(g_estimated).also(of_sweep).also(of_accel)
-    verdict = agrees.also(temperature_verdict(together)).also(of_tables).also(lag_verdict(lag, lag_s))
+    gyro = checks.summarise_gyro(static, device)
+    of_offsets = checks.with_set_points(checks.static_verdict(static, accel), wide, rests, device)
+    of_sweep = checks.single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
+    of_accel = checks.poses_verdict(accel, device).also(
+        Verdict() if accel is None else checks.without_figures(accel.verdict)
+    )
+    verdict = agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(g_estimated)
+    verdict = verdict.also(of_sweep).also(of_accel).also(checks.lag_verdict(lag, lags_s[0]))
     return DriftFit(
-        calibration=replace(
-            device,
-            drift=_tables(static, choice, accel, (lag_s, smooth_s)),
-            verdict=device.verdict.also(verdict),
-            provenance=_provenance(device, sessions, settings, lag_s, choice),
-        ),
+        calibration=_calibrated(device, _tables(static, choice, accel, lags_s), verdict, sessions, settings, choice),
         static=static,
         choice=choice,
         accel=accel,
@@ -245,21 +229,14 @@ def fit_drift(
         steps=steps,
         temperatures=together,
         gyro_summary=gyro,
-        accel_summary=summarise_accel(static, accel, rests, device, static_settings),
-        scale_summary=None if choice is None or choice.scale is None else summarise_scale(choice.scale, device),
+        accel_summary=checks.summarise_accel(static, accel, device, static_settings.accel_unit),
+        scale_summary=None if choice is None or choice.scale is None else checks.summarise_scale(choice.scale, device),
         verdict=verdict if calibration is not None else device.verdict.also(verdict),
     )
 
 
-def _prepared(sessions: Sequence[Session], calibration: Calibration | None) -> tuple[list[Session], Calibration]:
-    """Return sessions in the units of the device's constant model, and that model without an earlier thermal fit's verdict."""
-    sessions = [in_one_unit(session) for session in sessions]
-    device = nominal_models(sessions) if calibration is None else calibration
-    device = replace(device, verdict=verdict_before(device))
-    return [in_units_of(session, device) for session in sessions], device
-
-
-def _check(sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings) -> None:
+def _checked(sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings) -> list[Session]:
+    """Return sessions of one device, each in one unit."""
     if not sessions:
         raise InputError("drift: wanted a session or more, got none; name its folder")
     names = dict.fromkeys(s.serial or s.records[0].device for s in sessions)
@@ -271,56 +248,43 @@ def _check(sessions: Sequence[Session], calibration: Calibration | None, setting
     if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
     check_once(sessions)
-
-
-def _trusted(
-    sessions: Sequence[Session], settings: TemperatureSettings
-) -> tuple[list[list[Temperature]], tuple[Temperature, ...]]:
-    wide = replace(settings, least_span_c=0.0)
-    trusted = [[trusted_temperature(s, k, settings=wide) for k in range(len(s.records))] for s in sessions]
-    together = tuple(temperature for of_session in trusted for temperature in of_session)
-    check_span(together, settings=settings)
-    return trusted, together
+    return [in_one_unit(session) for session in sessions]
 
 
 def _without_lag(
     sessions: Sequence[Session], trusted: list[list[Temperature]], settings: DriftSettings
-) -> tuple[LagFit | None, float, RestBlocks, list[list[FloatArray]]]:
-    """Estimate the lag from the rests, and gather them anew without it."""
+) -> tuple[LagFit | None, tuple[float, float], RestBlocks, list[list[FloatArray]]]:
+    """Estimate the lag from the rests, and gather them anew without it; lag and the smoothing that it needs in use, s."""
+
+    def rests_at(course: list[list[FloatArray]]) -> RestBlocks:
+        return since_power_on(observe_rests(sessions, temperatures=course, settings=settings.observe), sessions)
+
     course = [[temperature.temp_c for temperature in of_session] for of_session in trusted]
-    rests = since_power_on(observe_rests(sessions, temperatures=course, settings=settings.observe), sessions)
-    measured = any(temperature.source == "column" for of_session in trusted for temperature in of_session)
-    lag = estimate_lag(rests) if settings.lag_s is None and measured else None
-    lag_s = settings.lag_s or 0.0
-    # One speed alone does not tell lag from hysteresis: then it is reported and left in.
-    if lag is not None and lag.observable and lag.two_speeds and lag.lag_s > _SURE_LAG * lag.uncertainty_s:
-        lag_s = lag.lag_s
+    rests, lag, lag_s = rests_at(course), None, settings.lag_s or 0.0
+    pairs = [
+        (t, r)
+        for own, session in zip(trusted, sessions, strict=True)
+        for t, r in zip(own, session.records, strict=True)
+    ]
+    if settings.lag_s is None and any(temperature.source == "column" for temperature, _ in pairs):
+        lag = estimate_lag(rests)
+        # One speed alone does not tell lag from hysteresis: then it is reported and left in.
+        if lag.observable and lag.lag_s > _SURE_LAG * lag.uncertainty_s:
+            lag_s = lag.lag_s
     if lag_s == 0.0:
-        return lag, 0.0, rests, course
-    led = [
+        return lag, (0.0, 0.0), rests, course
+    course = [
         [
-            temperature.temp_c
-            if temperature.source == "set-points"
-            else without_lag_smooth(temperature.temp_c, record.time, lag_s=lag_s)
-            for temperature, record in zip(of_session, session.records, strict=True)
+            t.temp_c if t.source == "set-points" else without_lag_smooth(t.temp_c, record.time, lag_s=lag_s)
+            for t, record in zip(of_session, session.records, strict=True)
         ]
         for of_session, session in zip(trusted, sessions, strict=True)
     ]
-    rests = since_power_on(observe_rests(sessions, temperatures=led, settings=settings.observe), sessions)
-    return lag, lag_s, rests, led
-
-
-def _smooth_s(lag_s: float, sessions: Sequence[Session], temperatures: tuple[Temperature, ...]) -> float:
-    """Smoothing that taking the lag off needs in use, for the noisiest of the columns."""
-    if lag_s == 0.0:
-        return 0.0
-    records = [record for session in sessions for record in session.records]
-    return max(
-        default_smooth_s(
-            lag_s, noise_c=seen.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=seen.step_c
-        )
-        for record, seen in zip(records, temperatures, strict=True)
+    smooth_s = max(  # for the noisiest of the columns
+        default_smooth_s(lag_s, noise_c=t.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=t.step_c)
+        for t, record in pairs
     )
+    return lag, (lag_s, smooth_s), rests_at(course), course
 
 
 def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
@@ -347,8 +311,8 @@ def _whole_range(seen_c: FloatArray, step: float) -> tuple[float, float]:
 
 def _chosen(
     steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
-) -> tuple[Choice | None, Finding | None]:
-    """Return the choice of tables, or why there is none."""
+) -> tuple[Choice | None, Verdict]:
+    """Return the choice of tables, what they are worth, or why there is none."""
     if device.gyro is None or static.table.gyro_offset is None:
         why = finding("drift.no_gyroscopes", "warn")
     elif not len(steps):
@@ -356,28 +320,25 @@ def _chosen(
     else:
         try:
             choice = choose_tables(steps, device, static=static.table, temp_c=static.table.temp_c, rests=rests)
-            return (choice if settings.tables == "auto" else _requested(choice, settings.tables)), None
+            choice = choice if settings.tables == "auto" else _requested(choice, settings.tables)
+            return choice, checks.without_figures(choice.verdict)
         except NotObservable as error:
             why = finding("drift.tables_not_observable", "warn", problem=str(error))
     if settings.tables not in ("auto", "none"):
         raise NotObservable(f"tables: wanted {settings.tables}, got sessions that do not show them: {why.text}")
-    return None, why if settings.tables == "auto" else None
+    return None, Verdict.of(why) if settings.tables == "auto" else Verdict()
 
 
 def _requested(choice: Choice, tables: Alternative) -> Choice:
     """Return the choice with the tables that were asked for, whatever cross-validation says."""
-    automatic = choice.alternatives
-    why = finding("drift.tables_requested", "info", tables=tables, automatic=automatic.chosen)
-    taken = replace(choice, alternatives=replace(automatic, chosen=tables, why=why))
-    if ("scale" in tables and taken.scale_drift is None) or ("dynamic" in tables and taken.dynamic_drift is None):
+    scale, dynamic = choice.taken(tables)
+    if ("scale" in tables and scale is None) or ("dynamic" in tables and dynamic is None):
         raise NotObservable(
             f"{tables} cannot be fitted to these steps; turn about each axis at three rates at each soak"
         )
-    verdict = Verdict(findings=(why,))
-    if "scale" in tables and choice.scale is not None:
-        verdict = verdict.also(choice.scale.verdict)
-    dynamic = {"dynamic": choice.dynamic, "scale + dynamic": choice.both}.get(tables)
-    return replace(taken, verdict=verdict if dynamic is None else verdict.also(dynamic.verdict))
+    why = finding("drift.tables_requested", "info", tables=tables, automatic=choice.alternatives.chosen)
+    asked = replace(choice.alternatives, chosen=tables, why=why)
+    return replace(choice, alternatives=asked, verdict=choice.verdict_of(tables, why))
 
 
 def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> AccelDriftFit | None:
@@ -393,36 +354,36 @@ def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -
 def _tables(
     static: StaticFit, choice: Choice | None, accel: AccelDriftFit | None, lags_s: tuple[float, float]
 ) -> DriftTables:
-    tables = DriftTables(
-        static=static.table,
-        scale=None if choice is None else choice.scale_drift,
-        dynamic=None if choice is None else choice.dynamic_drift,
-        lag_s=lags_s[0],
-        lag_smooth_s=lags_s[1],
-    )
+    scale, dynamic = (None, None) if choice is None else (choice.scale_drift, choice.dynamic_drift)
+    tables = DriftTables(static=static.table, scale=scale, dynamic=dynamic, lag_s=lags_s[0], lag_smooth_s=lags_s[1])
     return tables if accel is None else with_accel(tables, accel)
 
 
-def _provenance(
-    device: Calibration, sessions: Sequence[Session], settings: DriftSettings, lag_s: float, choice: Choice | None
-) -> Provenance:
-    """Where tuning tables came from; files and settings of an earlier thermal fit go with its tables."""
+def _calibrated(
+    device: Calibration,
+    tables: DriftTables,
+    verdict: Verdict,
+    sessions: Sequence[Session],
+    settings: DriftSettings,
+    choice: Choice | None,
+) -> Calibration:
+    """Return a calibration with tuning tables; files and settings of an earlier thermal fit go with its tables."""
     held = device.provenance
     known = dict(held.settings).get(_INPUTS, "")
     before = held.inputs[: int(known)] if known.isdigit() else held.inputs
-    inputs = dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))
     chosen = "none" if choice is None else choice.alternatives.chosen
-    return Provenance(
-        inputs=tuple(inputs),
+    provenance = Provenance(
+        inputs=tuple(dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))),
         settings=(
             *(entry for entry in held.settings if not entry[0].startswith("drift_")),
             ("drift_spline", "not-a-knot" if settings.static.not_a_knot else "smoothing"),
-            ("drift_lag_s", f"{lag_s:.4g}"),
+            ("drift_lag_s", f"{tables.lag_s:.4g}"),
             ("drift_tables", "static" if chosen == "none" else f"static, {chosen}"),
             ("drift_sessions", f"{len(sessions)}"),
             (_INPUTS, f"{len(before)}"),
-            (STATUS_BEFORE, device.verdict.status),
+            (checks.STATUS_BEFORE, device.verdict.status),
         ),
         versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
+    return replace(device, drift=tables, verdict=device.verdict.also(verdict), provenance=provenance)

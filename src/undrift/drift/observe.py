@@ -11,7 +11,7 @@ so that a ramp does not count as noise; bias instability from block to block is 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -45,52 +45,51 @@ class ObserveSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestBlocks:
-    """Means over blocks of rest, n rows in the order of session and time."""
+class Rows:
+    """Means over stretches of thermal sessions, n rows."""
 
     session: IntArray  # (n,), which session, from 0
-    pose: IntArray  # (n,), which orientation; numbers are not shared by sessions
-    time: FloatArray  # (n,), middle of the block, s; the recordings of a session follow each other on this clock
-    power_on_s: FloatArray  # (n,), time since the block's recording began, s, with which power-on may have come
+    time: FloatArray  # (n,), middle of the stretch, s; the recordings of a session follow each other on this clock
     temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
-    ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
     gyro: FloatArray  # (n, 3), mean reading, raw unit; NaN where the session has no such sensors
     accel: FloatArray  # (n, 3), likewise
-    gyro_variance: FloatArray  # (n, 3), of that mean by the scatter inside the block, raw unit squared
+    gyro_variance: FloatArray  # (n, 3), of the mean by the scatter inside the stretch, raw unit squared
+
+    def __len__(self) -> int:
+        return len(self.temp_c)
+
+    def taken(self, which: Any) -> Self:
+        """Return some of the rows, numbers unchanged."""
+        own: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return replace(self, **{name: v[which] for name, v in own.items() if hasattr(v, "shape")})
+
+    def followed_by(self, others: Sequence[Self]) -> Self:
+        """Return all rows, one after another; a column that one of them lacks is left out."""
+        columns = {name: [getattr(part, name) for part in (self, *others)] for name in self.__dataclass_fields__}
+        lacking = {name for name, of in columns.items() if any(part is None for part in of)}
+        joined: dict[str, Any] = {k: None if k in lacking else np.concatenate(of) for k, of in columns.items()}
+        return replace(self, **joined)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestBlocks(Rows):
+    """Means over blocks of rest, n rows in the order of session and time."""
+
+    pose: IntArray  # (n,), which orientation; numbers are not shared by sessions
+    power_on_s: FloatArray  # (n,), time since the block's recording began, s, with which power-on may have come
+    ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
     accel_variance: FloatArray  # (n, 3), likewise
     # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: constant at one level
     gyro_step_error: FloatArray | None = None
     accel_step_error: FloatArray | None = None  # (n, 3), likewise
 
-    def __len__(self) -> int:
-        return len(self.temp_c)
-
-    def taken(self, which: FloatArray | IntArray | slice) -> "RestBlocks":
-        """Return some of the rows."""
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        taken: dict[str, Any] = {name: None if value is None else value[which] for name, value in own.items()}
-        return RestBlocks(**taken)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RateSteps:
+class RateSteps(Rows):
     """Means over dwells at a steady rate, n rows in the order of session and time."""
 
-    session: IntArray  # (n,), which session, from 0
     soak: IntArray  # (n,), dwells of one number were made at one temperature
-    time: FloatArray  # (n,), middle of the dwell, s; the recordings of a session follow each other on this clock
-    temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
-    gyro: FloatArray  # (n, 3), mean reading, raw unit
-    accel: FloatArray
-    gyro_variance: FloatArray  # (n, 3), of the mean by the scatter inside the dwell, raw unit squared
-
-    def __len__(self) -> int:
-        return len(self.temp_c)
-
-    def taken(self, which: FloatArray | IntArray | slice) -> "RateSteps":
-        """Return some of the rows."""
-        return RateSteps(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
 
 
 def observe_rests(
@@ -106,62 +105,40 @@ def observe_rests(
         stills = _rests(session)
         numbers = poses + _poses(session, stills)
         poses = int(numbers.max()) + 1
-        parts.extend(
-            rest_blocks(
-                session.records[still.recording],
-                temps[still.recording],
-                still,
-                steps[still.recording],
-                settings,
-                begin_s=float(begins[still.recording]),
-                session=number,
-                pose=int(pose),
+        for still, pose in zip(stills, numbers.tolist(), strict=True):
+            k = still.recording
+            begin_s = float(begins[k])
+            parts.append(
+                rest_blocks(
+                    session.records[k], temps[k], still, steps[k], settings, begin_s=begin_s, session=number, pose=pose
+                )
             )
-            for still, pose in zip(stills, numbers, strict=True)
-        )
     if not any(len(part) for part in parts):
         raise NotObservable(
             "rests: wanted stretches at rest with a known temperature, got none; leave the device still while its temperature "
             "changes, and record the temperature or state temp_c"
         )
-    return RestBlocks(**{name: _stacked(parts, name) for name in RestBlocks.__dataclass_fields__})
+    return parts[0].followed_by(parts[1:])
 
 
 def observe_steps(
     sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
 ) -> RateSteps:
     """Gather the dwells at known rates of thermal sessions."""
+    none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
+    steps = RateSteps(
+        session=whole, soak=whole, time=none, temp_c=none, rate_b=three, gyro=three, accel=three, gyro_variance=three
+    )
     parts: list[RateSteps] = []
     soaks = 0
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         _check_lengths(session, temps)
         turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
-        if not turns:
-            continue
-        turns.sort(key=lambda t: (t.recording, t.start))
-        part = _steps(session, turns, temps, settings)
-        soak = soaks + _soaks(turns, part.temp_c, settings.soak_c)
-        soaks = int(soak.max()) + 1
-        parts.append(replace(part, session=np.full(len(part), number, np.int64), soak=soak))
-    if not parts:
-        none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
-        return RateSteps(
-            session=whole,
-            soak=whole,
-            time=none,
-            temp_c=none,
-            rate_b=three,
-            gyro=three,
-            accel=three,
-            gyro_variance=three,
-        )
-    return RateSteps(**{name: _stacked(parts, name) for name in RateSteps.__dataclass_fields__})
-
-
-def _stacked(parts: Sequence[RestBlocks | RateSteps], name: str) -> Any:
-    if any(getattr(part, name) is None for part in parts):
-        return None
-    return np.concatenate([getattr(part, name) for part in parts])
+        if turns:
+            turns.sort(key=lambda t: (t.recording, t.start))
+            parts.append(_steps(session, turns, temps, settings, session_number=number, first_soak=soaks))
+            soaks = int(parts[-1].soak.max()) + 1
+    return steps.followed_by(parts)
 
 
 def _check_lengths(session: Session, temps: Sequence[FloatArray]) -> None:
@@ -210,44 +187,35 @@ def _never_moves(record: Record) -> bool:
         steps = np.abs(np.diff(middle, axis=0)).sum(axis=1)
         if np.quantile(spread, 0.98) > _EVEN * usual or np.quantile(steps, 0.98) > _EVEN * usual:
             return False
-    return _direction_stays(record)
-
-
-def _direction_stays(record: Record) -> bool:
     if record.accel is None:
         return True
     known = record.accel[np.isfinite(record.accel).all(axis=1)]
-    means = np.array([np.median(part, axis=0) for part in np.array_split(known, 8)])
-    return all(_angle(means[0], mean) < _SAME_POSE for mean in means)
-
-
-def _angle(one: FloatArray, two: FloatArray) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two))
+    means = [np.median(part, axis=0) for part in np.array_split(known, 8)]
+    return all(_lie_alike(means[0], mean) for mean in means)
 
 
 def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
     """Return which pose each still is in, from 0."""
-    numbers = np.zeros(len(stills), np.int64)
-    faces: dict[str, int] = {}
-    following = 0
-    before: tuple[int, FloatArray | None, int] | None = None
-    for k, still in enumerate(stills):
-        accel = session.records[still.recording].accel
+    numbers, faces = list[int](), dict[str, int]()
+    before: Still | None = None
+    mean: FloatArray | None = None
+    for still in stills:
+        accel, last = session.records[still.recording].accel, mean
         mean = None if accel is None else np.nanmedian(accel[still.start : still.stop], axis=0)
-        if still.face is not None and still.face in faces:
-            numbers[k] = faces[still.face]
-        elif before is not None and before[0] == still.recording and still.face is None and _lies_like(before[1], mean):
-            numbers[k] = before[2]
-        else:
-            numbers[k], following = following, following + 1
+        same = before is not None and before.recording == still.recording and _lie_alike(last, mean)
+        following = max(numbers, default=-1) + 1
         if still.face is not None:
-            faces[still.face] = int(numbers[k])
-        before = (still.recording, mean, int(numbers[k]))
-    return numbers
+            numbers.append(faces.setdefault(still.face, following))
+        else:
+            numbers.append(numbers[-1] if same else following)
+        before = still
+    return np.array(numbers, np.int64)
 
 
-def _lies_like(one: FloatArray | None, two: FloatArray | None) -> bool:
-    return (one is None and two is None) or (one is not None and two is not None and _angle(one, two) < _SAME_POSE)
+def _lie_alike(one: FloatArray | None, two: FloatArray | None) -> bool:
+    if one is None or two is None:
+        return one is two
+    return bool(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two) < _SAME_POSE)
 
 
 # ---- blocks of one rest
@@ -272,15 +240,19 @@ def rest_blocks(
     gyro, gyro_variance, gyro_step = _means(record.gyro, inside, edges, size, steps[0])
     accel, accel_variance, accel_step = _means(record.accel, inside, edges, size, steps[1])
     middle = np.array([0.5 * (time[a] + time[b - 1]) for a, b in pairwise(edges)])
-    own = np.array([_temperature(temp[a:b]) for a, b in pairwise(edges)])
-    ramp = np.array([_slope(time, temp, at, settings.ramp_s) for at in middle])
+    own = np.full(count, np.nan)
+    for k, (a, b) in enumerate(pairwise(edges)):
+        known = temp[a:b][np.isfinite(temp[a:b])]
+        if len(known) >= _LEAST_SHARE * (b - a):
+            off = np.abs(known - np.median(known))
+            own[k] = known[off <= _JUMP + _FAR * _ROBUST * np.median(off)].mean()
     made = RestBlocks(
         session=np.full(count, session, np.int64),
         pose=np.full(count, pose, np.int64),
         time=middle - record.time[0] + begin_s,
         power_on_s=middle - record.time[0],
         temp_c=own,
-        ramp_c_per_min=ramp,
+        ramp_c_per_min=np.array([_slope(time, temp, at, settings.ramp_s) for at in middle]),
         gyro=gyro,
         accel=accel,
         gyro_variance=gyro_variance,
@@ -289,15 +261,7 @@ def rest_blocks(
         accel_step_error=accel_step,
     )
     seen = np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)
-    return made.taken(np.flatnonzero(np.isfinite(own) & seen))
-
-
-def _temperature(temp: FloatArray) -> float:
-    known = temp[np.isfinite(temp)]
-    if len(known) < _LEAST_SHARE * len(temp):
-        return float("nan")
-    off = np.abs(known - np.median(known))
-    return float(known[off <= _JUMP + _FAR * _ROBUST * np.median(off)].mean())
+    return made.taken(np.isfinite(own) & seen)
 
 
 def _edges(time: FloatArray, block_s: float) -> IntArray:
@@ -396,7 +360,15 @@ def _slope(time: FloatArray, temp: FloatArray, middle: float, span_s: float) -> 
 # ---- dwells at a steady rate
 
 
-def _steps(session: Session, turns: list[Turn], temps: Sequence[FloatArray], settings: ObserveSettings) -> RateSteps:
+def _steps(
+    session: Session,
+    turns: list[Turn],
+    temps: Sequence[FloatArray],
+    settings: ObserveSettings,
+    *,
+    session_number: int,
+    first_soak: int,
+) -> RateSteps:
     dwells = dwell_means(session.records, turns, settle_s=settings.settle_s)
     count = len(turns)
     temp, accel = np.zeros(count), np.full((count, 3), np.nan)
@@ -407,16 +379,15 @@ def _steps(session: Session, turns: list[Turn], temps: Sequence[FloatArray], set
                 f"dwell [{turn.start}, {turn.stop}) of recording {turn.recording}: wanted a temperature, got none; map its column "
                 "or state temp_c"
             )
-        temp[k] = float(np.nanmean(own))
+        temp[k] = np.nanmean(own)
         values = session.records[turn.recording].accel
         if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
             accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
     imposed = np.zeros((count, 3))
     imposed[np.arange(count), ["xyz".index(axis) for axis in dwells.axis]] = dwells.turn_rate
-    zeros = np.zeros(count, np.int64)
     return RateSteps(
-        session=zeros,
-        soak=zeros,
+        session=np.full(count, session_number, np.int64),
+        soak=first_soak + _soaks(turns, temp, settings.soak_c),
         time=dwells.time if dwells.time is not None else np.zeros(count),
         temp_c=temp,
         rate_b=imposed,

@@ -38,9 +38,18 @@ moves. Each node gets tau2 k: a session to come has a shift of its own.
 
 Few poses, rests or sessions know a variance badly: k = (t / z)^2 with the 97.5 % points of Student's distribution for that many
 degrees of freedom and of the normal; p2 and r2 are drawn towards the mean of the three axes, with weight 2.
+
+g-sensitivity, where the calibration has none: means of rests in several poses, reading u in a cell of temperature, corrected
+specific force a, ::
+
+    u_r = m_cell + H a_r + P_pose + E_r + noise and instability          G = M H, which ``correct`` subtracts as G a
+
+H by least squares within cells; P, what poses leave of that, and E have their variances from the same rests, and all of it is in
+the covariance of H, widened for few poses by Student's factor. H is kept where its nine elements are larger, by that covariance,
+than chance makes them once in a thousand. A G that the calibration has is kept.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -51,7 +60,7 @@ from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import excess_variance
 from undrift.fit.smooth import Scatter, SmoothSettings, fit_smooth, widening_of
-from undrift.model import G_NAMES, Calibration
+from undrift.model import G_NAMES, Calibration, Verdict
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 UNKNOWN_SCALE_PER_K = 2e-4  # of an accelerometer that was seen in one pose: a capacitive one shifts by +-1 % in 50 K
@@ -64,9 +73,16 @@ _LEAST_PAIRS = 4
 _LEAST_JUDGED = 5  # blocks of a cell and pose: fewer do not show which one is wrong
 _SMOOTH_C = 0.5  # second difference of the temperature: above, a new set-point lies between blocks
 _STEP_PER_ERROR = 12.0**0.5  # step of a converter over the error that it leaves without noise
+_LEAST_WIDTH_C = 0.5  # narrowest cell
+_MOST_CELLS = 100  # cells are widened until there are about as many; the fit takes the cube of their number
+_MOST_GROUPS = 20  # groups of neighbouring cells that are left out in turn
 _APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
 _NONE = 1e-6  # singular value of shares: poses that no cell compares
 _ALIKE = 2.0  # degrees of freedom by which the axes of a triad are taken to be alike
+_CHANCE = 1e-3
+_LEAST_SEEN = 0.3  # of the best seen direction of gravity: a worse one is not estimated
+_RESOLVED = 0.1  # singular value, root rests of a pose: below, poses differ by what drifts in gravity's reading alone
+_LEAST_SPARE = 1  # poses beyond those that H takes
 _SHARED_C = 1.0  # cells of two sessions nearer than this share a temperature
 
 
@@ -84,10 +100,9 @@ class Offsets:
 
 def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_deg: float | None) -> Offsets | None:
     """Return the gyroscopes' readings at rest, without g-sensitivity and Earth rate."""
-    seen = np.flatnonzero(np.isfinite(blocks.gyro).all(axis=1))
-    if not len(seen):
+    blocks = blocks.taken(np.isfinite(blocks.gyro).all(axis=1))
+    if not len(blocks):
         return None
-    blocks = blocks.taken(seen)
     model = None if calibration is None else calibration.gyro
     force = specific_force(blocks, calibration)
     value, common, found = np.array(blocks.gyro), np.zeros(3), list[Finding]()
@@ -120,10 +135,9 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None, latitude_d
 
 def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets | Finding:
     """Return the accelerometers' readings in the pose with the widest range of temperature."""
-    seen = np.flatnonzero(np.isfinite(blocks.accel).all(axis=1))
-    if not len(seen):
+    blocks = blocks.taken(np.isfinite(blocks.accel).all(axis=1))
+    if not len(blocks):
         return finding("drift.accel_no_readings", "info")
-    blocks = blocks.taken(seen)
     poses = np.unique(blocks.pose)
     spans = [float(np.ptp(blocks.temp_c[blocks.pose == pose])) for pose in poses]
     force = specific_force(blocks, calibration)
@@ -134,22 +148,16 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
             check_gravity(force, STANDARD_GRAVITY if calibration is None else calibration.gravity_m_s2)
         except Implausible as error:
             return finding("drift.accel_gravity", "warn", problem=str(error))
-    chosen = blocks.taken(np.flatnonzero(blocks.pose == poses[int(np.argmax(spans))]))
+    chosen = blocks.taken(blocks.pose == poses[int(np.argmax(spans))])
+    percent, span = 100.0 * UNKNOWN_SCALE_PER_K, max(spans)
+    found = finding("drift.accel_one_pose", "info", poses=len(poses), span_c=span, percent_per_c=percent)
     return Offsets(
         blocks=chosen,
         value=np.array(chosen.accel),
         variance=known_variance(chosen.accel_variance),
         step_error=chosen.accel_step_error,
         common_variance=np.zeros(3),
-        findings=(
-            finding(
-                "drift.accel_one_pose",
-                "info",
-                poses=len(poses),
-                span_c=max(spans),
-                percent_per_c=100.0 * UNKNOWN_SCALE_PER_K,
-            ),
-        ),
+        findings=(found,),
     )
 
 
@@ -169,17 +177,6 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
 
 
 # ---- temperature cells
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CellSettings:
-    """How blocks are gathered."""
-
-    least_width_c: float = 0.5  # narrowest cell, degC
-    most_cells: int = 100  # cells are widened until there are about as many; the fit takes the cube of their number
-    most_groups: int = 20  # groups of neighbouring cells that are left out in turn
-    # Cells are cut where the time since power-on passes this, twice this, four times, ...; infinite for no cut
-    chunk_s: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -232,31 +229,33 @@ def gather(
     direction: FloatArray,
     regressors: FloatArray,
     step_error: FloatArray | None = None,
-    settings: CellSettings = CellSettings(),
+    chunk_s: float = np.inf,
 ) -> Cells:
-    """Gather blocks into temperature cells; value, variance, step_error (n, 3), direction (n,), regressors (n, p)."""
-    key = _keys(blocks, direction, settings.chunk_s)
-    width = max(
-        settings.least_width_c,
-        sum(float(np.ptp(blocks.temp_c[key == k])) for k in range(key.max() + 1)) / settings.most_cells,
-    )
+    """Gather blocks into temperature cells; value, variance, step_error (n, 3), direction (n,), regressors (n, p).
+
+    Cells are cut where the time since power-on passes chunk_s, twice this, four times, ...
+    """
+    chunk = np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5)))
+    labels = np.column_stack((blocks.session, np.round(direction), chunk)).astype(np.int64)
+    key = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+    parts = [np.flatnonzero(key == k) for k in range(key.max() + 1)]
+    width = max(_LEAST_WIDTH_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / _MOST_CELLS)
     members: list[IntArray] = []
-    for k in range(key.max() + 1):
-        rows = np.flatnonzero(key == k)
+    for rows in parts:
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
         bins = bins_of(blocks.temp_c[rows], width)
         members.extend(rows[bins == b] for b in range(bins.max() + 1))
     members = [rows[_good(value[rows], blocks.pose[rows])] for rows in members]
     temp_c = np.array([blocks.temp_c[rows].mean() for rows in members])
-    group_width = max(1.5 * width, float(np.ptp(temp_c)) / settings.most_groups)
     order = np.argsort(temp_c, kind="stable")
     groups = np.empty(len(members), np.int64)
-    groups[order] = bins_of(temp_c[order], group_width)
+    groups[order] = bins_of(temp_c[order], max(1.5 * width, float(np.ptp(temp_c)) / _MOST_GROUPS))
     found = np.array(
         [_variance(value[rows], variance[rows], None if step_error is None else step_error[rows]) for rows in members]
     )
     middle = np.array([value[rows].mean(axis=0) for rows in members])
-    level = value - _slope(temp_c, middle) * blocks.temp_c[:, None]
+    x = temp_c - temp_c.mean()  # the usual slope within a cell is subtracted; 0 for one temperature
+    level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
     rests = rests_of(blocks, members)
     instability, pairs = instability_of(blocks, value, variance), 0
     if instability is None:
@@ -309,22 +308,19 @@ def _from_pairs(
     blocks: RestBlocks, rests: RestMembers, level: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray | None, int]:
     """Return s2 from neighbouring blocks of one cell and pose, and how many pairs there are."""
-    one, two = _pairs(list(rests.rows))
-    if len(one) < _LEAST_PAIRS:  # what differs from rest to rest counts as instability then
-        of_pose: dict[tuple[int, int], list[IntArray]] = {}
-        for rows, cell, pose in zip(rests.rows, rests.cell.tolist(), rests.pose.tolist(), strict=True):
-            of_pose.setdefault((cell, pose), []).append(rows)
-        one, two = _pairs([np.concatenate(parts) for parts in of_pose.values()])
-    if len(one) < _LEAST_PAIRS:
+    of_pose: dict[tuple[int, int], list[IntArray]] = {}
+    for rows, cell, pose in zip(rests.rows, rests.cell.tolist(), rests.pose.tolist(), strict=True):
+        of_pose.setdefault((cell, pose), []).append(rows)
+    for runs in (rests.rows, [np.concatenate(parts) for parts in of_pose.values()]):
+        one, two = np.concatenate([rows[:-1] for rows in runs]), np.concatenate([rows[1:] for rows in runs])
+        if len(one) >= _LEAST_PAIRS:
+            break  # else what differs from rest to rest counts as instability
+    else:
         return None, 0
     noise = (variance[one] + variance[two]).mean(axis=0)
     square = ((level[two] - level[one]) ** 2).mean(axis=0) - noise
     share = 2.0 * float(np.mean(1.0 - _rho(np.abs(blocks.time[two] - blocks.time[one]))))
     return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share), len(one)
-
-
-def _pairs(rests: list[IntArray]) -> tuple[IntArray, IntArray]:
-    return np.concatenate([rows[:-1] for rows in rests]), np.concatenate([rows[1:] for rows in rests])
 
 
 def _rest_means(
@@ -337,12 +333,6 @@ def _rest_means(
     if instability is not None:
         covariance = covariance + instability[:, None, None] * _correlation(blocks, list(rests.rows))
     return mean, covariance
-
-
-def _slope(temp_c: FloatArray, value: FloatArray) -> FloatArray:
-    """Return the usual slope over temperature, shape (k,); 0 for one temperature."""
-    x = temp_c - temp_c.mean()
-    return np.asarray(x @ value / max(float(x @ x), 1e-9))
 
 
 def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
@@ -358,14 +348,6 @@ def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | 
 def _rho(lag_s: FloatArray) -> FloatArray:
     kept: FloatArray = np.exp(-np.asarray(lag_s)[..., None] / _TIME_CONSTANTS_S).mean(axis=-1)
     return kept
-
-
-def _keys(blocks: RestBlocks, direction: FloatArray, chunk_s: float) -> IntArray:
-    way = np.round(direction).astype(np.int64)
-    chunk = np.zeros(len(blocks), np.int64)
-    if np.isfinite(chunk_s):
-        chunk = np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5))).astype(np.int64)
-    return np.unique(np.column_stack((blocks.session, way, chunk)), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _good(value: FloatArray, pose: IntArray) -> BoolArray:
@@ -407,9 +389,7 @@ def rests_of(blocks: RestBlocks, cells: list[IntArray]) -> RestMembers:
             runs = np.split(own, np.flatnonzero(np.diff(blocks.time[own]) > _APART_S) + 1)
             rows.extend(runs)
             cell.extend([k] * len(runs))
-    return RestMembers(
-        rows=tuple(rows), cell=np.array(cell, np.int64), pose=np.array([blocks.pose[r[0]] for r in rows], np.int64)
-    )
+    return RestMembers(rows=tuple(rows), cell=np.array(cell), pose=np.array([blocks.pose[r[0]] for r in rows]))
 
 
 def rest_scatter(members: RestMembers, mean: FloatArray, covariance: FloatArray) -> RestScatter | None:
@@ -419,20 +399,20 @@ def rest_scatter(members: RestMembers, mean: FloatArray, covariance: FloatArray)
     centred = centred_on_cells(members)
     poses = centred @ in_pose
     compared = int(np.linalg.matrix_rank(poses, tol=_NONE))
-    left = centred - (poses @ np.linalg.pinv(poses, rcond=_NONE) if compared else 0.0)
+    inverse = np.linalg.pinv(poses, rcond=_NONE)
     freedom = count - in_cell.shape[1] - compared
     if compared + freedom < 1:
         return None
     rest: FloatArray = np.zeros(3)
-    if freedom > 0:
-        rest = pooled(excess(left, None, mean, covariance, freedom), freedom)
     pose: FloatArray = np.zeros(3)
+    if freedom > 0:
+        left = centred - (poses @ inverse if compared else 0.0)
+        rest = pooled(excess(left, float(freedom), mean, covariance), freedom)
     if compared > 0:
-        taken = np.linalg.pinv(poses, rcond=_NONE) @ centred
+        taken = inverse @ centred
         with_rests = covariance + rest[:, None, None] * np.eye(count)
-        pose = pooled(excess(taken, taken @ in_pose, mean, with_rests), compared)
-    size = np.array([len(rows) for rows in members.rows], float)
-    share = size[:, None] * in_cell
+        pose = pooled(excess(taken, float(((taken @ in_pose) ** 2).sum()), mean, with_rests), compared)
+    share = np.array([len(rows) for rows in members.rows], float)[:, None] * in_cell
     share /= share.sum(axis=0)
     by_pose = share.T @ in_pose
     return RestScatter(
@@ -456,14 +436,11 @@ def centred_on_cells(members: RestMembers) -> FloatArray:
     return centred
 
 
-def excess(
-    taken: FloatArray, effect: FloatArray | None, mean: FloatArray, covariance: FloatArray, freedom: int = 1
-) -> FloatArray:
+def excess(taken: FloatArray, size: float, mean: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the variance of an effect, (3,): squares of combinations of the means, less what their covariance explains.
-    taken (q, N), effect (q, p), mean (N, 3), covariance (3, N, N)."""
+    taken (q, N), size the sum of squares of the effect's coefficients, mean (N, 3), covariance (3, N, N)."""
     square = ((taken @ mean) ** 2).sum(axis=0)
     expected = np.einsum("ij,kjl,il->k", taken, covariance, taken)
-    size = float(freedom) if effect is None else float((effect**2).sum())
     return np.asarray(np.maximum(square - expected, 0.0) / size)
 
 
@@ -490,10 +467,11 @@ class TurnOn:
     # (s, 3), of each session against the mean of those that share its temperatures, raw unit; NaN where none does
     shift: FloatArray
     # (3,), tau2, or the variance of the shifts where that is more, raw unit squared; NaN where not observable
-    variance: FloatArray
+    variance: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     # (3,), added to a node's variance for a session to come, raw unit squared; 0 where not observable
-    variance_to_come: FloatArray
-    bounded: BoolArray  # (3,), whether ``variance`` is only that of the shifts
+    variance_to_come: FloatArray = field(default_factory=lambda: np.zeros(3))
+    # (3,), whether ``variance`` is only that of the shifts
+    bounded: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
 
     @property
     def observable(self) -> bool:
@@ -503,35 +481,35 @@ class TurnOn:
     def shared(self, session: IntArray) -> FloatArray:
         """Return the covariance that rows of one session have in common, (n,) -> (3, n, n)."""
         same = session[:, None] == session[None, :]
-        shared: FloatArray = np.nan_to_num(self.variance)[:, None, None] * same
-        return shared
+        return np.asarray(np.nan_to_num(self.variance)[:, None, None] * same)
 
 
-def between_sessions(cells: Cells, regressors: FloatArray, settings: SmoothSettings = SmoothSettings()) -> TurnOn:
-    """Find how much the offset moves between sessions; regressors (n, p)."""
+def between_sessions(cells: Cells, settings: SmoothSettings) -> TurnOn:
+    """Find how much the offset moves between sessions."""
     numbers = np.unique(cells.session)
-    of_group = _together(cells, numbers)
-    held = _held(cells.session[:, None] == numbers[None, :], of_group)
-    free = held.shape[1]
+    shifts = _shifts(cells, numbers)
+    free = shifts.shape[1]
+    unknown = TurnOn(sessions=len(numbers), shift=np.full((len(numbers), 3), np.nan))
+    if free == 0:
+        return unknown
     try:
-        if free == 0:
-            return _not_observable(len(numbers))
         made = fit_smooth(
             cells.temp_c,
             cells.value,
             cells.variance,
-            regressors=np.column_stack((held, regressors)),
+            regressors=np.column_stack(((cells.session[:, None] == numbers) @ shifts, cells.regressors)),
             groups=cells.groups,
             scatter=Scatter(correlation=cells.correlation, variance=cells.instability),
             settings=settings,
         )
     except NotObservable:
-        return _not_observable(len(numbers))
-    shift = _shifts(made.coefficient[:free], of_group)
-    own = _shifts(made.coefficient_uncertainty[:free] ** 2, of_group, last_is_mean=True)
-    seen = np.isfinite(shift[:, 0])
-    found = np.array([excess_variance(shift[seen, axis], own[seen, axis], free) for axis in range(3)])
-    known = own[seen].mean(axis=0)
+        return unknown
+    part = np.abs(shifts)
+    seen = np.asarray(part.any(axis=1))
+    shift = np.where(seen[:, None], shifts @ made.coefficient[:free], np.nan)
+    own = part[seen] @ made.coefficient_uncertainty[:free] ** 2 / part[seen].sum(axis=1, keepdims=True)
+    found = np.array([excess_variance(shift[seen, axis], own[:, axis], free) for axis in range(3)])
+    known = own.mean(axis=0)
     variance = np.maximum(found, known)
     return TurnOn(
         sessions=len(numbers),
@@ -542,46 +520,79 @@ def between_sessions(cells: Cells, regressors: FloatArray, settings: SmoothSetti
     )
 
 
-def _not_observable(count: int) -> TurnOn:
-    return TurnOn(
-        sessions=count,
-        shift=np.full((count, 3), np.nan),
-        variance=np.full(3, np.nan),
-        variance_to_come=np.zeros(3),
-        bounded=np.zeros(3, bool),
-    )
+def _shifts(cells: Cells, numbers: IntArray) -> FloatArray:
+    """Return what makes the shifts of s sessions, (s, free), of those of all but the last in each group, so that each sums to zero.
+
+    A group is tied together by shared temperatures, one session to the next; one that shares none has a row of zeros.
+    """
+    from scipy.linalg import block_diag
+    from scipy.sparse.csgraph import connected_components
+
+    temps = [cells.temp_c[cells.session == number] for number in numbers]
+    tied = [[np.abs(one[:, None] - two).min() <= _SHARED_C for two in temps] for one in temps]
+    count, group = connected_components(np.array(tied))
+    sizes = np.bincount(group, minlength=count)
+    shifts = np.zeros((len(numbers), len(numbers) - count))
+    shifts[np.argsort(group, kind="stable")] = block_diag(*(np.vstack((np.eye(n - 1), -np.ones(n - 1))) for n in sizes))
+    return shifts
 
 
-def _together(cells: Cells, numbers: IntArray) -> IntArray:
-    """Return for each session the least number of those that it is tied to by shared temperatures, one to the next."""
-    of_group = np.arange(len(numbers))
-    for a in range(len(numbers)):
-        for b in range(a):
-            ours, theirs = cells.temp_c[cells.session == numbers[a]], cells.temp_c[cells.session == numbers[b]]
-            if np.abs(ours[:, None] - theirs[None, :]).min() <= _SHARED_C:
-                joined = of_group[[a, b]]
-                of_group[np.isin(of_group, joined)] = joined.min()
-    return of_group
+# ---- g-sensitivity
 
 
-def _held(of_session: BoolArray, of_group: IntArray) -> FloatArray:
-    """Return the columns of the shifts, whose sum is zero in each group: its last session is less all others."""
-    columns = [np.zeros((len(of_session), 0))]
-    for group in np.unique(of_group):
-        members = np.flatnonzero(of_group == group)
-        dummies = of_session[:, members].astype(float)
-        columns.append(dummies[:, :-1] - dummies[:, -1:])
-    return np.column_stack(columns)
+def with_g_sensitivity(rests: RestBlocks, device: Calibration) -> tuple[Calibration, Verdict]:
+    """Give a calibration the g-sensitivity that rests in several poses show."""
+    model, nothing = device.gyro, (device, Verdict())
+    if model is None or device.accel is None or model.g_sensitivity is not None:
+        return nothing
+    blocks = rests.taken(np.isfinite(rests.gyro).all(axis=1) & np.isfinite(rests.accel).all(axis=1))
+    force = specific_force(blocks, device)
+    if not len(blocks) or force is None:
+        return nothing
+    between = gather(
+        blocks,
+        blocks.gyro,
+        known_variance(blocks.gyro_variance),
+        direction=np.zeros(len(blocks)),
+        regressors=np.zeros((len(blocks), 0)),
+        step_error=blocks.gyro_step_error,
+    ).between
+    estimated = None if between is None else _g_sensitivity(between, force)
+    if between is None or estimated is None:
+        return nothing
+    count, m, g = len(model.parameters), model.matrix, model.matrix @ estimated[0]
+    covariance = np.zeros((count + len(G_NAMES), count + len(G_NAMES)))
+    covariance[:count, :count] = model.covariance
+    covariance[count:, count:] = np.einsum("ak,bk,kij->aibj", m, m, estimated[1]).reshape(len(G_NAMES), len(G_NAMES))
+    known = replace(model, g_sensitivity=g, parameters=(*model.parameters, *G_NAMES), covariance=covariance)
+    size = float(np.abs(g).max()) * si_factor(model.unit_out, "rate") * STANDARD_GRAVITY / RADIAN_PER_DEGREE
+    estimate = finding("drift.g_sensitivity", "info", largest_dps_per_g=size, poses=between.poses)
+    return replace(device, gyro=known), Verdict.of(estimate)
 
 
-def _shifts(found: FloatArray, of_group: IntArray, *, last_is_mean: bool = False) -> FloatArray:
-    """Return a row for each session from the columns of ``_held``; NaN for one that shares no temperature."""
-    rows, begin = np.full((len(of_group), 3), np.nan), 0
-    for group in np.unique(of_group):
-        members = np.flatnonzero(of_group == group)
-        own = found[begin : begin + len(members) - 1]
-        begin += len(own)
-        if len(own):
-            rows[members[:-1]] = own
-            rows[members[-1]] = own.mean(axis=0) if last_is_mean else -own.sum(axis=0)
-    return rows
+def _g_sensitivity(between: RestScatter, force: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return H (3, 3), raw unit per m/s2, and the covariance of each row, (3, 3, 3); None where it is not observable."""
+    from scipy.special import chdtri
+
+    members = between.members
+    centred, poses = centred_on_cells(members), indicators(members.pose)
+    seen = centred @ np.array([force[rows].mean(axis=0) for rows in members.rows])
+    strength = np.linalg.svd(seen, compute_uv=False)
+    if len(strength) < 3 or strength[-1] < _LEAST_SEEN * strength[0]:
+        return None
+    taken = np.linalg.pinv(seen) @ centred
+    left_out = centred - seen @ taken
+    spare = int(np.linalg.matrix_rank(left_out @ poses, tol=_RESOLVED))
+    if spare < _LEAST_SPARE:
+        return None
+    covariance = between.covariance + (between.rest**2)[:, None, None] * np.eye(len(seen))
+    left, size, right = np.linalg.svd(left_out @ poses, full_matrices=False)
+    kept = size > _RESOLVED  # the pseudo-inverse without directions that are hardly resolved
+    of_pose = (right[kept].T / size[kept]) @ left[:, kept].T @ left_out
+    effect = float(((of_pose @ poses) ** 2).sum())
+    pose_variance = pooled(excess(of_pose, effect, between.mean, covariance), spare)
+    covariance = covariance + pose_variance[:, None, None] * (poses @ poses.T)
+    found = (taken @ between.mean).T
+    known = widening_of(spare + 2.0) * np.einsum("ij,kjl,ml->kim", taken, covariance, taken)
+    square = sum(float(h @ np.linalg.solve(c, h)) for h, c in zip(found, known, strict=True))
+    return (found, known) if square > float(chdtri(len(G_NAMES), _CHANCE)) else None

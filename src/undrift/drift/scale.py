@@ -36,41 +36,21 @@ _OWN = 0.9  # share of the turning rate from which a row counts for one axis alo
 _SAME_DIRECTION = 0.98  # cosine
 _SAME_POSE = 0.2  # of the largest difference between two poses
 _SAME_TEMPERATURE_C = 1.5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeSettings:
-    """Which nodes count as extrapolated."""
-
-    edge_c: float = 0.5  # further than this beyond the first and last soak, degC
-    gap_c: float = 10.0  # between soaks and further than this from both, degC; matrices change more evenly than offsets
+MATRIX_GAP_C = (
+    10.0  # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Steps:
-    """Usable rate steps, n rows."""
+class Steps(RateSteps):
+    """Usable rate steps, n rows; the variance is the median where it is not known."""
 
-    session: IntArray  # (n,), as given
-    soak: IntArray  # (n,), numbered from 0 over all sessions
-    mounting: IntArray  # (n,), numbered from 0 over all soaks
-    temp_c: FloatArray  # (n,), degC
-    rate_b: FloatArray  # (n, 3), imposed rate, rad/s
-    along: FloatArray  # (n,), the same along the direction of its mounting, rad/s
-    gyro: FloatArray  # (n, 3), mean reading, raw unit
-    accel: FloatArray  # (n, 3), mean reading, raw unit; may be NaN
-    variance: FloatArray  # (n, 3), of the gyro means, raw unit squared; the median where it is not known
+    mounting: IntArray  # (n,), numbered from 0 over all soaks, as soaks are over all sessions
+    along: FloatArray  # (n,), rate along the direction of its mounting, rad/s
     verdict: Verdict  # what was left out
 
-    def __len__(self) -> int:
-        return len(self.temp_c)
 
-    def taken(self, rows: BoolArray | IntArray) -> "Steps":
-        """Return some of the rows, numbers unchanged."""
-        names = [name for name in self.__dataclass_fields__ if name != "verdict"]
-        return Steps(**{name: getattr(self, name)[rows] for name in names}, verdict=self.verdict)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class SoakMatrices:
     """The forward matrix at each of S soaks."""
 
@@ -113,18 +93,12 @@ class Asymmetry:
 
 
 def fit_scale(
-    steps: RateSteps | Steps,
-    calibration: Calibration,
-    *,
-    static: StaticDrift | None,
-    temp_c: FloatArray,
-    settings: NodeSettings = NodeSettings(),
+    steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None, temp_c: FloatArray
 ) -> ScaleFit:
     """Fit the gyroscopes' matrix over temperature, at nodes (n,), degC."""
-    clean = steps_of(steps)
+    clean, model = steps_of(steps), gyro_model(calibration)
     soaks = soak_matrices(clean, calibration, static=static)
-    forward, variance = _over_temperature(soaks, calibration, temp_c)
-    model = gyro_model(calibration)
+    forward, variance = _over_temperature(soaks, model, temp_c)
     matrix = np.linalg.inv(forward)
     jacobian = np.stack([inverse_jacobian(m) for m in matrix])
     unknown = np.isnan(variance)
@@ -136,7 +110,7 @@ def fit_scale(
         temp_c=temp_c,
         gyro_matrix=matrix * to_out,
         gyro_uncertainty=uncertainty * to_out,
-        gyro_extrapolated=~near_data(temp_c, soaks.temp_c, edge_c=settings.edge_c, gap_c=settings.gap_c),
+        gyro_extrapolated=~near_data(temp_c, soaks.temp_c, gap_c=MATRIX_GAP_C),
     )
     return ScaleFit(
         drift=drift,
@@ -149,24 +123,28 @@ def fit_scale(
 
 def soak_matrices(steps: Steps, calibration: Calibration, *, static: StaticDrift | None) -> SoakMatrices:
     """Fit the forward matrix at each soak."""
-    kept = gyro_model(calibration).forward_matrix / si_factor(gyro_model(calibration).unit_out, "rate")
+    kept = _forward(gyro_model(calibration))
     own = steps.gyro - offset_at(steps.temp_c, calibration, static)
     parts = [_one_soak(steps, own, np.flatnonzero(steps.soak == s), kept) for s in np.unique(steps.soak)]
     parts.sort(key=lambda part: part[0])
-    return SoakMatrices(
-        temp_c=np.array([part[0] for part in parts]),
-        forward=np.array([part[1] for part in parts]),
-        variance=np.array([part[2] for part in parts]),
-        offset_left=np.array([part[3] for part in parts]),
-        rms=np.array([part[4] for part in parts]),
-    )
+    return SoakMatrices(*(np.array(column) for column in zip(*parts, strict=True)))
+
+
+def _forward(model: TriadModel) -> FloatArray:
+    return np.asarray(model.forward_matrix / si_factor(model.unit_out, "rate"))
+
+
+def _weighted(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return least-squares parameters and their covariance for values y (n,) of variance v (n,)."""
+    inverse = np.linalg.inv(design.T @ (design / v[:, None]))
+    return inverse @ (design.T @ (y / v)), inverse
 
 
 def _one_soak(
     steps: Steps, own: FloatArray, rows: IntArray, kept: FloatArray
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return temperature, K, its variance, mean offset left, and residual of one soak."""
-    rate, reading, variance = steps.rate_b[rows], own[rows], steps.variance[rows]
+    rate, reading, variance = steps.rate_b[rows], own[rows], steps.gyro_variance[rows]
     main = np.abs(rate).max()
     turned = np.flatnonzero((np.abs(rate) > 0.5 * np.linalg.norm(rate, axis=1, keepdims=True)).any(axis=0))
     still = np.setdiff1d(np.arange(3), turned)
@@ -184,8 +162,7 @@ def _one_soak(
     for i in range(3):
         noise = reading[:, i] - full @ np.linalg.lstsq(full, reading[:, i], rcond=None)[0]
         v = variance[:, i] + excess_variance(noise, variance[:, i], len(rows) - full.shape[1])
-        inverse = np.linalg.inv(design.T @ (design / v[:, None]))
-        theta = inverse @ (design.T @ (reading[:, i] / v))
+        theta, inverse = _weighted(design, reading[:, i], v)
         forward[i, turned] = theta[: len(turned)] / main
         spread[i, turned] = np.diag(inverse)[: len(turned)] / main**2
         left[i] = theta[len(turned) :].mean() if offsets.shape[1] else np.nan
@@ -198,24 +175,19 @@ def _mountings(steps: Steps, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     offsets, bends = [], []
     for m in np.unique(steps.mounting[rows]):
         inside = steps.mounting[rows] == m
-        along = np.where(inside, steps.along[rows], 0.0)
-        if len(np.unique(steps.along[rows][inside])) < 2:
+        along = steps.along[rows][inside]
+        if len(np.unique(along)) < 2:
             continue
         offsets.append(inside.astype(float))
-        if len(np.unique(np.abs(steps.along[rows][inside]))) > 3 and inside.sum() >= _BENT:
-            z = along / np.abs(along).max()
+        if len(np.unique(np.abs(along))) > 3 and len(along) >= _BENT:
+            z = np.where(inside, steps.along[rows], 0.0) / np.abs(along).max()
             bends += [z**2, z**3]
-    n = len(rows)
-    return np.array(offsets).reshape(-1, n).T, np.array(bends).reshape(-1, n).T
+    return np.array(offsets).reshape(-1, len(rows)).T, np.array(bends).reshape(-1, len(rows)).T
 
 
-def _over_temperature(
-    soaks: SoakMatrices, calibration: Calibration, nodes: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _over_temperature(soaks: SoakMatrices, model: TriadModel, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return K at the nodes and the variance of each element; NaN variance for axes that were not turned."""
-    model = gyro_model(calibration)
-    kept = model.forward_matrix / si_factor(model.unit_out, "rate")
-    forward, variance = np.tile(kept, (len(nodes), 1, 1)), np.full((len(nodes), 3, 3), np.nan)
+    forward, variance = np.tile(_forward(model), (len(nodes), 1, 1)), np.full((len(nodes), 3, 3), np.nan)
     temperatures = [soaks.temp_c[soaks.seen[:, j]] for j in range(3)]
     most = max(len(t) for t in temperatures)
     if most < 2 or max(float(np.ptp(t)) for t in temperatures if len(t)) <= 0.0:
@@ -224,12 +196,11 @@ def _over_temperature(
             "temperature, ten degrees or more away",
             soaks=most,
         )
-    for j in range(3):
-        have = soaks.seen[:, j]
-        if len(temperatures[j]) < 2:  # one temperature, or none: nothing over temperature
-            continue
-        at = fit_smooth(soaks.temp_c[have], soaks.forward[have, :, j], soaks.variance[have, :, j]).at(nodes)
-        forward[:, :, j], variance[:, :, j] = at.value, at.uncertainty**2
+    for j, temps in enumerate(temperatures):
+        if len(temps) >= 2:  # one temperature, or none: nothing over temperature
+            have = soaks.seen[:, j]
+            at = fit_smooth(temps, soaks.forward[have, :, j], soaks.variance[have, :, j]).at(nodes)
+            forward[:, :, j], variance[:, :, j] = at.value, at.uncertainty**2
     return forward, variance
 
 
@@ -244,34 +215,26 @@ def _sensitivity(soaks: SoakMatrices, reference_temp_c: float) -> tuple[FloatArr
         zero = reference_temp_c if np.isfinite(reference_temp_c) else float(t.mean())
         x = np.column_stack((np.ones(len(t)), t - zero))
         left = k - x @ np.linalg.lstsq(x, k, rcond=None)[0]
-        v = v + excess_variance(left, v, len(t) - 2)
-        inverse = np.linalg.inv(x.T @ (x / v[:, None]))
-        value, change = inverse @ (x.T @ (k / v))
+        (value, change), inverse = _weighted(x, k, v + excess_variance(left, v, len(t) - 2))
         slope[j], doubt[j] = 100.0 * change / value, abs(100.0 / value) * np.sqrt(inverse[1, 1])
     return slope, doubt
 
 
 def _verdict(soaks: SoakMatrices, slope: FloatArray, doubt: FloatArray) -> Verdict:
     found, count = [], soaks.seen.sum(axis=0)
-    for j, axis in enumerate(AXES):
-        if count[j] < 2:
-            found.append(finding("drift.scale_not_observable", "warn", axis=axis, soaks=int(count[j])))
+    for axis, n, s, u in zip(AXES, count, slope, doubt, strict=True):
+        if n < 2:
+            found.append(finding("drift.scale_not_observable", "warn", axis=axis, soaks=n))
         else:
-            found.append(
-                finding("drift.scale", "info", axis=axis, percent_per_k=slope[j], expanded_percent_per_k=2.0 * doubt[j])
-            )
+            found.append(finding("drift.scale", "info", axis=axis, percent_per_k=s, expanded_percent_per_k=2.0 * u))
     two = tuple(axis for axis, n in zip(AXES, count, strict=True) if n == 2)
-    if two:
-        found.append(finding("drift.scale_two_temperatures", "warn", axes=two))
-    return Verdict(status="marginal" if (count < 3).any() else "good", findings=tuple(found))
+    return Verdict.of(*found, *([finding("drift.scale_two_temperatures", "warn", axes=two)] if two else []))
 
 
 # ---- scale factor asymmetry
 
 
-def scale_asymmetry(
-    steps: RateSteps | Steps, calibration: Calibration, *, static: StaticDrift | None = None
-) -> Asymmetry:
+def scale_asymmetry(steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None = None) -> Asymmetry:
     """Compare the scale factors of the two ways round at each soak."""
     clean = steps_of(steps)
     reading = clean.gyro - offset_at(clean.temp_c, calibration, static)
@@ -279,14 +242,20 @@ def scale_asymmetry(
     temps = np.array([clean.temp_c[clean.soak == s].mean() for s in numbers])
     order = np.argsort(temps, kind="stable")
     value, doubt = np.full((len(numbers), 3), np.nan), np.full((len(numbers), 3), np.nan)
+    main = np.abs(clean.rate_b) > _OWN * np.linalg.norm(clean.rate_b, axis=1, keepdims=True)
     for k, s in enumerate(numbers[order]):
         for axis in range(3):
-            main = np.abs(clean.rate_b[:, axis]) > _OWN * np.linalg.norm(clean.rate_b, axis=1)
-            rows = np.flatnonzero((clean.soak == s) & main)
-            value[k, axis], doubt[k, axis] = _asymmetry_of(
-                clean.rate_b[rows, axis], reading[rows, axis], clean.variance[rows, axis]
-            )
+            rows = np.flatnonzero((clean.soak == s) & main[:, axis])
+            of_axis = clean.rate_b[rows, axis], reading[rows, axis], clean.gyro_variance[rows, axis]
+            value[k, axis], doubt[k, axis] = _asymmetry_of(*of_axis)
     mean, mean_doubt, slope, slope_doubt = _over_soaks(temps[order], value, doubt)
+    unseen = tuple(axis for axis, a in zip(AXES, mean, strict=True) if np.isnan(a))
+    found = [finding("drift.asymmetry_not_observable", "warn", axes=unseen)] if unseen else []
+    found += [
+        finding("drift.asymmetry", "info", axis=axis, percent=100.0 * a, expanded_percent=200.0 * u)
+        for axis, a, u in zip(AXES, mean, mean_doubt, strict=True)
+        if abs(a) > 3.0 * u
+    ]
     return Asymmetry(
         temp_c=temps[order],
         value=value,
@@ -295,7 +264,7 @@ def scale_asymmetry(
         mean_uncertainty=mean_doubt,
         per_k=slope,
         per_k_uncertainty=slope_doubt,
-        verdict=_asymmetry_verdict(mean, mean_doubt).also(clean.verdict),
+        verdict=Verdict.of(*found).also(clean.verdict),
     )
 
 
@@ -308,8 +277,7 @@ def _asymmetry_of(rate: FloatArray, reading: FloatArray, variance: FloatArray) -
     full = np.column_stack((design, z**2, z**3)) if len(z) > 7 else design  # curvature is no noise
     noise = reading - full @ np.linalg.lstsq(full, reading, rcond=None)[0]
     v = variance + excess_variance(noise, variance, len(z) - np.linalg.matrix_rank(full))
-    inverse = np.linalg.inv(design.T @ (design / v[:, None]))
-    _, plus, minus = inverse @ (design.T @ (reading / v))
+    (_, plus, minus), inverse = _weighted(design, reading, v)
     total = plus + minus
     slope = np.array([0.0, 4.0 * minus, -4.0 * plus]) / total**2
     return float(2.0 * (plus - minus) / total), float(np.sqrt(slope @ inverse @ slope))
@@ -331,27 +299,15 @@ def _over_soaks(
             continue
         x = np.column_stack((np.ones(len(t)), t - t.mean()))
         left = y - x @ np.linalg.lstsq(x / np.sqrt(v)[:, None], y / np.sqrt(v), rcond=None)[0]
-        v = v + excess_variance(left, v, len(y) - 2)
-        inverse = np.linalg.inv(x.T @ (x / v[:, None]))
-        slope[axis], slope_doubt[axis] = (inverse @ (x.T @ (y / v)))[1], np.sqrt(inverse[1, 1])
+        (_, slope[axis]), inverse = _weighted(x, y, v + excess_variance(left, v, len(y) - 2))
+        slope_doubt[axis] = np.sqrt(inverse[1, 1])
     return mean, mean_doubt, slope, slope_doubt
-
-
-def _asymmetry_verdict(mean: FloatArray, doubt: FloatArray) -> Verdict:
-    unseen = tuple(axis for axis, a in zip(AXES, mean, strict=True) if np.isnan(a))
-    found = [finding("drift.asymmetry_not_observable", "warn", axes=unseen)] if unseen else []
-    found += [
-        finding("drift.asymmetry", "info", axis=axis, percent=100.0 * a, expanded_percent=200.0 * u)
-        for axis, a, u in zip(AXES, mean, doubt, strict=True)
-        if abs(a) > 3.0 * u
-    ]
-    return Verdict(status="marginal" if unseen else "good", findings=tuple(found))
 
 
 # ---- rate steps made ready: usable rows, soaks and mountings by number
 
 
-def steps_of(steps: RateSteps | Steps) -> Steps:
+def steps_of(steps: RateSteps) -> Steps:
     """Return the usable rows of rate steps."""
     if isinstance(steps, Steps):
         return steps
@@ -367,19 +323,10 @@ def steps_of(steps: RateSteps | Steps) -> Steps:
     direction, along = _directions(kept.rate_b)
     mounting = np.unique(np.column_stack((soak, direction)), axis=0, return_inverse=True)[1].reshape(-1)
     lost = len(steps) - int(known.sum())
-    gaps = finding("drift.steps_left_out", "warn", count=lost, steps=len(steps))
-    return Steps(
-        session=kept.session,
-        soak=soak,
-        mounting=mounting,
-        temp_c=kept.temp_c,
-        rate_b=kept.rate_b,
-        along=along,
-        gyro=kept.gyro,
-        accel=kept.accel,
-        variance=_variance(kept.gyro_variance, kept.gyro),
-        verdict=Verdict(status="marginal", findings=(gaps,)) if lost else Verdict(),
-    )
+    gaps = [finding("drift.steps_left_out", "warn", count=lost, steps=len(steps))] if lost else []
+    own = {name: getattr(kept, name) for name in kept.__dataclass_fields__}
+    own |= {"soak": soak, "gyro_variance": _variance(kept.gyro_variance, kept.gyro)}
+    return Steps(**own, mounting=mounting, along=along, verdict=Verdict.of(*gaps))
 
 
 def _directions(rate_b: FloatArray) -> tuple[IntArray, FloatArray]:

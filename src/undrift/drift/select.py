@@ -13,14 +13,15 @@ References
 .. [1] L. Breiman, J. H. Friedman, R. A. Olshen, C. J. Stone, "Classification and Regression Trees", 1984, section 3.4.3.
 """
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.drift.dynamic import DEFAULT_STEP_C, DynamicFit, DynamicSettings, fit_dynamic, softness_of
+from undrift.drift.dynamic import DEFAULT_STEP_C, DynamicFit, fit_dynamic, softness_of
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.scale import ScaleFit, Steps, fit_scale, measured_rate, steps_of
 from undrift.drift.static import StaticFit, TriadDrift, far_from_data
@@ -31,7 +32,8 @@ from undrift.units import RADIAN_PER_DEGREE
 
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
 ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first
-T = TypeVar("T", bound=np.generic)
+T = TypeVar("T", StaticDrift, ScaleDrift, TriadDrift)
+_BY_NODE = ("temp_c", "offset", "matrix", "uncertainty", "extrapolated", "unknown_scale")  # fields of one row a node
 _RATE_FOLDS = 4
 _SAME_C = 1.0  # between soaks, in the order of their temperature: further apart is another set-point
 _WORTH = 1.05  # a table more has to reduce the rms by this factor at least
@@ -57,26 +59,44 @@ class Alternatives:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Choice:
+class Fits:
+    """The fits of all alternatives to one set of steps, whether taken or not; None where not observable."""
+
+    scale: ScaleFit | None
+    dynamic: DynamicFit | None  # with the constant matrix
+    both: DynamicFit | None  # on top of ``scale``
+
+    def taken(self, which: Alternative) -> tuple[ScaleFit | None, DynamicFit | None]:
+        """Return the fits that an alternative takes."""
+        dynamic = {"dynamic": self.dynamic, "scale + dynamic": self.both}.get(which)
+        return self.scale if "scale" in which else None, dynamic
+
+    def verdict_of(self, which: Alternative, why: Finding) -> Verdict:
+        """Return why an alternative was taken, and what its fits are worth."""
+        verdict = Verdict.of(why)
+        for fit in self.taken(which):
+            verdict = verdict if fit is None else verdict.also(fit.verdict)
+        return verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Choice(Fits):
     """The tables that were taken, and those that were not."""
 
     alternatives: Alternatives
-    scale: ScaleFit | None  # fitted to all steps, whether taken or not; None where not observable
-    dynamic: DynamicFit | None  # with the constant matrix, likewise
-    both: DynamicFit | None  # on top of ``scale``, likewise
     verdict: Verdict  # of what was taken
 
     @property
     def scale_drift(self) -> ScaleDrift | None:
         """The matrix table to use."""
-        taken = self.alternatives.chosen in ("scale", "scale + dynamic")
-        return self.scale.drift if taken and self.scale is not None else None
+        scale = self.taken(self.alternatives.chosen)[0]
+        return None if scale is None else scale.drift
 
     @property
     def dynamic_drift(self) -> DynamicDrift | None:
         """The dynamic table to use."""
-        fit = {"dynamic": self.dynamic, "scale + dynamic": self.both}.get(self.alternatives.chosen)
-        return None if fit is None else fit.drift
+        dynamic = self.taken(self.alternatives.chosen)[1]
+        return None if dynamic is None else dynamic.drift
 
 
 def choose_tables(
@@ -86,126 +106,97 @@ def choose_tables(
     static: StaticDrift | None,
     temp_c: FloatArray,
     rests: RestBlocks | None = None,
-    settings: DynamicSettings = DynamicSettings(),
 ) -> Choice:
     """Fit all alternatives, select one by cross-validation; nodes temp_c (n,), degC."""
-    if settings.temp_c is None:  # multiples of 5 degC inside the span, and its ends
-        low, high = float(temp_c[0]), float(temp_c[-1])
-        between = DEFAULT_STEP_C * np.arange(np.ceil(low / DEFAULT_STEP_C), np.floor(high / DEFAULT_STEP_C) + 1.0)
-        inside = between[(between > low + 1e-9) & (between < high - 1e-9)]
-        settings = replace(settings, temp_c=np.concatenate(([low], inside, [high])))
-    data = _Data(
-        steps=steps_of(steps), calibration=calibration, static=static, rests=rests, temp_c=temp_c, settings=settings
-    )
-    soaks = len(np.unique(data.steps.soak))
-    if soaks < 2:
+    low, high = float(temp_c[0]), float(temp_c[-1])  # the dynamic table's: multiples of 5 degC inside, and the ends
+    between = DEFAULT_STEP_C * np.arange(np.ceil(low / DEFAULT_STEP_C), np.floor(high / DEFAULT_STEP_C) + 1.0)
+    inside = between[(between > low + 1e-9) & (between < high - 1e-9)]
+    nodes = np.concatenate(([low], inside, [high]))
+    clean = steps_of(steps)
+    numbers, point = _set_points(clean)
+    if len(numbers) < 2:
         raise NotObservable(
-            f"scale and dynamic drift: wanted rate steps at two soaks or more, got one at {data.steps.temp_c.mean():.1f} degC; "
+            f"scale and dynamic drift: wanted rate steps at two soaks or more, got one at {clean.temp_c.mean():.1f} degC; "
             "repeat the steps at another temperature, or keep the constant matrix",
-            soaks=soaks,
+            soaks=len(numbers),
         )
-    fits = _fit_all(data, data.steps)
+
+    def fitted(rows: Steps, like: Fits | None = None) -> Fits:
+        """Fit every alternative to some steps; as soft as earlier fits where these are given."""
+        scale = dynamic = both = None
+        with suppress(CalibrationError):  # the others may still be had
+            scale = fit_scale(rows, calibration, static=static, temp_c=temp_c)
+
+        def bent(matrix: ScaleDrift | None, earlier: DynamicFit | None) -> DynamicFit:
+            alike = None if earlier is None else softness_of(earlier)
+            return fit_dynamic(
+                rows, calibration, static=static, scale=matrix, rests=rests, temp_c=nodes, softness=alike
+            )
+
+        with suppress(CalibrationError):
+            dynamic = bent(None, like.dynamic if like else None)
+            both = None if scale is None else bent(scale.drift, like.both if like else None)
+        return Fits(scale=scale, dynamic=dynamic, both=both)
+
+    fits = fitted(clean)
     if fits.scale is None and fits.dynamic is None:
         raise NotObservable(
-            f"scale and dynamic drift: wanted an axis turned at two rates at two soaks, got {len(data.steps)} steps at {soaks} "
+            f"scale and dynamic drift: wanted an axis turned at two rates at two soaks, got {len(clean)} steps at {len(numbers)} "
             "soaks without; repeat the same turns at another temperature",
-            soaks=soaks,
+            soaks=len(numbers),
         )
-    table = _cross_validated(data, fits)
+    table = _cross_validated(
+        clean, fits, fitted, lambda of, which: _residuals(clean, of, which, calibration, static=static)
+    )
+    verdict, points = fits.verdict_of(table.chosen, table.why), int(point.max()) + 1
+    if points < 3:
+        verdict = verdict.also(Verdict.of(finding("drift.tables_by_rates", "warn", set_points=points)))
     return Choice(
-        alternatives=table,
-        scale=fits.scale,
-        dynamic=fits.dynamic,
-        both=fits.both,
-        verdict=_verdict(table, fits, int(_set_points(data.steps)[1].max()) + 1).also(data.steps.verdict),
+        scale=fits.scale, dynamic=fits.dynamic, both=fits.both, alternatives=table, verdict=verdict.also(clean.verdict)
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Data:
-    """What every fit takes."""
-
-    steps: Steps
-    calibration: Calibration
-    static: StaticDrift | None
-    rests: RestBlocks | None
-    temp_c: FloatArray
-    settings: DynamicSettings
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Fits:
-    """The fits of all alternatives to one part of the data."""
-
-    scale: ScaleFit | None
-    dynamic: DynamicFit | None
-    both: DynamicFit | None
-
-    def residuals(self, data: _Data, which: Alternative) -> FloatArray:
-        """What an alternative leaves of all steps, rad/s, shape (n, 3); NaN where it has no fit."""
-        scale = self.scale if which in ("scale", "scale + dynamic") else None
-        dynamic = self.dynamic if which == "dynamic" else self.both if which == "scale + dynamic" else None
-        if ("scale" in which and scale is None) or ("dynamic" in which and dynamic is None):
-            return np.full((len(data.steps), 3), np.nan)
-        steps = data.steps
-        w = measured_rate(
-            steps.gyro, steps.temp_c, data.calibration, static=data.static, scale=scale.drift if scale else None
-        )
-        for axis, surface in enumerate(dynamic.surfaces if dynamic else ()):
-            if surface is not None:
-                w[:, axis] -= surface.at(w[:, axis], steps.temp_c)
-        return np.asarray(w - steps.rate_b)
+def _residuals(
+    steps: Steps, fits: Fits, which: Alternative, calibration: Calibration, *, static: StaticDrift | None
+) -> FloatArray:
+    """What an alternative leaves of all steps, rad/s, shape (n, 3); NaN where it has no fit."""
+    scale, dynamic = fits.taken(which)
+    if ("scale" in which and scale is None) or ("dynamic" in which and dynamic is None):
+        return np.full((len(steps), 3), np.nan)
+    matrix = None if scale is None else scale.drift
+    w = measured_rate(steps.gyro, steps.temp_c, calibration, static=static, scale=matrix)
+    for axis, surface in enumerate(dynamic.surfaces if dynamic else ()):
+        if surface is not None:
+            w[:, axis] -= surface.at(w[:, axis], steps.temp_c)
+    return np.asarray(w - steps.rate_b)
 
 
-def _fit_all(data: _Data, steps: Steps, like: _Fits | None = None) -> _Fits:
-    """Fit every alternative to some steps; as soft as earlier fits where these are given."""
-    scale = dynamic = both = None
-    try:
-        scale = fit_scale(steps, data.calibration, static=data.static, temp_c=data.temp_c)
-    except CalibrationError:
-        scale = None  # the others may still be had
+def _cross_validated(
+    steps: Steps,
+    fits: Fits,
+    fitted: Callable[[Steps, Fits], Fits],
+    residuals: Callable[[Fits, Alternative], FloatArray],
+) -> Alternatives:
+    by_soak, by_rate, everything = _soak_folds(steps), _rate_folds(steps), np.ones(len(steps), bool)
 
-    def fitted(matrix: ScaleDrift | None, earlier: DynamicFit | None) -> DynamicFit:
-        settings = data.settings if earlier is None else replace(data.settings, softness=softness_of(earlier))
-        return fit_dynamic(
-            steps, data.calibration, static=data.static, scale=matrix, rests=data.rests, settings=settings
-        )
+    def squares(fold: BoolArray, of: Fits, *, whole: bool) -> list[float]:
+        return [_mean_square(residuals(of, which), steps.mounting, fold, whole=whole) for which in ALTERNATIVES]
 
-    try:
-        dynamic = fitted(None, like.dynamic if like else None)
-        both = None if scale is None else fitted(scale.drift, like.both if like else None)
-    except CalibrationError:
-        dynamic = both = None
-    return _Fits(scale=scale, dynamic=dynamic, both=both)
-
-
-def _cross_validated(data: _Data, fits: _Fits) -> Alternatives:
-    steps = data.steps
-    by_soak, by_rate = _soak_folds(steps), _rate_folds(steps)
-    squares = np.full((len(by_soak) + len(by_rate), len(ALTERNATIVES)), np.nan)
-    for k, fold in enumerate((*by_soak, *by_rate)):
-        part = _fit_all(data, steps.taken(~fold), fits)
-        for a, which in enumerate(ALTERNATIVES):
-            squares[k, a] = _mean_square(part.residuals(data, which), steps.mounting, fold, whole=k < len(by_soak))
-    fitted = np.array(
-        [
-            _mean_square(fits.residuals(data, which), steps.mounting, np.ones(len(steps), bool), whole=True)
-            for which in ALTERNATIVES
-        ]
+    in_fit = np.array(squares(everything, fits, whole=True))
+    soak, rate = (
+        np.array([squares(fold, fitted(steps.taken(~fold), fits), whole=whole) for fold in folds]).reshape(-1, 4)
+        for folds, whole in ((by_soak, True), (by_rate, False))
     )
-    missing = np.isnan(fitted)
-    soak, rate = squares[: len(by_soak)], squares[len(by_soak) :]
-    square = np.where(missing, np.nan, _mean(squares) if len(squares) else fitted)
-    error = np.zeros(len(ALTERNATIVES))
-    if len(squares) > 1:
-        error = squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
-    rms = np.sqrt(square)
+    every = np.concatenate((soak, rate))
+    square = np.where(np.isnan(in_fit), np.nan, every.mean(axis=0) if len(every) else in_fit)
+    error = every.std(axis=0, ddof=1) / np.sqrt(len(every)) if len(every) > 1 else np.zeros(len(ALTERNATIVES))
+    rms, nothing = np.sqrt(square), np.full((1, len(ALTERNATIVES)), np.nan)
     why = _selected(square, error, steps, len(by_soak))
     return Alternatives(
         name=ALTERNATIVES,
-        fitted_rms_dps=np.sqrt(fitted) / RADIAN_PER_DEGREE,
-        soak_rms_dps=np.sqrt(_mean(soak)) / RADIAN_PER_DEGREE,
-        rate_rms_dps=np.sqrt(_mean(rate)) / RADIAN_PER_DEGREE,
+        fitted_rms_dps=np.sqrt(in_fit) / RADIAN_PER_DEGREE,
+        soak_rms_dps=np.sqrt((soak if len(soak) else nothing).mean(axis=0)) / RADIAN_PER_DEGREE,
+        rate_rms_dps=np.sqrt((rate if len(rate) else nothing).mean(axis=0)) / RADIAN_PER_DEGREE,
         left_out_rms_dps=rms / RADIAN_PER_DEGREE,
         standard_error_dps=0.5 * error / rms / RADIAN_PER_DEGREE,
         chosen=why.values["tables"],  # type: ignore[arg-type]
@@ -220,28 +211,16 @@ def _selected(square: FloatArray, error: FloatArray, steps: Steps, held_out: int
     chosen = int(np.flatnonzero(square <= limit)[0])
     dps = np.sqrt(square) / RADIAN_PER_DEGREE
     numbers, point = _set_points(steps)
-    soaks, points = len(numbers), int(point.max()) + 1
+    values = {
+        "tables": ALTERNATIVES[chosen],
+        "error_dps": dps[chosen],
+        "held_out": held_out,
+        "soaks": len(numbers),
+        "set_points": int(point.max()) + 1,
+    }
     if chosen == best:
-        return finding(
-            "drift.tables_best",
-            "info",
-            tables=ALTERNATIVES[chosen],
-            error_dps=dps[chosen],
-            held_out=held_out,
-            soaks=soaks,
-            set_points=points,
-        )
-    return finding(
-        "drift.tables_simplest",
-        "info",
-        tables=ALTERNATIVES[chosen],
-        error_dps=dps[chosen],
-        held_out=held_out,
-        soaks=soaks,
-        set_points=points,
-        best=ALTERNATIVES[best],
-        best_dps=dps[best],
-    )
+        return finding("drift.tables_best", "info", **values)
+    return finding("drift.tables_simplest", "info", **values, best=ALTERNATIVES[best], best_dps=dps[best])
 
 
 def _soak_folds(steps: Steps) -> list[BoolArray]:
@@ -279,25 +258,6 @@ def _mean_square(residuals: FloatArray, mounting: IntArray, fold: BoolArray, *, 
     return float(np.mean(left**2))
 
 
-def _mean(squares: FloatArray) -> FloatArray:
-    if not len(squares):
-        return np.full(len(ALTERNATIVES), np.nan)
-    return np.asarray(squares.mean(axis=0))
-
-
-def _verdict(table: Alternatives, fits: _Fits, points: int) -> Verdict:
-    verdict = Verdict(findings=(table.why,))
-    if table.chosen in ("scale", "scale + dynamic") and fits.scale is not None:
-        verdict = verdict.also(fits.scale.verdict)
-    dynamic = {"dynamic": fits.dynamic, "scale + dynamic": fits.both}.get(table.chosen)
-    if dynamic is not None:
-        verdict = verdict.also(dynamic.verdict)
-    if points < 3:
-        alone = finding("drift.tables_by_rates", "warn", set_points=points)
-        verdict = verdict.also(Verdict(status="marginal", findings=(alone,)))
-    return verdict
-
-
 # ---- tables cut to the temperatures asked for
 
 
@@ -313,87 +273,53 @@ def widened(nodes: FloatArray, span_c: tuple[float, float]) -> FloatArray:
 
 def cropped_static(fit: StaticFit, nodes: FloatArray) -> StaticFit:
     """Return the offsets at some of their nodes (n,), degC."""
-    keep = _nodes_of(fit.table.temp_c, nodes)
-    gyro, accel = (found and _cropped_triad(found, keep) for found in (fit.gyro, fit.accel))
-    table = replace(
-        fit.table,
-        temp_c=fit.table.temp_c[keep],
-        gyro_offset=_rows_of(fit.table.gyro_offset, keep),
-        gyro_uncertainty=_rows_of(fit.table.gyro_uncertainty, keep),
-        gyro_extrapolated=_rows_of(fit.table.gyro_extrapolated, keep),
-        accel_offset=_rows_of(fit.table.accel_offset, keep),
-        accel_uncertainty=_rows_of(fit.table.accel_uncertainty, keep),
-        accel_extrapolated=_rows_of(fit.table.accel_extrapolated, keep),
-    )
+    keep = _kept(fit.table.temp_c, nodes)
+    gyro, accel = (found and _cropped(found, keep) for found in (fit.gyro, fit.accel))
     kept = [item for item in fit.verdict.findings if item.code != "drift.nodes_extrapolated"]
     kept += [] if gyro is None else far_from_data("gyroscope", gyro)
     kept += [] if accel is None or accel.offset is None else far_from_data("accelerometer", accel)
-    return replace(fit, table=table, gyro=gyro, accel=accel, verdict=replace(fit.verdict, findings=tuple(kept)))
+    verdict = replace(fit.verdict, findings=tuple(kept))
+    return StaticFit(table=_cropped(fit.table, keep), gyro=gyro, accel=accel, verdict=verdict)
 
 
 def cropped_choice(choice: Choice, nodes: FloatArray) -> Choice:
     """Return what was chosen with all its tables cut to nodes (n,), degC."""
     scale = choice.scale
-    return replace(
-        choice,
-        scale=None if scale is None else replace(scale, drift=_cropped_scale(scale.drift, nodes)),
-        dynamic=choice.dynamic and _cropped_dynamic(choice.dynamic, nodes),
-        both=choice.both and _cropped_dynamic(choice.both, nodes),
-    )
+    if scale is not None:
+        scale = replace(scale, drift=_cropped(scale.drift, _kept(scale.drift.temp_c, nodes)))
+    dynamic, both = (fit and _cropped_dynamic(fit, nodes) for fit in (choice.dynamic, choice.both))
+    return replace(choice, scale=scale, dynamic=dynamic, both=both)
 
 
-def _nodes_of(temp_c: FloatArray, nodes: FloatArray) -> slice:
+def _kept(temp_c: FloatArray, nodes: FloatArray) -> slice:
     first = int(np.argmin(np.abs(temp_c - nodes[0])))
     return slice(first, first + len(nodes))
 
 
-def _rows_of(values: NDArray[T] | None, keep: slice) -> NDArray[T] | None:
-    return None if values is None else values[keep]
-
-
-def _cropped_triad(found: TriadDrift, keep: slice) -> TriadDrift:
-    return replace(
-        found,
-        offset=_rows_of(found.offset, keep),
-        uncertainty=found.uncertainty[keep],
-        extrapolated=found.extrapolated[keep],
-        unknown_scale=_rows_of(found.unknown_scale, keep),
-    )
-
-
-def _cropped_scale(drift: ScaleDrift, nodes: FloatArray) -> ScaleDrift:
-    keep = _nodes_of(drift.temp_c, nodes)
-    return replace(
-        drift,
-        temp_c=drift.temp_c[keep],
-        gyro_matrix=_rows_of(drift.gyro_matrix, keep),
-        gyro_uncertainty=_rows_of(drift.gyro_uncertainty, keep),
-        gyro_extrapolated=_rows_of(drift.gyro_extrapolated, keep),
-    )
+def _cropped(table: T, keep: slice) -> T:
+    """Return a table at some of its nodes."""
+    names = [
+        name for name in table.__dataclass_fields__ if name.removeprefix("gyro_").removeprefix("accel_") in _BY_NODE
+    ]
+    own = {name: getattr(table, name) for name in names}
+    kept: dict[str, Any] = {name: None if value is None else value[keep] for name, value in own.items()}
+    return replace(table, **kept)
 
 
 def _cropped_dynamic(fit: DynamicFit, nodes: FloatArray) -> DynamicFit:
     """Its nodes lie further apart: the ends asked for become nodes, linear between their neighbours."""
-    old, low, high = fit.drift.temp_c, nodes[0], nodes[-1]
+    drift, old, low, high = fit.drift, fit.drift.temp_c, nodes[0], nodes[-1]
     at = np.concatenate(([low], old[(old > low + 1e-9) & (old < high - 1e-9)], [high]))
     right = np.clip(np.searchsorted(old, at - 1e-9), 1, len(old) - 1)
-    share = np.clip((at - old[right - 1]) / (old[right] - old[right - 1]), 0.0, 1.0)[:, None]
+    share = np.clip((at - old[right - 1]) / (old[right] - old[right - 1]), 0.0, 1.0)
 
-    def between(values: FloatArray) -> FloatArray:
-        weight = share.reshape(-1, *[1] * (values.ndim - 1))
-        return np.where(
-            weight == 0.0,
-            values[right - 1],
-            np.where(weight == 1.0, values[right], (1.0 - weight) * values[right - 1] + weight * values[right]),
-        )
+    def between(values: FloatArray | BoolArray | None) -> Any:
+        if values is None:
+            return None
+        w = share.reshape(-1, *[1] * (values.ndim - 1))
+        left, over = values[right - 1], values[right]
+        return np.where(w == 0.0, left, np.where(w == 1.0, over, (1.0 - w) * left + w * over))  # NaN times 0 is NaN
 
-    drift: DynamicDrift = fit.drift
-    marks = None if drift.extrapolated is None else between(drift.extrapolated.astype(float)) > 0.0
-    cut = replace(
-        drift,
-        temp_c=at,
-        error=between(drift.error),
-        uncertainty=None if drift.uncertainty is None else between(drift.uncertainty),
-        extrapolated=marks,
-    )
-    return replace(fit, drift=cut)
+    error, uncertainty, marks = (between(v) for v in (drift.error, drift.uncertainty, drift.extrapolated))
+    seen = None if marks is None else marks > 0.0
+    return replace(fit, drift=replace(drift, temp_c=at, error=error, uncertainty=uncertainty, extrapolated=seen))

@@ -10,6 +10,7 @@ for noise, in every channel, stretch by stretch. Two switch-ons differ in temper
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain, product
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.record import Record, Session
-from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 _STRAY = 6.0  # standard deviations of a reading: further from the smooth course is a stray
 _LEAST_NOISE_C = 0.05
@@ -48,28 +49,25 @@ def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
         raise InputError(
             f"recording {number}: wanted raw readings, got a corrected record; a table is subtracted from the device's own readings"
         )
-    gyro_unit = _unit(record.gyro is not None, record.gyro_unit, calibration.gyro, "rate", number)
-    accel_unit = _unit(record.accel is not None, record.accel_unit, calibration.accel, "accel", number)
-    if (gyro_unit, accel_unit) != (record.gyro_unit, record.accel_unit):
-        record = replace(record.in_units(gyro_unit, accel_unit), gyro_unit=gyro_unit, accel_unit=accel_unit)
+    units = {}
+    for sensor, model in (("gyro", calibration.gyro), ("accel", calibration.accel)):
+        unit = units[f"{sensor}_unit"] = getattr(record, f"{sensor}_unit")
+        if getattr(record, sensor) is None or model is None or unit == model.unit_in:
+            continue
+        if not (is_physical(unit) and is_physical(model.unit_in)):
+            raise InputError(
+                f"recording {number}: wanted {sensor} readings in {model.unit_in}, the unit of the calibration, got {unit}; record "
+                "as for the calibration, or calibrate in this unit"
+            )
+        units[f"{sensor}_unit"] = model.unit_in
+    if units != {"gyro_unit": record.gyro_unit, "accel_unit": record.accel_unit}:
+        record = replace(record.in_units(*units.values()), **units)
     adc, gyro, accel = calibration.adc, record.gyro, record.accel
     if adc is not None and gyro is not None and adc.gyro_lsb is not None:
         gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
     if adc is not None and accel is not None and adc.accel_lsb is not None:
         accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
     return record if adc is None else replace(record, gyro=gyro, accel=accel)
-
-
-def _unit(there: bool, unit: str, model: TriadModel | None, quantity: Quantity, number: int) -> str:
-    if not there or model is None or unit == model.unit_in:
-        return unit
-    if not (is_physical(unit) and is_physical(model.unit_in)):
-        what = "gyro" if quantity == "rate" else "accel"
-        raise InputError(
-            f"recording {number}: wanted {what} readings in {model.unit_in}, the unit of the calibration, got {unit}; record as "
-            "for the calibration, or calibrate in this unit"
-        )
-    return model.unit_in
 
 
 def nominal_models(sessions: Sequence[Session]) -> Calibration:
@@ -99,10 +97,7 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
         reference_temp_c=float("nan"),
         gravity_m_s2=first.gravity_m_s2,
         gyro=gyro,
-        verdict=Verdict(
-            status="marginal",
-            findings=(finding("calibration.nominal", "warn"),),
-        ),
+        verdict=Verdict(status="marginal", findings=(finding("calibration.nominal", "warn"),)),
     )
 
 
@@ -185,22 +180,19 @@ def one_power_on(sessions: Sequence[Session]) -> list[Session]:
             max(before, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
         else:
             chains.append([k])
-    return [_joined([sessions[k] for k in chain]) for chain in sorted(chains, key=min)]
+    return [
+        replace(
+            sessions[group[0]],
+            records=tuple(record for k in group for record in sessions[k].records),
+            inputs=tuple(named for k in group for named in sessions[k].inputs),
+        )
+        for group in sorted(chains, key=min)
+    ]
 
 
 def _continues(earlier: Session, later: Session) -> bool:
     pause = later.records[0].time[0] - earlier.records[-1].time[-1]
     return bool(0.0 < pause <= _GAP_S and earlier.serial == later.serial)
-
-
-def _joined(parts: list[Session]) -> Session:
-    if len(parts) == 1:
-        return parts[0]
-    return replace(
-        parts[0],
-        records=tuple(record for part in parts for record in part.records),
-        inputs=tuple(named for part in parts for named in part.inputs),
-    )
 
 
 # ---- data given twice are refused
@@ -210,29 +202,29 @@ def check_once(sessions: Sequence[Session]) -> None:
     """Refuse data that were given twice."""
     first: dict[str, str] = {}
     for number, session in enumerate(sessions):
-        names = _files(session)
-        for name, digest in names:
-            here = _called(number, name)
+        names = {digest: _called(number, name) for name, digest in _files(session)}
+        for digest, here in names.items():
             if digest in first:
                 raise _twice(first[digest], here, "the same file")
-        first.update({digest: _called(number, name) for name, digest in names})
+        first |= names
+    records = [
+        [(_called(number, _name(session, k)), record) for k, record in enumerate(session.records)]
+        for number, session in enumerate(sessions)
+    ]
     for b in range(1, len(sessions)):
-        for a in range(b):
-            _check_pair(sessions, a, b)
+        for ours, theirs in product(chain.from_iterable(records[:b]), records[b]):
+            _check_pair(*ours, *theirs)
 
 
-def _check_pair(sessions: Sequence[Session], a: int, b: int) -> None:
-    for i, one in enumerate(sessions[a].records):
-        for j, other in enumerate(sessions[b].records):
-            names = _called(a, _name(sessions[a], i)), _called(b, _name(sessions[b], j))
-            if equal := _same_readings(one, other):
-                raise _twice(*names, equal)
-            if _dealt_out(one, other):
-                raise InputError(
-                    f"drift: wanted one recording for each switch-on, got rows of one log in turn in {names[0]} and {names[1]}: "
-                    "between the times of one lie those of the other, with the same course; put them into one file by time, or "
-                    "leave one out"
-                )
+def _check_pair(name: str, one: Record, other_name: str, other: Record) -> None:
+    if equal := _same_readings(one, other):
+        raise _twice(name, other_name, equal)
+    if _dealt_out(one, other):
+        raise InputError(
+            f"drift: wanted one recording for each switch-on, got rows of one log in turn in {name} and {other_name}: "
+            "between the times of one lie those of the other, with the same course; put them into one file by time, or "
+            "leave one out"
+        )
 
 
 def _same_readings(one: Record, other: Record) -> str:
@@ -257,7 +249,7 @@ def _dealt_out(one: Record, other: Record) -> bool:
     """Whether two records are rows of one log: their times interleave, and each goes where the other goes."""
     if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
         return False
-    ours, theirs = _channels(one), _channels(other)
+    ours, theirs = (_rows(r) if r.temp_c is None else np.column_stack((_rows(r), r.temp_c)) for r in (one, other))
     here = np.flatnonzero((other.time > one.time[0]) & (other.time < one.time[-1]))
     if len(here) < 2 * _STRETCH or ours.shape[1] != theirs.shape[1]:
         return False
@@ -284,12 +276,6 @@ def _dealt_out(one: Record, other: Record) -> bool:
     like = (means**2).mean(axis=0) <= _LIKE_NOISE * expected.mean(axis=0)
     even = np.abs(means.mean(axis=0)) <= _SIGNIFICANT * np.sqrt(expected.mean(axis=0) / count)
     return bool((like & even).all())
-
-
-def _channels(record: Record) -> FloatArray:
-    """Return the readings and the temperature where it is a column."""
-    parts = [_rows(record)] if record.temp_c is None else [_rows(record), record.temp_c[:, None]]
-    return np.column_stack(parts)
 
 
 def _varies(rows: FloatArray) -> bool:

@@ -33,11 +33,11 @@ from undrift.record import Session, Still, Turn
 BOARD_C = (-40.0, 125.0)  # where parts of a board work
 OFF_SET_POINT_C = 5.0  # between the column and a stated set-point: another scale
 STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
-JUMP_C = 1.0  # K within a second: more than a board changes
 JUMP_SIDE = 5  # readings on either side of a jump
+SET_POINT_UNCERTAINTY_C = 0.5  # standard uncertainty of a stated set-point, K
 HOT_C = 45.0  # above it all along: no room, and no body
 COARSE_C = 0.5
-SPIKE = 8.0  # times the scatter about the running median
+SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight standard deviations
 LEAST_SPIKE_C = 0.5
 MOST_BLOCKS = 4000
 BLOCK_S = 1.0  # a board does not warm and cool within a second
@@ -55,11 +55,9 @@ Source = Literal["column", "set-points"]
 class TemperatureSettings:
     """How a temperature is taken."""
 
-    # Span of all recordings of the session together, K; 0 for none, where check_span looks at several sessions
-    least_span_c: float = 2.0
+    least_span_c: float = 2.0  # span of all recordings together, K; see check_span
     longest_gap_s: float = 10.0  # gaps up to this are interpolated; longer ones stay NaN
     most_missing: float = 0.5  # share of the readings that may be missing, 0 to 1
-    set_point_uncertainty_c: float = 0.5  # standard uncertainty of a stated set-point, K
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,43 +76,64 @@ class Temperature:
         object.__setattr__(self, "temp_c", frozen(self.temp_c, (None,), "temp_c"))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Course:
-    """A temperature over time."""
-
-    temp_c: FloatArray  # (N,), degC
-    uncertainty_c: float  # Standard uncertainty, root-mean-square over the record, K
-    noise_c: float  # Standard deviation of one reading, K
-
-
 def trusted_temperature(
     session: Session, index: int, *, settings: TemperatureSettings = TemperatureSettings()
 ) -> Temperature:
     """Return the temperature of one recording, smoothed, with what looks wrong about it."""
     if not 0 <= index < len(session.records):
         raise InputError(f"temperature: wanted recording 0 to {len(session.records) - 1}, got {index}")
-    record, pieces = session.records[index], _pieces(session, index)
+    record = session.records[index]
+    pieces: list[Still | Turn] = [*session.stills, *session.turns]
+    stated = [
+        (slice(piece.start, piece.stop), piece.temp_c)
+        for piece in pieces
+        if piece.recording == index and piece.temp_c is not None
+    ]
     if record.temp_c is not None:
-        found = _from_column(record.temp_c, record.time, pieces, index, settings)
-    else:
-        found = _from_set_points(len(record), record.time, pieces, index, settings)
-    if settings.least_span_c > 0.0:
-        _check_spans([_ends(session, k, found if k == index else None) for k in range(len(session.records))], settings)
-    return found
+        return _from_column(record.temp_c, record.time, stated, index, settings)
+    if not stated:
+        raise InputError(
+            f"temperature of recording {index}: wanted a column (columns.temp) or set-points (temp_c of its stills and turns), got "
+            "neither; map the thermometer's column or state temp_c"
+        )
+    temp_c = np.full(len(record), np.nan)
+    for rows, set_point in stated:
+        temp_c[rows] = set_point
+    _check_board(temp_c, record.time, index)
+    return Temperature(
+        temp_c=temp_c,
+        uncertainty_c=SET_POINT_UNCERTAINTY_C,
+        noise_c=0.0,
+        step_c=0.0,
+        source="set-points",
+        findings=(finding("drift.temperature_set_points", "warn", recording=index, pieces=len(stated)),),
+    )
 
 
 def check_span(temperatures: Sequence[Temperature], *, settings: TemperatureSettings = TemperatureSettings()) -> float:
     """Return the span of temperatures together; raise where it is too small for a thermal fit."""
-    return _check_spans([_extremes(temperature.temp_c) for temperature in temperatures], settings)
-
-
-def _pieces(session: Session, index: int) -> list[Still | Turn]:
-    every: list[Still | Turn] = [*session.stills, *session.turns]
-    return [piece for piece in every if piece.recording == index]
+    known = np.concatenate([found.temp_c[np.isfinite(found.temp_c)] for found in temperatures])
+    if not len(known):
+        raise NotObservable("thermal drift: wanted a recording with a known temperature, got none; map its column")
+    low, high = float(known.min()), float(known.max())
+    span = high - low
+    if span == 0.0:
+        raise NotObservable(
+            f"thermal drift: wanted temperatures that differ, got {low:.2f} degC throughout (constant); check that the column is "
+            "the thermometer's, and record while the device warms",
+            span_c=span,
+        )
+    if span < settings.least_span_c:
+        raise NotObservable(
+            f"thermal drift: wanted a span of {settings.least_span_c:g} degC or more, got {span:.2g} ({low:.2f} to {high:.2f}); "
+            "record while the device warms or cools further",
+            span_c=span,
+        )
+    return span
 
 
 def _from_column(
-    raw: FloatArray, time: FloatArray, pieces: list[Still | Turn], index: int, settings: TemperatureSettings
+    raw: FloatArray, time: FloatArray, stated: list[tuple[slice, float]], index: int, settings: TemperatureSettings
 ) -> Temperature:
     known = np.isfinite(raw)
     missing = 1.0 - float(known.mean())
@@ -125,30 +144,28 @@ def _from_column(
             missing=missing,
         )
     _check_board(raw, time, index)
-    step = step_of(raw[known])
+    step, found = step_of(raw[known]), list[Finding]()
     spikes = _spikes(raw, step)
-    stale, found = _stale(np.where(spikes, np.nan, raw), time, step, index)
     if spikes.any():
-        size = float(np.ptp(raw[spikes | np.roll(spikes, 1)]))
-        first, count = time[spikes][0], int(spikes.sum())
-        found.insert(
-            0,
-            finding("drift.temperature_spikes", "info", recording=index, count=count, first_s=first, largest_c=size),
+        size = np.ptp(raw[spikes | np.roll(spikes, 1)])
+        first, count = time[spikes][0], spikes.sum()
+        found.append(
+            finding("drift.temperature_spikes", "info", recording=index, count=count, first_s=first, largest_c=size)
         )
+    stale, repeated = _stale(np.where(spikes, np.nan, raw), time, step, index)
     used = known & ~spikes & ~stale
-    course = find_course(raw[used], time[used], step)
-    found += _suspicious(raw[used], time[used], step, course.noise_c, index)
-    found += _off_set_points(raw, pieces, index)
+    noise = noise_of(raw[used], step)
+    course, uncertainty = _course(raw[used], time[used], step, noise)
+    found += [*repeated, *_suspicious(raw[used], time[used], step, noise, index), *_off_set_points(raw, stated, index)]
     temp_c = np.full(len(time), np.nan)
-    temp_c[used] = course.temp_c
-    gone, at = np.flatnonzero(~used), np.flatnonzero(used)
+    temp_c[used] = course
+
+    gone = np.flatnonzero(~used)
     if len(gone):
-        after = np.searchsorted(at, gone)
-        inside = (after > 0) & (after < len(at))
-        length = np.full(len(gone), np.inf)
-        length[inside] = time[at[after[inside]]] - time[at[after[inside] - 1]]
-        short = gone[length <= settings.longest_gap_s]
-        temp_c[short] = np.interp(time[short], time[at], course.temp_c)
+        ends = np.concatenate(([-np.inf], time[used], [np.inf]))
+        after = np.searchsorted(ends, time[gone])
+        short = gone[ends[after] - ends[after - 1] <= settings.longest_gap_s]
+        temp_c[short] = np.interp(time[short], time[used], course)
         found.append(
             finding(
                 "drift.temperature_gaps",
@@ -161,35 +178,7 @@ def _from_column(
             )
         )
     return Temperature(
-        temp_c=temp_c,
-        uncertainty_c=course.uncertainty_c,
-        noise_c=course.noise_c,
-        step_c=step,
-        source="column",
-        findings=tuple(found),
-    )
-
-
-def _from_set_points(
-    size: int, time: FloatArray, pieces: list[Still | Turn], index: int, settings: TemperatureSettings
-) -> Temperature:
-    stated = [(piece, piece.temp_c) for piece in pieces if piece.temp_c is not None]
-    if not stated:
-        raise InputError(
-            f"temperature of recording {index}: wanted a column (columns.temp) or set-points (temp_c of its stills and turns), got "
-            "neither; map the thermometer's column or state temp_c"
-        )
-    temp_c = np.full(size, np.nan)
-    for piece, set_point in stated:
-        temp_c[piece.start : piece.stop] = set_point
-    _check_board(temp_c, time, index)
-    return Temperature(
-        temp_c=temp_c,
-        uncertainty_c=settings.set_point_uncertainty_c,
-        noise_c=0.0,
-        step_c=0.0,
-        source="set-points",
-        findings=(finding("drift.temperature_set_points", "warn", recording=index, pieces=len(stated)),),
+        temp_c=temp_c, uncertainty_c=uncertainty, noise_c=noise, step_c=step, source="column", findings=tuple(found)
     )
 
 
@@ -210,14 +199,11 @@ def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
     """Mark readings that lie apart from those before and after, (N,)."""
     from scipy.ndimage import median_filter
 
-    known = np.flatnonzero(np.isfinite(temp_c))
+    known = np.isfinite(temp_c)
     spikes = np.zeros(len(temp_c), dtype=bool)
-    if len(known) < 5:
-        return spikes
-    values = temp_c[known]
-    off = np.abs(values - median_filter(values, size=5, mode="nearest"))
-    usual = 1.4826 * float(np.median(off))
-    spikes[known] = off > max(SPIKE * usual, 2.5 * step_c, LEAST_SPIKE_C)
+    if known.sum() >= 5:
+        off = np.abs(temp_c[known] - median_filter(temp_c[known], size=5, mode="nearest"))
+        spikes[known] = off > max(SPIKE * float(np.median(off)), 2.5 * step_c, LEAST_SPIKE_C)
     return spikes
 
 
@@ -262,19 +248,13 @@ def _suspicious(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: fl
         middle = np.median(np.lib.stride_tricks.sliding_window_view(temp_c, JUMP_SIDE), axis=1)
         change = np.abs(middle[JUMP_SIDE:] - middle[:-JUMP_SIDE])
         lasts = time[2 * JUMP_SIDE - 1 :] - time[: 1 - 2 * JUMP_SIDE]
-        jumps = np.flatnonzero(change > np.maximum(JUMP_C * np.maximum(lasts, 1.0), max(1.5 * step_c, 6.0 * noise_c)))
-        if len(jumps):
+        jumps = np.flatnonzero(change > np.maximum(np.maximum(lasts, 1.0), max(1.5 * step_c, 6.0 * noise_c)))
+        if len(jumps):  # by more than a board changes, 1 K within a second
             groups = np.split(jumps, np.flatnonzero(np.diff(jumps) > JUMP_SIDE) + 1)
-            first = groups[0][len(groups[0]) // 2] + JUMP_SIDE  # medians differ while most of one side is past the jump
+            first = time[groups[0][len(groups[0]) // 2] + JUMP_SIDE]  # medians differ while most of one side is past it
+            size, count = change[jumps].max(), len(groups)
             found.append(
-                finding(
-                    "drift.temperature_jumps",
-                    "info",
-                    recording=index,
-                    largest_c=change[jumps].max(),
-                    first_s=time[first],
-                    count=len(groups),
-                )
+                finding("drift.temperature_jumps", "info", recording=index, largest_c=size, first_s=first, count=count)
             )
     if temp_c.min() > HOT_C:
         low, high = temp_c.min(), temp_c.max()
@@ -282,71 +262,24 @@ def _suspicious(temp_c: FloatArray, time: FloatArray, step_c: float, noise_c: fl
     return found
 
 
-def _off_set_points(raw: FloatArray, pieces: list[Still | Turn], index: int) -> list[Finding]:
-    apart = [
-        (float(np.nanmedian(raw[p.start : p.stop])) - p.temp_c, p.temp_c)
-        for p in pieces
-        if p.temp_c is not None and np.isfinite(raw[p.start : p.stop]).any()
-    ]
+def _off_set_points(raw: FloatArray, stated: list[tuple[slice, float]], index: int) -> list[Finding]:
+    apart = [(float(np.nanmedian(raw[p])) - c, c) for p, c in stated if np.isfinite(raw[p]).any()]
     far = [pair for pair in apart if abs(pair[0]) > OFF_SET_POINT_C]
     if not far:
         return []
-    worst, stated = max(far, key=lambda pair: abs(pair[0]))
+    off, at = max(far, key=lambda pair: abs(pair[0]))
     return [
         finding(
             "drift.temperature_off_set_point",
             "warn",
             recording=index,
-            read_c=stated + worst,
-            set_point_c=stated,
+            read_c=at + off,
+            set_point_c=at,
             count=len(far),
             pieces=len(apart),
             limit_c=OFF_SET_POINT_C,
         )
     ]
-
-
-# ---- span
-
-
-def _ends(session: Session, index: int, found: Temperature | None) -> tuple[float, float]:
-    """Return the lowest and highest temperature of a recording, noise averaged out; NaN where it is not known."""
-    if found is not None:
-        return _extremes(found.temp_c)
-    record = session.records[index]
-    if record.temp_c is None:
-        stated = [p.temp_c for p in _pieces(session, index) if p.temp_c is not None]
-        return (min(stated), max(stated)) if stated else (np.nan, np.nan)
-    known = np.isfinite(record.temp_c)
-    if known.sum() < 2:
-        return np.nan, np.nan
-    return _extremes(block_means(record.time[known], record.temp_c[known])[1])
-
-
-def _extremes(temp_c: FloatArray) -> tuple[float, float]:
-    known = temp_c[np.isfinite(temp_c)]
-    return (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
-
-
-def _check_spans(ends: list[tuple[float, float]], settings: TemperatureSettings) -> float:
-    known = [pair for pair in ends if pair[0] == pair[0]]
-    if not known:
-        raise NotObservable("thermal drift: wanted a recording with a known temperature, got none; map its column")
-    low, high = min(pair[0] for pair in known), max(pair[1] for pair in known)
-    span = high - low
-    if span == 0.0:
-        raise NotObservable(
-            f"thermal drift: wanted temperatures that differ, got {low:.2f} degC throughout (constant); check that the column is "
-            "the thermometer's, and record while the device warms",
-            span_c=span,
-        )
-    if span < settings.least_span_c:
-        raise NotObservable(
-            f"thermal drift: wanted a span of {settings.least_span_c:g} degC or more, got {span:.2g} ({low:.2f} to {high:.2f}); "
-            "record while the device warms or cools further",
-            span_c=span,
-        )
-    return span
 
 
 # ---- the smooth course behind readings; temp_c (N,) degC, time (N,) s
@@ -374,19 +307,14 @@ def noise_of(temp_c: FloatArray, step_c: float) -> float:
     return both if step_c == 0.0 or both >= BLURRED * step_c else both**2 / step_c * math.sqrt(math.pi)
 
 
-def find_course(temp_c: FloatArray, time: FloatArray, step_c: float) -> Course:
-    """Return the smooth course behind readings."""
-    noise = noise_of(temp_c, step_c)
-    if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
-        return Course(temp_c=temp_c, uncertainty_c=math.hypot(noise, step_c / math.sqrt(12.0)), noise_c=noise)
-    if step_c > 0.0 and noise < BLURRED * step_c:
-        return _between_steps(temp_c, time, step_c, noise)
-    return _smoothed(temp_c, time, noise, step_c)
-
-
-def _smoothed(temp_c: FloatArray, time: FloatArray, noise: float, step: float) -> Course:
+def _course(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> tuple[FloatArray, float]:
+    """Return the smooth course behind readings and its standard uncertainty."""
     from scipy.interpolate import CubicSpline
 
+    if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
+        return temp_c, math.hypot(noise, step / math.sqrt(12.0))
+    if step > 0.0 and noise < BLURRED * step:
+        return _between_steps(temp_c, time, step)
     t, y, count = block_means(time, temp_c)
     g, variance = smoothing_spline(t, y, count)
     spline = CubicSpline(t, g, bc_type="natural")
@@ -397,7 +325,7 @@ def _smoothed(temp_c: FloatArray, time: FloatArray, noise: float, step: float) -
     if step > 0.0:
         blur = max(noise**2 / step**2 - 1.0 / 12.0, 0.0)
         ripple = step / math.pi * math.exp(-2.0 * math.pi**2 * blur) / math.sqrt(2.0)
-    return Course(temp_c=course, uncertainty_c=math.hypot(math.sqrt(variance), ripple), noise_c=noise)
+    return course, math.hypot(math.sqrt(variance), ripple)
 
 
 def block_means(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -411,82 +339,58 @@ def block_means(time: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
 
 
 def smoothing_spline(t: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
-    """Return the values of the likeliest natural cubic smoothing spline at its knots."""
-    h = np.diff(t)
-    bend, second = _bands(h, weight)
-    z = np.diff(np.diff(y) / h)
-    found = [_likelihood(bend, second, z, stiffness) for stiffness in STIFFNESS]
-    best = int(np.argmax([likelihood for likelihood, _, _ in found]))
-    _, c, variance = found[best]
-    pad = np.concatenate(([0.0], c, [0.0]))
-    pull = np.diff(np.concatenate(([0.0], np.diff(pad) / h, [0.0])))  # Q c
-    free = _freedom(bend, second, STIFFNESS[best])
-    return y - STIFFNESS[best] * pull / weight, float(variance / weight.mean() * free / len(t))
-
-
-def _bands(h: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return R and Q^T W^-1 Q as upper bands, shape (3, n - 2)."""
-    n = len(h) - 1
-    tents, differences = np.zeros((3, n)), np.zeros((3, n))
-    tents[2] = (h[:-1] + h[1:]) / 3.0
-    tents[1, 1:] = h[1:-1] / 6.0
-    left, right = 1.0 / h[:-1], 1.0 / h[1:]
-    middle = -(left + right)
-    v = 1.0 / weight
-    differences[2] = left**2 * v[:-2] + middle**2 * v[1:-1] + right**2 * v[2:]
-    differences[1, 1:] = middle[:-1] * left[1:] * v[1:-2] + right[:-1] * middle[1:] * v[2:-1]
-    differences[0, 2:] = right[:-2] * left[2:] * v[2:-2]
-    return tents, differences
-
-
-def _likelihood(
-    tents: FloatArray, differences: FloatArray, z: FloatArray, stiffness: float
-) -> tuple[float, FloatArray, float]:
-    """Return log-likelihood, c, and the variance of a reading, for z = Q^T y with covariance s^2 (R / l + Q^T W^-1 Q)."""
+    """Return the values of the likeliest natural cubic smoothing spline at its knots, and their mean variance."""
     from scipy.linalg import cho_solve_banded, cholesky_banded
 
-    factor = cholesky_banded(tents / stiffness + differences)
-    c = cho_solve_banded((factor, False), z)
-    variance = float(z @ c) / len(z)
-    if variance <= 0.0:  # a straight line without noise
-        return -math.inf, c / stiffness, 0.0
-    likelihood = -0.5 * len(z) * math.log(variance) - float(np.log(factor[2]).sum())
-    return likelihood, np.asarray(c) / stiffness, variance
-
-
-def _freedom(tents: FloatArray, differences: FloatArray, stiffness: float) -> float:
-    """Return the trace of the smoother: n - d log|R + l D| / d log l."""
-    from scipy.linalg import cholesky_banded
+    h, v = np.diff(t), 1.0 / weight
+    left, right = 1.0 / h[:-1], 1.0 / h[1:]
+    middle, z = -(left + right), np.diff(np.diff(y) / h)
+    tents, second = np.zeros((3, len(z))), np.zeros((3, len(z)))  # R and Q^T W^-1 Q as upper bands
+    tents[2], tents[1, 1:] = (h[:-1] + h[1:]) / 3.0, h[1:-1] / 6.0
+    second[2] = left**2 * v[:-2] + middle**2 * v[1:-1] + right**2 * v[2:]
+    second[1, 1:] = middle[:-1] * left[1:] * v[1:-2] + right[:-1] * middle[1:] * v[2:-1]
+    second[0, 2:] = right[:-2] * left[2:] * v[2:-2]
+    found = []
+    for stiffness in STIFFNESS:  # z = Q^T y has covariance s^2 (R / l + Q^T W^-1 Q)
+        factor = cholesky_banded(tents / stiffness + second)
+        c = cho_solve_banded((factor, False), z)
+        variance = max(float(z @ c) / len(z), 0.0)
+        likelihood = -math.inf  # of a straight line without noise
+        if variance > 0.0:
+            likelihood = -0.5 * len(z) * math.log(variance) - float(np.log(factor[2]).sum())
+        found.append((likelihood, stiffness, np.asarray(c) / stiffness, variance))
+    _, stiffness, c, variance = max(found, key=lambda each: each[0])
 
     def half_log(x: float) -> float:
-        return float(np.log(cholesky_banded(tents + x * differences)[2]).sum())
+        return float(np.log(cholesky_banded(tents + x * second)[2]).sum())
 
-    step = 1e-3  # of the logarithm of the stiffness
+    step = 1e-3  # of the logarithm of the stiffness: the trace of the smoother is n - d log|R + l D| / d log l
     slope = 2.0 * (half_log(stiffness * (1.0 + step)) - half_log(stiffness * (1.0 - step))) / (2.0 * step)
-    return float(tents.shape[1] + 2 - slope)
+    pull = np.diff(np.concatenate(([0.0], np.diff(np.concatenate(([0.0], c, [0.0]))) / h, [0.0])))  # Q c
+    return y - stiffness * pull / weight, float(variance / weight.mean() * float(len(z) + 2 - slope) / len(t))
 
 
 # ---- steps that no noise blurs
 
 
-def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> Course:
+def _between_steps(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[FloatArray, float]:
     from scipy.interpolate import PchipInterpolator
 
     level = np.round((temp_c - temp_c.min()) / step)
     at, height, up = _crossings(level, time)
     half = np.where(up, 0.5, -0.5)
-    course = np.empty(len(time))
-    if len(at) == 0:
-        course[:] = level.mean()
-    else:
+    course = np.full(len(time), level.mean())
+    if len(at):
         t, y = _with_turns(at, height, half)
         if len(t) > 1:
-            course[:] = PchipInterpolator(t, y)(np.clip(time, t[0], t[-1]))
+            course = PchipInterpolator(t, y)(np.clip(time, t[0], t[-1]))
         before, after = time < t[0], time > t[-1]
         course[before] = _extrapolated_end(t[0] - time[before], t, y, height[0] - half[0])
         course[after] = _extrapolated_end(time[after] - t[-1], t[::-1], y[::-1], height[-1] + half[-1])
         course[(time == t[0]) & (len(t) == 1)] = y[0]
-    return Course(temp_c=temp_c.min() + step * course, uncertainty_c=_step_uncertainty(at, time) * step, noise_c=noise)
+    stays = np.diff(np.concatenate((time[:1], at, time[-1:])))
+    long = float(stays[stays > 3.0 * float(np.median(stays))].sum()) / float(stays.sum())
+    return temp_c.min() + step * course, step * math.sqrt((long + (1.0 - long) * MOVING**2) / 12.0)
 
 
 def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -503,37 +407,34 @@ def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatAr
     dwell = 0.5 * float(np.quantile(np.diff(passed), 0.1)) if len(passed) > 1 else 0.2 * span
     mean = _running_mean(level, time, 0.25 * dwell)
     code = np.floor(mean + 0.5)
-    at, height, up = [], [], []
+    found = []
     for k in np.flatnonzero(np.diff(code)):
+        low, high = sorted(code[k : k + 2])
         rising = bool(code[k + 1] > code[k])
-        for between in np.arange(min(code[k], code[k + 1]), max(code[k], code[k + 1]))[:: 1 if rising else -1] + 0.5:
+        for between in np.arange(low, high)[:: 1 if rising else -1] + 0.5:
             part = (between - mean[k]) / (mean[k + 1] - mean[k])
-            at.append(float(time[k] + part * (time[k + 1] - time[k])))
-            height.append(float(between))
-            up.append(rising)
-    return _without_chatter(np.array(at), np.array(height), np.array(up, dtype=bool), span)
+            found.append((float(time[k] + part * (time[k + 1] - time[k])), between, rising))
+    at, height, up = np.array(found).reshape(-1, 3).T
+    return _without_chatter(at, height, up > 0.0, span)
 
 
 def _without_chatter(
     at: FloatArray, height: FloatArray, up: BoolArray, span: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return the crossings with those that noise repeats made one, at their mean time; there and back makes two."""
-    bounds = np.concatenate(([0], np.flatnonzero(np.diff(height)) + 1, [len(at)]))
-    times, first = [], []
-    for start, stop in pairwise(bounds.tolist()):
-        if start == stop:
-            continue
-        stays = [at[start] - at[start - 1]] if start > 0 else []
-        stays += [at[stop] - at[stop - 1]] if stop < len(at) else []
-        near = CHATTER * float(np.mean(stays) if stays else span)
-        cuts = np.flatnonzero(np.diff(at[start:stop]) >= near) + start + 1
-        for group in np.split(np.arange(start, stop), cuts - start):
+    bounds = [0, *(np.flatnonzero(np.diff(height)) + 1).tolist(), len(at)] if len(at) else list[int]()
+    times, first = list[float](), list[int]()
+    for start, stop in pairwise(bounds):
+        stays = np.diff(at)[[k for k in (start - 1, stop - 1) if 0 <= k < len(at) - 1]]
+        near = CHATTER * float(np.mean(stays) if len(stays) else span)
+        cuts = np.flatnonzero(np.diff(at[start:stop]) >= near) + 1
+        for group in np.split(np.arange(start, stop), cuts):
             if len(group) % 2 == 1:
                 times.append(float(at[group].mean()))
-                first.append(int(group[0]))
+                first.append(group[0])
             elif at[group[-1]] > at[group[0]]:  # touched and went back: a slow end of the record would lose it
-                times += [float(at[group[0]]), float(at[group[-1]])]
-                first += [int(group[0]), int(group[-1])]
+                times += at[group[[0, -1]]].tolist()
+                first += group[[0, -1]].tolist()
     return np.array(times), height[first], up[first]
 
 
@@ -578,11 +479,3 @@ def _slope(t: FloatArray, y: FloatArray) -> float:
     """Return the size of the slope from the first point to the first at another height, steps/s; 0 where there is none."""
     other = np.flatnonzero(y != y[0])
     return float(abs((y[other[0]] - y[0]) / (t[other[0]] - t[0]))) if len(other) else 0.0
-
-
-def _step_uncertainty(at: FloatArray, time: FloatArray) -> float:
-    """Return the standard uncertainty of a temperature known by steps alone, in steps, root-mean-square over time."""
-    stays = np.diff(np.concatenate((time[:1], at, time[-1:])))
-    usual = 3.0 * float(np.median(stays))
-    long = float(stays[stays > usual].sum()) / float(stays.sum())
-    return math.sqrt((long + (1.0 - long) * MOVING**2) / 12.0)

@@ -17,12 +17,12 @@ not depend on the speed of the ramp and a lag does, so that ramps of two speeds 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.drift.observe import RestBlocks
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
@@ -35,29 +35,24 @@ MOST_KNOTS = 16
 FEWEST = 24  # blocks
 MOVING_C_PER_MIN = 0.1
 TWO_SPEEDS = 1.5  # fast over slow
-TURN_C = 4.0  # way after a turn over which a hysteresis is still changing
+TURN_C = 4.0  # K after a turn, over which a hysteresis is still changing: excluded where other blocks remain
+WARM_UP_S = 600.0  # time constant of the power-on transient that is fitted with the lag
 BOTH_WAYS = 0.1  # of the variance of the slopes that the temperature must leave open
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LagSettings:
-    """How the lag is searched."""
-
-    longest_s: float = 300.0  # longest time constant looked for, s
-    warm_up_s: float = 600.0  # time constant of the power-on transient that is fitted with it, s
-    turn_c: float = TURN_C  # blocks within this way after a turn of the temperature are excluded where others remain, K
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LagFit:
     """A thermometer's lag."""
 
-    lag_s: float  # time constant, s; 0 where it is not known
-    uncertainty_s: float  # standard uncertainty, s; infinite where it is not observable
-    observable: bool  # False where the recording does not separate a lag from something else
-    two_speeds: bool  # whether ramps of two speeds were seen: then hysteresis is not taken for lag
-    lags_s: FloatArray  # (k,), time constants tried, s; empty where none was
-    misfit: FloatArray  # (k,), twice the loss of log-likelihood against the best of them, 1
+    lag_s: float = 0.0  # time constant, s; 0 where it is not known
+    uncertainty_s: float = math.inf  # standard uncertainty, s; infinite where it is not observable
+    observable: bool = False  # False where the recording does not separate a lag from something else
+    two_speeds: bool = False  # whether ramps of two speeds were seen: then hysteresis is not taken for lag
+    lags_s: FloatArray = field(
+        default_factory=lambda: np.empty(0)
+    )  # (k,), time constants tried, s; empty where none was
+    # (k,), twice the loss of log-likelihood against the best of them, 1
+    misfit: FloatArray = field(default_factory=lambda: np.empty(0))
     findings: tuple[Finding, ...]  # why it is not observable
 
 
@@ -140,66 +135,51 @@ def _check_times(lag_s: float, smooth_s: float) -> None:
 # ---- estimate it
 
 
-def estimate_lag(blocks: RestBlocks, *, settings: LagSettings = LagSettings()) -> LagFit:
-    """Find the time constant at which readings at one temperature agree whatever the ramp was."""
+def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
+    """Find the time constant, up to a longest one, at which readings at one temperature agree whatever the ramp was."""
     ramp = blocks.ramp_c_per_min
-    usable = np.isfinite(blocks.temp_c) & np.isfinite(ramp)
     direction, way = _directions(blocks)
-    kept = usable & (direction != 0.0) & (way > settings.turn_c)
+    moved = np.isfinite(blocks.temp_c) & np.isfinite(ramp) & (direction != 0.0)
+    kept = moved & (way > TURN_C)
     if kept.sum() < FEWEST or len(np.unique(direction[kept])) < 2:
-        kept = usable & (direction != 0.0)
+        kept = moved
     readings = _readings(blocks, kept)
     moving = np.abs(ramp[kept][np.abs(ramp[kept]) > MOVING_C_PER_MIN])
     if kept.sum() < FEWEST or readings.shape[1] == 0 or len(moving) < FEWEST:
-        return _unknown(
-            finding("drift.lag_few_blocks", "info", count=len(moving), least_c_per_min=MOVING_C_PER_MIN, wanted=FEWEST)
-        )
-    if (left := _left_open(blocks, kept)) < BOTH_WAYS:
-        return _unknown(finding("drift.lag_one_way", "info", percent=100.0 * (1.0 - left)))
+        few = {"count": len(moving), "least_c_per_min": MOVING_C_PER_MIN, "wanted": FEWEST}
+        return LagFit(findings=(finding("drift.lag_few_blocks", "info", **few),))
+    temp, slope, pose = blocks.temp_c[kept], ramp[kept] / 60.0, blocks.pose[kept]
+    poses = np.asarray(pose[:, None] == np.unique(pose)[1:], dtype=np.float64)
+    q, _ = np.linalg.qr(np.hstack((_spline(temp), poses)))
+    rest = ramp[kept] - q @ (q.T @ ramp[kept])
+    left = float(rest @ rest / max(float(ramp[kept] @ ramp[kept]), 1e-12))
+    if left < BOTH_WAYS:  # temperature and pose explain which way it went
+        return LagFit(findings=(finding("drift.lag_one_way", "info", percent=100.0 * (1.0 - left)),))
     slow, fast = np.quantile(moving, (0.1, 0.9))
-    return _profiled(blocks, kept, direction, readings, bool(fast > TWO_SPEEDS * slow), settings)
-
-
-def _profiled(
-    blocks: RestBlocks,
-    kept: BoolArray,
-    direction: FloatArray,
-    readings: FloatArray,
-    two_speeds: bool,
-    settings: LagSettings,
-) -> LagFit:
-    temp, slope = blocks.temp_c[kept], blocks.ramp_c_per_min[kept] / 60.0
-    fixed = [_poses(blocks.pose[kept])]
-    if two_speeds:
-        fixed.append(direction[kept][:, None])
-    power_on = np.exp(-blocks.power_on_s[kept] / settings.warm_up_s)
+    two_speeds = bool(fast > TWO_SPEEDS * slow)
+    fixed = [poses, direction[kept][:, None]] if two_speeds else [poses]
+    power_on = np.exp(-blocks.power_on_s[kept] / WARM_UP_S)
     if np.ptp(power_on) > 0.1:
         fixed.append(power_on[:, None])
-    other = np.hstack(fixed)
 
     def residual(lag: float) -> FloatArray:
-        design = np.hstack((_spline(temp + lag * slope), other))
-        q, r = np.linalg.qr(design)
+        q, r = np.linalg.qr(np.hstack((_spline(temp + lag * slope), *fixed)))
         q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(r).max()]
-        rest: FloatArray = readings - q @ (q.T @ readings)
-        return rest
+        return np.asarray(readings - q @ (q.T @ readings))
 
-    def loss(lag: float) -> float:
-        return float(np.log(np.mean(residual(lag) ** 2, axis=0)).sum())
+    def losses(lags: FloatArray) -> FloatArray:
+        return np.array([float(np.log(np.mean(residual(lag) ** 2, axis=0)).sum()) for lag in lags])
 
-    coarse = np.concatenate(([0.0], np.geomspace(1.0, settings.longest_s, 40)))
-    losses = np.array([loss(lag) for lag in coarse])
-    best = int(losses.argmin())
+    coarse = np.concatenate(([0.0], np.geomspace(1.0, longest_s, 40)))
+    best = int(losses(coarse).argmin())
     around = np.linspace(coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)], 25)
     lags = np.unique(np.concatenate((coarse, around)))
-    losses = np.array([loss(lag) for lag in lags])
-    best = int(losses.argmin())
-    lag, count = float(lags[best]), _independent(residual(float(lags[best])))
-    misfit = count * (losses - losses[best])
-    return _judged(lag, lags, misfit, two_speeds, settings)
+    loss = losses(lags)
+    best = int(loss.argmin())
+    return _judged(float(lags[best]), lags, _independent(residual(lags[best])) * (loss - loss[best]), two_speeds)
 
 
-def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool, settings: LagSettings) -> LagFit:
+def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool) -> LagFit:
     i = min(max(int(misfit.argmin()), 1), len(lags) - 2)
     curve, tilt, _ = np.polyfit(lags[i - 1 : i + 2] - lag, misfit[i - 1 : i + 2], 2)
     uncertainty = 1.0 / float(np.sqrt(curve)) if curve > 0.0 else float(np.ptp(lags[misfit <= 1.0]))
@@ -208,7 +188,7 @@ def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool, 
     found: tuple[Finding, ...] = ()
     at_end = bool(misfit[-1] <= 4.0)  # within two standard deviations
     if at_end:
-        found = (finding("drift.lag_unbounded", "info", longest_s=settings.longest_s),)
+        found = (finding("drift.lag_unbounded", "info", longest_s=lags[-1]),)
     elif not two_speeds:
         found = (finding("drift.lag_or_hysteresis", "info", lag_s=lag),)
     return LagFit(
@@ -222,27 +202,13 @@ def _judged(lag: float, lags: FloatArray, misfit: FloatArray, two_speeds: bool, 
     )
 
 
-def _unknown(why: Finding) -> LagFit:
-    return LagFit(
-        lag_s=0.0,
-        uncertainty_s=float("inf"),
-        observable=False,
-        two_speeds=False,
-        lags_s=np.empty(0),
-        misfit=np.empty(0),
-        findings=(why,),
-    )
-
-
 def _readings(blocks: RestBlocks, kept: BoolArray) -> FloatArray:
     """Return the axes that depend on temperature, each with unit spread, shape (n, a)."""
     one_pose = all(len(np.unique(blocks.pose[blocks.session == s])) == 1 for s in np.unique(blocks.session))
-    columns = np.hstack((blocks.gyro, blocks.accel)) if one_pose else blocks.gyro
-    columns = columns[kept]
+    columns = (np.hstack((blocks.gyro, blocks.accel)) if one_pose else blocks.gyro)[kept]
     if len(columns) == 0:
         return np.empty((0, 0))
-    good = np.isfinite(columns).all(axis=0)
-    columns = columns[:, good]
+    columns = columns[:, np.isfinite(columns).all(axis=0)]
     spread = columns.std(axis=0)
     lively = columns[:, spread > 0.0]
     return np.asarray((lively - lively.mean(axis=0)) / spread[spread > 0.0])
@@ -281,20 +247,6 @@ def _turns(temp: FloatArray) -> tuple[list[int], list[float]]:
             signs.append(-1.0)
             high = k
     return turns, signs
-
-
-def _left_open(blocks: RestBlocks, kept: BoolArray) -> float:
-    """Return the share of the slopes' variance that temperature and pose do not explain."""
-    slope = blocks.ramp_c_per_min[kept]
-    q, _ = np.linalg.qr(np.hstack((_spline(blocks.temp_c[kept]), _poses(blocks.pose[kept]))))
-    rest = slope - q @ (q.T @ slope)
-    return float(rest @ rest / max(float(slope @ slope), 1e-12))
-
-
-def _poses(pose: IntArray) -> FloatArray:
-    """Return a column for each pose but the first."""
-    numbers = np.unique(pose)[1:]
-    return np.asarray(pose[:, None] == numbers, dtype=np.float64)
 
 
 def _spline(temp: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ from undrift.calibration.reference import restored
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.fit.least_squares import scaled_condition
 from undrift.frames import rotation
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel
+from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference
 from undrift.segments import runs
 from undrift.sim.motion.motion import Motion
@@ -34,7 +34,6 @@ from undrift.sync import Motion as Span
 
 # ---- a recording and the ideal motion of its reference, on one time axis
 
-LAG_SETTINGS = LagSettings()
 POSE_SETTINGS = PoseSettings(cutoff_hz=30.0, position_cutoff_hz=30.0)
 _LEAD_S = 0.5  # of rest that belongs to the motion on either side
 _SHORTEST_S = 1.0  # stretches shorter than this are not filtered
@@ -73,21 +72,13 @@ class Match:
         return replace(self.record, gyro=self.gyro).between(float(self.record.time[0]), self.span.start_s - _LEAD_S)
 
 
-def match(
-    record: Record,
-    reference: Reference,
-    *,
-    adc: AdcModel | None = None,
-    name: str = "",
-    poses: PoseSettings = POSE_SETTINGS,
-    lag_settings: LagSettings = LAG_SETTINGS,
-) -> Match:
+def match(record: Record, reference: Reference, *, adc: AdcModel | None = None, name: str = "") -> Match:
     """Bring a recording and its reference together."""
     done = record.in_si()
     if done.gyro is None:
         raise InputError("twin: wanted a record with a gyroscope, got none; map its columns")
     frames = native_poses(reference)
-    lag = find_lag(done, frames, lag_settings)
+    lag = find_lag(done, frames, LagSettings())
     span = find_motion(done, frames, lag_s=lag.seconds)
     gyro = restored(done.gyro, adc)
     at_rest = gyro[done.time < span.start_s - _LEAD_S]
@@ -99,7 +90,7 @@ def match(
         record=done,
         gyro=gyro,
         reference=frames,
-        spline=fit_pose_spline(frames, poses),
+        spline=fit_pose_spline(frames, POSE_SETTINGS),
         lag=lag,
         span=span,
         rest_offset=at_rest.mean(axis=0),
@@ -135,7 +126,6 @@ HUBER = 1.345
 _REWEIGHTINGS = 10
 _PASSES = 2  # the second evaluates the motion at the delay found
 _LEAST_BLOCKS = 20
-NAMES = (*MATRIX_NAMES, *OFFSET_NAMES, "lever_x", "lever_y", "lever_z", "delay")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,7 +134,6 @@ class AccelRows:
 
     design: FloatArray  # (K, 3, 16), matrix row by row, c, lever arm, delay; frame n
     force: FloatArray  # (K, 3), p'' + g z, m/s2
-    raw: FloatArray  # (K, 3), reading turned into n as it is, m/s2
     block: IntArray  # (K,), number of the second that each row belongs to
 
 
@@ -157,9 +146,7 @@ class AccelFit:
     delay: float  # Of the readings beyond that of each recording's gyroscopes, s
     covariance: FloatArray  # (16, 16), matrix, offset, lever arm, delay
     residual_rms: FloatArray  # (R,), per axis, for each recording, m/s2
-    raw_rms: FloatArray  # (R,), the same before the fit
     signal_rms: FloatArray  # (R,), of the specific force less gravity, per axis, m/s2
-    cutoff_hz: float  # Low-pass of all three, Hz
 
 
 def lever_matrix(motion: Motion) -> FloatArray:
@@ -175,45 +162,30 @@ def lever_matrix(motion: Motion) -> FloatArray:
     return lever
 
 
-def accel_rows(
-    match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ
-) -> AccelRows:
+def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float) -> AccelRows:
     """Return the equations of one recording."""
     readings = match.record.accel
     if readings is None or match.reference.position is None:
         raise InputError("accel fit: wanted accel readings and positions of the reference, got one only or neither")
-    motion = match.at(delay_s, gravity_m_s2)
-    rate = match.record.sample_rate_hz
-    parts: list[tuple[FloatArray, FloatArray]] = []
+    motion, rate = match.at(delay_s, gravity_m_s2), match.record.sample_rate_hz
+    lever, tables, times = lever_matrix(motion), [], []
     for rows in stretches(match, motion, readings):
-        r_nb = rotation(motion.q_nb[rows]).as_matrix()
-        u = readings[rows]
+        u, r_nb = readings[rows], rotation(motion.q_nb[rows]).as_matrix()
         slope = np.gradient(u, axis=0) * rate @ matrix.T
-        n = len(u)
-        lever = r_nb @ lever_matrix(_cut(motion, rows))
         turned = [
-            (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(n, 3, 9),
+            (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9),
             -r_nb,
-            -lever,
+            -(r_nb @ lever[rows]),
             np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
             np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
         ]
-        done, kept = smoothed(np.concatenate(turned, axis=2).reshape(n, -1), cutoff_hz, rate)
-        parts.append((done.reshape(len(kept), 3, 17), match.record.time[rows][kept]))
-    if not parts:
+        done, kept = smoothed(np.concatenate(turned, axis=2).reshape(len(u), -1), cutoff_hz, rate)
+        tables.append(done.reshape(len(kept), 3, 17))
+        times.append(match.record.time[rows][kept])
+    if not tables:
         raise NotObservable("accel fit: wanted a second of motion with known poses, got none; record longer motion")
-    table, time = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
-    return AccelRows(
-        design=table[:, :, :16],
-        force=table[:, :, 16],
-        raw=table[:, :, (0, 4, 8)].sum(axis=2),
-        block=np.floor(time / BLOCK_S).astype(np.int64),
-    )
-
-
-def fit_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ) -> AccelFit:
-    """Fit matrix, offset, lever arm and delay of an accelerometer to the poses of one or more recordings."""
-    return solve_accel(prepare_accel(matches, gravity_m_s2=gravity_m_s2, cutoff_hz=cutoff_hz), cutoff_hz=cutoff_hz)
+    table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)
+    return AccelRows(design=table[:, :, :16], force=table[:, :, 16], block=block)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -240,9 +212,7 @@ def prepare_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: f
     return PreparedAccel(rows=rows, delay=delay, gravity_m_s2=gravity_m_s2)
 
 
-def solve_accel(
-    prepared: PreparedAccel, *, chosen: Sequence[int] | None = None, cutoff_hz: float = CUTOFF_HZ
-) -> AccelFit:
+def solve_accel(prepared: PreparedAccel, *, chosen: Sequence[int] | None = None) -> AccelFit:
     """Solve the equations of chosen recordings together."""
     rows = [prepared.rows[k] for k in (range(len(prepared.rows)) if chosen is None else chosen)]
     x, covariance, condition = _solve(rows)
@@ -262,7 +232,6 @@ def solve_accel(
         unit_out="m/s2",
         matrix=matrix,
         offset=offset,
-        parameters=NAMES[:12],
         covariance=covariance[:12, :12],
         rms_residual=_rms(np.concatenate(residuals)),
         count=force.size,
@@ -276,17 +245,13 @@ def solve_accel(
         delay=prepared.delay + float(x[15]),
         covariance=covariance,
         residual_rms=np.array([_rms(r) for r in residuals]),
-        raw_rms=np.array([_rms(r.force - r.raw) for r in rows]),
         signal_rms=np.array([_rms(r.force - level) for r in rows]),
-        cutoff_hz=cutoff_hz,
     )
 
 
 def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
     a, y = np.concatenate([r.design for r in rows]), np.concatenate([r.force for r in rows])
-    starts = [np.flatnonzero(np.concatenate(([True], np.diff(r.block) != 0))) for r in rows]
-    shifts = np.cumsum([0, *(len(r.block) for r in rows[:-1])])
-    blocks = np.concatenate([s + shift for s, shift in zip(starts, shifts, strict=True)])
+    blocks = np.flatnonzero(np.concatenate([np.append(True, np.diff(r.block) != 0) for r in rows]))
     if len(blocks) < _LEAST_BLOCKS:
         raise NotObservable(
             f"accel fit: wanted {_LEAST_BLOCKS} s of motion with known poses or more, got {len(blocks)} s; record longer",
@@ -316,20 +281,6 @@ def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
     sums = np.add.reduceat(scores, blocks)
     covariance: FloatArray = bread @ (sums.T @ sums) @ bread * (len(blocks) / max(len(blocks) - 16 / 3, 1.0))
     return x / length, covariance / np.outer(length, length), condition
-
-
-def _cut(motion: Motion, rows: slice) -> Motion:
-    swing = motion.angular_acceleration_b
-    return Motion(
-        time=motion.time[rows],
-        q_nb=motion.q_nb[rows],
-        rate_b=motion.rate_b[rows],
-        mean_rate_b=motion.mean_rate_b[rows],
-        force_b=motion.force_b[rows],
-        gravity_m_s2=motion.gravity_m_s2,
-        moving=motion.moving[rows],
-        angular_acceleration_b=None if swing is None else swing[rows],
-    )
 
 
 def _rms(values: FloatArray) -> float:

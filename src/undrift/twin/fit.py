@@ -43,6 +43,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 # ---- parameters of a twin
 
 SIGNIFICANT = 4.0  # standard errors from zero that set an effect apart from none: nine elements are tried at once
+_PER_FORCE = "rad/s per m/s2"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,18 +108,10 @@ def polar_rotation(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def g_sensitivity_parameters(values: FloatArray, errors: FloatArray) -> list[TwinParameter]:
     """Return the nine elements (9,) of the g-sensitivity; those that do not differ from zero are not identified."""
-    return [
-        TwinParameter(
-            name=f"gyro_g_sensitivity_{name[-2:]}",
-            value=float(value),
-            standard_error=float(error),
-            unit="rad/s per m/s2",
-            finding=None
-            if abs(value) > SIGNIFICANT * error
-            else finding("twin.g_sensitivity_zero", "info", sigmas=SIGNIFICANT),
-        )
-        for name, value, error in zip(G_NAMES, values, errors, strict=True)
-    ]
+    zero = finding("twin.g_sensitivity_zero", "info", sigmas=SIGNIFICANT)
+    found = zip((f"gyro_g_sensitivity_{name[-2:]}" for name in G_NAMES), values, errors, strict=True)
+    every = [known(name, value, error, _PER_FORCE) for name, value, error in found]
+    return [p if abs(float(p.value)) > SIGNIFICANT * p.standard_error else replace(p, finding=zero) for p in every]
 
 
 def spread_of(values: FloatArray, prior: float, weight: float = 2.0) -> FloatArray:
@@ -161,22 +154,19 @@ class RestNoise:
 
 def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) -> RestNoise | None:
     """Return white noise and bandwidth of a triad from recordings at rest; ``step`` is the code step, in its unit."""
+    from scipy.signal import welch
+
     spectra, counts = [], []
-    f: FloatArray = np.empty(0)
-    rate = records[0].sample_rate_hz if records else 1.0
-    window = np.hanning(_SEGMENT)
     for record in records:
-        values = getattr(record, channel)
+        values, rate = getattr(record, channel), records[0].sample_rate_hz
         if values is None or len(values) < 4 * _SEGMENT or not np.isfinite(values).all():
             continue
-        if not values.std(axis=0).all():
-            continue  # readings that never change hold no noise
-        counts.append(2 * (len(values) // _SEGMENT) - 1)
-        pieces = values[(np.arange(counts[-1]) * (_SEGMENT // 2))[:, None] + np.arange(_SEGMENT)]
-        pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window[None, :, None]
-        power = np.abs(np.fft.rfft(pieces, axis=1)) ** 2
-        spectra.append(2.0 * power.mean(axis=0) / (rate * float((window**2).sum())))
-        f = np.fft.rfftfreq(_SEGMENT, 1.0 / rate)
+        if values.std(axis=0).all():  # readings that never change hold no noise
+            counts.append(2 * (len(values) // _SEGMENT) - 1)
+            used = values[: len(values) // _SEGMENT * _SEGMENT]
+            window = np.hanning(_SEGMENT)
+            f, power = welch(used, rate, window=window, noverlap=_SEGMENT // 2, axis=0)  # type: ignore[call-overload]
+            spectra.append(power)
     if not spectra:
         return None
     weight = np.array(counts, float) / sum(counts)
@@ -224,8 +214,6 @@ def _cost(whitened: FloatArray, shape: FloatArray, averaged: float) -> float:
 
 
 # ---- fit
-
-REFERENCE_SETTINGS = ReferenceSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -308,16 +296,14 @@ def prepare_twin(
         raise InputError(
             f"twin: wanted one reference for each record, got {len(records)} records and {len(references)} references"
         )
-    adc = device_adc(records)
-    called = list(names) or [""] * len(records)
+    adc, called = device_adc(records), list(names) or [""] * len(records)
     records = [record.in_si() for record in records]
     matches = tuple(match(r, p, adc=adc, name=n) for r, p, n in zip(records, references, called, strict=True))
-    accel, refused = None, ""
+    accel, refused, codes = None, "", records[0].accel
     try:
         accel = prepare_accel(matches, gravity_m_s2=settings.gravity_m_s2, cutoff_hz=settings.accel_cutoff_hz)
     except (InputError, CalibrationError) as error:
         refused = str(error)
-    codes = records[0].accel
     return Prepared(
         records=tuple(records),
         references=tuple(references),
@@ -377,14 +363,11 @@ def fit_prepared(
     number = list(range(len(prepared.records)) if chosen is None else chosen)
     records, references = [prepared.records[k] for k in number], [prepared.references[k] for k in number]
     matches = [prepared.matches[k] for k in number]
-    gyro = fit_reference(records, references, settings=REFERENCE_SETTINGS, adc=prepared.adc)
-    accel = None if prepared.accel is None else solve_accel(
-        prepared.accel, chosen=number, cutoff_hz=settings.accel_cutoff_hz
-    )  # fmt: skip
+    gyro = fit_reference(records, references, settings=ReferenceSettings(), adc=prepared.adc)
     rests, codes = [m.rest for m in matches], prepared.accel_codes
     twin = Twin(
         gyro=gyro,
-        accel=accel,
+        accel=None if prepared.accel is None else solve_accel(prepared.accel, chosen=number),
         adc=prepared.adc,
         gyro_noise=rest_noise(rests, "gyro", step=_step(None if prepared.adc is None else prepared.adc.gyro_lsb)),
         accel_noise=rest_noise(rests, "accel", step=_step(None if codes is None else codes.lsb)),
@@ -395,13 +378,9 @@ def fit_prepared(
     )
     if brief:
         return twin
-    residuals = np.array([gyro_residual(m, gyro, settings) for m in matches])
-    return replace(
-        twin,
-        parameters=_parameters(twin, prepared, records, references),
-        gyro_residual_rms=residuals[:, 0],
-        gyro_signal_rms=residuals[:, 1],
-    )
+    left, signal = np.array([gyro_residual(m, gyro, settings) for m in matches]).T
+    parameters = _parameters(twin, prepared, records, references)
+    return replace(twin, parameters=parameters, gyro_residual_rms=left, gyro_signal_rms=signal)
 
 
 def gyro_residual(match: Match, fit: ReferenceFit, settings: TwinSettings) -> tuple[float, float]:
@@ -409,17 +388,15 @@ def gyro_residual(match: Match, fit: ReferenceFit, settings: TwinSettings) -> tu
     motion = match.at(match.lag.seconds, settings.gravity_m_s2)
     model = fit.model_at_rest_offset(match.rest_offset)
     done = (match.gyro - model.offset) @ model.matrix.T
-    left, seen = [], []
+    low: list[FloatArray] = [np.empty((0, 6))]
     for rows in stretches(match, motion, match.gyro):
-        both = np.concatenate(
-            (rotate(motion.q_nb[rows], done[rows]), rotate(motion.q_nb[rows], motion.rate_b[rows])), axis=1
-        )
-        low, _ = smoothed(both, settings.gyro_cutoff_hz, match.record.sample_rate_hz)
-        left.append(low[:, :3] - low[:, 3:])
-        seen.append(low[:, 3:])
-    if not left:
+        both = [rotate(motion.q_nb[rows], rate[rows]) for rate in (done, motion.rate_b)]
+        low.append(smoothed(np.hstack(both), settings.gyro_cutoff_hz, match.record.sample_rate_hz)[0])
+    found = np.concatenate(low)
+    if not len(found):
         return float("nan"), float("nan")
-    return tuple(float(np.sqrt((np.concatenate(x) ** 2).mean())) for x in (left, seen))  # type: ignore[return-value]
+    left, seen = ((x**2).mean() for x in (found[:, :3] - found[:, 3:], found[:, 3:]))
+    return float(np.sqrt(left)), float(np.sqrt(seen))
 
 
 def _parameters(
@@ -447,14 +424,13 @@ def _step(lsb: FloatArray | None) -> float:
 def _g_sensitivity(
     prepared: Prepared, records: Sequence[Record], references: Sequence[Reference]
 ) -> list[TwinParameter]:
-    unit = "rad/s per m/s2"
     if any(record.accel is None for record in records):
-        return [unknown("gyro_g_sensitivity", unit, finding("twin.no_accelerometer", "info"))]
-    settings = replace(REFERENCE_SETTINGS, g_sensitivity=True)
+        return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.no_accelerometer", "info"))]
     try:
+        settings = ReferenceSettings(g_sensitivity=True)
         model = fit_reference(records, references, settings=settings, adc=prepared.adc).triad.model
     except CalibrationError as error:
-        return [unknown("gyro_g_sensitivity", unit, finding("twin.not_fitted", "warn", error=str(error)))]
+        return [unknown("gyro_g_sensitivity", _PER_FORCE, finding("twin.not_fitted", "warn", error=str(error)))]
     values = np.zeros(9) if model.g_sensitivity is None else model.g_sensitivity.ravel()
     return g_sensitivity_parameters(values, model.standard_uncertainty[12:])
 
@@ -491,13 +467,6 @@ def _adc(prefix: str, codes: AdcFinding | None, rounding: str | None, unit: str)
         return []
     if codes.lsb is None:
         return [unknown(f"{prefix}_lsb", unit, codes.finding)]
-    rounding = rounding or codes.rounding
+    rounding, word = rounding or codes.rounding, unknown(f"{prefix}_rounding", "", codes.finding)
     step = known(f"{prefix}_lsb", float(codes.lsb.mean()), float(codes.lsb.std()), unit)
-    word = TwinParameter(
-        name=f"{prefix}_rounding",
-        value=rounding or float("nan"),
-        standard_error=float("nan"),
-        unit="",
-        finding=None if rounding else codes.finding,
-    )
-    return [step, word]
+    return [step, replace(word, value=rounding, finding=None) if rounding else word]

@@ -65,9 +65,7 @@ def device_of(twin: Twin, *, sample_rate_hz: float, serial: str = "") -> DeviceM
         gyro=gyro,
         accel=accel,
         sampling=Sampling(
-            sample_rate_hz=sample_rate_hz,
-            gyro_delay_s=np.full(3, half - twin.delay),
-            accel_delay_s=np.full(3, -late),
+            sample_rate_hz=sample_rate_hz, gyro_delay_s=np.full(3, half - twin.delay), accel_delay_s=np.full(3, -late)
         ),
         name="twin",
         source_tag="fitted",
@@ -82,11 +80,6 @@ def drawn_gyro(device: DeviceModel, twin: Twin, rng: np.random.Generator) -> Dev
     step = rng.multivariate_normal(np.zeros(12), spread, method="eigh")
     chain = chain_of(model.matrix + step[:9].reshape(3, 3), model.offset + step[9:], None, "rad/s")
     return replace(device, gyro=replace(device.gyro, scale=chain.scale, offset=chain.offset))
-
-
-def with_offset(device: DeviceModel, offset: FloatArray) -> DeviceModel:
-    """Return a device with another offset (3,) of the gyroscopes, rad/s."""
-    return replace(device, gyro=replace(device.gyro, offset=Offset(constant=offset)))
 
 
 def chain_of(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, unit: str) -> SensorChain:
@@ -148,10 +141,17 @@ class HeldOutMotion:
 
     def simulated(self, device: DeviceModel, rng: np.random.Generator) -> FloatArray:
         """Return a device's readings of the motion, (N, 3) rad/s, corrected as the real readings are."""
-        readings = np.asarray(simulate_device(device, self.motion, rng=rng).record.gyro, dtype=np.float64)
         adc = self.twin.adc if device.gyro.adc is not None else None
-        offset = self.twin.gyro.triad.model.offset
-        return self.corrected(restored(readings, adc), offset)
+        return self.corrected(restored(_read(device, self.motion, rng), adc), self.twin.gyro.triad.model.offset)
+
+    def found(self, rng: np.random.Generator, length_s: float) -> WindowErrors:
+        """Compare the real readings with simulated ones over every window of the motion."""
+        real = self.corrected(self.match.gyro, self.offset)
+        return window_errors(self, real, self.simulated(self.device, rng), length_s)
+
+
+def _read(device: DeviceModel, motion: Motion, rng: np.random.Generator) -> FloatArray:
+    return np.asarray(simulate_device(device, motion, rng=rng).record.gyro, dtype=np.float64)
 
 
 def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> HeldOutMotion:
@@ -168,11 +168,7 @@ def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> He
     motion = spline.at(match.record.time - (lag - 0.5 / rate), twin.settings.gravity_m_s2)
     device = replace(device_of(twin, sample_rate_hz=rate), sampling=Sampling())
     return HeldOutMotion(
-        match=match,
-        twin=twin,
-        device=device,
-        motion=motion,
-        offset=match.rest_offset + twin.gyro.motion_offset,
+        match=match, twin=twin, device=device, motion=motion, offset=match.rest_offset + twin.gyro.motion_offset
     )
 
 
@@ -183,8 +179,7 @@ def compare_held_out(
     found = []
     for number in range(len(prepared.records)):
         held = hold_out(prepared, number)
-        real = held.corrected(held.match.gyro, held.offset)
-        simulated = held.simulated(held.device, rng)
+        real, simulated = held.corrected(held.match.gyro, held.offset), held.simulated(held.device, rng)
         for length in lengths_s:
             errors = window_errors(held, real, simulated, length)
             if len(errors.pitch):
@@ -192,18 +187,15 @@ def compare_held_out(
     return tuple(found)
 
 
-def window_errors(held: HeldOutMotion, one: FloatArray, other: FloatArray, length_s: float) -> WindowErrors:
-    """Compare two rates (N, 3), rad/s, over every window of the motion."""
-    known = held.match.moving & (np.asarray(held.motion.valid) > 0.0)
-    known &= np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
-    return _over_windows(held.motion, one, other, known, length_s)
-
-
-def _over_windows(
-    motion: Motion, one: FloatArray, other: FloatArray, known: BoolArray, length_s: float
+def window_errors(
+    held: HeldOutMotion, one: FloatArray, other: FloatArray, length_s: float, within: BoolArray | None = None
 ) -> WindowErrors:
-    rows = [run_errors(motion, one, other, slice(int(a), int(b)), length_s) for a, b in runs(known)]
-    table = np.concatenate([r for r in rows if len(r)] or [np.empty((0, 5))])
+    """Compare two rates (N, 3), rad/s, over every window of the motion, or of another part of the recording."""
+    known = (held.match.moving if within is None else within) & (np.asarray(held.motion.valid) > 0.0)
+    if within is None:
+        known &= np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
+    rows = [run_errors(held.motion, one, other, slice(int(a), int(b)), length_s) for a, b in runs(known)]
+    table = np.concatenate([np.empty((0, 5)), *rows])
     return WindowErrors(pitch=table[:, 0], tilt=table[:, 1], end=table[:, 2:])
 
 
@@ -236,8 +228,8 @@ def _window(tracks: Sequence[FloatArray], q: FloatArray, first: int, within: Int
 
 def plain(device: DeviceModel) -> DeviceModel:
     """Return the device without noise and rounding."""
-    offset = device.gyro.raw_offset
-    return with_offset(replace(device, gyro=replace(device.gyro, white_noise=None, adc=None)), offset)
+    offset = Offset(constant=device.gyro.raw_offset)
+    return replace(device, gyro=replace(device.gyro, white_noise=None, adc=None, offset=offset))
 
 
 # ---- end errors of devices that the twin allows, and of the real one
@@ -300,12 +292,16 @@ def _simulated(held: HeldOutMotion, rng: np.random.Generator, draws: int) -> Flo
     start = seen[-1] if len(seen) else np.array([1.0, 0.0, 0.0, 0.0])
     truth = integrate_strapdown(rate[first:], time[first:], start)
     ends = np.searchsorted(time[first:], np.arange(span.stop_s, min(span.stop_s + _END_S, time[-1]), _EVERY_S))
-    tilted = _tilted(start, twin)
-    out = np.empty((2, draws, 2))
+    tilted, out = start, np.empty((2, draws, 2))
+    if twin.accel is not None:  # the tilt error of a start from the raw accelerometer at rest
+        up = rotate(quaternion_conjugate(start), np.array([0.0, 0.0, twin.settings.gravity_m_s2]))
+        reading = np.linalg.solve(twin.accel.model.matrix, up) + twin.accel.model.offset
+        turn = np.cross(reading / np.linalg.norm(reading), up / np.linalg.norm(up))
+        tilted = quaternion_product(start, quaternion_of(turn))
     for d in range(draws):
         device, change = _drawn(held, rng)
         motion = _turning(time, rate + inside[:, None] * change)
-        readings = np.asarray(simulate_device(device, motion, rng=rng).record.gyro, dtype=np.float64)
+        readings = _read(device, motion, rng)
         rest = readings[:first].mean(axis=0)
         for k, offset in enumerate((np.zeros(3), rest)):
             q = integrate_strapdown(readings[first:] - offset, time[first:], tilted)
@@ -344,16 +340,6 @@ def _turning(time: FloatArray, rate: FloatArray) -> Motion:
     )
 
 
-def _tilted(q_nb: FloatArray, twin: Twin) -> FloatArray:
-    # The tilt error of a start from the raw accelerometer at rest.
-    if twin.accel is None:
-        return q_nb
-    up = rotate(q_nb * np.array([1.0, -1.0, -1.0, -1.0]), np.array([0.0, 0.0, twin.settings.gravity_m_s2]))
-    reading = np.linalg.solve(twin.accel.model.matrix, up) + twin.accel.model.offset
-    turn = np.cross(reading / np.linalg.norm(reading), up / np.linalg.norm(up))
-    return quaternion_product(q_nb, quaternion_of(turn))
-
-
 # ---- contributions
 
 DRAWS = 5
@@ -374,58 +360,34 @@ def contributions(
 ) -> tuple[Part, ...]:
     """Return what limits the twin on one held-out recording."""
     held = hold_out(prepared, number)
-    bare = plain(held.device)
+    bare, gyro = plain(held.device), held.device.gyro
     ideal = held.simulated(bare, rng)
 
-    def alone(device: DeviceModel) -> WindowErrors:
-        return window_errors(held, held.simulated(device, rng), ideal, length_s)
+    def alone(device: DeviceModel) -> FloatArray:
+        return _medians(window_errors(held, held.simulated(device, rng), ideal, length_s))
 
-    white = replace(bare, gyro=replace(bare.gyro, white_noise=held.device.gyro.white_noise))
-    codes = replace(bare, gyro=replace(bare.gyro, adc=held.device.gyro.adc))
-    fits = [alone(drawn_gyro(bare, held.twin, rng)) for _ in range(DRAWS)]
-    whole = _part(
-        "found", window_errors(held, held.corrected(held.match.gyro, held.offset), held.simulated(held.device, rng), length_s)
-    )  # fmt: skip
-    parts = [
-        _part("white noise", alone(white)),
-        _part("ADC steps", alone(codes)),
-        Part(
-            name="uncertainty of matrix and offset",
-            pitch=float(np.mean([_part("", e).pitch for e in fits])),
-            tilt=float(np.mean([_part("", e).tilt for e in fits])),
-        ),
-        _part("device and poses at rest", _at_rest(held, length_s)),
-    ]
-    known = parts[1:] if np.isfinite(parts[3].pitch) else parts[:3]  # the rest holds white noise already
-    left = Part(
-        name="unexplained",
-        pitch=_rest_of(whole.pitch, [p.pitch for p in known]),
-        tilt=_rest_of(whole.tilt, [p.tilt for p in known]),
-    )
+    fits = np.mean([alone(drawn_gyro(bare, held.twin, rng)) for _ in range(DRAWS)], axis=0)
+    whole = _medians(held.found(rng, length_s))
+    white = alone(replace(bare, gyro=replace(bare.gyro, white_noise=gyro.white_noise)))
+    codes = alone(replace(bare, gyro=replace(bare.gyro, adc=gyro.adc)))
+    still = held.motion.time < held.match.span.start_s - _MARGIN_S
+    real, seen = held.corrected(held.match.gyro, held.match.rest_offset), np.nan_to_num(held.motion.mean_rate_b)
+    rest = _medians(window_errors(held, real, seen, length_s, within=still))
+    known = [codes, fits, rest] if np.isfinite(rest[0]) else [white, codes, fits]  # the rest holds white noise already
     itself = hold_out(prepared, number, twin=fit_prepared(prepared, chosen=[number], brief=True))
-    same = itself.corrected(itself.match.gyro, itself.offset)
-    own = _part("found with a twin of this recording", window_errors(
-        itself, same, itself.simulated(itself.device, rng), length_s
-    ))  # fmt: skip
-    return (*parts, left, whole, own)
+    parts = {
+        "white noise": white,
+        "ADC steps": codes,
+        "uncertainty of matrix and offset": fits,
+        "device and poses at rest": rest,
+        "unexplained": np.sqrt(np.maximum(whole**2 - np.square(known).sum(axis=0), 0.0)),
+        "found": whole,
+        "found with a twin of this recording": _medians(itself.found(rng, length_s)),
+    }
+    return tuple(Part(name=name, pitch=float(pitch), tilt=float(tilt)) for name, (pitch, tilt) in parts.items())
 
 
-def _at_rest(held: HeldOutMotion, length_s: float) -> WindowErrors:
-    match, motion = held.match, held.motion
-    still = (motion.time < match.span.start_s - _MARGIN_S) & (np.asarray(motion.valid) > 0.0)
-    real = held.corrected(match.gyro, match.rest_offset)
-    seen = np.nan_to_num(motion.mean_rate_b)
-    return _over_windows(motion, real, seen, still, length_s)
-
-
-def _part(name: str, errors: WindowErrors) -> Part:
-    seen, nothing = errors.pitch[np.isfinite(errors.pitch)], float("nan")
-    return Part(
-        name=name,
-        pitch=float(np.median(seen)) if len(seen) else nothing,
-        tilt=float(np.median(errors.tilt)) if len(errors.tilt) else nothing,
-    )
-
-
-def _rest_of(whole: float, parts: list[float]) -> float:
-    return float(np.sqrt(max(whole**2 - float(np.sum(np.square(parts))), 0.0)))
+def _medians(errors: WindowErrors) -> FloatArray:
+    """Return the medians over windows of the differences of pitch and tilt, (2,), rad; NaN where there are none."""
+    seen = (errors.pitch[np.isfinite(errors.pitch)], errors.tilt)
+    return np.array([np.median(values) if len(values) else np.nan for values in seen])
