@@ -53,8 +53,8 @@ def test_a_sample_is_extrapolated_where_a_node_that_it_draws_on_is(nodes, temp):
     of_accel, accel = twins.extrapolated(nodes, marks[::-1], si, temp)
     np.testing.assert_array_equal(done.extrapolated, of_rate | of_accel)
     assert 0 < np.count_nonzero(done.extrapolated) < N
-    assert (done.reach.stated.rate, done.reach.stated.accel) == pytest.approx((rate, accel), rel=1e-12)
-    assert done.reach.stated.scale == 0.0
+    assert (done.reach.stated["rate"], done.reach.stated["accel"]) == pytest.approx((rate, accel), rel=1e-12)
+    assert done.reach.stated["scale"] == 0.0
     assert done.seconds_extrapolated == pytest.approx(np.count_nonzero(done.extrapolated) * 0.01)
 
 
@@ -67,7 +67,7 @@ def test_the_dynamic_table_is_extrapolated_where_rate_and_temperature_meet_a_mar
     fast = (done.record.gyro > np.radians(45.0)).any(axis=1)
     np.testing.assert_array_equal(done.extrapolated, hot & fast)
     assert 0 < done.extrapolated.sum() < hot.sum()
-    assert 1e-3 < done.reach.stated.rate < 2e-3
+    assert 1e-3 < done.reach.stated["rate"] < 2e-3
 
 
 def test_a_scale_table_states_a_share_of_the_reading():
@@ -78,8 +78,8 @@ def test_a_scale_table_states_a_share_of_the_reading():
     np.testing.assert_array_equal(done.extrapolated, record().temp_c > 60.0)
     used = drift.scale.gyro_uncertainty[STEPS > 60.0]
     turned = [np.sqrt((u**2 @ c.gyro.forward_matrix**2).max()) for u in used]  # (dM K w)_i for one w_k at a time
-    assert done.reach.stated.scale == pytest.approx(max(turned), rel=1e-3)  # one or two of the nodes may not be met
-    share = 100.0 * done.reach.stated.scale
+    assert done.reach.stated["scale"] == pytest.approx(max(turned), rel=1e-3)  # one or two of the nodes may not be met
+    share = 100.0 * done.reach.stated["scale"]
     assert done.findings[0].code == "correct.extrapolated"
     assert done.findings[0].values["uncertainty"] == (f"{share:.2g} % of the reading",)
 
@@ -105,7 +105,7 @@ def test_extrapolated_nodes_are_part_of_the_table_and_warn_whatever_the_policy()
     for policy in ("raise", "hold", "nan"):
         done = correct_checked(record(), c, policy=policy)
         assert np.isfinite(done.record.gyro).all()
-        rate = np.degrees(done.reach.stated.rate)
+        rate = np.degrees(done.reach.stated["rate"])
         assert done.warnings == (
             f"{done.seconds_extrapolated:.1f} s where the drift table is extrapolated: standard uncertainty there up to "
             f"{rate:.2g} deg/s; extend the thermal session to these temperatures and rates",
@@ -121,7 +121,7 @@ def test_marks_without_an_uncertainty_are_reported_as_such():
     gappy = drift.static.gyro_uncertainty.copy()
     gappy[-20] = np.nan
     done = correct_checked(record(), device(drift=replace(drift, static=replace(drift.static, gyro_uncertainty=gappy))))
-    assert np.isinf(done.reach.stated.rate)
+    assert np.isinf(done.reach.stated["rate"])
 
 
 def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
@@ -130,7 +130,7 @@ def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
     assert not correct_checked(record(high=60.0), cold).warnings
     only = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0))
     gone = correct_checked(replace(record(), gyro=None), replace(only, gyro=None))
-    assert gone.reach.stated.rate == 0.0
+    assert gone.reach.stated["rate"] == 0.0
     gap = replace(record(), temp_c=np.full(N, np.nan))
     assert not correct_checked(gap, cold).extrapolated.any()
 
