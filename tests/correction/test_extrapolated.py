@@ -54,7 +54,7 @@ def test_a_sample_is_extrapolated_where_a_node_that_it_draws_on_is(nodes, temp):
     np.testing.assert_array_equal(done.extrapolated, of_rate | of_accel)
     assert 0 < np.count_nonzero(done.extrapolated) < N
     assert (done.reach.stated["rate"], done.reach.stated["accel"]) == pytest.approx((rate, accel), rel=1e-12)
-    assert done.reach.stated.get("scale", 0.0) == 0.0
+    assert done.reach.stated["scale"] == 0.0
     assert done.seconds_extrapolated == pytest.approx(np.count_nonzero(done.extrapolated) * 0.01)
 
 
@@ -130,7 +130,7 @@ def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
     assert not correct_checked(record(high=60.0), cold).warnings
     only = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0))
     gone = correct_checked(replace(record(), gyro=None), replace(only, gyro=None))
-    assert gone.reach.stated.get("rate", 0.0) == 0.0
+    assert gone.reach.stated["rate"] == 0.0
     gap = replace(record(), temp_c=np.full(N, np.nan))
     assert not correct_checked(gap, cold).extrapolated.any()
 

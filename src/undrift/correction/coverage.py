@@ -27,6 +27,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, si_fact
 
 Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
+KINDS: tuple[Kind, ...] = ("rate", "accel", "scale")
 TICKS_PER_S = 2.0**30
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
 
@@ -41,7 +42,7 @@ class Reach:
     turn_rate: Span = NOWHERE  # measured, that met the dynamic table, rad/s; infinite the wrong way round without one
     seconds_extrapolated: float = 0.0  # inside the tables at nodes that no data were near
     # Largest standard uncertainties that tables state at those nodes: rate, rad/s; accel, m/s2; scale, a share of either, 1
-    stated: Mapping[Kind, float] = field(default_factory=dict)
+    stated: Mapping[Kind, float] = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
     seconds_without_temperature: float = 0.0  # that the tables need: the result is a gap there, whatever the policy
 
     def joined(self, later: "Reach") -> "Reach":
@@ -52,7 +53,7 @@ class Reach:
             temp_c=(min(self.temp_c[0], later.temp_c[0]), max(self.temp_c[1], later.temp_c[1])),
             departure_c=max(self.departure_c, later.departure_c),
             turn_rate=(min(self.turn_rate[0], later.turn_rate[0]), max(self.turn_rate[1], later.turn_rate[1])),
-            stated={k: max(self.stated.get(k, 0.0), later.stated.get(k, 0.0)) for k in {**self.stated, **later.stated}},
+            stated={kind: max(self.stated[kind], later.stated[kind]) for kind in KINDS},
         )
 
 
@@ -107,7 +108,7 @@ def find_extrapolated(
     record: Record, temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray], threads: int | None
 ) -> tuple[BoolArray, dict[Kind, float]]:
     """Find the samples whose correction draws on nodes that no data were near; corrected (N, 3) each, SI."""
-    mask, stated = np.zeros(len(record), dtype=bool), dict[Kind, float]()
+    mask, stated = np.zeros(len(record), dtype=bool), dict.fromkeys(KINDS, 0.0)
     tables = [
         (plan, table, values) for plan, values in zip(plans, corrected, strict=True) if plan for table in plan.marked
     ]
@@ -130,7 +131,7 @@ def find_extrapolated(
             rates = flat(values, start, stop)
             return float(mark_plane(temp, rates, *ends, table.temp, table.rate, table.stated, marks))
 
-        stated[table.kind] = max(stated.get(table.kind, 0.0), *in_pieces(mark, len(record), threads))
+        stated[table.kind] = max(stated[table.kind], *in_pieces(mark, len(record), threads))
     return mask, stated
 
 
@@ -191,7 +192,7 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
 
 
 def _extrapolated(reach: Reach) -> Finding:
-    rate, accel, scale = (reach.stated.get(kind, 0.0) for kind in ("rate", "accel", "scale"))
+    rate, accel, scale = (reach.stated[kind] for kind in KINDS)
     values = np.array((np.degrees(rate), accel / si_factor("mg", "accel"), 100.0 * scale))
     if np.isinf(values).any():
         return finding("correct.extrapolated_unstated", "warn", seconds=reach.seconds_extrapolated)
