@@ -24,7 +24,7 @@ from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 from undrift.export import ExportOptions, Target
 from undrift.export.firmware import Triad, rounding_of
-from undrift.export.losses import Exported, Part, losses, said
+from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.export.programs import ConstantPair, constants_of
 from undrift.findings import Finding, finding
 from undrift.model import Calibration, DriftTables
@@ -225,7 +225,7 @@ def export_ardupilot(calibration: Calibration, settings: AutopilotSettings = Aut
     notes.append(finding("export.measured_anew", "info"))
     notes.append(finding("export.parameters_single", "info", program="ArduPilot"))
     text = "".join(f"{name},{value!r}\n" for name, value in values.items())
-    return Exported(text=text, **said(losses(calibration, CARRIED), notes))
+    return Exported(text=text, **texts_of(losses(calibration, CARRIED), notes))
 
 
 def _by_axis(name: str, values: FloatArray) -> dict[str, float]:
@@ -278,7 +278,7 @@ def export_px4(calibration: Calibration, settings: AutopilotSettings = Autopilot
     notes = [*model.notes, finding("export.device_ids", "info", sensor=n)]
     notes.append(finding("export.parameters_single", "info", program="PX4"))
     text = "# Vehicle-Id Component-Id Name Value Type\n" + "".join(rows)
-    return Exported(text=text, **said(losses(calibration, CARRIED), notes))
+    return Exported(text=text, **texts_of(losses(calibration, CARRIED), notes))
 
 
 # ---- Targets of ``undrift export``

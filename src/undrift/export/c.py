@@ -38,7 +38,7 @@ from undrift.export.firmware import (
     nominal_triad,
     triads_of,
 )
-from undrift.export.losses import Exported, Part, losses, said
+from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.findings import Finding, finding
 from undrift.model import Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -237,7 +237,7 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     if gyro.warm_up_table is not None:
         over = gyro.warm_up_table.temp.stop
         notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=settings.prefix))
-    texts = said(losses(calibration, CARRIED), notes)
+    texts = texts_of(losses(calibration, CARRIED), notes)
     source, sizes = _source(views, calibration, settings, lead)
     triads = tuple(view.real for view in views)
     costs = tuple(cost_of(triads, arithmetic, size, lead=lead is not None) for arithmetic, size in sizes.items())

@@ -41,7 +41,7 @@ class Exported:
     findings: tuple[Finding, ...] = ()
 
 
-def said(lost: tuple[Finding, ...], notes: Iterable[Finding]) -> dict[str, Any]:
+def texts_of(lost: tuple[Finding, ...], notes: Iterable[Finding]) -> dict[str, Any]:
     """Return what is not carried, and the notes, as the fields of an export: texts, and findings."""
     notes = tuple(notes)
     texts = {key: tuple(item.text for item in items) for key, items in (("not_carried", lost), ("notes", notes))}

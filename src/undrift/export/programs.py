@@ -33,7 +33,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.export import Target
 from undrift.export.firmware import Table, Triad, triads_of
-from undrift.export.losses import Exported, Part, losses, said
+from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.findings import Finding, finding
 from undrift.io.store import calibration_text
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Calibration, Provenance, TriadModel, Verdict
@@ -135,7 +135,7 @@ def export_fusion(calibration: Calibration, *, temp_c: float | None = None) -> E
             "",
         ]
     notes.append(finding("export.single_precision", "info"))
-    return Exported(text="\n".join(lines) + "\n", **said(losses(calibration, CARRIED_FUSION), notes))
+    return Exported(text="\n".join(lines) + "\n", **texts_of(losses(calibration, CARRIED_FUSION), notes))
 
 
 def decompose(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -207,7 +207,7 @@ def export_imucal(calibration: Calibration, *, temp_c: float | None = None) -> E
         "_format_version": VERSION,
     }
     text = json.dumps(content, indent=4) + "\n"
-    return Exported(text=text, **said(losses(calibration, CARRIED_IMUCAL), pair.notes))
+    return Exported(text=text, **texts_of(losses(calibration, CARRIED_IMUCAL), pair.notes))
 
 
 def import_imucal(text: str, *, device: str = "") -> Calibration:
@@ -378,7 +378,7 @@ def export_ros(calibration: Calibration, *, temp_c: float | None = None) -> Expo
         known = {name: float(np.nanmax(axes)) for name, axes in densities.items() if np.isfinite(axes).any()}
         lines += [f"    {name}: {number(worst)}" for name, worst in known.items()]
     notes = (*pair.notes, finding("export.keys_of_node", "info"))
-    return Exported(text="\n".join(lines) + "\n", **said(losses(calibration, CARRIED_ROS), notes))
+    return Exported(text="\n".join(lines) + "\n", **texts_of(losses(calibration, CARRIED_ROS), notes))
 
 
 def number(x: float) -> str:

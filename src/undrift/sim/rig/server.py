@@ -93,7 +93,7 @@ class FaultyLink:
 
 
 class Session:
-    """One client of a machine: this one hears nothing and says what it is told to."""
+    """One client of a machine: this one reads nothing and sends what it is given."""
 
     def __init__(self) -> None:
         self._unasked = b""
