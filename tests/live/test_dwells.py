@@ -52,7 +52,7 @@ class Bench:
 
     def __init__(self, source, steps):
         self.source, self.steps = source, iter(steps)
-        self.recorder = Recorder(source, settings=RecorderSettings(silence_s=LONG_S))
+        self.recorder = Recorder(source, RecorderSettings(silence_s=LONG_S))
         self.recorder.now = lambda: self.source.host
         self.dwells = DwellReadings(self.recorder, deadline_s=LONG_S)
 
@@ -72,7 +72,7 @@ class Bench:
         while self.source.host < host:
             self.step()
         readings = self.source.sent * RATE - self.source.first + 1
-        eventually(lambda: self.recorder.tally().readings >= round(readings), "all that was sent")
+        eventually(lambda: self.recorder.timeline.readings >= round(readings), "all that was sent")
 
     def during(self, call):
         """Call what may wait for readings; they arrive for as long as it does."""

@@ -334,7 +334,7 @@ def _bench(
     source = source_at(device)
     clock = Clock(speed=parse_address(rig, settings)[2].clock_speed)
     longest_s = max(dwell.duration_s for dwell in programme.dwells)
-    recorder = Recorder(source, settings=RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
+    recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
     recorder.start()
     readings = DwellReadings(recorder)
     stack.callback(readings.close)

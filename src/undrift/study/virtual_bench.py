@@ -189,7 +189,7 @@ def _record(
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path, protocol, resume=resume))
         settings = RecorderSettings(clock=CRYSTAL, silence_s=PATIENCE_S)
-        recorder = Recorder(source_at(bench.device_address), settings=settings)
+        recorder = Recorder(source_at(bench.device_address), settings)
         readings = DwellReadings(recorder, deadline_s=PATIENCE_S)
         stack.callback(readings.close)
         recorder.start()

@@ -206,13 +206,13 @@ def test_what_cannot_be_is_refused():
 
 
 @pytest.mark.parametrize("kind", ["galil", "grbl"])
-def test_a_whole_bench_works_over_its_sockets(kind, tmp_path):
+def test_a_whole_bench_works_over_its_sockets(kind):
     settings = EmulatedBenchSettings(
         rig=EmulatorSettings(kind=kind, speed=SPEED),
         air=AirSettings(ramp_c_per_min=60.0, period_s=20.0, board_lag_s=5.0),
         device=DEVICE,
     )
-    with start_bench(settings) as bench, Recorder(source_at(bench.device_address), tmp_path) as recorder:
+    with start_bench(settings) as bench, Recorder(source_at(bench.device_address)) as recorder:
         dwells = DwellReadings(recorder)
         BenchHands(bench.hands_address).mount("+x")
         rig = open_rig(bench.rig_address)
@@ -235,15 +235,14 @@ def test_a_whole_bench_works_over_its_sockets(kind, tmp_path):
             dwells.start()
             time.sleep(0.25)
             warm = dwells.stop()
-        tally = recorder.stop()
+        recorder.stop()
     true = DEVICE.gyro.forward_matrix[0, 0]
     assert (turning.gyro[:, 0].mean() - warm.gyro[:, 0].mean()) / achieved == pytest.approx(true, rel=0.02)
     assert turning.accel[:, 0].mean() == pytest.approx(DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.1)
     assert 0.2 * SPEED < turning.duration_s <= turned_s
     assert warm.temp_c.mean() - turning.temp_c.mean() == pytest.approx(10.0, abs=1.0)
-    assert tally.written >= 2 + tally.readings - 4
-    assert abs(tally.clock.rate_error) < 1e-3
-    assert tally.missing == tally.garbled == 0
+    assert abs(recorder.timeline.clock().rate_error) < 1e-3
+    assert recorder.timeline.marker.missing == recorder.source.errors == 0
 
 
 def test_hands_mount_over_their_socket_or_say_why_not():
