@@ -49,7 +49,7 @@ class Heard:
         self.source = source_at(self.device.address(1.0))
         self.source.open()
         end = time.monotonic() + 60.0
-        while not self.device._sessions and time.monotonic() < end:
+        while not self.device.sessions and time.monotonic() < end:
             time.sleep(0.002)
 
     def __enter__(self) -> "Heard":
