@@ -43,15 +43,13 @@ def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
 
 def quaternion_conjugate(q: FloatArray) -> FloatArray:
     """Return the inverse of unit quaternions. q (..., 4) -> (..., 4)."""
-    inverse: FloatArray = q * np.array([1.0, -1.0, -1.0, -1.0])
-    return inverse
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Return vectors turned by unit quaternions, gaps (NaN) passing through. q (..., 4), v (..., 3) -> (..., 3)."""
     t = 2.0 * np.cross(q[..., 1:], v)
-    turned: FloatArray = v + q[..., :1] * t + np.cross(q[..., 1:], t)
-    return turned
+    return np.asarray(v + q[..., :1] * t + np.cross(q[..., 1:], t))
 
 
 def rotation_vector(q: FloatArray) -> FloatArray:
@@ -60,8 +58,7 @@ def rotation_vector(q: FloatArray) -> FloatArray:
     sine = np.linalg.norm(v, axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, np.abs(w))
     per_sine = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
-    vector: FloatArray = np.where(w < 0.0, -per_sine, per_sine) * v
-    return vector
+    return np.asarray(np.where(w < 0.0, -per_sine, per_sine) * v)
 
 
 def quaternion_of(vector: FloatArray) -> FloatArray:

@@ -140,20 +140,17 @@ class TriadModel:
     @property
     def forward_matrix(self) -> FloatArray:
         """K of the forward model raw = K w + offset, unit_in per unit_out, shape (3, 3)."""
-        forward: FloatArray = np.linalg.inv(self.matrix)
-        return forward
+        return np.asarray(np.linalg.inv(self.matrix))
 
     @property
     def scale_factor(self) -> FloatArray:
         """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K."""
-        length: FloatArray = np.linalg.norm(self.forward_matrix, axis=1)
-        return length
+        return np.asarray(np.linalg.norm(self.forward_matrix, axis=1))
 
     @property
     def sensor_axes(self) -> FloatArray:
         """Unit vector of each sensor's axis in b, one a row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""
-        axes: FloatArray = self.forward_matrix / self.scale_factor[:, None]
-        return axes
+        return np.asarray(self.forward_matrix / self.scale_factor[:, None])
 
     @property
     def relative_uncertainty(self) -> float:

@@ -110,15 +110,8 @@ class Record:
         Record
             The same channels, fewer samples.
         """
-        cut = slice(start, stop)
-        return replace(
-            self,
-            time=self.time[cut],
-            gyro=None if self.gyro is None else self.gyro[cut],
-            accel=None if self.accel is None else self.accel[cut],
-            temp_c=None if self.temp_c is None else self.temp_c[cut],
-            mag_ut=None if self.mag_ut is None else self.mag_ut[cut],
-        )
+        channels = {name: getattr(self, name) for name in ("time", "gyro", "accel", "temp_c", "mag_ut")}
+        return replace(self, **{name: held[start:stop] for name, held in channels.items() if held is not None})
 
     def between(self, start_s: float, stop_s: float) -> "Record":
         """Return the samples with start_s <= time < stop_s.

@@ -12,8 +12,8 @@ import pytest
 
 from testkit.data import data_path, show
 from undrift.calibration.checks import face_vectors
-from undrift.calibration.known_rotation import KnownRotationSettings, fit_known_rotation, rotation_data
-from undrift.calibration.six_face import FaceMeans, SixFaceSettings, fit_six_face
+from undrift.calibration.known_rotation import fit_known_rotation, rotation_data
+from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.errors import Implausible
 from undrift.record import Record, Still, Turn
 
@@ -142,7 +142,7 @@ def test_the_closed_form_gives_the_published_numbers(read, angle_deg, golden):
     poses = face_readings(record, stills)
     forward, offset = accel_closed_form(poses)
     data = rotation_data([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
-    model = fit_known_rotation(data, gravity=G, settings=KnownRotationSettings(mode="paper")).model
+    model = fit_known_rotation(data, gravity=G, mode="paper").model
     gain, axes = split(model.forward_matrix * np.pi / 180.0)
     assert_equal("K_g", gain, golden["K_g"])
     assert_equal("R_g", axes, golden["R_g"])
@@ -157,7 +157,7 @@ def test_the_closed_form_gives_the_published_numbers(read, angle_deg, golden):
 def test_six_faces_give_the_same_matrix_and_levelled_the_same_offset_to_the_noise(read, golden):
     record, ranges = read()
     poses = face_readings(record, pieces(ranges, 360.0)[0])
-    affine = fit_six_face(poses, gravity=G, settings=SixFaceSettings(mode="affine")).model
+    affine = fit_six_face(poses, gravity=G, mode="affine").model
     gain, axes = split(affine.forward_matrix)
     assert_equal("K_a", gain, golden["K_a"])
     assert_equal("R_a", axes, golden["R_a"])
@@ -177,9 +177,7 @@ def test_six_faces_give_the_same_matrix_and_levelled_the_same_offset_to_the_nois
 
 def test_the_affine_offset_of_the_example_session():
     record, ranges = example()
-    fit = fit_six_face(
-        face_readings(record, pieces(ranges, 360.0)[0]), gravity=G, settings=SixFaceSettings(mode="affine")
-    )
+    fit = fit_six_face(face_readings(record, pieces(ranges, 360.0)[0]), gravity=G, mode="affine")
     np.testing.assert_allclose(fit.model.offset, [0.55113924, -0.61972667, 0.38564410], atol=5e-9)
     show("affine: rms residual on an axis, m/s2", fit.model.rms_residual, "0.01308 (in sample, all samples pooled)")
     assert fit.model.rms_residual < 0.0131
@@ -190,7 +188,7 @@ def test_the_first_row_of_the_example_session_is_corrected_as_published():
     stills, turns = pieces(ranges, -360.0)
     forward, offset = accel_closed_form(face_readings(record, stills))
     data = rotation_data([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
-    model = fit_known_rotation(data, gravity=G, settings=KnownRotationSettings(mode="paper")).model
+    model = fit_known_rotation(data, gravity=G, mode="paper").model
     force = np.linalg.solve(forward, record.accel[0] - offset)
     np.testing.assert_allclose(force, [9.827509503062053, -0.047742624123060955, -0.015169203751548592], rtol=1e-9)
     rate = np.degrees(model.matrix @ (record.gyro[0] - model.offset) - model.g_sensitivity @ force)

@@ -10,7 +10,7 @@ import pytest
 from testkit.axis_lag import find_axis_lag
 from testkit.data import data_path, show
 from testkit.findings import only
-from undrift.calibration.rate_table import RateTableSettings, dwell_means, fit_rate_axis, fit_rate_table
+from undrift.calibration.rate_table import dwell_means, fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable
 from undrift.record import Record, Turn
 from undrift.segments import runs
@@ -51,7 +51,7 @@ def measured(run, sensor):
 @pytest.mark.parametrize("run", RUNS)
 def test_the_bosch_sensor_is_within_its_line_and_scale(run):
     dwells, lag = measured(run, "bno"), clock_lag(run)
-    fit = fit_rate_axis(dwells, RateTableSettings(scale_tolerance=0.01))
+    fit = fit_rate_axis(dwells, scale_tolerance=0.01)
     scale = fit.scale_factor * np.pi / 180.0
     worst = np.degrees(fit.linearity.scale_factor_nonlinearity)
     show(f"{run} BNO scale", f"{scale:.5f}", "1.0035..1.0041 to the digits printed")
@@ -79,7 +79,7 @@ def test_the_wrong_conversion_of_the_st_sensor_is_found_and_called_implausible(r
     with pytest.raises(
         Implausible, match=f"within {100 * tolerance:g} % of the stated sensitivity, got 0.85"
     ) as caught:
-        fit_rate_axis(dwells, RateTableSettings(scale_tolerance=tolerance))
+        fit_rate_axis(dwells, scale_tolerance=tolerance)
     assert caught.value.ratio == pytest.approx(scale)
 
 

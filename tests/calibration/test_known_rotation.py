@@ -7,7 +7,7 @@ import pytest
 
 from testkit.findings import codes, only
 from undrift.calibration.checks import axis_vectors, face_vectors
-from undrift.calibration.known_rotation import KnownRotationSettings, RotationData, fit_known_rotation, rotation_data
+from undrift.calibration.known_rotation import RotationData, fit_known_rotation, rotation_data
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.record import FACES, Record, Still, Turn
@@ -54,11 +54,10 @@ def test_exact_sums_give_back_matrix_offset_and_g_sensitivity():
 
 
 def test_the_closed_form_is_the_same_for_even_windows_and_leans_on_uneven_ones():
-    paper = KnownRotationSettings(mode="paper")
-    even = fit_known_rotation(data(rest_samples=np.full(6, 600.0)), gravity=G, settings=paper).model
+    even = fit_known_rotation(data(rest_samples=np.full(6, 600.0)), gravity=G, mode="paper").model
     np.testing.assert_allclose(even.offset, B, rtol=1e-12)
     np.testing.assert_allclose(even.forward_matrix, K, rtol=1e-12)
-    uneven = fit_known_rotation(data(), gravity=G, settings=paper).model
+    uneven = fit_known_rotation(data(), gravity=G, mode="paper").model
     lean = G_SENSITIVITY @ (G * face_vectors(FACES).T @ SAMPLES / SAMPLES.sum())
     np.testing.assert_allclose(uneven.offset - B, lean, atol=1e-12)
     assert np.abs(lean).max() > 1e-3
@@ -91,16 +90,14 @@ def test_missing_faces_and_axes_are_named():
 
 def test_the_angle_uncertainty_moves_a_whole_column_of_the_matrix():
     sure = fit_known_rotation(data(), gravity=G).model
-    unsure = fit_known_rotation(
-        data(), gravity=G, settings=KnownRotationSettings(angle_uncertainty=np.radians(1.0))
-    ).model
+    unsure = fit_known_rotation(data(), gravity=G, angle_uncertainty=np.radians(1.0)).model
     added = np.sqrt(np.diag(unsure.covariance - sure.covariance)[:9]).reshape(3, 3)
     # 1 deg of 360 is 0.28 % of every gain
     np.testing.assert_allclose(np.diag(added), np.diag(sure.matrix) / 360.0, rtol=1e-3)
     exact = fit_known_rotation(data(), gravity=G).verdict
     assert codes(exact.findings) == ["known_rotation.no_spare_equations", "known_rotation.angles_exact"]
     assert "1 deg of 360 deg is 0.28 % of scale" in only(exact.findings, "known_rotation.angles_exact").detail
-    stated = fit_known_rotation(data(), gravity=G, settings=KnownRotationSettings(angle_uncertainty=np.radians(1.0)))
+    stated = fit_known_rotation(data(), gravity=G, angle_uncertainty=np.radians(1.0))
     assert codes(stated.verdict.findings) == ["known_rotation.no_spare_equations"]
 
 

@@ -9,7 +9,6 @@ from testkit.findings import only
 from undrift.calibration.checks import axis_vectors, check_scale_factor
 from undrift.calibration.rate_table import (
     DwellMeans,
-    RateTableSettings,
     dwell_means,
     fit_rate_axis,
     fit_rate_table,
@@ -49,7 +48,7 @@ def test_affine_gives_back_the_device_and_its_table():
 
 def test_mode_paper_is_equation_six_to_the_last_digit():
     made = dwells(offset=np.zeros(3))
-    fit = fit_rate_table(made, RateTableSettings(mode="paper"))
+    fit = fit_rate_table(made, mode="paper")
     L, S = imposed_rates(made, None).T, made.reading.T
     assert L.shape == (3, 102)
     np.testing.assert_allclose(fit.model.matrix, L @ S.T @ np.linalg.inv(S @ S.T), rtol=1e-12, atol=1e-18)
@@ -70,7 +69,7 @@ def test_an_offset_left_in_mode_paper_costs_the_gain_that_the_law_says(limits, o
     grid = rate_grid(*limits, rule="paper") * DPS
     left = np.array([0.0, 0.6, -0.8]) * offset_dps * DPS
     made = dwells(offset=K @ left, grid=grid, noise=1e-6)
-    fit = fit_rate_table(made, RateTableSettings(mode="paper"))
+    fit = fit_rate_table(made, mode="paper")
     k = 3.0 * len(grid) / float((grid**2).sum())
     np.testing.assert_allclose(fit.model.matrix @ K, np.linalg.inv(np.eye(3) + k * np.outer(left, left)), atol=1e-10)
     share = k * float(left @ left)
@@ -104,7 +103,7 @@ def test_the_earth_adds_its_vertical_rate_to_the_axis_that_points_up():
     down = imposed_rates(replace(made, up=np.full(102, -1.0)), 42.0) - imposed_rates(made, None)
     np.testing.assert_allclose(down, -axis_vectors(made.axis) * vertical)
     earthly = replace(made, reading=made.reading + axis_vectors(made.axis) @ K.T * vertical)
-    with_earth = fit_rate_table(earthly, RateTableSettings(latitude_deg=42.0)).model
+    with_earth = fit_rate_table(earthly, latitude_deg=42.0).model
     np.testing.assert_allclose(with_earth.offset, B, rtol=1e-10)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
-from undrift.calibration.rate_table import DwellMeans, RateTableSettings, axis_finding, fit_rate_axes, scale_verdict
+from undrift.calibration.rate_table import DwellMeans, axis_finding, fit_rate_axes, scale_verdict
 from undrift.errors import Implausible
 
 DPS = np.pi / 180.0
@@ -66,6 +66,6 @@ def test_a_wrong_conversion_is_called_out_and_refused_where_a_tolerance_is_state
     assert (off.level, off.values["axis"]) == ("warn", "y")
     assert off.values["off_percent"] == pytest.approx(-14.7)
     with pytest.raises(Implausible, match=r"within 3 % of the stated sensitivity, got 0\.8530"):
-        fit_rate_axes(turned(0.853), RateTableSettings(scale_tolerance=0.03))
+        fit_rate_axes(turned(0.853), scale_tolerance=0.03)
     assert scale_verdict(np.array([1.03, 0.97, 1.0]) / DPS, "dps").status == "good"
     assert scale_verdict(np.array([12.0]), "count").status == "good"

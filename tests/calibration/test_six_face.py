@@ -11,7 +11,6 @@ from testkit.findings import codes, only
 from undrift.calibration.checks import check_scale_factor, face_vectors
 from undrift.calibration.six_face import (
     FaceMeans,
-    SixFaceSettings,
     face_means,
     fit_six_face,
     fit_tilted,
@@ -35,7 +34,7 @@ def faces(offset=OFFSET, noise=0.002, unit="m/s2", scale=1.0):
 
 @pytest.mark.parametrize("mode", ["affine", "levelled"])
 def test_six_faces_give_back_the_matrix_without_noise(mode):
-    fit = fit_six_face(faces(), gravity=G, settings=SixFaceSettings(mode=mode))
+    fit = fit_six_face(faces(), gravity=G, mode=mode)
     np.testing.assert_allclose(fit.model.forward_matrix, FORWARD, atol=1e-13)
     np.testing.assert_allclose(fit.model.offset, OFFSET, atol=1e-13)
     assert fit.model.rank == 12
@@ -46,7 +45,7 @@ def test_six_faces_give_back_the_matrix_without_noise(mode):
 
 def test_mode_paper_is_equation_three_to_the_last_digit():
     poses = faces(offset=np.zeros(3))
-    fit = fit_six_face(poses, gravity=G, settings=SixFaceSettings(mode="paper"))
+    fit = fit_six_face(poses, gravity=G, mode="paper")
     L, S = UP.T, poses.reading.T
     np.testing.assert_allclose(fit.model.matrix, L @ S.T @ np.linalg.inv(S @ S.T), rtol=1e-13, atol=1e-16)
     np.testing.assert_allclose(fit.model.matrix, np.linalg.inv(FORWARD), atol=1e-13)
@@ -59,13 +58,13 @@ def test_mode_paper_reports_that_its_uncertainty_excludes_the_tilt():
     tilt = np.radians(0.5) * rng.standard_normal((6, 3))
     reading = (UP + np.cross(tilt, UP)) @ FORWARD.T
     poses = FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 1e-3))
-    fit = fit_six_face(poses, gravity=G, settings=SixFaceSettings(mode="paper"))
+    fit = fit_six_face(poses, gravity=G, mode="paper")
     tilted = only(fit.verdict.findings, "six_face.tilt_left_out")
     assert tilted.values["tilt_deg"] == pytest.approx(0.5, rel=0.9)  # six spare equations: three times 29 %
     assert tilted.values["gain_share"] == pytest.approx(np.radians(tilted.values["tilt_deg"]))
     assert tilted.action == "use mode levelled"
     assert fit.verdict.status != "good"
-    unknown = fit_six_face(replace(poses, noise=None), gravity=G, settings=SixFaceSettings(mode="paper"))
+    unknown = fit_six_face(replace(poses, noise=None), gravity=G, mode="paper")
     assert "six_face.tilt_left_out" not in codes(unknown.verdict.findings)
 
 
@@ -73,7 +72,7 @@ def test_mode_paper_reports_that_its_uncertainty_excludes_the_tilt():
 def test_an_offset_left_in_mode_paper_shrinks_the_gain_as_the_law_says(offset_g, loss_percent):
     b = np.array([0.6, -0.48, 0.64]) * offset_g * G  # in m/s2, along a unit vector
     poses = FaceMeans(reading=(UP + b) @ FORWARD.T, faces=FACES, noise=np.full((6, 3), 1e-3))
-    fit = fit_six_face(poses, gravity=G, settings=SixFaceSettings(mode="paper"))
+    fit = fit_six_face(poses, gravity=G, mode="paper")
     k = 3.0 / G**2  # N / sigma: six columns, 2 g^2 on each axis
     shrink = np.linalg.inv(np.eye(3) + k * np.outer(b, b))
     np.testing.assert_allclose(fit.model.matrix @ FORWARD, shrink, atol=1e-13)
@@ -94,7 +93,7 @@ def test_repeated_faces_pull_the_answer_between_them():
         faces=(*FACES, "+x", "-x"),
         noise=np.full((8, 3), 0.01),
     )
-    fit = fit_six_face(twice, gravity=G, settings=SixFaceSettings(mode="affine"))
+    fit = fit_six_face(twice, gravity=G, mode="affine")
     assert fit.model.count == 24
     assert 0.0 < fit.model.offset[0] - OFFSET[0] < 0.01
 
@@ -107,7 +106,7 @@ def test_one_missing_face_is_allowed_and_named():
     assert fit.verdict.status == "marginal"
     assert only(fit.verdict.findings, "six_face.face_missing").values["face"] == "-z"
     with pytest.raises(NotObservable, match="wanted all six, got none for -z; record the missing faces"):
-        fit_six_face(five, gravity=G, settings=SixFaceSettings(mode="paper"))
+        fit_six_face(five, gravity=G, mode="paper")
     with pytest.raises(NotObservable, match="wanted 5 labelled faces or more, got 4"):
         fit_six_face(FaceMeans(reading=poses.reading[:4], faces=FACES[:4]), gravity=G)
 
@@ -135,7 +134,7 @@ def test_counts_and_their_scale_are_checked_against_what_the_maker_states():
 def test_affine_says_when_the_faces_were_not_level():
     poses = faces()
     crooked = FaceMeans(reading=poses.reading + 0.05 * (UP == 0.0), faces=FACES, noise=np.full((6, 3), 0.002))
-    fit = fit_six_face(crooked, gravity=G, settings=SixFaceSettings(mode="affine"))
+    fit = fit_six_face(crooked, gravity=G, mode="affine")
     assert fit.verdict.status == "marginal"
     assert codes(fit.verdict.findings) == ["six_face.scatter"]
     assert fit.verdict.findings[0].values["ratio"] > 3.0
@@ -226,14 +225,14 @@ def test_noise_counts_what_a_polynomial_took_from_each_window():
 
 @pytest.mark.parametrize("mode", ["affine", "levelled"])
 def test_readings_without_any_noise_are_weighed_alike(mode):
-    fit = fit_six_face(faces(noise=0.0), gravity=G, settings=SixFaceSettings(mode=mode))
+    fit = fit_six_face(faces(noise=0.0), gravity=G, mode=mode)
     np.testing.assert_allclose(fit.model.forward_matrix, FORWARD, atol=1e-13)
     assert fit.verdict.reasons == ()
 
 
 def test_levelled_on_level_faces_is_plain_least_squares_to_the_last_digit():
     levelled = fit_six_face(faces(), gravity=G)
-    plain = fit_six_face(faces(), gravity=G, settings=SixFaceSettings(mode="affine"))
+    plain = fit_six_face(faces(), gravity=G, mode="affine")
     assert levelled.tilt == 0.0
     np.testing.assert_array_equal(levelled.model.matrix, plain.model.matrix)
     np.testing.assert_array_equal(levelled.model.covariance, plain.model.covariance)
@@ -330,7 +329,7 @@ def test_levelled_never_loses_to_the_closed_form_or_to_plain_least_squares(tilt_
         directions = rng.standard_normal((100, 3))
         directions *= G / np.linalg.norm(directions, axis=1, keepdims=True)
         poses = FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 0.002))
-        plain = fit_six_face(poses, gravity=G, settings=SixFaceSettings(mode="affine")).model
+        plain = fit_six_face(poses, gravity=G, mode="affine").model
         levelled = fit_six_face(poses, gravity=G).model
         rivals = ((plain.matrix, plain.offset), closed_form(reading), (levelled.matrix, levelled.offset))
         total += [errors_of(m, o, forward, offset, directions) for m, o in rivals]

@@ -25,9 +25,9 @@ from undrift.calibration.calibrate import calibrate_to_references
 from undrift.calibration.checks import face_vectors
 from undrift.calibration.multi_position import MultiPositionSettings, fit_multi_position
 from undrift.calibration.noise import allan_deviation
-from undrift.calibration.rate_table import RateTableSettings, dwell_means, fit_rate_axis, fit_rate_table
+from undrift.calibration.rate_table import dwell_means, fit_rate_axis, fit_rate_table
 from undrift.calibration.reference import fit_reference
-from undrift.calibration.six_face import FaceMeans, SixFaceSettings, fit_six_face
+from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.fit.least_squares import TriadFit
 from undrift.io.session import read_session, write_session
 from undrift.io.store import calibration_json
@@ -169,12 +169,12 @@ def fit_residuals() -> Result:
     poses = FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 0.002))
     found: Result = {}
     for mode in MODES:
-        faces = fit_six_face(poses, gravity=9.81, settings=SixFaceSettings(mode=mode))  # type: ignore[arg-type]
+        faces = fit_six_face(poses, gravity=9.81, mode=mode)  # type: ignore[arg-type]
         found[f"faces_{mode}"] = triad(faces) | {"tilt": faces.tilt}
     session = read_session(bench("rate_table"))
     dwells = dwell_means(session.records, session.turns)
     for mode in ("paper", "affine"):
-        rates = fit_rate_table(dwells, RateTableSettings(mode=mode, latitude_deg=45.0))  # type: ignore[arg-type]
+        rates = fit_rate_table(dwells, mode=mode, latitude_deg=45.0)  # type: ignore[arg-type]
         found[f"rates_{mode}"] = triad(rates) | {
             "turn_rate": rates.turn_rate,
             "nonlinearity": [line.scale_factor_nonlinearity for line in rates.linearity],

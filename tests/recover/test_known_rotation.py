@@ -13,7 +13,6 @@ import pytest
 from testkit.cramer_rao import COHORTS, Array, Tally, carried, information, jacobian, white_device
 from undrift.calibration.known_rotation import (
     KnownRotationMode,
-    KnownRotationSettings,
     fit_known_rotation,
     rotation_data,
 )
@@ -34,7 +33,7 @@ def fitted(device: DeviceModel, rng: np.random.Generator, mode: KnownRotationMod
     record = simulate_device(device, MOTION, rng=rng).record
     matrix, offset = np.linalg.inv(device.accel.forward_matrix), device.accel.raw_offset
     data = rotation_data((record,), FACES, MOTION.turns, matrix=matrix, offset=offset)
-    return fit_known_rotation(data, gravity=STANDARD_GRAVITY, settings=KnownRotationSettings(mode=mode)).model
+    return fit_known_rotation(data, gravity=STANDARD_GRAVITY, mode=mode).model
 
 
 def truth(device: DeviceModel) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import COHORTS, Array, Tally, carried, information, inverse_model, jacobian, white_device
-from undrift.calibration.rate_table import DwellMeans, RateTableMode, RateTableSettings, dwell_means, fit_rate_table
+from undrift.calibration.rate_table import DwellMeans, RateTableMode, dwell_means, fit_rate_table
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
@@ -69,7 +69,7 @@ def test_dwells_give_back_the_device_without_noise(mode: RateTableMode) -> None:
     if mode == "paper":
         device = replace(device, gyro=replace(device.gyro, offset=None))
     record = simulate_device(device, MOTION, rng=rng).record
-    model = fit_rate_table(dwell_means((record,), MOTION.turns), RateTableSettings(mode=mode)).model
+    model = fit_rate_table(dwell_means((record,), MOTION.turns), mode=mode).model
     # The spline solves normal equations of condition 1e6: 1e-10 of the reading.
     np.testing.assert_allclose(model.forward_matrix, device.gyro.forward_matrix, atol=1e-8 * 940)
     np.testing.assert_allclose(model.offset, device.gyro.raw_offset, atol=1e-6)
@@ -82,7 +82,7 @@ def test_the_earth_rate_is_taken_out_where_the_latitude_is_known() -> None:
     # Settled dwells last 2 s, one whole turn: what is level averages out.
     motion = bench_motion("rate_table", rng=rng, settings=bench)
     record = simulate_device(device, motion, rng=rng).record
-    with_earth = fit_rate_table(dwell_means((record,), motion.turns), RateTableSettings(latitude_deg=41.9)).model
+    with_earth = fit_rate_table(dwell_means((record,), motion.turns), latitude_deg=41.9).model
     without = fit_rate_table(dwell_means((record,), motion.turns)).model
     missed = np.abs(with_earth.offset - device.gyro.raw_offset).max()
     assert missed < 1e-3  # counts; the Earth is 0.07
@@ -100,7 +100,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
         error = np.concatenate((model.matrix.ravel(), model.offset)) - inverse_model(truth(device))
         affine.add(error, bound(device, dwells), model.standard_uncertainty)
         bare = replace(dwells, reading=dwells.reading - device.gyro.raw_offset)  # the note's premise: offset removed
-        model = fit_rate_table(bare, RateTableSettings(mode="paper")).model
+        model = fit_rate_table(bare, mode="paper").model
         error = model.matrix.ravel() - inverse_model(truth(device))[:9]
         paper.add(error, bound(device, dwells, 9), model.standard_uncertainty[:9])
     affine.check(devices)

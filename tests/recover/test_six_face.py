@@ -17,7 +17,7 @@ from testkit.cramer_rao import (
     white_device,
 )
 from testkit.data import show
-from undrift.calibration.six_face import FaceMeans, SixFaceMode, SixFaceSettings, face_means, fit_six_face
+from undrift.calibration.six_face import FaceMeans, SixFaceMode, face_means, fit_six_face
 from undrift.model import TriadModel
 from undrift.record import FACES
 from undrift.sim.device.model import DeviceModel
@@ -37,7 +37,7 @@ def poses_of(device: DeviceModel, rng: np.random.Generator, tilt: float = 0.0) -
 
 
 def fitted(poses: FaceMeans, mode: SixFaceMode) -> TriadModel:
-    return fit_six_face(poses, gravity=STANDARD_GRAVITY, settings=SixFaceSettings(mode=mode)).model
+    return fit_six_face(poses, gravity=STANDARD_GRAVITY, mode=mode).model
 
 
 def truth(device: DeviceModel) -> Array:

@@ -90,15 +90,6 @@ def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArra
 KnownRotationMode = Literal["paper", "affine"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KnownRotationSettings:
-    """How the turns are fitted."""
-
-    mode: KnownRotationMode = "affine"  # paper (Ferraris' closed form) or affine
-    angle_uncertainty: float = 0.0  # Standard uncertainty of each turn's angle, rad; part of the covariance
-    scale_tolerance: float = 0.25  # Relative tolerance of a physical unit's own scale
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RotationData:
     """Sums of readings over still phases and turns."""
@@ -114,14 +105,19 @@ class RotationData:
 
 
 def fit_known_rotation(
-    data: RotationData, *, gravity: float, settings: KnownRotationSettings = KnownRotationSettings()
+    data: RotationData,
+    *,
+    gravity: float,
+    mode: KnownRotationMode = "affine",
+    angle_uncertainty: float = 0.0,
+    scale_tolerance: float = 0.25,
 ) -> TriadFit:
-    """Fit gyroscopes, with their g-sensitivity, to six faces and turns by known angles."""
+    """Fit gyroscopes, with their g-sensitivity, to six faces and turns by angles with a standard uncertainty, rad."""
     _check_complete(data)
     up, samples = face_vectors(data.rest.faces), data.rest_samples
     design = np.column_stack((np.ones(len(up)), gravity * up))
     # to_rest (4, P): b and the row of G from the means of one sensor
-    if settings.mode == "paper":  # half differences, repeated faces averaged
+    if mode == "paper":  # half differences, repeated faces averaged
         to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
     else:
         weighted = design * samples[:, None]
@@ -130,26 +126,26 @@ def fit_known_rotation(
     turned = data.reading - data.duration[:, None] * rest[0] - data.force @ rest[1:]
     turns = axis_vectors(data.axis) * data.angle[:, None]
     forward = (np.linalg.pinv(turns) @ turned).T
-    _check_turns(forward, data, settings)
+    _check_turns(forward, data, scale_tolerance)
     matrix = np.linalg.inv(forward)
     at_rest = data.rest.reading - (rest[0] + gravity * up @ rest[1:])
     residuals = np.concatenate((at_rest, turned - turns @ forward.T)) @ matrix.T
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
     fastest = float(np.abs(data.angle / data.duration).max())
     found = [finding("known_rotation.no_spare_equations", "info")]
-    if settings.angle_uncertainty == 0.0:
+    if angle_uncertainty == 0.0:
         found.append(finding("known_rotation.angles_exact", "info"))
     return triad_fit(
         residuals,
         Verdict.of(*found),
-        method=f"known-rotation/{settings.mode}",
+        method=f"known-rotation/{mode}",
         unit_in=data.rest.unit,
         unit_out="rad/s",
         matrix=matrix,
         offset=rest[0],
         g_sensitivity=matrix @ rest[1:].T,
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
-        covariance=_covariance(data, to_rest, turns, forward, rest[1:].T, settings),
+        covariance=_covariance(data, to_rest, turns, forward, rest[1:].T, angle_uncertainty),
         rank=3 * rank + 9,
         condition=condition,
         valid_range=(-fastest, fastest),
@@ -222,7 +218,7 @@ def _check_complete(data: RotationData) -> None:
             )
 
 
-def _check_turns(forward: FloatArray, data: RotationData, settings: KnownRotationSettings) -> None:
+def _check_turns(forward: FloatArray, data: RotationData, tolerance: float) -> None:
     seen = nearest_signed_permutation(forward)
     if not np.diag(seen).all():
         check_axis_order(forward, "known rotation", against="turns")
@@ -236,7 +232,7 @@ def _check_turns(forward: FloatArray, data: RotationData, settings: KnownRotatio
             reversed=reversed_,
         )
     scale = np.linalg.norm(forward, axis=1)
-    check_own_scale(scale, data.rest.unit, "rate", settings.scale_tolerance, "gyroscope turned by hand")
+    check_own_scale(scale, data.rest.unit, "rate", tolerance, "gyroscope turned by hand")
 
 
 def _covariance(
@@ -245,7 +241,7 @@ def _covariance(
     turns: FloatArray,
     forward: FloatArray,
     g_forward: FloatArray,
-    settings: KnownRotationSettings,
+    angle_uncertainty: float,
 ) -> FloatArray:
     # Linear propagation, one sensor (row) at a time: means at rest -> b, G; sums over the turns less b T + G A -> K.
     total = np.zeros((21, 21))
@@ -263,7 +259,7 @@ def _covariance(
         total[np.ix_(bg, k)] = total[np.ix_(k, bg)].T
     for turn, axis in enumerate(data.axis):  # one wrong angle moves a whole column
         shift = np.outer(forward[:, AXES.index(axis)], per_turn[:, turn]).reshape(-1)
-        total[:9, :9] += settings.angle_uncertainty**2 * np.outer(shift, shift)
+        total[:9, :9] += angle_uncertainty**2 * np.outer(shift, shift)
     matrix = np.linalg.inv(forward)
     jacobian = np.eye(21)
     jacobian[:9, :9] = inverse_jacobian(matrix)
@@ -290,11 +286,12 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
         found = (finding("known_rotation.turns_found", "warn", turns=taken),)
     data = rotation_data(seen.session.records, seen.stills, turns, matrix=accel.model.matrix, offset=accel.model.offset)
-    settings = KnownRotationSettings(
+    fit = fit_known_rotation(
+        data,
+        gravity=seen.session.gravity_m_s2,
         mode="paper" if mode == "paper" else "affine",
         angle_uncertainty=seen.settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
         scale_tolerance=seen.settings.scale_tolerance,
     )
-    fit = fit_known_rotation(data, gravity=seen.session.gravity_m_s2, settings=settings)
     check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)
     return Outcome(fit=fit, method="known-rotation", findings=found)

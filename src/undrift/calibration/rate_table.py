@@ -200,16 +200,6 @@ OWN_SCALE = 0.05
 RateTableMode = Literal["paper", "affine"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RateTableSettings:
-    """How dwells are fitted."""
-
-    mode: RateTableMode = "affine"  # paper or affine
-    # Where the table stands, deg, to add the Earth's rate to a vertical axis; None leaves it out
-    latitude_deg: float | None = None
-    scale_tolerance: float = 0.25  # Relative tolerance of a physical unit's own scale: 0.03 for a part of +-3 %
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RateTableFit(TriadFit):
     """Gyroscopes fitted to a rate table; ``residuals`` are corrected less imposed rate, rad/s, one row a dwell."""
@@ -238,8 +228,14 @@ class RateAxisFit:
         return float(self.column[AXES.index(self.axis)])
 
 
-def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> RateTableFit:
-    """Fit gyroscopes to the dwells of a rate table."""
+def fit_rate_table(
+    dwells: DwellMeans,
+    *,
+    mode: RateTableMode = "affine",
+    latitude_deg: float | None = None,
+    scale_tolerance: float = 0.25,
+) -> RateTableFit:
+    """Fit gyroscopes to the dwells of a rate table; its latitude adds the Earth's rate to a vertical axis."""
     lacking = [axis for axis in AXES if axis not in dwells.axis]
     if lacking:
         raise NotObservable(
@@ -247,16 +243,16 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
             f"{', '.join(lacking)} along the table's axis",
             missing=tuple(lacking),
         )
-    rates = imposed_rates(dwells, settings.latitude_deg)
-    verdict, names = Verdict(), {"method": f"rate-table/{settings.mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
-    if settings.mode == "paper":
+    rates = imposed_rates(dwells, latitude_deg)
+    verdict, names = Verdict(), {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
+    if mode == "paper":
         fit = fit_paper(rates, dwells.reading, dwells.noise, **names)
         verdict = offset_verdict(fit, rates, dwells.reading, dwells.noise)
     else:
         span = (float(rates.min()), float(rates.max()))
         fit = triad_from_forward(fit_forward(rates, dwells.reading, dwells.noise), valid_range=span, **names)
     check_axis_order(fit.model.forward_matrix, "rate table", against="turns")
-    check_own_scale(fit.model.scale_factor, dwells.unit, "rate", settings.scale_tolerance, "gyroscope")
+    check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
     rows = [np.array(dwells.axis) == axis for axis in AXES]
     return RateTableFit(
         model=fit.model,
@@ -267,19 +263,21 @@ def fit_rate_table(dwells: DwellMeans, settings: RateTableSettings = RateTableSe
     )
 
 
-def fit_rate_axis(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> RateAxisFit:
+def fit_rate_axis(
+    dwells: DwellMeans, *, latitude_deg: float | None = None, scale_tolerance: float = 0.25
+) -> RateAxisFit:
     """Fit what turns about a single axis show: scale factor, cross-axis column and offsets."""
     axes = sorted(set(dwells.axis))
     if len(axes) != 1:
         raise InputError(f"rate axis: wanted turns about one axis, got {', '.join(axes) or 'none'}; use fit_rate_table")
     axis, own = dwells.axis[0], AXES.index(dwells.axis[0])
     table = linearity(dwells.reading[:, own], dwells.turn_rate, axis)
-    rate = imposed_rates(dwells, settings.latitude_deg)[:, own]
+    rate = imposed_rates(dwells, latitude_deg)[:, own]
     design = np.column_stack((rate, np.ones_like(rate)))
     theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
     residuals = dwells.reading - design @ theta
     variance = [student_variance(column, len(rate) - 2) for column in residuals.T]
-    check_own_scale(abs(theta[0, own]), dwells.unit, "rate", settings.scale_tolerance, f"gyroscope {axis}")
+    check_own_scale(abs(theta[0, own]), dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
     return RateAxisFit(
         axis=axis,
         column=theta[0],
@@ -297,14 +295,16 @@ def _axes_missing(turned: tuple[Axis, ...]) -> Finding:
     return finding("rate_table.axes_missing", "warn", turned=turned, missing=missing)
 
 
-def fit_rate_axes(dwells: DwellMeans, settings: RateTableSettings = RateTableSettings()) -> tuple[RateAxisFit, ...]:
+def fit_rate_axes(
+    dwells: DwellMeans, *, latitude_deg: float | None = None, scale_tolerance: float = 0.25
+) -> tuple[RateAxisFit, ...]:
     """Fit each axis that was turned, alone."""
     fits = []
     for axis in AXES:
         rows = [k for k, name in enumerate(dwells.axis) if name == axis]
         if len(np.unique(dwells.turn_rate[rows])) > 1:
             own = _only(dwells, rows)
-            loose = fit_rate_axis(own, replace(settings, scale_tolerance=float("inf")))
+            loose = fit_rate_axis(own, latitude_deg=latitude_deg, scale_tolerance=np.inf)
             most = int(np.abs(loose.column).argmax())
             if most != AXES.index(axis) or loose.scale_factor < 0.0:
                 reads = f"{'-' if loose.column[most] < 0.0 else '+'}{AXES[most]}"
@@ -313,7 +313,7 @@ def fit_rate_axes(dwells: DwellMeans, settings: RateTableSettings = RateTableSet
                     f"that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
                     reads=reads,
                 )
-            fits.append(fit_rate_axis(own, settings))
+            fits.append(fit_rate_axis(own, latitude_deg=latitude_deg, scale_tolerance=scale_tolerance))
     return tuple(fits)
 
 
@@ -595,32 +595,29 @@ def _least_deviations(design: FloatArray, reading: FloatArray) -> FloatArray:
 def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns at known rates; an entry of FITS."""
     session, own = seen.session, seen.settings
-    settings = RateTableSettings(
-        mode="paper" if mode == "paper" else "affine",
-        latitude_deg=own.latitude_deg,
-        scale_tolerance=own.scale_tolerance,
-    )
+    latitude, tolerance = own.latitude_deg, own.scale_tolerance
     dwells = dwell_means(session.records, session.turns, settle_s=own.settle_s, cutoff_hz=own.spline_cutoff_hz)
     turned = tuple(sorted(set(dwells.axis)))
     if 0 < len(turned) < 3:
-        shown = fit_rate_axes(dwells, settings)
+        shown = fit_rate_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance)
         off = (scale_verdict(np.array([fit.scale_factor]), dwells.unit, fit.axis) for fit in shown)
         found = (*map(axis_finding, shown), *(f for verdict in off for f in verdict.findings))
         return Outcome(findings=(_axes_missing(turned), *found))
     rests = None if accel is None else _rest_means(seen, accel.model)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
-    check_dwells(dwells, imposed_rates(dwells, settings.latitude_deg), rests=rests, numbers=numbers)
-    if settings.mode == "paper" and own.remove_offset:
+    check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
+    if mode != "paper":
+        fit = fit_rate_table(dwells, latitude_deg=latitude, scale_tolerance=tolerance)
+        return Outcome(fit=fit_with_rests(fit, dwells, rests, latitude_deg=latitude), method="rate-table")
+    offset = None
+    if own.remove_offset:
         offset, variance = seen.rest_rate()
         if np.isnan(offset).any():
             offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
-        fit = fit_rate_table(replace(dwells, reading=dwells.reading - offset), settings)
-        return Outcome(fit=with_offset(fit, offset, variance), method="rate-table")
-    fit = fit_rate_table(dwells, settings)
-    if settings.mode == "affine":
-        fit = fit_with_rests(fit, dwells, rests, latitude_deg=settings.latitude_deg)
-    return Outcome(fit=fit, method="rate-table")
+        dwells = replace(dwells, reading=dwells.reading - offset)
+    paper: TriadFit = fit_rate_table(dwells, mode="paper", latitude_deg=latitude, scale_tolerance=tolerance)
+    return Outcome(fit=paper if offset is None else with_offset(paper, offset, variance), method="rate-table")
 
 
 def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:

@@ -134,15 +134,6 @@ _ROUNDING = 1e-12  # of the largest reading: no mean is known better than its ar
 _LARGE_TILT = 0.5 * RADIAN_PER_DEGREE
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SixFaceSettings:
-    """How a six-face session is read and fitted."""
-
-    mode: SixFaceMode = "levelled"  # paper, affine or levelled
-    window_s: float = 6.0  # Longest stretch used from the middle of each still phase, s. The note takes 6 s
-    polynomial_degree: int = 1  # Degree of the polynomial in time that filters each window before it is averaged
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FaceMeans:
     """Mean readings of a device on its faces."""
@@ -161,18 +152,18 @@ class SixFaceFit(TriadFit):
     tilt: float = float("nan")
 
 
-def fit_six_face(poses: FaceMeans, *, gravity: float, settings: SixFaceSettings = SixFaceSettings()) -> SixFaceFit:
+def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "levelled") -> SixFaceFit:
     """Fit accelerometers to mean readings of their faces."""
-    _check(poses, gravity, settings)
+    _check(poses, gravity, mode)
     up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
-    names = {"method": f"six-face/{settings.mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
+    names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     known = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
     plain, tilt = fit_forward(up, reading, known), float("nan")
     forward = plain
-    if known is not None and settings.mode != "affine":
+    if known is not None and mode != "affine":
         forward, tilt = fit_tilted(up, reading, known, plain)
-    found = Verdict.of(*_judged(poses, plain, known, tilt, settings.mode))
-    if settings.mode == "paper":
+    found = Verdict.of(*_judged(poses, plain, known, tilt, mode))
+    if mode == "paper":
         fit, tilt = fit_paper(up, reading, noise, **names), float("nan")
         found = offset_verdict(fit, up, reading, noise).also(found)
     else:
@@ -202,36 +193,36 @@ def _judged(
 
 
 def face_means(
-    records: Sequence[Record], stills: Sequence[Still], settings: SixFaceSettings = SixFaceSettings()
+    records: Sequence[Record], stills: Sequence[Still], *, window_s: float = 6.0, polynomial_degree: int = 1
 ) -> FaceMeans:
-    """Filter and average the labelled still phases of a session."""
+    """Filter and average the middle ``window_s`` of each labelled still phase by a polynomial in time."""
     used = [s for s in stills if s.face is not None]
     unit = records[stills[0].recording].accel_unit if stills else "m/s2"
-    windows = [_window(records[s.recording], s, unit, settings) for s in used]
-    filtered = [polynomial_filter(window, settings.polynomial_degree) for window in windows]
+    windows = [_window(records[s.recording], s, unit, window_s, polynomial_degree) for s in used]
+    filtered = [polynomial_filter(window, polynomial_degree) for window in windows]
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
         faces=tuple(s.face for s in used if s.face is not None),
-        noise=noise_of_means([rest for _, rest in filtered], sizes, removed=settings.polynomial_degree + 1),
+        noise=noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1),
         unit=unit,
     )
 
 
-def _window(record: Record, still: Still, unit: str, settings: SixFaceSettings) -> FloatArray:
+def _window(record: Record, still: Still, unit: str, window_s: float, degree: int) -> FloatArray:
     if record.accel is None or record.accel_unit != unit:
         raise InputError(
             f"six faces: wanted accelerometer readings in {unit} in every recording, got "
             f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}; map the columns alike"
         )
     window = record.accel[still.start : still.stop]
-    wanted = max(2, round(settings.window_s * record.sample_rate_hz))
+    wanted = max(2, round(window_s * record.sample_rate_hz))
     skip = max(0, (len(window) - wanted) // 2)
     window = window[skip : skip + wanted]
     window = window[~np.isnan(window).any(axis=1)]
-    if len(window) <= settings.polynomial_degree + 1:
+    if len(window) <= degree + 1:
         raise InputError(
-            f"six faces: wanted more than {settings.polynomial_degree + 1} readings on face {still.face}, got {len(window)}; "
+            f"six faces: wanted more than {degree + 1} readings on face {still.face}, got {len(window)}; "
             "choose another stretch"
         )
     check_saturation(window, f"accelerometer on face {still.face}")
@@ -245,7 +236,7 @@ def polynomial_filter(values: FloatArray, degree: int) -> tuple[FloatArray, Floa
     return filtered, values - filtered
 
 
-def _check(poses: FaceMeans, gravity: float, settings: SixFaceSettings) -> None:
+def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
     if poses.reading.shape != (len(poses.faces), 3):
         raise InputError(
             f"six faces: wanted one reading (3,) for each of {len(poses.faces)} faces, got {poses.reading.shape}"
@@ -259,11 +250,11 @@ def _check(poses: FaceMeans, gravity: float, settings: SixFaceSettings) -> None:
         check_gravity(poses.reading * si_factor(poses.unit, "accel"), gravity)
     check_faces(poses.reading, poses.faces)
     missing = missing_faces(poses.faces)
-    if len(missing) > (0 if settings.mode == "paper" else 1):
+    if len(missing) > (0 if mode == "paper" else 1):
         raise NotObservable(
             f"six faces: wanted all six, got none for {', '.join(missing)}; record the missing faces", missing=missing
         )
-    if settings.mode == "levelled" and poses.noise is None:
+    if mode == "levelled" and poses.noise is None:
         raise InputError(
             "six faces, mode levelled: wanted the noise of each mean, got none; give it, or use mode affine"
         )
@@ -274,23 +265,21 @@ def _check(poses: FaceMeans, gravity: float, settings: SixFaceSettings) -> None:
 
 def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its faces; an entry of FITS."""
-    settings = SixFaceSettings(
-        mode=mode or "levelled",  # type: ignore[arg-type]
-        window_s=seen.settings.window_s,
-        polynomial_degree=seen.settings.polynomial_degree,
+    own, used = seen.settings, mode or "levelled"
+    poses = face_means(
+        seen.session.records, seen.stills, window_s=own.window_s, polynomial_degree=own.polynomial_degree
     )
-    poses = face_means(seen.session.records, seen.stills, settings)
     found: tuple[Finding, ...] = ()
-    if settings.mode == "levelled" and poses.noise is None:
-        settings, found = replace(settings, mode="affine"), (finding("six_face.short_faces", "warn"),)
+    if used == "levelled" and poses.noise is None:
+        used, found = "affine", (finding("six_face.short_faces", "warn"),)
     offset = None
-    if settings.mode == "paper" and seen.settings.remove_offset:
+    if used == "paper" and own.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
         faces = np.array(poses.faces)
         offset = np.mean([poses.reading[faces == face].mean(axis=0) for face in sorted(set(poses.faces))], axis=0)
         poses = replace(poses, reading=poses.reading - offset)
-    fit: TriadFit = fit_six_face(poses, gravity=seen.session.gravity_m_s2, settings=settings)
-    check_own_scale(fit.model.scale_factor, poses.unit, "accel", seen.settings.scale_tolerance, "accelerometer")
+    fit: TriadFit = fit_six_face(poses, gravity=seen.session.gravity_m_s2, mode=used)  # type: ignore[arg-type]
+    check_own_scale(fit.model.scale_factor, poses.unit, "accel", own.scale_tolerance, "accelerometer")
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
         fit = with_offset(fit, offset, variance)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.six_face import FaceMeans, SixFaceSettings, fit_six_face
+from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.correction.correct import correct_checked
 from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.fit.least_squares import fit_paper
@@ -271,7 +271,7 @@ def _accel(imposed: Imposed, readings: DwellReadings, at: IntArray, unit: str) -
         noise=np.sqrt(readings.accel_variance[at] / readings.samples[at, None]),
         unit=unit,
     )
-    return fit_six_face(poses, gravity=STANDARD_GRAVITY, settings=SixFaceSettings(mode="affine")).model
+    return fit_six_face(poses, gravity=STANDARD_GRAVITY, mode="affine").model
 
 
 # ---- unit of work
