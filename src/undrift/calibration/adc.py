@@ -10,7 +10,7 @@ Nearest and floor differ by half a step everywhere, which an offset takes up: co
 not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -140,3 +140,15 @@ def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) 
         return values
     direction = np.sign(values) * (np.abs(values) > 0.5 * lsb) if rounding == "toward_zero" else 1.0
     return np.asarray(values + 0.5 * lsb * direction)
+
+
+def restored(record: Record, adc: AdcModel | None) -> Record:
+    """Return a record corrected for the half steps that the rounding took."""
+    if adc is None:
+        return record
+    gyro, accel = record.gyro, record.accel
+    if gyro is not None and adc.gyro_lsb is not None:
+        gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
+    if accel is not None and adc.accel_lsb is not None:
+        accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
+    return replace(record, gyro=gyro, accel=accel)

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from undrift.calibration.adc import identify_record_adc, without_truncation
+from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import calibrate_moves, calibrate_poses, calibrate_scale_alone
@@ -167,7 +167,7 @@ def calibrate(
         )
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
-    seen = observe(replace(session, records=tuple(_restored(r, adc) for r in session.records)), settings)
+    seen = observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
     of_accel = _calibrate_accel(seen, accel, mode)
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
@@ -294,16 +294,17 @@ def _mode_not_used(mode: Mode | None, triad: Triad, outcome: Outcome) -> Iterato
         yield finding("paper_mode.not_used", "warn", mode=mode, triad=triad, method=outcome.method, needs=needs)
 
 
+_NEVER_SHOWN = (  # by method; of the accelerometer, then of the gyroscope
+    {"multi-position": "multi_position.mounting", "six-face": "six_face.fixture"},
+    {"multi-position": "multi_position.g_sensitivity", "known-rotation": "known_rotation.other_rates"},
+)
+
+
 def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) -> Iterator[Finding]:
     """Return what this kind of session never shows, however well it was recorded."""
-    if accel.fit is not None and accel.method == "multi-position":
-        yield finding("multi_position.mounting", "info")
-    if accel.fit is not None and accel.method == "six-face":
-        yield finding("six_face.fixture", "info")
-    if gyro.fit is not None and gyro.method == "multi-position":
-        yield finding("multi_position.g_sensitivity", "info")
-    if gyro.fit is not None and gyro.method == "known-rotation":
-        yield finding("known_rotation.other_rates", "info")
+    for outcome, codes in zip((accel, gyro), _NEVER_SHOWN, strict=True):
+        if outcome.fit is not None and outcome.method in codes:
+            yield finding(codes[outcome.method], "info")
     if gyro.fit is not None and gyro.method == "rate-table" and accel.fit is None:
         # An offset that differs between the axes asks for the same recording.
         shown = any(item.code == "rate_table.axis_offset" for item in gyro.fit.verdict.findings)
@@ -312,17 +313,6 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
         yield finding("session.one_temperature", "info", temp_c=temp_c)
     elif not thermal:
         yield finding("session.unknown_temperature", "info")
-
-
-def _restored(record: Record, adc: AdcModel | None) -> Record:
-    if adc is None:
-        return record
-    gyro, accel = record.gyro, record.accel
-    if gyro is not None and adc.gyro_lsb is not None:
-        gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
-    if accel is not None and adc.accel_lsb is not None:
-        accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
-    return replace(record, gyro=gyro, accel=accel)
 
 
 def _provenance(session: Session, settings: CalibrateSettings, accel: str, gyro: str, mode: Mode | None) -> Provenance:

@@ -50,26 +50,17 @@ _START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 class NormFit:
     """Scaled solution of the norm equations."""
 
-    center: FloatArray  # (3,), c, raw unit
+    matrix: FloatArray  # (3, 3), M, m/s2 per raw unit
+    offset: FloatArray  # (3,), o, raw unit
     scale: float  # k, m/s2 per raw unit
-    p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
-    covariance: FloatArray  # (9, 9), of p; zeros where held, NaN where the equations are singular
+    # (9, 9), of m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2); zeros where held, NaN where singular
+    covariance: FloatArray
     residuals: FloatArray  # (K,), length less gravity, m/s2
     condition: float  # Condition number of the design, columns scaled to one
     # Least rms change of length, in g, that one unit of any combination of parameters makes (1, and g for offsets)
     weakest: float
     unseen: tuple[str, ...]  # The parameters that take part in that weakest combination
     gravity: float  # m/s2
-
-    @property
-    def matrix(self) -> FloatArray:
-        """M, m/s2 per raw unit, shape (3, 3)."""
-        return self.scale * _upper(self.p)
-
-    @property
-    def offset(self) -> FloatArray:
-        """o, raw unit, shape (3,)."""
-        return np.asarray(self.center + self.p[6:] / self.scale)
 
     @property
     def uncertainty(self) -> float:
@@ -115,9 +106,9 @@ def fit_norm(
     covariance = np.zeros((9, 9))
     covariance[np.ix_(free, free)] = _inverse(design[:, free] / np.sqrt(variance)[:, None])
     return NormFit(
-        center=center,
+        matrix=scale * _upper(p),
+        offset=center + p[6:] / scale,
         scale=scale,
-        p=p,
         covariance=covariance,
         residuals=residuals,
         condition=scaled_condition(design[:, free])[1],
@@ -258,7 +249,7 @@ def _judged(fit: NormFit, rms_mg: float) -> Iterator[Finding]:
     if uncertain_mg > UNCERTAIN_MG[0]:
         level = level_of(uncertain_mg, UNCERTAIN_MG)
         yield finding("multi_position.uncertainty", level, uncertainty_mg=uncertain_mg, wanted=UNCERTAIN_MG[0])
-    if fit.p[1] == fit.p[2] == fit.p[4] == 0.0:
+    if not np.triu(fit.matrix, 1).any():
         yield finding("multi_position.cross_axis_fixed", "info")
 
 
@@ -299,26 +290,6 @@ class StillVariance:
         """Return the stretches [start, stop) below a threshold."""
         found = runs(self.level < threshold)
         return [(int(a), int(b)) for a, b in found[found[:, 1] - found[:, 0] >= least]]
-
-    def cores(self, stretches: list[tuple[int, int]], least: int) -> list[tuple[int, int]]:
-        """Return stills reduced to the part in which the gyroscopes are at rest too."""
-        if self.gyro_level is None or not stretches:
-            return stretches
-        limit = CORE * float(np.median(np.concatenate([self.gyro_level[a:b] for a, b in stretches])))
-        kept: list[tuple[int, int]] = []
-        for start, stop in stretches:
-            quiet = runs(self.gyro_level[start:stop] <= limit)
-            first, last = max(quiet.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
-            kept.append((start + first, start + last) if last - first >= least else (start, stop))
-        return kept
-
-    def moments(self, stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
-        """Return the mean reading (K, 3) of each still and its variance (K, 3), the noise pooled over all."""
-        start, stop = np.array([s.start for s in stills]), np.array([s.stop for s in stills])
-        count = (stop - start)[:, None].astype(float)
-        sums, squares = self.sums[:, stop] - self.sums[:, start]
-        within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(stills))
-        return sums / count + self.centre, np.maximum(within, 0.0) / count
 
 
 def still_variance(record: Record, *, window_s: float, rest_s: float | None) -> StillVariance:
@@ -442,8 +413,16 @@ def fit_multi_position(
         )
     check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
     accel = judged(fit, reading, records[0].accel_unit)
-    cores = _cores(levels, used, shortest) if stills is None and settings.rule == "coverage" else used
-    gyro, missing = _gyro(records, used, accel, settings, cores)
+    gyro: TriadFit | None = None
+    missing: tuple[Finding, ...] = ()
+    if settings.gyro and all(r.gyro is not None for r in records):
+        published = settings.rule == "published"
+        cores = used if published or stills is not None else _cores(levels, used, shortest)
+        rest_s = settings.rest_s if published else None
+        try:
+            gyro = fit_gyro_between_stills(records, used, accel.model, cores=cores, equal=published, rest_s=rest_s)
+        except NotObservable as error:
+            missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
     return MultiPositionFit(
         accel=accel,
@@ -468,8 +447,15 @@ def _cores(levels: list[StillVariance], stills: tuple[Still, ...], shortest: lis
     """Return the part of each still in which the gyroscopes are quiet, in the same order."""
     cores: list[Still] = []
     for number, (level, least) in enumerate(zip(levels, shortest, strict=True)):
-        own = [(s.start, s.stop) for s in stills if s.recording == number]
-        cores += [Still(start=start, stop=stop, recording=number) for start, stop in level.cores(own, least)]
+        own, gyro = [s for s in stills if s.recording == number], level.gyro_level
+        if gyro is None or not own:
+            cores += own
+            continue
+        limit = CORE * float(np.median(np.concatenate([gyro[s.start : s.stop] for s in own])))
+        for s in own:
+            quiet = runs(gyro[s.start : s.stop] <= limit).tolist()
+            first, last = max(quiet, key=lambda run: run[1] - run[0], default=(0, 0))
+            cores.append(replace(s, start=s.start + first, stop=s.start + last) if last - first >= least else s)
     return tuple(cores)
 
 
@@ -504,12 +490,15 @@ def _attempt(
 
 
 def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return mean readings and their variances, the noise pooled over the stills of a recording."""
-    means, variances = np.zeros((len(stills), 3)), np.zeros((len(stills), 3))
+    """Return mean readings (K, 3) and their variances, the noise pooled over the stills of a recording."""
+    means, variances = np.zeros((2, len(stills), 3))
     for number, level in enumerate(levels):
         rows = [k for k, s in enumerate(stills) if s.recording == number]
-        if rows:
-            means[rows], variances[rows] = level.moments([stills[k] for k in rows])
+        start, stop = np.array([(stills[k].start, stills[k].stop) for k in rows], np.int64).reshape(-1, 2).T
+        count = (stop - start)[:, None].astype(float)
+        sums, squares = level.sums[:, stop] - level.sums[:, start]
+        within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(rows))
+        means[rows], variances[rows] = sums / count + level.centre, np.maximum(within, 0.0) / count
     return means, variances
 
 
@@ -532,24 +521,6 @@ def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attem
     least = min(a[0].uncertainty for a in fitted)
     most = max(a[0].poses for a in fitted if a[0].uncertainty <= 2.0 * least or not np.isfinite(least))
     return min((a for a in fitted if a[0].poses >= 0.9 * most), key=lambda a: a[0].uncertainty)
-
-
-def _gyro(
-    records: tuple[Record, ...],
-    stills: tuple[Still, ...],
-    accel: TriadFit,
-    settings: MultiPositionSettings,
-    cores: tuple[Still, ...],
-) -> tuple[TriadFit | None, tuple[Finding, ...]]:
-    if not settings.gyro or any(r.gyro is None for r in records):
-        return None, ()
-    published = settings.rule == "published"
-    rest_s = settings.rest_s if published else None
-    try:
-        fit = fit_gyro_between_stills(records, stills, accel.model, cores=cores, equal=published, rest_s=rest_s)
-    except NotObservable as error:
-        return None, (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
-    return fit, ()
 
 
 # ---- from a session

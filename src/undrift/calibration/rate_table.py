@@ -277,7 +277,15 @@ def fit_rate_axis(
     theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
     residuals = dwells.reading - design @ theta
     variance = [student_variance(column, len(rate) - 2) for column in residuals.T]
-    check_own_scale(abs(theta[0, own]), dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
+    most = int(np.abs(theta[0]).argmax())
+    if most != own or theta[0, own] < 0.0:
+        reads = f"{'-' if theta[0, most] < 0.0 else '+'}{AXES[most]}"
+        raise Implausible(
+            f"turns about {axis}: wanted the {axis} gyroscope to read + for turns about +{axis}, got column {AXES[most]} "
+            f"that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
+            reads=reads,
+        )
+    check_own_scale(float(theta[0, own]), dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
     return RateAxisFit(
         axis=axis,
         column=theta[0],
@@ -304,15 +312,6 @@ def fit_rate_axes(
         rows = [k for k, name in enumerate(dwells.axis) if name == axis]
         if len(np.unique(dwells.turn_rate[rows])) > 1:
             own = _only(dwells, rows)
-            loose = fit_rate_axis(own, latitude_deg=latitude_deg, scale_tolerance=np.inf)
-            most = int(np.abs(loose.column).argmax())
-            if most != AXES.index(axis) or loose.scale_factor < 0.0:
-                reads = f"{'-' if loose.column[most] < 0.0 else '+'}{AXES[most]}"
-                raise Implausible(
-                    f"turns about {axis}: wanted the {axis} gyroscope to read + for turns about +{axis}, got column {AXES[most]} "
-                    f"that reads them as {reads}; correct the sign or axis of the turns, or the order or sign of the columns",
-                    reads=reads,
-                )
             fits.append(fit_rate_axis(own, latitude_deg=latitude_deg, scale_tolerance=scale_tolerance))
     return tuple(fits)
 

@@ -40,7 +40,6 @@ class ReferenceSettings:
     # Last window, s. Longer weighs pose noise less and slow changes of the offset more
     longest_window_s: float = 16.0
     stride_s: float = 0.5  # From the start of one window to the next, s
-    huber: float = 1.345  # Residuals up to this many standard deviations count fully
     # "motion": rest offset of each recording plus one fitted change from rest to motion. "rest": rest offsets alone.
     # "common": one fitted offset for all, whatever they read at rest
     offset: Offset = "motion"
@@ -237,18 +236,18 @@ def _rest(time: FloatArray, gyro: FloatArray, motion: Motion) -> tuple[FloatArra
 # the squares of all sliding sums of B neighbours give, which is how it is computed here.
 
 _REWEIGHTINGS = 15
+_HUBER = 1.345  # k
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solution:
     """One linear solution."""
 
-    step: FloatArray  # (P,), change of the parameters
+    step: FloatArray  # (P,), change of the parameters that were kept
     covariance: FloatArray  # (P, P), sandwich
     residuals: FloatArray  # (n, 3), rad, all windows
     scale: float  # Robust standard deviation of the residuals, rad
-    rank: int  # Of the design with columns scaled to one
-    condition: float
+    condition: float  # Of the design with columns scaled to one
 
 
 def independent_windows(windows: Sequence[Windows], reach: int) -> int:
@@ -256,9 +255,8 @@ def independent_windows(windows: Sequence[Windows], reach: int) -> int:
     return sum(-(-len(w.first) // reach) for w in windows)
 
 
-def solve(windows: Sequence[Windows], *, keep: FloatArray, huber: float, reach: int) -> Solution:
-    """Solve the window equations of several recordings for the parameters that ``keep`` (P,) marks."""
-    kept = np.flatnonzero(keep)
+def solve(windows: Sequence[Windows], *, kept: IntArray, reach: int) -> Solution:
+    """Solve the window equations of several recordings for the parameters ``kept``, by number."""
     a = np.concatenate([w.design for w in windows])[:, :, kept]
     y = np.concatenate([w.turn for w in windows])
     independent = independent_windows(windows, reach)
@@ -269,8 +267,8 @@ def solve(windows: Sequence[Windows], *, keep: FloatArray, huber: float, reach: 
             windows=independent,
         )
     rows = a.reshape(-1, len(kept))
-    rank, condition = _full_rank(rows)
-    x, weight, scale = _huber(rows, y.reshape(-1), huber)
+    condition = _full_rank(rows)
+    x, weight, scale = _huber(rows, y.reshape(-1))
     residual = y - a @ x
     bread = np.linalg.inv((rows.T * weight) @ rows)
     scores = np.einsum("nap,na->np", a, weight.reshape(-1, 3) * residual)
@@ -278,19 +276,10 @@ def solve(windows: Sequence[Windows], *, keep: FloatArray, huber: float, reach: 
     # Residuals are short of errors by their leverage, P / n on average; HC3's square of it, not HC1's first power
     # (MacKinnon and White 1985).
     covariance = bread @ meat @ bread * (3 * independent / (3 * independent - len(kept))) ** 2
-    return _solution(x, covariance, keep, residual, (scale, rank, condition))
+    return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 
 
-def _solution(
-    x: FloatArray, covariance: FloatArray, keep: FloatArray, residuals: FloatArray, figures: tuple[float, int, float]
-) -> Solution:
-    kept, (scale, rank, condition) = np.flatnonzero(keep), figures
-    step, full = np.zeros(len(keep)), np.zeros((len(keep), len(keep)))
-    step[kept], full[np.ix_(kept, kept)] = x, covariance
-    return Solution(step=step, covariance=full, residuals=residuals, scale=scale, rank=rank, condition=condition)
-
-
-def _full_rank(design: FloatArray) -> tuple[int, float]:
+def _full_rank(design: FloatArray) -> float:
     rank, condition = scaled_condition(design)
     if rank < design.shape[1]:
         raise NotObservable(
@@ -298,10 +287,10 @@ def _full_rank(design: FloatArray) -> tuple[int, float]:
             "turn the device about every axis",
             rank=rank,
         )
-    return rank, condition
+    return condition
 
 
-def _huber(a: FloatArray, y: FloatArray, k: float) -> tuple[FloatArray, FloatArray, float]:
+def _huber(a: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return parameters, weights and robust scale (Huber, "Robust estimation of a location parameter", 1964)."""
     length = np.linalg.norm(a, axis=0)
     scaled = a / length
@@ -312,7 +301,7 @@ def _huber(a: FloatArray, y: FloatArray, k: float) -> tuple[FloatArray, FloatArr
         x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * y))
         size = np.abs(y - scaled @ x)
         scale = 1.4826 * float(np.median(size))
-        weight = np.minimum(1.0, k * scale / np.maximum(size, 1e-15)) if scale > 0.0 else weight
+        weight = np.minimum(1.0, _HUBER * scale / np.maximum(size, 1e-15)) if scale > 0.0 else weight
         if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
             break
     return x / length, weight, scale
@@ -345,11 +334,8 @@ _SEARCH = 24  # steps of golden section: kappa's logit to 1e-3
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
-def solve_chain(
-    recordings: Sequence[Recording], steps: Sequence[Windows], *, keep: FloatArray, huber: float
-) -> Solution:
-    """Solve the chains of several recordings for the parameters that ``keep`` (P,) marks."""
-    kept = np.flatnonzero(keep)
+def solve_chain(recordings: Sequence[Recording], steps: Sequence[Windows], *, kept: IntArray) -> Solution:
+    """Solve the chains of several recordings for the parameters ``kept``, by number."""
     tables = [_in_level(r, w, kept) for r, w in zip(recordings, steps, strict=True)]
     links = [np.diff(w.first) == 1 for w in steps]
     rows = 3 * sum(len(t) for t in tables)
@@ -358,10 +344,10 @@ def solve_chain(
             f"reference: wanted more than {2 * len(kept) // 3} steps between poses, got {rows // 3}; record longer motion",
             steps=rows // 3,
         )
-    rank, condition = _full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
+    condition = _full_rank(np.concatenate([t[:, :, 1:].reshape(-1, len(kept)) for t in tables]))
     white = _whitened(tables, links, _most_likely(tables, links))
     y, a = white[:, 0], white[:, 1:]
-    x, weight, scale = _huber(a, y, huber)
+    x, weight, scale = _huber(a, y)
     length = np.linalg.norm(a, axis=0)
     scaled = a / length
     residual = y - scaled @ (x * length)
@@ -369,7 +355,8 @@ def solve_chain(
     fully = float(np.mean(weight == 1.0))
     variance = float(((weight * residual) ** 2).sum()) / (len(y) - len(x)) / max(fully, 0.1) ** 2
     covariance = np.linalg.inv(scaled.T @ scaled) * variance / np.outer(length, length)
-    return _solution(x, covariance, keep, residual.reshape(-1, 3), (scale, rank, condition))
+    residual = residual.reshape(-1, 3)
+    return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 
 
 def _in_level(recording: Recording, steps: Windows, kept: IntArray) -> FloatArray:
@@ -479,27 +466,28 @@ def prepare_all(
 def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) -> ReferenceFit:
     offsets = [np.zeros(3) if settings.offset == "common" else p.rest_offset for p in prepared]
     guess = _first_guess(prepared, settings)
-    keep = np.ones(21 if settings.g_sensitivity else 12)
-    keep[9:12] = settings.offset != "rest"
+    kept = np.arange(21 if settings.g_sensitivity else 12)
+    if settings.offset == "rest":
+        kept = np.delete(kept, np.s_[9:12])
     solution, used = None, settings.window_s
     for length in _lengths(settings):
         reach = max(1, round(length / settings.stride_s))
         windows = [window_equations(p, guess, o, reach) for p, o in zip(prepared, offsets, strict=True)]
-        if solution is not None and independent_windows(windows, reach) <= keep.sum() / 3.0:
+        if solution is not None and independent_windows(windows, reach) <= len(kept) / 3.0:
             break  # too short for longer windows: stay with the last ones
-        solution, used = solve(windows, keep=keep, huber=settings.huber, reach=reach), length
-        guess = guess + solution.step
+        solution, used = solve(windows, kept=kept, reach=reach), length
+        guess[kept] += solution.step
     for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
         windows = [window_equations(p, guess, o, 1) for p, o in zip(prepared, offsets, strict=True)]
-        solution, used = solve_chain(prepared, windows, keep=keep, huber=settings.huber), settings.stride_s
-        guess = guess + solution.step
+        solution, used = solve_chain(prepared, windows, kept=kept), settings.stride_s
+        guess[kept] += solution.step
     determinant = np.linalg.det(guess[:9].reshape(3, 3))
     if solution is None or determinant <= 0.0:
         raise Implausible(
             f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
-    return _result(prepared, settings, unit, guess, solution, used)
+    return _result(prepared, settings, unit, guess, kept, solution, used)
 
 
 def _lengths(settings: ReferenceSettings) -> list[float]:
@@ -538,6 +526,7 @@ def _result(
     settings: ReferenceSettings,
     unit: str,
     guess: FloatArray,
+    kept: IntArray,
     solution: Solution,
     window_s: float,
 ) -> ReferenceFit:
@@ -549,7 +538,9 @@ def _result(
     # From (M, d, G) to (M, o, G) with o = M^-1 d: do = M^-1 dd - M^-1 dM o.
     jacobian = np.eye(len(guess))
     jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, motion_offset)
-    covariance = np.asarray(jacobian @ solution.covariance @ jacobian.T)
+    covariance = np.zeros((len(guess), len(guess)))
+    covariance[np.ix_(kept, kept)] = solution.covariance
+    covariance = jacobian @ covariance @ jacobian.T
     if settings.offset != "common":
         spread = np.array([p.rest_uncertainty for p in prepared])
         covariance[range(9, 12), range(9, 12)] += (spread**2).sum(axis=0) / len(prepared) ** 2
@@ -565,7 +556,7 @@ def _result(
         covariance=covariance,
         rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
         count=solution.residuals.size,
-        rank=solution.rank,
+        rank=len(kept),
         condition=solution.condition,
         valid_range=(min(float(w.min()) for w in seen), max(float(w.max()) for w in seen)),
     )

@@ -15,7 +15,7 @@ from itertools import chain, product
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.calibration.adc import without_truncation
+from undrift.calibration.adc import restored
 from undrift.drift.observe import RestBlocks
 from undrift.drift.temperature import Temperature
 from undrift.drift.thermometer_lag import without_lag
@@ -62,12 +62,7 @@ def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
         units[f"{sensor}_unit"] = model.unit_in
     if units != {"gyro_unit": record.gyro_unit, "accel_unit": record.accel_unit}:
         record = replace(record.in_units(*units.values()), **units)
-    adc, gyro, accel = calibration.adc, record.gyro, record.accel
-    if adc is not None and gyro is not None and adc.gyro_lsb is not None:
-        gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
-    if adc is not None and accel is not None and adc.accel_lsb is not None:
-        accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
-    return record if adc is None else replace(record, gyro=gyro, accel=accel)
+    return restored(record, calibration.adc)
 
 
 def nominal_models(sessions: Sequence[Session]) -> Calibration:
