@@ -294,7 +294,12 @@ def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
 
 def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
     """Name the axis that points up for each mean reading (P, 3); None where none is near the vertical."""
-    up = means if centred else means - _sphere_centre(means)
+    if not centred and len(means) < 5:
+        raise InputError(
+            f"faces: wanted five poses or more to find the zero of readings in counts, got {len(means)}; "
+            "label the faces in session.toml"
+        )
+    up = means if centred else means - sphere_of(means)[0]
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     axis = np.abs(up).argmax(axis=1)
     most = up[np.arange(len(up)), axis]
@@ -302,17 +307,14 @@ def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
     return tuple(FACES[2 * a + (m < 0.0)] if n else None for a, m, n in zip(axis, most, near, strict=True))
 
 
-def _sphere_centre(points: FloatArray) -> FloatArray:
-    # |p|^2 = 2 c.p + (r^2 - |c|^2): linear in c.
-    if len(points) < 5:
-        raise InputError(
-            f"faces: wanted five poses or more to find the zero of readings in counts, got {len(points)}; "
-            "label the faces in session.toml"
-        )
-    shift = points.mean(axis=0)
-    p = points - shift
-    solution = np.linalg.lstsq(np.column_stack((2.0 * p, np.ones(len(p)))), (p * p).sum(axis=1), rcond=None)[0]
-    return np.asarray(solution[:3] + shift)
+def sphere_of(points: FloatArray) -> tuple[FloatArray, float]:
+    """Return centre and radius of the sphere |p - c| = R: linear in c and R^2 - |c|^2; in the plane of flat poses."""
+    mean = points.mean(axis=0)
+    spread = float(np.abs(points - mean).max())
+    p = (points - mean) / spread
+    solution = np.linalg.lstsq(np.column_stack((2.0 * p, np.ones(len(p)))), (p**2).sum(axis=1), rcond=0.02)[0]
+    radius = float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.01)))
+    return mean + spread * solution[:3], spread * radius
 
 
 # ---- turns: plateaus of constant rate, and rotations from one still phase to the next

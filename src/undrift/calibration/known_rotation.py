@@ -81,7 +81,7 @@ def check_turns_gravity(
 def _miss_deg(moves: Moves, n: FloatArray, matrix: FloatArray, offset: FloatArray) -> float:
     turn, _ = turned_in(moves, matrix, offset, np.zeros((len(moves.first), 3)))
     arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
-    cosine = np.clip((arrived * n[moves.after]).sum(axis=1), -1.0, 1.0)
+    cosine = np.clip((arrived * n[moves.before + 1]).sum(axis=1), -1.0, 1.0)
     return float(np.sqrt(np.mean(np.arccos(cosine) ** 2))) / RADIAN_PER_DEGREE
 
 

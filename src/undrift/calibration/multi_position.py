@@ -26,7 +26,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import AXES, Verdict, level_of
 from undrift.record import Record, Still
-from undrift.segments import runs
+from undrift.segments import runs, sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
 # ---- solve |M (u - o)| = g for an upper triangular M
@@ -78,7 +78,8 @@ def fit_norm(
     reading: FloatArray, *, gravity: float, variances: FloatArray | None = None, cross_axis: bool = True
 ) -> NormFit:
     """Solve the norm equations of readings (K, 3) with variances of the mean (K, 3); weights and excess settle together."""
-    center, scale = _sphere(reading, gravity)
+    center, radius = sphere_of(reading)
+    scale = gravity / radius
     v = np.ascontiguousarray(scale * (reading - center))
     stated_raw = np.zeros_like(v) if variances is None else variances * scale**2
     free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
@@ -124,29 +125,16 @@ def _upper(p: FloatArray) -> FloatArray:
     return matrix
 
 
-def _sphere(reading: FloatArray, gravity: float) -> tuple[FloatArray, float]:
-    """Return centre and g / radius of the sphere |u - c| = R: linear in c and R^2 - |c|^2; in the plane of flat poses."""
-    mean = reading.mean(axis=0)
-    spread = float(np.abs(reading - mean).max())
-    u = (reading - mean) / spread
-    design = np.column_stack((2.0 * u, np.ones(len(u))))
-    solution = np.linalg.lstsq(design, (u**2).sum(axis=1), rcond=0.02)[0]
-    radius = float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.01)))
-    return mean + spread * solution[:3], gravity / (spread * radius)
-
-
 def _descend(
     v: FloatArray, weight: FloatArray, start: FloatArray, gravity: float, free: IntArray
 ) -> tuple[FloatArray, bool]:
     """Return the minimum and whether there is one; the start again where the steps run away."""
-    from undrift.kernels.calibrate import norm_equations
-
     size = np.array([1.0] * 6 + [gravity] * 3)
 
     def equations(p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        normal, gradient = np.empty(81), np.empty(9)
-        cost = norm_equations(v.reshape(-1), weight, p, gravity, normal, gradient)
-        return cost, normal.reshape(9, 9)[np.ix_(free, free)], gradient[free]
+        design, residuals = _linearised(v, p, gravity)
+        weighted = design[:, free].T * weight
+        return float(weight @ residuals**2), weighted @ design[:, free], weighted @ residuals
 
     p, damping = start, 1e-9
     cost, normal, gradient = equations(p)

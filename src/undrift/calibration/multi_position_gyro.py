@@ -60,8 +60,7 @@ class Moves:
     time: FloatArray  # (N,), s, each record on its own clock
     first: IntArray  # (J,), last sample of the core before the move
     last: IntArray  # (J,), first sample of the core after it
-    before: IntArray  # (J,), number of the still before
-    after: IntArray  # (J,), number of the still after
+    before: IntArray  # (J,), number of the still before; the next one is after it
     stills: tuple[IntArray, IntArray]  # (K,), samples [start, stop) of the stills: the accelerometer is at rest
     cores: tuple[IntArray, IntArray]  # (K,), samples of their cores: the gyroscopes are at rest too
     duration_s: FloatArray  # (J,), length of each move, s
@@ -99,7 +98,6 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequenc
         first=first,
         last=last,
         before=before,
-        after=before + 1,
         stills=(edges[0], edges[1]),
         cores=(core_start, core_stop),
         duration_s=time[last] - time[first],
@@ -136,7 +134,7 @@ def offset_prior(moves: Moves) -> OffsetPrior:
     rest = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)  # the others turn
     stills, each = len(reading), np.arange(len(moves.first))
     to_move = np.zeros((len(each), stills))
-    to_move[each, moves.before], to_move[each, moves.after] = 0.5, 0.5
+    to_move[each, moves.before], to_move[each, moves.before + 1] = 0.5, 0.5
     mean, variance = np.zeros(3), np.zeros(3)
     drift, drift_covariance = np.zeros((len(each), 3)), np.zeros((3, len(each), len(each)))
     for axis in range(3):
@@ -370,12 +368,12 @@ def _missed(problem: _Problem, p: FloatArray) -> _Missed:
     matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
     turn, part = turned_in(moves, matrix, offset, problem.prior.drift)
     arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
-    tangent = _tangent(n[moves.after])
+    tangent = _tangent(n[moves.before + 1])
     by_matrix = part[:, 1:].transpose(0, 2, 3, 1).reshape(j, 3, 9) / problem.unit  # column 3 a + b: sum of R e_a d_b dt
     by_offset = -part[:, 0] @ matrix * problem.unit
     small_turn = turn @ np.concatenate((by_matrix, by_offset), axis=2)  # in the end frame; d(C n) = C n x small turn
     jacobian = tangent.transpose(0, 2, 1) @ cross_matrix(arrived) @ small_turn
-    angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.after])[:, :, None]).reshape(-1)
+    angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.before + 1])[:, :, None]).reshape(-1)
     return _Missed(angle=angle, jacobian=jacobian.reshape(-1, 12), turn=turn, tangent=tangent)
 
 
@@ -393,11 +391,13 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
     moves, directions, prior = problem.moves, problem.directions, problem.prior
     across = missed.tangent.transpose(0, 2, 1)
     leaving = across @ missed.turn
-    by_accel = (leaving @ directions.jacobian[moves.before] - across @ directions.jacobian[moves.after]).reshape(-1, 12)
+    by_accel = (leaving @ directions.jacobian[moves.before] - across @ directions.jacobian[moves.before + 1]).reshape(
+        -1, 12
+    )
     by_still = np.zeros((len(moves.first), 2, len(directions.unit), 3))
     each = np.arange(len(moves.first))
     by_still[each, :, moves.before] += leaving
-    by_still[each, :, moves.after] -= across
+    by_still[each, :, moves.before + 1] -= across
     spread = np.einsum("ejka,kab->ejkb", by_still, directions.covariance).reshape(2 * len(each), -1)
     total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ problem.accel.covariance[:12, :12] @ by_accel.T
     by_offset = missed.jacobian[:, 9:] / problem.unit
@@ -473,12 +473,15 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
 
 
 def _judged(rms_deg: float, percent: float, drift_dps: float) -> Iterator[Finding]:
-    if rms_deg > MISS_DEG[0]:
-        level = level_of(rms_deg, MISS_DEG)
-        yield finding("multi_position.moves_miss", level, rms_deg=rms_deg, wanted=MISS_DEG[0])
-    if percent > UNCERTAIN_PERCENT[0]:
-        level, wanted = level_of(percent, UNCERTAIN_PERCENT), UNCERTAIN_PERCENT[0]
-        yield finding("multi_position.gyro_uncertainty", level, uncertainty_percent=percent, wanted=wanted)
-    if drift_dps > DRIFT_DPS[0]:
-        level = level_of(drift_dps, DRIFT_DPS)
-        yield finding("multi_position.gyro_drift", level, drift_dps=drift_dps, wanted=DRIFT_DPS[0])
+    miss, unsure, drift = (
+        level_of(rms_deg, MISS_DEG),
+        level_of(percent, UNCERTAIN_PERCENT),
+        level_of(drift_dps, DRIFT_DPS),
+    )
+    wanted = UNCERTAIN_PERCENT[0]
+    found = (
+        finding("multi_position.moves_miss", miss, rms_deg=rms_deg, wanted=MISS_DEG[0]),
+        finding("multi_position.gyro_uncertainty", unsure, uncertainty_percent=percent, wanted=wanted),
+        finding("multi_position.gyro_drift", drift, drift_dps=drift_dps, wanted=DRIFT_DPS[0]),
+    )
+    return (item for item in found if item.level != "info")

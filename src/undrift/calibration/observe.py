@@ -51,25 +51,38 @@ _SHARED = 0.1  # of the shorter of two stretches: more than this is counting twi
 _WARM = 10.0  # K between stills: offsets may then differ
 
 
-_Excess = tuple[float, int, float, str]  # multiple of the limit, number of the still, the figure and its unit
+_Figure = tuple[FloatArray, float, str]  # of each still, its limit, and its unit
 
 
 def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[Finding, ...]:
     """Compare every still with a device at rest; raise where it is far from it."""
-    groups = {"rate": _rates(session, stills, stated=stated)}
+    figures = {"rate": [_rates(session, stills)]}
     if stated:
-        groups |= {"sway": _sways(session, stills), "tilt_deg": _tilts(session, stills)}
+        figures |= {
+            "sway": [_sways(session, stills, rate) for rate in (True, False)],
+            "tilt": [_tilts(session, stills)],
+        }
+    # Stills that were found in one recording may drift with its warming; whole recordings apart have different units.
+    most = {"rate": np.inf if stated or len(session.records) > 1 else _FAR}
     found: list[tuple[float, int, Finding]] = []
-    for kind, group in groups.items():
-        if group:
-            multiple, number, value, unit = max(group, key=lambda one: one[0])
-            item = finding(
-                {"rate": "still.rate", "sway": "still.sway", "tilt_deg": "still.tilt"}[kind],
-                "warn",
-                still=piece_name(session, stills[number], number, stated=stated),
-                stills=len(group),
-                **{kind: value} | ({} if kind == "tilt_deg" else {"unit": unit}),
-            )
+    for kind, parts in figures.items():
+        over = [
+            (min(value / limit, most.get(kind, np.inf)), number, value, unit)
+            for values, limit, unit in parts
+            for number, value in enumerate(values.tolist())
+            if value > limit  # not where it is NaN
+        ]
+        if over:
+            multiple, number, value, unit = max(over, key=lambda one: one[0])
+            still, of = piece_name(session, stills[number], number, stated=stated), len(over)
+            if kind == "tilt":
+                item = finding("still.tilt", "warn", still=still, stills=of, tilt_deg=value)
+            else:  # rates as a person reads them, in deg/s
+                value, unit = (value / RADIAN_PER_DEGREE, "dps") if unit == "rad/s" else (value, unit)
+                shown = {kind: value, "unit": "deg/s" if unit == "dps" else unit}
+                item = finding(
+                    {"rate": "still.rate", "sway": "still.sway"}[kind], "warn", still=still, stills=of, **shown
+                )
             found.append((multiple, number, item))
     if found:
         multiple, number, item = max(found, key=lambda one: one[0])
@@ -117,46 +130,34 @@ def _same(one: Record, two: Record) -> bool:
     return alike and any(a is not None and float(np.nanstd(a)) > 0.0 for a, _ in pairs)
 
 
-def _sways(session: Session, stills: tuple[Still, ...]) -> list[_Excess]:
-    over: list[_Excess] = []
-    for rate in (True, False):
-        spreads = np.array([_spread(session.records[s.recording], s, rate) for s in stills])
-        seen, unit = np.isfinite(spreads), _unit(session, rate)
-        if is_physical(unit):
-            limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
-        elif seen.sum() > 2:
-            limit = max(_OTHERS * float(np.median(spreads[seen])), 1e-300)
-        else:
-            continue
-        over += [
-            (float(spreads[k]) / limit, int(k), *_shown(spreads[k], unit)) for k in np.flatnonzero(spreads > limit)
-        ]
-    return over
+def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
+    spreads = np.array([_spread(session.records[s.recording], s, rate) for s in stills])
+    seen, unit, limit = spreads[np.isfinite(spreads)], _unit(session, rate), np.inf
+    if is_physical(unit):
+        limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
+    elif len(seen) > 2:
+        limit = max(_OTHERS * float(np.median(seen)), 1e-300)
+    return spreads, limit, unit
 
 
-def _tilts(session: Session, stills: tuple[Still, ...]) -> list[_Excess]:
-    over: list[_Excess] = []
-    for number, still in enumerate(stills if is_physical(_unit(session, False)) else ()):
+def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
+    tilts = []
+    for still in stills if is_physical(_unit(session, False)) else ():
         accel, third = session.records[still.recording].accel, (still.stop - still.start) // 3
         first, last = (_mean(accel, start, start + third) for start in (still.start, still.stop - third))
-        tilt_deg = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE
-        if tilt_deg > _TILT_LIMIT_DEG:  # not where one of them is a gap
-            over.append((tilt_deg / _TILT_LIMIT_DEG, number, tilt_deg, "deg"))
-    return over
+        tilts.append(float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE)
+    return np.array(tilts), _TILT_LIMIT_DEG, "deg"
 
 
-def _rates(session: Session, stills: tuple[Still, ...], *, stated: bool) -> list[_Excess]:
+def _rates(session: Session, stills: tuple[Still, ...]) -> _Figure:
     unit = _unit(session, True)
     if len(stills) < 3 or not is_physical(unit) or session.kind == "thermal" or _warmed(session, stills):
-        return []
+        return np.zeros(0), np.inf, unit
     means = np.array([_mean(session.records[s.recording].gyro, s.start, s.stop) for s in stills])
     if not np.isfinite(means).any():
-        return []
+        return np.zeros(0), np.inf, unit
     off = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1)
-    limit = BENCH_RATE_LIMIT / si_factor(unit, "rate")
-    # Stills that were found in one recording may drift with its warming; whole recordings apart have different units.
-    most = np.inf if stated or len(session.records) > 1 else _FAR
-    return [(min(float(off[k]) / limit, most), int(k), *_shown(off[k], unit)) for k in np.flatnonzero(off > limit)]
+    return off, BENCH_RATE_LIMIT / si_factor(unit, "rate"), unit
 
 
 def _warmed(session: Session, stills: tuple[Still, ...]) -> bool:
@@ -183,13 +184,6 @@ def _spread(record: Record, still: Still, rate: bool) -> float:
 
 def _unit(session: Session, rate: bool) -> str:
     return session.records[0].gyro_unit if rate else session.records[0].accel_unit
-
-
-def _shown(value: float, unit: str) -> tuple[float, str]:
-    """Return a rate or specific force as a person reads it: rates in deg/s."""
-    if unit == "rad/s":
-        return float(value) / RADIAN_PER_DEGREE, "deg/s"
-    return float(value), "deg/s" if unit == "dps" else unit
 
 
 # ---- mean rate over several rests and its variance

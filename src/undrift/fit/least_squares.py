@@ -270,30 +270,24 @@ def student_variance(residuals: FloatArray, spare: int) -> float:
     return float((residuals**2).sum() / (spare - 2)) if spare > 2 else float("nan")
 
 
-def triad_from_forward(
-    forward: ForwardFit, *, method: str, unit_in: str, unit_out: str, valid_range: tuple[float, float]
-) -> TriadFit:
-    """Turn a forward fit into the inverse model that corrects readings."""
+def triad_from_forward(forward: ForwardFit, *, valid_range: tuple[float, float], **names: str) -> TriadFit:
+    """Turn a forward fit into the inverse model that corrects readings; names are method, unit_in and unit_out."""
     matrix = np.linalg.inv(forward.matrix)
     jacobian = np.eye(12)
     jacobian[:9, :9] = inverse_jacobian(matrix)
     return triad_fit(
         forward.residuals @ matrix.T,
-        method=method,
-        unit_in=unit_in,
-        unit_out=unit_out,
         matrix=matrix,
         offset=forward.offset,
         covariance=jacobian @ forward.covariance @ jacobian.T,
         rank=forward.rank,
         condition=forward.condition,
         valid_range=valid_range,
+        **names,
     )
 
 
-def fit_paper(
-    inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, *, method: str, unit_in: str, unit_out: str
-) -> TriadFit:
+def fit_paper(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, **names: str) -> TriadFit:
     """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
 
     C = L S^T (S S^T)^-1 with L (3, N) the imposed and S (3, N) the measured quantities (note, eqs. 3 and 6). To first order in
@@ -316,15 +310,13 @@ def fit_paper(
     covariance[:9, :9] = np.kron(noise, gram)
     return triad_fit(
         residuals,
-        method=method,
-        unit_in=unit_in,
-        unit_out=unit_out,
         matrix=matrix,
         offset=np.zeros(3),
         covariance=covariance,
         rank=3 * rank,
         condition=condition,
         valid_range=(float(inputs.min()), float(inputs.max())),
+        **names,
     )
 
 

@@ -1,9 +1,8 @@
-"""Kernels of calibration: Allan variance, thermometer lag, norm of gravity over poses, rotation between stills.
+"""Kernels of calibration: thermometer lag, rotation between stills.
 
-Shapes and units. Differences: phase (N,), any unit, over m samples. Lag: temp, time, out (N,) degC, s, degC, out not the same
-memory; lag, smooth s; state (4,): time and value of the last reading, the low-passed value, the last output; NaN before the first
-reading; changed in place. Norm: reading flat (3 K,) raw unit, p (9,) = m_xx m_xy m_xz m_yy m_yz m_zz o_x o_y o_z, scaled by the
-caller so that all are near one, weight (K,). Moves: gyro flat (3 N,) raw unit, time (N,) s.
+Shapes and units. Lag: temp, time, out (N,) degC, s, degC, out not the same memory; lag, smooth s; state (4,): time and value of
+the last reading, the low-passed value, the last output; NaN before the first reading; changed in place. Moves: gyro flat (3 N,)
+raw unit, time (N,) s.
 """
 
 import math
@@ -13,31 +12,6 @@ from numba import njit
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.kernels.rotation import matrix_of, turned
-
-# ---- Allan variance: mean square of second and third differences
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def second_difference(phase: FloatArray, m: int, stride: int) -> float:
-    # Mean of (x_(k+2m) - 2 x_(k+m) + x_k)^2 over k = 0, stride, ...
-    total, count = 0.0, 0
-    for k in range(0, phase.size - 2 * m, stride):
-        d = phase[k + 2 * m] - 2.0 * phase[k + m] + phase[k]
-        total += d * d
-        count += 1
-    return total / count
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def third_difference(phase: FloatArray, m: int, stride: int) -> float:
-    # Mean of (x_(k+3m) - 3 x_(k+2m) + 3 x_(k+m) - x_k)^2 over k = 0, stride, ...
-    total, count = 0.0, 0
-    for k in range(0, phase.size - 3 * m, stride):
-        d = (phase[k + 3 * m] - phase[k]) - 3.0 * (phase[k + 2 * m] - phase[k + m])
-        total += d * d
-        count += 1
-    return total / count
-
 
 # ---- a thermometer's time constant taken off by a causal lead, sample by sample over uneven steps
 
@@ -64,43 +38,7 @@ def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth
     state[0], state[1], state[2], state[3] = last, x, z, y
 
 
-# ---- norm of gravity over poses, rotation between stills
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def norm_equations(
-    reading: FloatArray, weight: FloatArray, p: FloatArray, gravity: float, normal: FloatArray, gradient: FloatArray
-) -> float:
-    # Residual r = |M (u - o)| - g; normal (81,) = J^T W J, gradient (9,) = J^T W r; returns sum of w r^2.
-    # With n = M (u - o) / |M (u - o)|: dr/dm_ij = n_i (u - o)_j, dr/do = -M^T n.
-    xx, xy, xz, yy, yz, zz = p[0], p[1], p[2], p[3], p[4], p[5]
-    ox, oy, oz = p[6], p[7], p[8]
-    row = gradient.copy()
-    for i in range(81):
-        normal[i] = 0.0
-    for i in range(9):
-        gradient[i] = 0.0
-    cost = 0.0
-    for k in range(weight.size):
-        dx, dy, dz = reading[3 * k] - ox, reading[3 * k + 1] - oy, reading[3 * k + 2] - oz
-        ax, ay, az = xx * dx + xy * dy + xz * dz, yy * dy + yz * dz, zz * dz
-        length = math.sqrt(ax * ax + ay * ay + az * az)
-        residual = length - gravity
-        nx, ny, nz = ax / length, ay / length, az / length
-        row[0], row[1], row[2] = nx * dx, nx * dy, nx * dz
-        row[3], row[4], row[5] = ny * dy, ny * dz, nz * dz
-        row[6], row[7], row[8] = -xx * nx, -xy * nx - yy * ny, -xz * nx - yz * ny - zz * nz
-        w = weight[k]
-        cost += w * residual * residual
-        for i in range(9):
-            scaled = w * row[i]
-            gradient[i] += scaled * residual
-            for j in range(i + 1):
-                normal[9 * i + j] += scaled * row[j]
-    for i in range(9):
-        for j in range(i):
-            normal[9 * j + i] = normal[9 * i + j]
-    return cost
+# ---- rotation between stills
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
