@@ -50,17 +50,26 @@ _START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 class NormFit:
     """Scaled solution of the norm equations."""
 
-    matrix: FloatArray  # (3, 3), M, m/s2 per raw unit
-    offset: FloatArray  # (3,), o, raw unit
+    center: FloatArray  # (3,), c, raw unit
     scale: float  # k, m/s2 per raw unit
-    # (9, 9), of m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2); zeros where held, NaN where singular
-    covariance: FloatArray
+    p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
+    covariance: FloatArray  # (9, 9), of p; zeros where held, NaN where the equations are singular
     residuals: FloatArray  # (K,), length less gravity, m/s2
     condition: float  # Condition number of the design, columns scaled to one
     # Least rms change of length, in g, that one unit of any combination of parameters makes (1, and g for offsets)
     weakest: float
     unseen: tuple[str, ...]  # The parameters that take part in that weakest combination
     gravity: float  # m/s2
+
+    @property
+    def matrix(self) -> FloatArray:
+        """M, m/s2 per raw unit, shape (3, 3)."""
+        return self.scale * _upper(self.p)
+
+    @property
+    def offset(self) -> FloatArray:
+        """o, raw unit, shape (3,)."""
+        return np.asarray(self.center + self.p[6:] / self.scale)
 
     @property
     def uncertainty(self) -> float:
@@ -107,9 +116,9 @@ def fit_norm(
     covariance = np.zeros((9, 9))
     covariance[np.ix_(free, free)] = _inverse(design[:, free] / np.sqrt(variance)[:, None])
     return NormFit(
-        matrix=scale * _upper(p),
-        offset=center + p[6:] / scale,
+        center=center,
         scale=scale,
+        p=p,
         covariance=covariance,
         residuals=residuals,
         condition=scaled_condition(design[:, free])[1],

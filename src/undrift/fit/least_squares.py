@@ -270,7 +270,7 @@ def student_variance(residuals: FloatArray, spare: int) -> float:
     return float((residuals**2).sum() / (spare - 2)) if spare > 2 else float("nan")
 
 
-def triad_from_forward(forward: ForwardFit, *, valid_range: tuple[float, float], **names: str) -> TriadFit:
+def triad_from_forward(forward: ForwardFit, *, valid_range: tuple[float, float], **names: Any) -> TriadFit:
     """Turn a forward fit into the inverse model that corrects readings; names are method, unit_in and unit_out."""
     matrix = np.linalg.inv(forward.matrix)
     jacobian = np.eye(12)
@@ -287,7 +287,7 @@ def triad_from_forward(forward: ForwardFit, *, valid_range: tuple[float, float],
     )
 
 
-def fit_paper(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, **names: str) -> TriadFit:
+def fit_paper(inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None, **names: Any) -> TriadFit:
     """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
 
     C = L S^T (S S^T)^-1 with L (3, N) the imposed and S (3, N) the measured quantities (note, eqs. 3 and 6). To first order in
