@@ -117,26 +117,21 @@ def _averages(taus: Taus, count: int, rate: float, estimator: Estimator) -> IntA
 
 def _deviations(phase: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
     """Return deviations in the unit of the readings; the phase counts in readings, so tau is m."""
-    if estimator == "mdev":
+    from undrift.kernels.calibrate import second_difference, third_difference
+
+    if estimator in ("hdev", "ohdev"):
+        square = [third_difference(phase, int(k), int(k) if estimator == "hdev" else 1) / 3.0 for k in m]
+    elif estimator == "mdev":
         sums = np.concatenate(([0.0], np.cumsum(phase - phase.mean())))
-        square = [_mean_square(sums, int(k), 3) / float(k) ** 2 for k in m]
+        square = [third_difference(sums, int(k), 1) / float(k) ** 2 for k in m]
     elif estimator == "totdev":
         inner = len(phase) - 2
         left, right = 2.0 * phase[0] - phase[inner:0:-1], 2.0 * phase[-1] - phase[-2 : -2 - inner : -1]
         longer = np.concatenate((left, phase, right))  # differences are centred at the inner points of the phase
-        square = [_mean_square(longer[inner + 1 - int(k) : 2 * inner + 1 + int(k)], int(k), 2) for k in m]
+        square = [second_difference(longer[inner + 1 - int(k) : 2 * inner + 1 + int(k)], int(k), 1) for k in m]
     else:
-        order = _ORDER[estimator]
-        strides = m if estimator in ("adev", "hdev") else np.ones_like(m)
-        square = [_mean_square(phase, int(k), order, int(s)) / (2 * order - 3) for k, s in zip(m, strides, strict=True)]
+        square = [second_difference(phase, int(k), int(k) if estimator == "adev" else 1) for k in m]
     return np.asarray(np.sqrt(np.array(square) / 2.0) / m.astype(float))
-
-
-def _mean_square(phase: FloatArray, m: int, order: int, stride: int = 1) -> float:
-    """Return the mean square of the differences over m samples, taken ``order`` times, at every ``stride``-th sample."""
-    for _ in range(order):
-        phase = phase[m:] - phase[:-m]
-    return float(np.mean(phase[::stride] ** 2))
 
 
 def _kinds(phase: FloatArray, m: IntArray, order: int) -> IntArray:
