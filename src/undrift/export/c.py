@@ -22,7 +22,6 @@ from undrift.export.firmware import (
     ASSUMPTION,
     FULL_FORCE,
     FULL_RATE,
-    TABLES,
     Arithmetic,
     Axis,
     Cost,
@@ -46,6 +45,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 # ---- C text: literals, arrays, lookups in a table, and comments that nothing can break out of.
 
 WIDTH = 116
+Pair = tuple[Triad, FixedTriad]  # in real numbers and in integers
 SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
 
 
@@ -162,30 +162,6 @@ class ExportedC:
     accel_bound: FloatArray  # (3,), the same, m/s2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _View:
-    """A triad in real numbers and in integers, as the template asks for it."""
-
-    name: str
-    real: Triad
-    fixed: FixedTriad
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.real, name)
-
-    @property
-    def named_tables(self) -> list[tuple[str, Table]]:
-        return [(name, getattr(self.real, name)) for name in TABLES if getattr(self.real, name) is not None]
-
-    @property
-    def fixed_tables(self) -> list[tuple[str, FixedTable]]:
-        return [(name, getattr(self.fixed, name)) for name, _ in self.named_tables]
-
-    @property
-    def rates(self) -> int:
-        return 0 if self.real.error_table is None else self.real.error_table.values.shape[1]
-
-
 def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> ExportedC:
     """Return the C99 header and source of a calibration.
 
@@ -230,7 +206,7 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
     of_gyro = fixed_triad(
         gyro, raw_bits=settings.gyro_raw_bits, full=FULL_RATE, accel_bound=of_accel.bound, accel_full=FULL_FORCE
     )
-    views = [_View(name=t.name, real=t, fixed=x) for t, x in ((accel, of_accel), (gyro, of_gyro))]
+    pairs = [(accel, of_accel), (gyro, of_gyro)]
     lead = lead_of(calibration)
     if lead is not None:
         notes.append(finding("export.lag_removed", "info", lag_s=lead.lag_s, prefix=settings.prefix))
@@ -238,11 +214,10 @@ def export_c(calibration: Calibration, settings: CSettings = CSettings()) -> Exp
         over = gyro.warm_up_table.temp.stop
         notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=settings.prefix))
     texts = texts_of(losses(calibration, CARRIED), notes)
-    source, sizes = _source(views, calibration, settings, lead)
-    triads = tuple(view.real for view in views)
-    costs = tuple(cost_of(triads, arithmetic, size, lead=lead is not None) for arithmetic, size in sizes.items())
+    source, sizes = _source(pairs, calibration, settings, lead)
+    costs = tuple(cost_of((accel, gyro), each, size, lead=lead is not None) for each, size in sizes.items())
     return ExportedC(
-        header=_header(views, calibration, settings, costs, texts["not_carried"] + texts["notes"], lead),
+        header=_header(pairs, calibration, settings, costs, texts["not_carried"] + texts["notes"], lead),
         source=source,
         costs=costs,
         gyro_bound=of_gyro.bound,
@@ -289,15 +264,14 @@ def _axes(table: Table | FixedTable, what: str = "") -> list[tuple[str, Any]]:
 
 
 def _source(
-    views: list[_View], calibration: Calibration, settings: CSettings, lead: Lead | None
+    pairs: list[Pair], calibration: Calibration, settings: CSettings, lead: Lead | None
 ) -> tuple[str, dict[Arithmetic, int]]:
     printer = Printer(settings.prefix)
-    tables = [table for view in views for table in view.real.every_table]
+    tables = [table for triad, _ in pairs for _, table in triad.named_tables]
     axes = [axis for table in tables for _, axis in _axes(table)]
     text = _environment().get_template("undrift.c.j2").render(
         title=_title(calibration), header=settings.header_name, p=settings.prefix, P=settings.prefix.upper(),
-        triads=views, gyro=next((v for v in views if v.name == "gyro"), None),
-        accel=next((v for v in views if v.name == "accel"), None),
+        triads=pairs, accel=pairs[0][0], gyro=pairs[1][0],
         any_even=any(axis.even for axis in axes), any_search=any(not axis.even for axis in axes),
         any_line=any(table.turn_rate is None for table in tables),
         any_plane=any(table.turn_rate is not None for table in tables),
@@ -312,17 +286,17 @@ def _title(calibration: Calibration) -> str:
 
 
 def _header(
-    views: list[_View],
+    pairs: list[Pair],
     calibration: Calibration,
     settings: CSettings,
     costs: tuple[Cost, ...],
     notes: tuple[str, ...],
     lead: Lead | None,
 ) -> str:
-    warm = next((view.real.warm_up_table for view in views if view.real.warm_up_table is not None), None)
+    warm = pairs[1][0].warm_up_table
     about = {
         "title": _title(calibration), "default": settings.default, "date": settings.date, "p": settings.prefix,
-        "P": settings.prefix.upper(), "triads": views, "created": calibration.provenance.created, "lead": lead,
+        "P": settings.prefix.upper(), "triads": pairs, "created": calibration.provenance.created, "lead": lead,
         "verdict": calibration.verdict.status, "costs": costs, "notes": notes, "assumption": ASSUMPTION, "span": _span,
         "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
         "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
@@ -333,7 +307,7 @@ def _header(
     return str(_environment().get_template("undrift.h.j2").render(about, comment=comment))
 
 
-def _span(tables: tuple[Table, ...]) -> str:
+def _span(tables: list[Table]) -> str:
     if not tables:
         return "without a table"
     low, high = max(t.temp.start for t in tables), min(t.temp.stop for t in tables)

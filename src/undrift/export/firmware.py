@@ -83,15 +83,14 @@ class Triad:
     warm_up_table: Table | None = None
 
     @property
-    def tables(self) -> tuple[Table, ...]:
-        """The tables over temperature that there are."""
-        every = (self.offset_table, self.matrix_table, self.error_table)
-        return tuple(table for table in every if table is not None)
+    def named_tables(self) -> list[tuple[str, Table]]:
+        """The tables that there are, by name."""
+        return [(name, getattr(self, name)) for name in TABLES if getattr(self, name) is not None]
 
     @property
-    def every_table(self) -> tuple[Table, ...]:
-        """These, and the one over the time since power-on."""
-        return self.tables if self.warm_up_table is None else (*self.tables, self.warm_up_table)
+    def tables(self) -> list[Table]:
+        """Those over temperature."""
+        return [table for name, table in self.named_tables if name != "warm_up_table"]
 
     @property
     def largest_offset(self) -> float:
@@ -127,13 +126,13 @@ def _triad(calibration: Calibration, model: TriadModel, name: str) -> Triad:
     half_step, shift = rounding_of(calibration, is_gyro=is_gyro)
     tables: dict[str, Table] = {}
     if static is not None and getattr(static, f"{name}_offset") is not None:
-        tables["offset_table"] = _line(static.temp_c, getattr(static, f"{name}_offset") - shift)
+        tables["offset_table"] = _table(getattr(static, f"{name}_offset") - shift, static.temp_c)
     if scale is not None and getattr(scale, f"{name}_matrix") is not None:
-        tables["matrix_table"] = _line(scale.temp_c, getattr(scale, f"{name}_matrix").reshape(-1, 9) * out)
+        tables["matrix_table"] = _table(getattr(scale, f"{name}_matrix").reshape(-1, 9) * out, scale.temp_c)
     if is_gyro and dynamic is not None:
-        tables["error_table"] = _plane(dynamic.temp_c, dynamic.turn_rate, dynamic.error)
+        tables["error_table"] = _table(dynamic.error, dynamic.temp_c, dynamic.turn_rate)
     if is_gyro and static is not None and static.warm_up is not None:
-        tables["warm_up_table"] = _line(static.warm_up.power_on_s, static.warm_up.gyro_offset)
+        tables["warm_up_table"] = _table(static.warm_up.gyro_offset, static.warm_up.power_on_s)
     made = Triad(
         name=name,
         unit_in=model.unit_in,
@@ -143,7 +142,7 @@ def _triad(calibration: Calibration, model: TriadModel, name: str) -> Triad:
         g_sensitivity=model.g_sensitivity * out if is_gyro and model.g_sensitivity is not None else None,
         **tables,
     )
-    parts = [made.matrix, *(table.values for table in made.every_table), made.half_step, made.g_sensitivity]
+    parts = [made.matrix, *(table.values for _, table in made.named_tables), made.half_step, made.g_sensitivity]
     parts += [made.offset] if made.offset_table is None else []
     missing = sum(int(np.isnan(part).sum()) for part in parts if part is not None)
     if missing:
@@ -197,15 +196,11 @@ def _filled(axis: Axis, nodes: FloatArray, values: FloatArray) -> FloatArray:
     return filled.reshape(len(axis.nodes), *values.shape[1:])
 
 
-def _line(temp_c: FloatArray, values: FloatArray) -> Table:
-    temp = _axis(temp_c)
-    return Table(temp=temp, values=_filled(temp, temp_c, values))
-
-
-def _plane(temp_c: FloatArray, turn_rate: FloatArray, values: FloatArray) -> Table:
-    temp, rate = _axis(temp_c), _axis(turn_rate)
-    over_rate = np.moveaxis(_filled(rate, turn_rate, np.moveaxis(values, 1, 0)), 0, 1)
-    return Table(temp=temp, turn_rate=rate, values=_filled(temp, temp_c, over_rate))
+def _table(values: FloatArray, temp_c: FloatArray, turn_rate: FloatArray | None = None) -> Table:
+    temp, rate = _axis(temp_c), None if turn_rate is None else _axis(turn_rate)
+    if turn_rate is not None and rate is not None:
+        values = np.moveaxis(_filled(rate, turn_rate, np.moveaxis(values, 1, 0)), 0, 1)
+    return Table(temp=temp, turn_rate=rate, values=_filled(temp, temp_c, values))
 
 
 # ---- Fixed point
@@ -235,12 +230,6 @@ class FixedAxis:
     nodes: IntArray  # All nodes, Q16.16; of an even axis the first and the last
     inverse: IntArray  # round(2^shift / width), of each cell or of all
     shift: int  # Of ``inverse``
-
-    @property
-    def position_error(self) -> tuple[float, float]:
-        """Worst error of a position: in units of the axis, from rounded nodes, and in cells, from the arithmetic."""
-        reach = (self.axis.stop - self.axis.start) if self.axis.even else float(np.diff(self.axis.nodes).max())
-        return HALF / 2**16, 1.0 / 2**16 + HALF * (reach + 2.0**-16) / 2**self.shift
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -351,7 +340,9 @@ def _slope_error(axis: FixedAxis, values: FloatArray, place: int, step: FloatArr
     width = np.diff(axis.axis.nodes).reshape(-1, *([1] * (moved.ndim - 1 - place)))
     others = tuple(range(moved.ndim - 1))
     per_cell, per_unit = moved.max(axis=others) + step, (moved / width).max(axis=others)
-    of_nodes, of_cells = axis.position_error
+    reach = axis.axis.stop - axis.axis.start if axis.axis.even else float(np.diff(axis.axis.nodes).max())
+    # of a position: in units of the axis, from rounded nodes, and in cells, from the arithmetic
+    of_nodes, of_cells = HALF / 2**16, 1.0 / 2**16 + HALF * (reach + 2.0**-16) / 2**axis.shift
     worst: FloatArray = of_nodes * per_unit + of_cells * per_cell
     return worst
 
@@ -424,40 +415,21 @@ Arithmetic = Literal["float", "double", "fixed"]
 ASSUMPTION = "Cortex-M4F, -O2, no wait states, double in software"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Steps:
-    """Cycles and bytes of one step of the correction in one arithmetic."""
-
-    call: int  # Entering, copying in and out
-    place: int  # A cell and a position on an even grid
-    stride: int  # One comparison of a bisection
-    between: int  # A value between two nodes
-    both: int  # A value between four nodes, without its place on the rate axis
-    row: int  # Three products of a matrix with a vector, summed
-    less: int  # Half a step and offset of one axis
-    lead: int  # One call that removes the lag, with a step of time of at most half the smoothing
-    # Bytes of code: once, for each triad, for each table over temperature; for the warm-up with its second entry; for the lead
-    code_base: int
-    code_triad: int
-    code_table: int
-    code_warm_up: int
-    code_lead: int
-
-
-STEPS: dict[Arithmetic, Steps] = {
-    "float": Steps(
-        call=40, place=24, stride=9, between=12, both=36, row=17, less=8, lead=320,
-        code_base=300, code_triad=140, code_table=120, code_warm_up=200, code_lead=260,
-    ),
-    "double": Steps(
-        call=55, place=290, stride=40, between=190, both=560, row=330, less=90, lead=4900,
-        code_base=520, code_triad=260, code_table=260, code_warm_up=400, code_lead=520,
-    ),
-    "fixed": Steps(
-        call=40, place=20, stride=8, between=24, both=52, row=44, less=16, lead=1700,
-        code_base=430, code_triad=170, code_table=150, code_warm_up=250, code_lead=460,
-    ),
-}  # fmt: skip
+STEPS = {  # of one step in float, double and fixed: cycles, then bytes of code
+    "call": (40, 55, 40),  # Entering, copying in and out
+    "place": (24, 290, 20),  # A cell and a position on an even grid
+    "stride": (9, 40, 8),  # One comparison of a bisection
+    "between": (12, 190, 24),  # A value between two nodes
+    "both": (36, 560, 52),  # A value between four nodes, without its place on the rate axis
+    "row": (17, 330, 44),  # Three products of a matrix with a vector, summed
+    "less": (8, 90, 16),  # Half a step and offset of one axis
+    "lead": (320, 4900, 1700),  # One call that removes the lag, with a step of time of at most half the smoothing
+    "code_base": (300, 520, 430),  # Once
+    "code_triad": (140, 260, 170),  # For each triad
+    "code_table": (120, 260, 150),  # For each table over temperature
+    "code_warm_up": (200, 400, 250),  # For the warm-up with its second entry
+    "code_lead": (260, 520, 460),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -478,28 +450,28 @@ class Cost:
 
 def cost_of(triads: tuple[Triad, ...], arithmetic: Arithmetic, table_bytes: int, *, lead: bool = False) -> Cost:
     """Return what a build costs."""
-    steps = STEPS[arithmetic]
-    cycles, code = steps.call, steps.code_base
+    steps = {name: row[("float", "double", "fixed").index(arithmetic)] for name, row in STEPS.items()}
+    cycles, code = steps["call"], steps["code_base"] + steps["code_lead"] * lead
+
+    def place(axis: Axis) -> int:
+        return steps["place"] + (0 if axis.even else axis.stride.bit_length() * steps["stride"])
+
     for triad in triads:
-        code += steps.code_triad + steps.code_table * len(triad.tables)
-        cycles += 3 * (steps.less + steps.row)
+        code += steps["code_triad"] + steps["code_table"] * len(triad.tables)
+        cycles += 3 * (steps["less"] + steps["row"])
         if triad.g_sensitivity is not None:
-            cycles += 3 * (steps.row + 2)
+            cycles += 3 * (steps["row"] + 2)
         for table in triad.tables:
-            cycles += _place(table.temp, steps)
+            cycles += place(table.temp)
             if table.turn_rate is None:
-                cycles += table.values.shape[-1] * steps.between
+                cycles += table.values.shape[-1] * steps["between"]
             else:
-                cycles += 3 * (_place(table.turn_rate, steps) + steps.both)
+                cycles += 3 * (place(table.turn_rate) + steps["both"])
         if triad.warm_up_table is not None:
-            code += steps.code_warm_up
-            cycles += _place(triad.warm_up_table.temp, steps) + 3 * (steps.between + steps.less)
-    code, ahead = code + steps.code_lead * lead, steps.lead * lead
+            code += steps["code_warm_up"]
+            cycles += place(triad.warm_up_table.temp) + 3 * (steps["between"] + steps["less"])
+    ahead = steps["lead"] * lead
     return Cost(arithmetic=arithmetic, table_bytes=table_bytes, code_bytes=code, cycles=cycles, lead_cycles=ahead)
-
-
-def _place(axis: Axis, steps: Steps) -> int:
-    return steps.place if axis.even else steps.place + axis.stride.bit_length() * steps.stride
 
 
 # ---- Lead: removes a thermometer's lag, the filter of drift/thermometer_lag.py rewritten
@@ -521,36 +493,11 @@ class Lead:
 
     lag_s: float  # The thermometer's time constant
     smooth_s: float  # Time constant of the smoothing
-
-    @property
-    def gain(self) -> float:
-        """g - 1."""
-        return self.lag_s / self.smooth_s - 1.0
-
-    @property
-    def rate(self) -> float:
-        """One over the smoothing, 1/s."""
-        return 1.0 / self.smooth_s
-
-    @property
-    def fixed_gain(self) -> int:
-        """g - 1 with 16 bits behind the point."""
-        return round(self.gain * 2**16)
-
-    @property
-    def rate_bits(self) -> int:
-        """Bits behind the point of ``fixed_rate``."""
-        return 30 - math.frexp(self.rate)[1]
-
-    @property
-    def fixed_rate(self) -> int:
-        """One over the smoothing with ``rate_bits`` behind the point: 30 significant bits."""
-        return round(self.rate * 2.0**self.rate_bits)
-
-    @property
-    def rate_shift(self) -> int:
-        """How far the product of a step and ``fixed_rate`` is moved down to have 31 bits behind the point."""
-        return self.rate_bits + STEP_BITS - 31
+    gain: float  # g - 1
+    fixed_gain: int  # g - 1 with 16 bits behind the point
+    rate: float  # One over the smoothing, 1/s
+    fixed_rate: int  # The same with 30 significant bits
+    rate_shift: int  # How far the product of a step and ``fixed_rate`` is moved down to have 31 bits behind the point
 
 
 def lead_of(calibration: Calibration) -> Lead | None:
@@ -564,4 +511,14 @@ def lead_of(calibration: Calibration) -> Lead | None:
             f"export c: wanted a lag smoothed over {SHORTEST_S:g} to {LONGEST_S:g} s, of at most {MOST_GAIN:g} times that, got "
             f"{drift.lag_s:g} s over {smooth:g} s; fit the lag again"
         )
-    return Lead(lag_s=drift.lag_s, smooth_s=smooth)
+    gain, rate = drift.lag_s / smooth - 1.0, 1.0 / smooth
+    bits = 30 - math.frexp(rate)[1]  # behind the point of the fixed rate
+    return Lead(
+        lag_s=drift.lag_s,
+        smooth_s=smooth,
+        gain=gain,
+        fixed_gain=round(gain * 2**16),
+        rate=rate,
+        fixed_rate=round(rate * 2.0**bits),
+        rate_shift=bits + STEP_BITS - 31,
+    )
