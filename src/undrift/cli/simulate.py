@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.record import Record, Reference
     from undrift.sim.device.model import DeviceModel
-    from undrift.sim.device.simulate import Simulated, Triad
+    from undrift.sim.device.simulate import Simulated
     from undrift.sim.motion.motion import Motion
     from undrift.sim.motion.poses import Cutoff, PoseSettings
     from undrift.sim.thermal import ThermalKind
@@ -256,16 +256,13 @@ def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
     record = made.record
     gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
     sides = {
-        key: {"saturated_samples": int(triad.saturated.any(axis=1).sum()), "contribution_rms": _rms(triad)}
+        key: {
+            "saturated_samples": int(triad.saturated.any(axis=1).sum()),
+            "contribution_rms": {c.effect: np.sqrt(np.nanmean(c.value**2, axis=0)) for c in triad.contributions},
+        }
         for key, triad in (("gyro_rad_s", made.gyro), ("accel_m_s2", made.accel))
     }
     return _held(model, record) | {"gaps": gaps, **sides}
-
-
-def _rms(triad: "Triad") -> "dict[str, FloatArray]":
-    import numpy as np
-
-    return {c.effect: np.sqrt(np.nanmean(np.square(c.value), axis=0)) for c in triad.contributions}
 
 
 def _show(model: "DeviceModel", simulated: "Simulated", made: dict[str, Any]) -> None:

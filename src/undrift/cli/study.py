@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from undrift.study.outcome import EffectPower, Stage, StageName, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
     from undrift.study.real import CohortComparison, RealOutcome
-    from undrift.study.run import TaskSurface
 
 QUICK_SUBJECTS = 8
 REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
@@ -81,10 +80,21 @@ def study(
     """
     from undrift.report.study import write_study_report
     from undrift.study.outcome import forecast, judge_study
+    from undrift.study.plan import ends_of, note_study, read_study
     from undrift.study.real import read_real
     from undrift.study.run import HEAD, RunStore, choose_executor
 
-    planned = _planned(plan, preset, quick, search, subjects, seed)
+    if (plan is None) == (preset is None):
+        both = "neither" if plan is None else "both"
+        raise InputError(f"study: wanted a study.toml or --preset note, got {both}; name one")
+    if seed is not None and seed < 0:
+        raise InputError(f"seed: wanted 0 or more, got {seed}; give another")
+    planned = note_study(quick=quick) if plan is None else read_study(plan)
+    if quick and plan is not None:
+        planned = ends_of(planned)
+    count = subjects if subjects is not None else min(QUICK_SUBJECTS, planned.subjects) if quick else planned.subjects
+    seed = planned.seed if seed is None else seed
+    planned = replace(planned, subjects=count, search=search or planned.search, seed=seed)
     with waiting("reading real recordings"):
         held = None if real is None else read_real(real)
     executor = choose_executor(scheduler, workers)
@@ -117,28 +127,6 @@ def study(
     else:
         _show(outcome, output)
     return 0
-
-
-def _planned(
-    plan: Path | None,
-    preset: str | None,
-    quick: bool,
-    search: Literal["grid", "halving"] | None,
-    subjects: int | None,
-    seed: int | None,
-) -> "Study":
-    from undrift.study.plan import ends_of, note_study, read_study
-
-    if (plan is None) == (preset is None):
-        both = "neither" if plan is None else "both"
-        raise InputError(f"study: wanted a study.toml or --preset note, got {both}; name one")
-    if seed is not None and seed < 0:
-        raise InputError(f"seed: wanted 0 or more, got {seed}; give another")
-    held = note_study(quick=quick) if plan is None else read_study(plan)
-    if quick and plan is not None:
-        held = ends_of(held)
-    count = subjects if subjects is not None else min(QUICK_SUBJECTS, held.subjects) if quick else held.subjects
-    return replace(held, subjects=count, search=search or held.search, seed=held.seed if seed is None else seed)
 
 
 # ---- before and while it runs
@@ -243,20 +231,15 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,
         "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
         "designs": [asdict(row) for row in outcome.designs],
-        "rivals": [_with_old_key(asdict(row), row.notes) for row in outcome.rivals] or None,
+        "rivals": [asdict(row) | {"said": row.notes} for row in outcome.rivals] or None,
         "rivals_missing": outcome.rivals_missing and outcome.rivals_missing.detail,
         "real": outcome.real and _real_summary(outcome.real),
     }
 
 
-def _with_old_key(row: dict[str, object], note: object) -> dict[str, object]:
-    """Return a row with its notes under the key of earlier versions too."""
-    return row | {"said": note}  # binding key
-
-
 def _real_summary(real: "RealOutcome") -> dict[str, object]:
     def compared(rows: "tuple[CohortComparison, ...]") -> list[dict[str, object]]:
-        return [_with_old_key(asdict(row) | {"inside": row.inside}, row.note) for row in rows]
+        return [asdict(row) | {"inside": row.inside, "said": row.note} for row in rows]
 
     return {
         "trials": [
@@ -302,7 +285,12 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
             "rig_minutes": float(surface.rig_minutes[found.cheapest]),
         },
         "tested": dict(zip(("optimum", "cheapest"), map(asdict, task.tested), strict=True)),
-        "pareto": [_pareto_row(surface, int(place)) for place in found.pareto],
+        "pareto": [
+            _protocol(surface, place)
+            | {"rig_minutes": float(surface.rig_minutes[place])}
+            | {key: float(getattr(surface, key)[:, place].mean()) for key in ("error_rms_deg", "error_max_deg")}
+            for place in map(int, found.pareto)
+        ],
         "left_out": surface.left_out,
         "untried": [
             {
@@ -324,15 +312,6 @@ def _task_summary(task: "TaskOutcome") -> dict[str, object]:
         },
         "halving": _halving_summary(task),
         "findings": findings_json(task.findings),
-    }
-
-
-def _pareto_row(surface: "TaskSurface", place: int) -> dict[str, float]:
-    return {
-        **_protocol(surface, place),
-        "rig_minutes": float(surface.rig_minutes[place]),
-        "error_rms_deg": float(surface.error_rms_deg[:, place].mean()),
-        "error_max_deg": float(surface.error_max_deg[:, place].mean()),
     }
 
 

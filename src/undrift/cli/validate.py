@@ -27,7 +27,6 @@ from undrift.cli.common import (
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
-    from undrift.model import Calibration
     from undrift.record import Record, Reference
     from undrift.report.validation import Method
     from undrift.validation.agreement import Validation
@@ -102,7 +101,14 @@ def validate(
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
-    _check_asked(records, calibration, calibrate_from, leave_one_out, max_lag_s)
+    if not records:
+        raise InputError("validate: wanted one recording or more, got none; name them first")
+    if leave_one_out and calibrate_from is None:
+        raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
+    if calibrate_from is not None and calibration is not None:
+        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
+    if not 0.0 < max_lag_s < math.inf:
+        raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
     check_folder(output)
     check_output(report, endings=(".html",), reads=(*records, *optics.reference, calibration))
     chosen = offset or ("none" if calibration or calibrate_from else "rest")
@@ -117,16 +123,12 @@ def validate(
     )
     with waiting("reading, aligning and integrating"):
         pairs = optics.pairs(records, opening, command="validate")
-        if calibration is None and calibrate_from is None:
-            for (readings, _), path in zip(pairs, records, strict=True):
-                check_physical(readings, path)
-                check_gravity(readings, path)
-        names = [name_of(record) for record in records]
-        result, model = _judged(pairs, names, settings, calibration, leave_one_out, fit=calibrate_from is not None)
+        result, method = _judged(
+            pairs, records, optics.reference, calibration, settings, leave_one_out, fit=calibrate_from is not None
+        )
     source = calibration.name if calibration else calibrate_from
     asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     made = _validation_json(result) | asked
-    method = _method(records, optics.reference, calibration, result, model, settings)
     _write(output, report, result, made, method)
     if json:
         write_json(made)
@@ -153,49 +155,6 @@ def _write(
         save_json(folder / "validation.json", made)
         if method.calibration is not None and not method.source:
             write_calibration(method.calibration, folder / "calibration.json")
-
-
-def _method(
-    records: tuple[Path, ...],
-    references: tuple[Path, ...],
-    calibration: Path | None,
-    result: "Validation",
-    model: "Calibration | None",
-    settings: "TrialSettings",
-) -> "Method":
-    from undrift.model import Verdict
-    from undrift.report.validation import Method
-
-    verdict = Verdict() if model is None or result.held_out else model.verdict
-    for held in result.held_out:
-        verdict = verdict.also(held.fit.triad.verdict)
-    return Method(
-        recordings=tuple(path.name for path in records),
-        references=tuple(path.name for path in references),
-        calibration=model,
-        source=calibration.name if calibration else "",
-        leave_one_out=bool(result.held_out),
-        verdict=verdict,
-        settings=settings,
-    )
-
-
-def _check_asked(
-    records: tuple[Path, ...],
-    calibration: Path | None,
-    calibrate_from: str | None,
-    leave_one_out: bool,
-    max_lag_s: float,
-) -> None:
-    """Refuse a call that does not say what to judge, or by what."""
-    if not records:
-        raise InputError("validate: wanted one recording or more, got none; name them first")
-    if leave_one_out and calibrate_from is None:
-        raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
-    if calibrate_from is not None and calibration is not None:
-        raise InputError("validate: wanted --calibration or --calibrate-from, got both; choose one")
-    if not 0.0 < max_lag_s < math.inf:
-        raise InputError(f"--max-lag-s: wanted more than 0 s, got {max_lag_s:g}; say how far the clocks may differ")
 
 
 def _validation_json(result: "Validation") -> dict[str, object]:
@@ -243,20 +202,27 @@ def _check_scale(trial: "Trial") -> None:
 
 def _judged(
     pairs: list[tuple["Record", "Reference"]],
-    names: list[str],
-    settings: "TrialSettings",
+    paths: tuple[Path, ...],
+    references: tuple[Path, ...],
     calibration: Path | None,
+    settings: "TrialSettings",
     leave_one_out: bool,
     *,
     fit: bool,
-) -> tuple["Validation", "Calibration | None"]:
-    """Return the validation, and the calibration: as read, or as fitted to all recordings, or None."""
+) -> tuple["Validation", "Method"]:
+    """Return the validation, and how it was made: by the calibration that was read or fitted to all recordings, or none."""
     from undrift.calibration.calibrate import calibrate_to_references
     from undrift.io.store import read_calibration
+    from undrift.model import Verdict
+    from undrift.report.validation import Method
     from undrift.validation.agreement import validate_leave_one_out, validate_trials
 
-    records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-    fitted = calibrate_to_references(records, references, adc=settings.adc, lag_settings=settings.lag) if fit else None
+    records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
+    if calibration is None and not fit:
+        for readings, path in zip(records, paths, strict=True):
+            check_physical(readings, path)
+            check_gravity(readings, path)
+    fitted = calibrate_to_references(records, held, adc=settings.adc, lag_settings=settings.lag) if fit else None
     model = fitted if calibration is None else read_calibration(calibration)
     result = (
         validate_leave_one_out(pairs, settings=settings, names=names)
@@ -265,7 +231,18 @@ def _judged(
     )
     for trial in result.trials:
         _check_scale(trial)
-    return result, model
+    verdict = Verdict() if model is None or result.held_out else model.verdict
+    for left_out in result.held_out:
+        verdict = verdict.also(left_out.fit.triad.verdict)
+    return result, Method(
+        recordings=tuple(path.name for path in paths),
+        references=tuple(path.name for path in references),
+        calibration=model,
+        source=calibration.name if calibration else "",
+        leave_one_out=bool(result.held_out),
+        verdict=verdict,
+        settings=settings,
+    )
 
 
 def _show(result: "Validation", offset: str, *, in_sample: bool) -> None:

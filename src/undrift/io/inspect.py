@@ -224,25 +224,17 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     return tuple(found)
 
 
-def example_map(
-    names: tuple[str, ...] = (), *, text: Text | None = None, arrays: tuple[str, ...] = ()
-) -> tuple[str, ...]:
+def example_map(names: tuple[str, ...], text: Text | None, arrays: tuple[str, ...]) -> tuple[str, ...]:
     """Return an example of the map that a table needs; a unit that no name states is "?", for a person to fill in."""
-    names, keys = names if text is None else text.names, dict[str, str]()
     if text is not None and not text.layout.header:
         keys = _by_position(text)
-    elif arrays:
-        keys = {channel: f'"{name}"' for channel in _LIKELY if (name := _likely(channel, arrays))}
     else:
-        triples = {triple[0]: triple for triple in triples_of(names)}
-        gyro = _likely("gyro", tuple(triples))
-        others = tuple(name for name in triples if name != gyro)
-        accel = _likely("accel", others) or next(iter(others), None)
-        keys = {
-            channel: json.dumps(triples[first], ensure_ascii=False)
-            for channel, first in (("gyro", gyro), ("accel", accel))
-            if first
-        }
+        triples = {triple[0]: json.dumps(triple, ensure_ascii=False) for triple in triples_of(names)}
+        quoted = {name: f'"{name}"' for name in arrays} or triples
+        gyro = _likely("gyro", tuple(quoted))
+        others = tuple(name for name in quoted if name != gyro)
+        accel = _likely("accel", others) or (None if arrays else next(iter(others), None))
+        keys = {channel: quoted[name] for channel, name in (("gyro", gyro), ("accel", accel)) if name}
     for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
         name = next((name for name in names if re.match(pattern, name.strip(), re.IGNORECASE)), None)
         if name is not None:
@@ -349,7 +341,7 @@ def describe(
         if unread:
             left = finding("recording.other_columns", "info", names=unread[:12])
             found = replace(found, findings=(*found.findings, left))
-    if entry.reference is not None and name == "broad":
+    if name == "broad":
         seen = 100.0 * float(read_reference(path).valid.mean())
         summary = f"{found.summary}, with optical poses ({seen:.1f} % seen, rest and motion together)"
         found = replace(found, summary=summary)
@@ -426,7 +418,7 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     if foreign is not None:
         return _not_read(path, name, names, foreign)
     threes = tuple(key for key, array in arrays if array.ndim == 2 and array.shape[1] == 3)
-    example = example_map(names, text=text, arrays=threes)
+    example = example_map(names, text, threes)
     what = f"{len(names)} arrays or columns"
     if text is not None:
         what = f"a table of {len(names)} columns" + ("" if text.layout.header else " without names")

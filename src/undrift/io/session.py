@@ -159,14 +159,11 @@ def _columns(channel: str, value: Any) -> Any:
 def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
     if entry is None:
         return None
-    values: list[float | tuple[float, float, float]] = []
+    values: list[Any] = []
     for value in (entry.gain, entry.offset):
-        if not isinstance(value, list):
-            values.append(float(value))
-        elif len(value) == 3 and channel != "temp":
-            values.append((float(value[0]), float(value[1]), float(value[2])))
-        else:
+        if isinstance(value, list) and (len(value) != 3 or channel == "temp"):
             raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
+        values.append(tuple(value) if isinstance(value, list) else value)
     return Scale(gain=values[0], offset=values[1])
 
 

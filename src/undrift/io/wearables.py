@@ -169,7 +169,10 @@ def read_actigraph(path: str | Path) -> Record:
     gyro, accel, mag = (
         tuple(f"{name} {axis}" for axis in "XYZ") for name in ("Gyroscope", "Accelerometer", "Magnetometer")
     )
-    table = parse_text(text, (*gyro, *accel, *mag, "Temperature"))
+    columns = replace(
+        _XIO, time="time_s", gyro=gyro, accel=accel, mag=mag, mag_unit="uT", temp="Temperature", temp_unit="degC"
+    )
+    table = parse_text(text, columns.wanted()[1:])
     stamps: Any = table.columns[table.position(_CLOCK)]
     try:
         moments = np.asarray(stamps.to_numpy()).astype("datetime64[ns]")
@@ -178,17 +181,8 @@ def read_actigraph(path: str | Path) -> Record:
             f"{path}: wanted ISO 8601 timestamps, got something else ({error}); export them so"
         ) from error
     time = (moments - moments[0]).astype(np.int64) * 1e-9
-    columns = ColumnMap(
-        time="time_s",
-        time_unit="s",
-        gyro=gyro,
-        gyro_unit="dps",
-        accel=accel,
-        accel_unit="g",
-        mag=mag,
-        mag_unit="uT",
-        temp="Temperature",
-        temp_unit="degC",
+    columns = replace(
+        columns,
         sample_rate_hz=float(rate.group(1)) if rate else None,
         device=serial.group(1) if serial else "",
     )
