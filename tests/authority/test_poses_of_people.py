@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.motion_of_poses import motion_from_poses
 from undrift.frames import rotate
 from undrift.io.mocap import Markers, read_c3d, read_trc
 from undrift.io.reference import Body, device_on, find_body
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.poses import PoseSettings, motion_from_poses
+from undrift.sim.motion.poses import PoseSettings
 
 FILES = {
     "STS1": ("mocap_sit_to_stand", "STS1.trc.gz"),

@@ -25,8 +25,10 @@ from characterisation.shared import (
     undrift,
 )
 from testkit.data import DATA, data_path
+from testkit.demo_session import demo_session
 from testkit.faces import faces_at
 from testkit.full_calibration import WILD, device, record, tables
+from testkit.motion_of_poses import motion_from_poses
 from undrift.correction.correct import correct_checked
 from undrift.correction.stream import Corrector
 from undrift.io.formats import read_record, read_reference, write_record
@@ -39,8 +41,8 @@ from undrift.record import FACES
 from undrift.segments import find_still, find_turns, still_means
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
-from undrift.sim.motion.poses import PoseSettings, motion_from_poses
-from undrift.sim.sessions import demo_session, simulate_trial
+from undrift.sim.motion.poses import PoseSettings
+from undrift.sim.sessions import simulate_trial
 from undrift.study.virtual_bench import bench_device, worn_trial
 from undrift.validation.trial import TrialSettings, compare_orientations, validate_trial
 

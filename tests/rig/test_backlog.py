@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from testkit import rig_bench
+from testkit.emulated_axis import axis_rate
 from testkit.rig_bench import LIMITS, SHORT, UP, Device, Hands, at_rest, emulated, run
 from testkit.waiting import LONG_S
 from undrift.errors import RigTimeout
@@ -104,7 +105,7 @@ def test_a_dwell_is_not_read_again_while_a_table_of_limited_travel_turns(tmp_pat
 
         def stop(self):
             record = super().stop()
-            if abs(self.emulator.axis_rate()) < 0.1:
+            if abs(axis_rate(self.emulator)) < 0.1:
                 return record
             LateOnce.turning += 1
             return record.part(len(record) // 2, len(record))
@@ -123,7 +124,7 @@ def test_a_backlog_is_waited_out_before_the_table_turns(tmp_path, monkeypatch):
 
     class Asked(Device):
         def start(self, *, certain=True):
-            rates.append(self.emulator.axis_rate())
+            rates.append(axis_rate(self.emulator))
             super().start()
 
     monkeypatch.setattr(rig_bench, "Device", Asked)

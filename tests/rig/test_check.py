@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.emulated_axis import axis_rate
 from testkit.galil_bench import GalilBench
 from testkit.loop_margins import loop_margins
 from undrift.errors import InputError, LimitError, LinkError, RigFault
@@ -287,7 +288,7 @@ def test_a_stepper_shows_its_reported_positions_and_what_is_not_observable():
         found = check_rig(
             rig, Clock(), CheckSettings(duration_s=2.0, turn_rate=30.0 * DEGREE, acceleration=400.0 * DEGREE)
         )
-        assert emulator.axis_rate() == pytest.approx(0.0, abs=1e-3)
+        assert axis_rate(emulator) == pytest.approx(0.0, abs=1e-3)
         again = open_rig(f"grbl:tcp://{emulator.host}:{emulator.port}", RigSettings(reply_timeout_s=10.0))
         assert again._axis._found_asleep is False  # awake, as it was
         again.close()

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.emulated_axis import axis_angle, axis_rate, axis_state
 from testkit.rig_bench import mean_turn_rate
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigError, RigTimeout
@@ -37,7 +38,7 @@ def positions(rig) -> None:
 
 
 def settled(emulator) -> None:
-    eventually(lambda: abs(emulator.axis_rate()) < 1e-3, "it rests")
+    eventually(lambda: abs(axis_rate(emulator)) < 1e-3, "it rests")
 
 
 def turning(emulator, dps) -> None:
@@ -45,7 +46,7 @@ def turning(emulator, dps) -> None:
 
     def is_so():
         now = emulator.now()
-        return now > 0.3 and emulator.axis_state(now, mean_s=0.3)[1] / DEGREE == pytest.approx(dps, rel=0.02, abs=0.05)
+        return now > 0.3 and axis_state(emulator, now, mean_s=0.3)[1] / DEGREE == pytest.approx(dps, rel=0.02, abs=0.05)
 
     eventually(is_so, f"it turns at {dps} deg/s")
 
@@ -131,9 +132,9 @@ def test_the_card_itself_keeps_the_travel(emulator):
     try:
         rig.enable(True)
         rig.turn(90.0 * DEGREE)
-        eventually(lambda: emulator.axis_angle() > 20.0 * DEGREE, "came near its limit")
+        eventually(lambda: axis_angle(emulator) > 20.0 * DEGREE, "came near its limit")
         settled(emulator)
-        assert emulator.axis_angle() / DEGREE < 33.0
+        assert axis_angle(emulator) / DEGREE < 33.0
         assert "forward limit" in rig.fault()
     finally:
         rig.close()
@@ -223,7 +224,7 @@ def test_a_stepper_board_moves_and_sleeps():
             rig.enable(True)
             rig.set_acceleration(2.0)
             assert rig.move_by(90.0 * DEGREE) / DEGREE == pytest.approx(90.0, abs=0.06)
-            assert emulator.axis_angle() / DEGREE == pytest.approx(90.0, abs=1.0)  # a step's ripple
+            assert axis_angle(emulator) / DEGREE == pytest.approx(90.0, abs=1.0)  # a step's ripple
             assert rig.fault() is None
         finally:
             rig.close()

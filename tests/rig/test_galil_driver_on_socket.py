@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+from testkit.emulated_axis import axis_angle, axis_rate, axis_state
 from testkit.rig_bench import mean_turn_rate
 from testkit.waiting import eventually
 from undrift.errors import RigFault
@@ -41,13 +42,13 @@ def turning(emulator, dps):
 
     def is_so():
         now = emulator.now()
-        return now > 0.2 and abs(emulator.axis_state(now, mean_s=0.2)[1] / DEGREE - dps) < 1.0
+        return now > 0.2 and abs(axis_state(emulator, now, mean_s=0.2)[1] / DEGREE - dps) < 1.0
 
     eventually(is_so, f"it turns at {dps} deg/s")
 
 
 def resting(emulator):
-    eventually(lambda: abs(emulator.axis_rate()) < 1e-3, "it rests")
+    eventually(lambda: abs(axis_rate(emulator)) < 1e-3, "it rests")
 
 
 def says_limits(emulator, rig):
@@ -62,7 +63,7 @@ def says_position(emulator, rig):
     rig.enable(True)
     rig.move_by(30.0 * DEGREE)
     resting(emulator)
-    assert rig.position().angle == pytest.approx(emulator.axis_angle(), abs=0.03 * DEGREE)  # three counts
+    assert rig.position().angle == pytest.approx(axis_angle(emulator), abs=0.03 * DEGREE)  # three counts
 
 
 def measures_rate(emulator, rig):
@@ -72,7 +73,7 @@ def measures_rate(emulator, rig):
     start = emulator.now()
     measured = mean_turn_rate(rig, Clock(speed=SPEED), 5.0)
     stop = emulator.now()
-    angles = [emulator.axis_state(time)[0] for time in (start, stop)]
+    angles = [axis_state(emulator, time)[0] for time in (start, stop)]
     assert (angles[1] - angles[0]) / (stop - start) / DEGREE == pytest.approx(-45.0, abs=0.2)
     assert measured < 0.0  # how well is the link's affair: test_against_emulator.py
 
@@ -117,7 +118,7 @@ def moves(emulator, rig):
     rig.enable(True)
     assert rig.move_by(-90.0 * DEGREE) / DEGREE == pytest.approx(-90.0, abs=0.03)
     resting(emulator)
-    assert emulator.axis_angle() / DEGREE == pytest.approx(-90.0, abs=0.03)
+    assert axis_angle(emulator) / DEGREE == pytest.approx(-90.0, abs=0.03)
 
 
 def stops(emulator, rig):
@@ -220,7 +221,7 @@ def test_what_the_card_refuses_at_rest_is_said_with_its_reason(code):
         for command in AT_REST[code]:
             refused(rig, code, command)
         assert rig.fault() is None
-        assert emulator.axis_rate() == 0.0
+        assert axis_rate(emulator) == 0.0
 
 
 def test_what_the_card_refuses_while_it_turns_is_said_with_its_reason():
@@ -258,7 +259,7 @@ def test_a_motion_towards_a_closed_limit_switch_is_refused_and_one_away_from_it_
         with pytest.raises(RigFault, match=f"wanted 'BGX', got error 22: {ERRORS[22]}; see the state") as raised:
             rig.turn(way * 10.0 * DEGREE)
         assert raised.value.code == 22
-        assert emulator.axis_rate() == 0.0
+        assert axis_rate(emulator) == 0.0
         rig.turn(-way * 10.0 * DEGREE)
         turning(emulator, -way * 10.0)
 
@@ -302,7 +303,7 @@ def test_code_131_is_a_serial_line_that_lost_the_end_of_a_command_and_nothing_mo
             refused(rig, 131, "BGX")
             with pytest.raises(RigFault, match=f"wanted 'BGX', got error 131: {ERRORS[131]}"):
                 rig.turn(10.0 * DEGREE)
-            assert emulator.axis_rate() == 0.0
+            assert axis_rate(emulator) == 0.0
             assert rig.position().angle == 0.0
         finally:
             rig.close()

@@ -99,7 +99,7 @@ def test_a_guard_that_was_killed_is_missed_before_the_next_step():
     with Guard(NOBODY) as guard:
         watch_over = Watch(StopWatch(NOBODY), guard, programme)
         watch_over(progress("ramping"))
-        os.kill(guard.process_id, signal.SIGKILL)
+        os.kill(guard._process.pid, signal.SIGKILL)
         with pytest.raises(RigFault, match=r"got it ended \(code -9\): it was killed"):
             until_ended(guard)
         with pytest.raises(RigFault, match="wanted it to stand by while the table is driven"):

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import pytest
 
+from testkit.emulated_axis import axis_rate
 from testkit.rig_bench import SHORT, at_rest, emulated, run
 from undrift.errors import InputError
 from undrift.io.session import read_session
@@ -115,7 +116,7 @@ def test_a_program_that_is_halted_has_its_table_stopped_and_does_not_go_on_after
 
 def turning(rig):
     last = time.monotonic() + 120.0
-    while abs(rig.axis_rate()) < 10.0 * DPS:
+    while abs(axis_rate(rig)) < 10.0 * DPS:
         assert time.monotonic() < last, "it never turned"
         time.sleep(0.005)
 

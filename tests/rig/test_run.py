@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testkit import rig_bench
+from testkit.emulated_axis import axis_angle, axis_rate
 from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_of, opened, run
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
@@ -90,7 +91,7 @@ def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
         with pytest.raises(InputError, match=r"turn rate: wanted at most 200 deg/s, got 210; mend the protocol"):
             run(emulator, tmp_path / "b", replace(SHORT, turn_rate_max=300.0 * DPS))
         assert at_rest(emulator)
-        assert emulator.axis_angle() == 0.0
+        assert axis_angle(emulator) == 0.0
 
 
 def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypatch):
@@ -251,7 +252,7 @@ def test_a_status_is_read_beside_the_one_who_drives(tmp_path):
             found = read_status(f"galil:tcp://{emulator.host}:{emulator.port}?clock_speed=20")
             assert (found.moving, found.motor_on, found.fault) == (True, True, None)
             assert found.identity.startswith("DMC")
-            assert abs(emulator.axis_rate()) > 0.1
+            assert abs(axis_rate(emulator)) > 0.1
         finally:
             rig.close()
         assert at_rest(emulator)

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from testkit.demo_session import demo_session
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.tasks import GROUP_SIZE, cohort
-from undrift.sim.sessions import demo_session, simulate_session, simulate_trial
+from undrift.sim.sessions import simulate_session, simulate_trial
 
 
 def test_a_session_without_labels_keeps_its_readings() -> None:

@@ -2,7 +2,8 @@
 
 import math
 
-from undrift.sim.rig.axes import HandClock, ServoSettings
+from testkit.emulated_axis import HandClock
+from undrift.sim.rig.axes import ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from testkit.emulated_axis import axis_rate
 from undrift.record import Record
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
@@ -173,7 +174,7 @@ def mean_turn_rate(rig, clock, duration_s):
 def at_rest(emulator, within_s=60.0):
     """Wait until the true axis is at rest with its motor off; False when it never is."""
     last = time.monotonic() + within_s
-    while abs(emulator.axis_rate()) > 1e-3 or emulator.motor_on:
+    while abs(axis_rate(emulator)) > 1e-3 or emulator.motor_on:
         if time.monotonic() > last:
             return False
         time.sleep(0.005)

@@ -162,11 +162,6 @@ class Guard:
     ) -> None:
         self.release(well=not (self._armed and isinstance(error, RigError)))
 
-    @property
-    def process_id(self) -> int:
-        """Of the second process."""
-        return self._process.pid
-
     def arm(self) -> None:
         """Say that the rig is open from now on: an error of it has the guard make sure that it is stopped."""
         self._armed = True

@@ -1,22 +1,18 @@
 """Simulated sessions and trials: a device, a motion, and what undrift is given of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.model import Calibration
 from undrift.record import Record, Reference, Session
-from undrift.sim.device.effects import LM335_V_PER_K, Thermometer
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import grade_named, random_device
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.device.truth import nominal_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Subject, TaskName, draw_task
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,16 +32,6 @@ class SimulatedTrial:
     record: Record
     reference: Reference
     motion: Motion
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Demo:
-    """A small complete example."""
-
-    device: DeviceModel  # The truth
-    nominal: Calibration  # What the data sheet alone says
-    session: Session  # Six faces and rate-table steps
-    trial: SimulatedTrial  # A sit-to-stand with its reference
 
 
 def simulate_session(
@@ -152,24 +138,6 @@ def simulate_trial(
     motion = performed.at(time, gravity_m_s2)
     record = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion))).record
     return SimulatedTrial(record=record, reference=see(performed, rng=rng, settings=optics), motion=motion)
-
-
-def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
-    """Return a small complete example: device, calibration session of three minutes, sit-to-stand with optics."""
-    lm335 = Thermometer(trim_error_c=0.8, lag_s=20.0, noise_c=0.03, step_c=5.0 / 4096 / LM335_V_PER_K)
-    device = replace(random_device(rng, grade="consumer"), thermometer=lm335)
-    rates = tuple(
-        rate * RADIAN_PER_DEGREE for rate in ((45.0, 90.0) if quick else (15.0, 30.0, 45.0, 60.0, 75.0, 90.0))
-    )
-    settings = BenchSettings(tilt_sd=0.1 * RADIAN_PER_DEGREE, turn_rates=rates, ramp_s=0.4, dwell_s=2.0)
-    session = simulate_session("bench", device, rng=rng, settings=settings, temp_c=(24.8, 25.2))
-    optics = OpticsSettings(delay_s=0.030)
-    return Demo(
-        device=device,
-        nominal=nominal_calibration(grade_named("consumer")),
-        session=session,
-        trial=simulate_trial("sit_to_stand", device, rng=rng, optics=optics, temp_c=25.0),
-    )
 
 
 def _temperature(temp_c: float | tuple[float, float] | None, samples: int) -> float | FloatArray | None:

@@ -6,12 +6,13 @@ import pytest
 from testkit.simulated_device import motion_of
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.sim.device.presets import LIMIT_SD, PRESETS, preset, preset_grade, random_device_of
+from undrift.sim.device.presets import PRESETS, preset, preset_grade, random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import nominal_calibration, true_calibration, true_tables
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DPS = RADIAN_PER_DEGREE
+LIMIT_SD = 2.0
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.motion_of_poses import motion_from_poses
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.correction.correct import correct
 from undrift.errors import InputError
@@ -25,7 +26,7 @@ from undrift.sim.device.presets import random_device, random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
-from undrift.sim.motion.poses import OpticsSettings, motion_from_poses, see
+from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import draw_task
 from undrift.validation.trial import compare_orientations
 

@@ -4,6 +4,7 @@ from hypothesis import given, settings, strategies
 from scipy.interpolate import BSpline
 
 from testkit.data import show
+from testkit.motion_of_poses import motion_from_poses
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.record import Reference
@@ -13,7 +14,6 @@ from undrift.sim.motion.poses import (
     PoseSpline,
     find_stretches,
     fit_pose_spline,
-    motion_from_poses,
     quintic,
     turning,
     zero_phase,

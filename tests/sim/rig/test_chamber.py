@@ -6,8 +6,8 @@ import socket
 import numpy as np
 import pytest
 
+from testkit.emulated_axis import HandClock
 from undrift.errors import InputError
-from undrift.sim.rig.axes import HandClock
 from undrift.sim.rig.emulator import Air, AirSettings, EmulatedChamber
 
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.emulated_axis import HandClock, axis_angle, axis_rate, axis_state
 from undrift.errors import InputError
-from undrift.sim.rig.axes import HandClock, HostClock, ServoSettings
+from undrift.sim.rig.axes import HostClock, ServoSettings
 from undrift.sim.rig.emulator import LINK_FAULTS, RIG_FAULTS, Emulator, EmulatorSettings, start_emulator
 
 
@@ -64,11 +65,11 @@ def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> bool:
 def test_a_client_turns_the_axis_over_a_socket(emulator):
     with client(emulator) as c:
         assert ask(c, "SH;JG 10000;BG", 3) == b":::"
-        assert wait_until(lambda: emulator.axis_rate() > 1.4)
+        assert wait_until(lambda: axis_rate(emulator) > 1.4)
         assert emulator.motor_on
         moment = emulator.now()
-        angle, _ = emulator.axis_state(moment)
-        assert angle == pytest.approx(emulator.axis_angle(), abs=0.5)
+        angle, _ = axis_state(emulator, moment)
+        assert angle == pytest.approx(axis_angle(emulator), abs=0.5)
         assert ask(c, "ST") == b":"
         assert wait_until(lambda: b" 0.0000" in ask(c, "MG _BGX"))
     times, angles = emulator.history()
@@ -80,7 +81,7 @@ def test_the_axis_goes_on_while_no_client_says_anything(emulator):
         ask(c, "SH;JG 5000;BG", 3)
         before = emulator.machine.card.axis.time
         assert wait_until(lambda: emulator.machine.card.axis.time > before + 1.0)
-    assert wait_until(lambda: emulator.axis_angle() > 1.0)  # nor when it has gone
+    assert wait_until(lambda: axis_angle(emulator) > 1.0)  # nor when it has gone
     with client(emulator) as c:
         assert ask(c, "MG _BGX") == b" 1.0000\r\n:"
 
@@ -138,7 +139,7 @@ def test_a_hand_clock_makes_a_socket_conversation_repeatable():
             clock.advance(1.5)
             ask(c, "ST")
             clock.advance(0.5)
-            ends.append(emulator.axis_state(1.7))
+            ends.append(axis_state(emulator, 1.7))
     assert ends[0] == ends[1]
 
 
@@ -153,7 +154,7 @@ def test_a_mean_rate_is_free_of_the_ripple_of_the_servo():
         show("ripple, momentary and of 10 ms means, deg/s", [float(np.degrees(np.std(r))) for r in (momentary, mean)])
         assert np.degrees(np.std(momentary)) > 0.5
         assert np.degrees(np.abs(mean - np.pi / 2).max()) < 0.05
-        assert emulator.axis_state(0.001, mean_s=0.01)[1] < 0.1
+        assert axis_state(emulator, 0.001, mean_s=0.01)[1] < 0.1
 
 
 def test_dropped_bytes_garbage_and_halves_reach_the_client(emulator):
@@ -175,7 +176,7 @@ def test_stalled_and_late_answers_come_after_all(emulator):
     with client(emulator) as c:
         emulator.inject("stall")
         assert ask(c, "SH;JG 5000;BG", 3, timeout_s=0.1) == b""
-        assert wait_until(lambda: emulator.axis_rate() > 0.5)  # the card does what it is told meanwhile
+        assert wait_until(lambda: axis_rate(emulator) > 0.5)  # the card does what it is told meanwhile
         emulator.clear("stall")
         assert hear(c, 3) == b":::"
         emulator.inject("late_reply", answers=1)
@@ -204,12 +205,12 @@ def test_a_cut_connection_leaves_the_axis_turning_and_may_be_made_again(emulator
 def test_a_power_cut_closes_sockets_and_lets_the_axis_coast_to_rest(emulator):
     with client(emulator) as c:
         ask(c, "SH;JG 10000;BG", 3)
-        assert wait_until(lambda: emulator.axis_rate() > 1.4)
+        assert wait_until(lambda: axis_rate(emulator) > 1.4)
         emulator.inject("power_cut")
         with contextlib.suppress(ConnectionResetError):
             assert c.recv(10) == b""
     assert not emulator.motor_on
-    assert wait_until(lambda: emulator.axis_rate() == 0.0)
+    assert wait_until(lambda: axis_rate(emulator) == 0.0)
     with client(emulator) as c, contextlib.suppress(ConnectionResetError, BrokenPipeError):
         assert ask(c, "TP", timeout_s=0.2) == b""
     emulator.clear()
@@ -242,11 +243,11 @@ def test_a_board_greets_and_jogs_over_a_socket():
         assert c.recv(100).startswith(b"\r\nGrbl")
         c.sendall(b"$J=G91A3600F5400\n")
         assert c.recv(100) == b"ok\r\n"
-        assert wait_until(lambda: emulator.axis_rate() > 1.5)
+        assert wait_until(lambda: axis_rate(emulator) > 1.5)
         assert emulator.motor_on
         c.sendall(b"\x85")
-        assert wait_until(lambda: emulator.axis_rate() == 0.0)
-        assert emulator.history(1.0)[1][-1] == pytest.approx(emulator.axis_angle())
+        assert wait_until(lambda: axis_rate(emulator) == 0.0)
+        assert emulator.history(1.0)[1][-1] == pytest.approx(axis_angle(emulator))
 
 
 def test_random_bytes_over_the_socket_do_not_end_the_server(emulator):
@@ -280,7 +281,7 @@ def test_wrong_calls_are_refused(emulator):
     with pytest.raises(InputError, match="fault: wanted one of"):
         emulator.clear("flood")
     with pytest.raises(InputError, match="axis state: wanted times in"):
-        emulator.axis_state(1e6)
+        axis_state(emulator, 1e6)
     with pytest.raises(InputError, match="emulator speed: wanted a positive factor, got 0"):
         HostClock(0.0)
     with pytest.raises(InputError, match="clock: wanted zero or more seconds, got -1"):
@@ -294,7 +295,7 @@ def test_ten_minutes_are_emulated_in_less_than_three_seconds():
         ask(c, "SH;JG 10000;BG", 3)
         begun = time.process_time()  # of the processor: whatever else the machine does
         clock.advance(600.0)
-        assert emulator.axis_angle() == pytest.approx(600.0 * 1.5708, rel=1e-3)
+        assert axis_angle(emulator) == pytest.approx(600.0 * 1.5708, rel=1e-3)
         speed = 600.0 / (time.process_time() - begun)
     show("times real time", round(speed), 200)
     assert speed > 200.0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.emulated_axis import HandClock
 from undrift.errors import InputError
-from undrift.sim.rig.axes import HandClock
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from undrift.sim.rig.axes import HandClock
+from testkit.emulated_axis import HandClock
 from undrift.sim.rig.grbl import Board, GrblSettings, plan
 
 MOVES = st.lists(st.tuples(st.floats(-400.0, 400.0), st.floats(0.02, 360.0)), min_size=1, max_size=16)

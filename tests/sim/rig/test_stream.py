@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from testkit.emulated_axis import HandClock
 from testkit.waiting import eventually
 from undrift.arrays import frozen
 from undrift.errors import InputError, RigFault, RigTimeout
@@ -20,7 +21,6 @@ from undrift.rig.rig import open_rig
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import EARTH_RATE
 from undrift.sim.motion.motion import unit_vector
-from undrift.sim.rig.axes import HandClock
 from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBenchSettings, EmulatorSettings, start_bench
 from undrift.sim.rig.stream import CHANNELS, CausalDevice, EmulatedDevice, StreamSettings, frame_of, line_of
 from undrift.units import STANDARD_GRAVITY

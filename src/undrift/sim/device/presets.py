@@ -131,7 +131,6 @@ FIGURES: dict[str, tuple[str, float, *tuple[float, ...]]] = {  # field of a tria
     "walk_dps_per_sqrt_s": ("bias_walk", DPS),
     "walk_mg_per_sqrt_s": ("bias_walk", MG),
 }
-LIMIT_SD = 2.0
 GradeName = Literal["consumer", "industrial", "wearable"]
 GRADES = ("consumer", "industrial", "wearable")
 _BOOK: dict[str, Any] = tomllib.loads(Path(__file__).with_name("presets.toml").read_text(encoding="utf-8"))

@@ -213,28 +213,6 @@ def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings(
     return PoseSpline(pieces=tuple(pieces), moving_time=time, moving=moving)
 
 
-def motion_from_poses(
-    reference: Reference,
-    *,
-    gravity_m_s2: float,
-    sample_rate_hz: float | None = None,
-    time: FloatArray | None = None,
-    settings: PoseSettings = PoseSettings(),
-) -> Motion:
-    """Return what an ideal sensor at the body's origin would feel."""
-    if (sample_rate_hz is None) == (time is None):
-        raise InputError(
-            "motion: wanted either a sample rate or the instants, got "
-            f"{'neither' if time is None else 'both'}; give sample_rate_hz or time"
-        )
-    spline = fit_pose_spline(reference, settings)
-    if time is not None:
-        return spline.at(time, gravity_m_s2)
-    start, stop = spline.span_s
-    rate = float(sample_rate_hz or 0.0)
-    return spline.at(start + np.arange(int((stop - start) * rate + 1e-6) + 1) / rate, gravity_m_s2)
-
-
 def signed(q: FloatArray) -> FloatArray:
     """Return quaternions without jumps of sign."""
     flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)

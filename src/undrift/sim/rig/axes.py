@@ -112,7 +112,7 @@ def resting_coefficients(servo: ServoSettings) -> Coefficients:
     )
 
 
-# ---- Clocks of an emulated rig: the host's, sped up, or one that a test moves by hand.
+# ---- Clocks of an emulated rig: the host's, sped up, or one that whoever made it moves.
 
 
 class Clock(Protocol):
@@ -134,23 +134,6 @@ class HostClock:
     def now(self) -> float:
         """Return emulated time since the clock was made, s."""
         return (time.monotonic() - self._start) * self.speed
-
-
-class HandClock:
-    """A clock that stands still until ``advance`` moves it, for tests that must repeat to the last bit."""
-
-    def __init__(self) -> None:
-        self._time = 0.0
-
-    def now(self) -> float:
-        """Return emulated time, s."""
-        return self._time
-
-    def advance(self, duration_s: float) -> None:
-        """Move on."""
-        if duration_s < 0.0:
-            raise InputError(f"clock: wanted zero or more seconds, got {duration_s}; a clock does not go back")
-        self._time += duration_s
 
 
 # ---- axes

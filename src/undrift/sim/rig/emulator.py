@@ -121,19 +121,6 @@ class Emulator(Closed):
         """Whether the motor holds the axis."""
         return self.machine.motor_on
 
-    def axis_angle(self) -> float:
-        """Return the true angle of the axis now, rad."""
-        return self.machine.present()[0]
-
-    def axis_rate(self) -> float:
-        """Return the true turn rate of the axis now, rad/s."""
-        return self.machine.present()[1]
-
-    def axis_state(self, time: float, *, mean_s: float = 0.0) -> tuple[float, float]:
-        """Return the true angle and turn rate at a moment of the past, or now."""
-        angle, rate = self.axis_states(np.array([time]), mean_s=mean_s)
-        return float(angle[0]), float(rate[0])
-
     def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return the true angle and turn rate at moments of the past: times (n,) s -> (n,) rad."""
         if not mean_s > 0.0:

@@ -1,0 +1,38 @@
+"""What tests ask of an emulated axis, and the clock that they move by hand."""
+
+import numpy as np
+
+from undrift.errors import InputError
+
+
+class HandClock:
+    """A clock that stands still until ``advance`` moves it, for tests that must repeat to the last bit."""
+
+    def __init__(self) -> None:
+        self._time = 0.0
+
+    def now(self) -> float:
+        """Return emulated time, s."""
+        return self._time
+
+    def advance(self, duration_s: float) -> None:
+        """Move on."""
+        if duration_s < 0.0:
+            raise InputError(f"clock: wanted zero or more seconds, got {duration_s}; a clock does not go back")
+        self._time += duration_s
+
+
+def axis_angle(emulator):
+    """Return the true angle of the axis now, rad."""
+    return emulator.machine.present()[0]
+
+
+def axis_rate(emulator):
+    """Return the true turn rate of the axis now, rad/s."""
+    return emulator.machine.present()[1]
+
+
+def axis_state(emulator, time, *, mean_s=0.0):
+    """Return the true angle and turn rate at a moment of the past, or now."""
+    angle, rate = emulator.axis_states(np.array([time]), mean_s=mean_s)
+    return float(angle[0]), float(rate[0])
