@@ -15,7 +15,8 @@ from testkit.data import show
 from testkit.emulated_axis import HandClock, axis_angle, axis_rate, axis_state
 from undrift.errors import InputError
 from undrift.sim.rig.axes import HostClock, ServoSettings
-from undrift.sim.rig.emulator import LINK_FAULTS, RIG_FAULTS, Emulator, EmulatorSettings, start_emulator
+from undrift.sim.rig.emulator import RIG_FAULTS, Emulator, EmulatorSettings, start_emulator
+from undrift.sim.rig.server import LINK_FAULTS
 
 
 @pytest.fixture

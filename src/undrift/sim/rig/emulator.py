@@ -17,7 +17,7 @@ import socket
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Self, cast, get_args
+from typing import Literal, cast, get_args
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -31,7 +31,7 @@ from undrift.sim.rig.axes import Axis, Clock, HostClock, ServoSettings
 from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
-from undrift.sim.rig.server import LINK_FAULTS, FaultyLink, Machine, Served, Server, Session
+from undrift.sim.rig.server import Closed, FaultyLink, LineSession, Machine, Served, Server, Session
 from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 
 # ---- Emulated rig
@@ -67,23 +67,10 @@ class EmulatorSettings:
     fault_seed: int = 0  # Seed of the garbage on a faulty link
 
 
-class Closed:
-    """What is closed at the end of a `with` block."""
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close it."""
-        self.close()
-
-    def close(self) -> None:
-        """Close every socket and end every thread; harmless when called again."""
-
-
-class Emulator(Closed):
+class Emulator(Served):
     """A running rig; a context manager that closes it."""
+
+    faults = RIG_FAULTS
 
     def __init__(self, settings: EmulatorSettings, clock: Clock | None = None) -> None:
         if settings.kind not in get_args(EmulatorKind):
@@ -101,16 +88,8 @@ class Emulator(Closed):
             if settings.kind == "galil"
             else GrblMachine(settings.grbl, chosen, settings.history_s)
         )
-        self._broken: set[str] = set()
-        self._link = FaultyLink(settings.fault_seed)
-        self._server = Server(self.machine, self._link, (settings.host, settings.port), settings.with_pty)
-        self.host: str = self._server.host
-        self.port: int = self._server.port
+        self.serve(self.machine, (settings.host, settings.port), settings.fault_seed, settings.with_pty)
         self.pty_path: str | None = self._server.pty_path
-
-    def close(self) -> None:
-        """Close every socket and end the thread; harmless when called again."""
-        self._server.close()
 
     def now(self) -> float:
         """Return emulated time from the start, s."""
@@ -133,34 +112,11 @@ class Emulator(Closed):
         """Return where the axis has been, (n,) s."""
         return self.machine.history(last_s)
 
-    def inject(self, fault: str, *, answers: int | None = None) -> None:
-        """Let a fault begin; the names and what each does stand in sim/rig/emulator.py."""
-        self._check(fault)
-        if fault in LINK_FAULTS:
-            self._link.start(fault, answers)
-        else:
-            self.machine.set_fault(fault, True)
-            self._broken.add(fault)
+    def set_fault(self, fault: str, on: bool) -> None:
+        """Break or mend a part; after a power cut the rig starts afresh."""
+        self.machine.set_fault(fault, on)
         if fault == "power_cut":
-            self._server.set_dark(True)
-        self._server.settle()
-
-    @staticmethod
-    def _check(fault: str) -> None:
-        if fault not in (*LINK_FAULTS, *RIG_FAULTS):
-            known = ", ".join((*LINK_FAULTS, *RIG_FAULTS))
-            raise InputError(f"fault: wanted one of {known}, got '{fault}'; name one of them")
-
-    def clear(self, fault: str | None = None) -> None:
-        """Let a fault end; after a power cut the rig starts afresh."""
-        if fault is not None:
-            self._check(fault)
-        self._link.stop(fault)
-        for name in sorted(self._broken & ({fault} if fault else self._broken)):
-            self.machine.set_fault(name, False)
-            self._broken.discard(name)
-        self._server.set_dark("power_cut" in self._broken)
-        self._server.settle()
+            self._server.dark = on
 
 
 def start_emulator(settings: EmulatorSettings | None = None, *, clock: Clock | None = None) -> Emulator:
@@ -251,21 +207,21 @@ IDENTITY = "undrift,emulated chamber,0,1.0"
 NO_ERROR = '0,"No error"'
 
 
-class EmulatedChamber(Served):
+class EmulatedChamber(Served, Machine):
     """A chamber that listens until closed."""
 
-    name, faults = "chamber", CHAMBER_FAULTS
+    faulty, faults = "chamber fault", CHAMBER_FAULTS
 
     def __init__(self, settings: AirSettings, clock: Clock, host: str = "127.0.0.1", port: int = 0) -> None:
-        super().__init__(clock)
+        Machine.__init__(self, clock)
         self.air = Air(settings)
         self._errors: deque[str] = deque(maxlen=16)
-        self.serve((host, port))
-        self.address = f"tcp://{self._server.host}:{self._server.port}"
+        self.serve(self, (host, port), 0)
+        self.address = f"tcp://{self.host}:{self.port}"
 
-    def new_session(self, serial: bool) -> "ChamberSession":
+    def new_session(self, serial: bool) -> Session:
         """Make what a client talks to."""
-        return ChamberSession(self)
+        return LineSession(self.obey)
 
     def tick(self) -> None:
         """Bring the air up to now."""
@@ -321,21 +277,6 @@ class EmulatedChamber(Served):
             self._errors.append('-222,"Data out of range"')
             return held
         return value
-
-
-class ChamberSession(Session):
-    """One client of a chamber."""
-
-    def __init__(self, chamber: EmulatedChamber) -> None:
-        super().__init__()
-        self._chamber, self._held = chamber, b""
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes, return answers."""
-        *lines, self._held = (self._held + data).split(b"\n")
-        self._held = self._held[-1024:]
-        answers = [self._chamber.obey(line.decode("ascii", errors="replace")) for line in lines]
-        return [answer.encode("ascii") + b"\n" for answer in answers if answer]
 
 
 # ---- bench
@@ -430,16 +371,7 @@ class _Hands(Machine):
         self._device = device
 
     def new_session(self, serial: bool) -> Session:
-        return _HandsSession(self._device)
-
-
-class _HandsSession(Session):
-    def __init__(self, device: EmulatedDevice) -> None:
-        super().__init__()
-        self._device = device
-
-    def feed(self, data: bytes) -> list[bytes]:
-        return [self._answer(line.strip()).encode("ascii") + b"\n" for line in data.decode("latin-1").splitlines()]
+        return LineSession(self._answer)
 
     def _answer(self, line: str) -> str:
         if line == "FACE?":

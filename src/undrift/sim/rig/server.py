@@ -14,6 +14,8 @@ import threading
 import time
 import tty
 from collections import deque
+from collections.abc import Callable
+from typing import Self
 
 from undrift.errors import InputError
 from undrift.sim.rig.axes import Clock
@@ -147,43 +149,82 @@ class Machine:
         """Come up to now."""
 
 
-class Served(Machine):
+class LineSession(Session):
+    """One client that gives commands line by line."""
+
+    def __init__(self, obey: Callable[[str], str]) -> None:
+        super().__init__()
+        self._obey, self._held = obey, b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes, return answers."""
+        *lines, self._held = (self._held + data).split(b"\n")
+        self._held = self._held[-1024:]
+        answers = [self._obey(line.decode("ascii", errors="replace").strip()) for line in lines]
+        return [answer.encode("ascii") + b"\n" for answer in answers if answer]
+
+
+class Closed:
+    """What is closed at the end of a `with` block."""
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
+
+    def close(self) -> None:
+        """Close every socket and end every thread; harmless when called again."""
+
+
+class Served(Closed):
     """A machine with a server of its own, and faults."""
 
-    name: str
+    faulty = "fault"  # what a message calls its faults
     faults: dict[str, str]
 
-    def serve(self, address: tuple[str, int], seed: int = 0) -> None:
+    def serve(self, machine: Machine, address: tuple[str, int], seed: int, with_pty: bool = False) -> None:
         """Begin to listen."""
+        self._lock, self._broken = machine.lock, set[str]()
         self._link = FaultyLink(seed)
-        self._server = Server(self, self._link, address)
+        self._server = Server(machine, self._link, address, with_pty)
+        self.host, self.port = self._server.host, self._server.port
 
     def set_fault(self, fault: str, on: bool) -> None:
         """Break or mend a part of the machine."""
 
     def inject(self, fault: str, *, answers: int | None = None) -> None:
         """Let a fault begin."""
-        if fault not in (*LINK_FAULTS, *self.faults):
-            known = ", ".join((*LINK_FAULTS, *self.faults))
-            raise InputError(f"{self.name} fault: wanted one of {known}, got '{fault}'; name one of them")
+        self._check(fault)
         if fault in LINK_FAULTS:
             self._link.start(fault, answers)
         else:
-            with self.lock:
+            with self._lock:
                 self.set_fault(fault, True)
+                self._broken.add(fault)
         self._server.settle()
 
-    def clear(self) -> None:
-        """Let all faults end."""
-        self._link.stop(None)
-        with self.lock:
-            for fault in self.faults:
-                self.set_fault(fault, False)
+    def clear(self, fault: str | None = None) -> None:
+        """Let a fault end, or all."""
+        if fault is not None:
+            self._check(fault)
+        self._link.stop(fault)
+        with self._lock:
+            for name in sorted(self._broken & ({fault} if fault else self._broken)):
+                self.set_fault(name, False)
+                self._broken.discard(name)
         self._server.settle()
 
     def close(self) -> None:
         """Close every socket and end the thread; harmless when called again."""
         self._server.close()
+
+    def _check(self, fault: str) -> None:
+        if fault not in (*LINK_FAULTS, *self.faults):
+            known = ", ".join((*LINK_FAULTS, *self.faults))
+            raise InputError(f"{self.faulty}: wanted one of {known}, got '{fault}'; name one of them")
 
 
 # ---- Server
@@ -213,7 +254,8 @@ class Server:
         self._selector.register(self._woken, selectors.EVENT_READ, lambda: self._woken.recv(READ_SIZE))
         self._clients: list[_Client] = []
         self._descriptors: tuple[int, ...] = ()
-        self._dark = self._closing = False
+        self.dark = False  # power is cut: clients are dropped and none is taken
+        self._closing = False
         self._settled = threading.Event()
         if with_pty:
             self._descriptors = near, far = os.openpty()  # the far end stays open: a client may come and go
@@ -232,11 +274,6 @@ class Server:
                 self._wake.send(b"x")
             self._thread.join()
 
-    def set_dark(self, dark: bool) -> None:
-        """Cut the power: clients are dropped and none is taken until it comes back."""
-        self._dark = dark
-        self.settle()
-
     def settle(self, timeout_s: float = 2.0) -> None:
         """Wait until the thread has gone round once more."""
         self._settled.clear()
@@ -251,7 +288,7 @@ class Server:
                 for key, _ in self._selector.select(min(max(due - time.monotonic(), 0.0), TICK_S)):
                     key.data()
                 self._machine.tick()
-                if self._dark or self._link.take_disconnect():
+                if self.dark or self._link.take_disconnect():
                     self._drop_all()
                 for client in list(self._clients):
                     self._speak(client)
@@ -270,7 +307,7 @@ class Server:
             connection, _ = self._listener.accept()
         except OSError:
             return
-        if self._dark:
+        if self.dark:
             connection.close()
             return
         connection.setblocking(False)

@@ -32,7 +32,7 @@ from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import facing, unit_vector
 from undrift.sim.rig.axes import Clock
-from undrift.sim.rig.server import Served, Session
+from undrift.sim.rig.server import Machine, Served, Session
 from undrift.units import STANDARD_GRAVITY
 
 # ---- Readings of a simulated device as time goes on, chunk by chunk
@@ -128,10 +128,10 @@ class StreamSettings:
             raise InputError(f"emulated device: wanted sample_rate_hz above 0, got {self.sample_rate_hz}; state it")
 
 
-class EmulatedDevice(Served):
+class EmulatedDevice(Served, Machine):
     """A device that sends until closed."""
 
-    name, faults = "device", DEVICE_FAULTS
+    faulty, faults = "device fault", DEVICE_FAULTS
 
     def __init__(
         self,
@@ -141,14 +141,13 @@ class EmulatedDevice(Served):
         clock: Clock,
         settings: StreamSettings,
     ) -> None:
-        super().__init__(clock)
+        Machine.__init__(self, clock)
         self.device, self.settings = device, settings
         self.rate = device.sampling.sample_rate_hz or settings.sample_rate_hz
         self._table, self._board_temp = table, board_temp
         self._step = 1.0 / (self.rate * (1.0 + device.sampling.clock_error))
         self._hands = np.random.default_rng((settings.seed, 1))
         self._device = CausalDevice(device, self._step, np.random.default_rng(settings.seed))
-        self._faults: set[str] = set()
         self._mount(settings.face)
         self._last_rate: FloatArray | None = None
         # Compile what takes readings before the first is due: its stream would begin with a backlog of as many seconds
@@ -156,7 +155,7 @@ class EmulatedDevice(Served):
         first.read(*self._scene(np.array([clock.now()])))
         self._next = 1 + int(clock.now() / self._step + 1e-6)  # reading k is taken at k steps
         self._last_rate = None
-        self.serve((settings.host, settings.port), settings.seed)
+        self.serve(self, (settings.host, settings.port), settings.seed)
 
     def address(self, clock_speed: float) -> str:
         """Return where it sends and what, as ``live.address`` reads it."""
@@ -174,7 +173,7 @@ class EmulatedDevice(Served):
             "device": self.device.serial,
         }
         query = urlencode([pair for pair in options.items() if pair[1]], safe=",/")
-        return f"tcp://{self._server.host}:{self._server.port}?{query}"
+        return f"tcp://{self.host}:{self.port}?{query}"
 
     def mount(self, face: Face) -> None:
         """Mount the device with another face up, from now on."""
@@ -192,10 +191,6 @@ class EmulatedDevice(Served):
     def new_session(self, serial: bool) -> "DeviceSession":
         """Make what a client hears."""
         return DeviceSession()
-
-    def set_fault(self, fault: str, on: bool) -> None:
-        """Break or mend a part."""
-        (self._faults.add if on else self._faults.discard)(fault)
 
     def _mount(self, face: Face) -> None:
         tilt = self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
@@ -236,14 +231,14 @@ class EmulatedDevice(Served):
         ), rate
 
     def _send(self, counts: IntArray, rows: FloatArray) -> None:
-        if not self.sessions or "silence" in self._faults:
+        if not self.sessions or "silence" in self._broken:
             return
         write, pieces = line_of if self.settings.framing == "line" else frame_of, []
         for count, row in zip(counts.tolist(), rows, strict=True):
             struck, piece = count % 7 == 0, write(count, row)
-            if struck and "garbled_readings" in self._faults:
+            if struck and "garbled_readings" in self._broken:
                 piece = piece[:5] + bytes([piece[5] ^ 0x04]) + piece[6:]
-            if not (struck and "lost_readings" in self._faults):
+            if not (struck and "lost_readings" in self._broken):
                 pieces.append(piece)
         for session in self.sessions:
             session.tell(b"".join(pieces))
