@@ -12,7 +12,7 @@ In symbols, for a reading u (3,) at temperature T::
 (physical to raw) is S = K a + b with K = M^-1 and b = offset.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -301,8 +301,7 @@ class NoiseModel:
     accel_random_walk: FloatArray  # m/s2/sqrt(s)
 
     def __post_init__(self) -> None:
-        _freeze(self, (3,), "angle_random_walk", "bias_instability", "rate_random_walk")
-        _freeze(self, (3,), "velocity_random_walk", "accel_bias_instability", "accel_random_walk")
+        _freeze(self, (3,), *(one.name for one in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

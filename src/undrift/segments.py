@@ -197,8 +197,7 @@ def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None
         return replace(found, value=given, basis="given")
     if not len(finite):
         return found
-    value = _gap_above(finite, floor)
-    if value is not None:
+    if (value := _gap_above(finite, floor)) is not None:
         found = replace(found, value=value, basis="gap")
     elif np.quantile(finite, 0.99) <= _PEAK * max(floor, np.finfo(float).tiny):
         found = replace(found, value=max(float(finite.max()), _PEAK * floor), basis="all still")

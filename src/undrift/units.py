@@ -52,7 +52,7 @@ LM335_K_PER_V = 100.0  # 10 mV/K: 2.982 V at 25 degC
 
 DEVICE_UNITS = ("count", "v")
 
-# SI value = factor * value, and for temperatures + offset. Names are lower case.
+# SI value = factor * value, and for temperatures + offset; the first of a quantity is its SI unit. Names are lower case.
 _TO_SI: dict[Quantity, dict[str, float]] = {
     "rate": {"rad/s": 1.0, "dps": RADIAN_PER_DEGREE},
     "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY * 1e-3},
@@ -68,14 +68,7 @@ _SPELLINGS = {
     "sec": "s", "seconds": "s", "µs": "us", "µt": "ut", "counts": "count", "lsb": "count", "raw": "count",
     "volt": "v", "volts": "v", "gs": "g", "millig": "mg", "degrees c": "degc",
 }  # fmt: skip
-SI_UNIT: dict[Quantity, str] = {
-    "rate": "rad/s",
-    "accel": "m/s2",
-    "temp": "degc",
-    "time": "s",
-    "mag": "ut",
-    "length": "m",
-}
+SI_UNIT = {quantity: next(iter(units)) for quantity, units in _TO_SI.items()}
 
 
 def canonical_unit(unit: str, quantity: Quantity) -> str:

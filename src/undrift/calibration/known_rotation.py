@@ -60,7 +60,7 @@ def check_turns_gravity(
     moves = cut_moves(records, stills, stills)
     if len(moves.first) < _LEAST_MOVES:
         return
-    n = gravity_directions(moves, accel).unit
+    n = gravity_directions(moves, accel)[0]
     own = _miss_deg(moves, n, gyro.matrix, gyro.offset)
     if own <= LARGEST_MISS_DEG:
         return

@@ -239,13 +239,10 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
 
 
 def _judged(fit: NormFit, rms_mg: float) -> Iterator[Finding]:
-    if rms_mg > RESIDUAL_MG[0]:
-        level = level_of(rms_mg, RESIDUAL_MG)
-        yield finding("multi_position.residual", level, rms_mg=rms_mg, wanted=RESIDUAL_MG[0])
-    uncertain_mg = fit.uncertainty / MG
-    if uncertain_mg > UNCERTAIN_MG[0]:
-        level = level_of(uncertain_mg, UNCERTAIN_MG)
-        yield finding("multi_position.uncertainty", level, uncertainty_mg=uncertain_mg, wanted=UNCERTAIN_MG[0])
+    sigma, wanted = fit.uncertainty / MG, UNCERTAIN_MG[0]
+    off = finding("multi_position.residual", level_of(rms_mg, RESIDUAL_MG), rms_mg=rms_mg, wanted=RESIDUAL_MG[0])
+    unsure = finding("multi_position.uncertainty", level_of(sigma, UNCERTAIN_MG), uncertainty_mg=sigma, wanted=wanted)
+    yield from (item for item in (off, unsure) if item.level != "info")
     if not np.triu(fit.matrix, 1).any():
         yield finding("multi_position.cross_axis_fixed", "info")
 

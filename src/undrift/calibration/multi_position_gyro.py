@@ -31,13 +31,9 @@ from undrift.units import RADIAN_PER_DEGREE
 #     dn = (1 - n n^T) / |a| da        da = dM (u - o) - M do + M du
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Directions:
-    """Direction of the specific force in each still."""
-
-    unit: FloatArray  # (K, 3), unit vectors in b
-    jacobian: FloatArray  # (K, 3, 12), derivative by the accelerometer's m_xx .. m_zz and offset
-    covariance: FloatArray  # (K, 3, 3), from the noise of the still itself
+# Unit vectors in b (K, 3) of the specific force in each still, their derivative by the accelerometer's m_xx .. m_zz and offset
+# (K, 3, 12), and their covariance from the noise of the still itself (K, 3, 3).
+Directions = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,11 +110,8 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
     across = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
     by_matrix = (across[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)  # column 3 i + j: across e_i d_j
     turned = across @ accel.matrix
-    return Directions(
-        unit=n,
-        jacobian=np.concatenate((by_matrix, -turned), axis=2),
-        covariance=(turned * variance / count[:, None, None]) @ turned.transpose(0, 2, 1),
-    )
+    covariance = (turned * variance / count[:, None, None]) @ turned.transpose(0, 2, 1)
+    return n, np.concatenate((by_matrix, -turned), axis=2), covariance
 
 
 def offset_prior(moves: Moves) -> OffsetPrior:
@@ -363,7 +356,7 @@ def _descend(
 
 
 def _missed(problem: _Problem, p: FloatArray) -> _Missed:
-    moves, n = problem.moves, problem.directions.unit
+    moves, n = problem.moves, problem.directions[0]
     j = len(moves.first)
     matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
     turn, part = turned_in(moves, matrix, offset, problem.prior.drift)
@@ -388,17 +381,15 @@ def _weighted(problem: _Problem, missed: _Missed, p: FloatArray, whitener: Float
 
 
 def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> FloatArray:
-    moves, directions, prior = problem.moves, problem.directions, problem.prior
+    moves, prior, (unit, jacobian, of_still) = problem.moves, problem.prior, problem.directions
     across = missed.tangent.transpose(0, 2, 1)
     leaving = across @ missed.turn
-    by_accel = (leaving @ directions.jacobian[moves.before] - across @ directions.jacobian[moves.before + 1]).reshape(
-        -1, 12
-    )
-    by_still = np.zeros((len(moves.first), 2, len(directions.unit), 3))
+    by_accel = (leaving @ jacobian[moves.before] - across @ jacobian[moves.before + 1]).reshape(-1, 12)
+    by_still = np.zeros((len(moves.first), 2, len(unit), 3))
     each = np.arange(len(moves.first))
     by_still[each, :, moves.before] += leaving
     by_still[each, :, moves.before + 1] -= across
-    spread = np.einsum("ejka,kab->ejkb", by_still, directions.covariance).reshape(2 * len(each), -1)
+    spread = np.einsum("ejka,kab->ejkb", by_still, of_still).reshape(2 * len(each), -1)
     total = spread @ by_still.reshape(2 * len(each), -1).T + by_accel @ problem.accel.covariance[:12, :12] @ by_accel.T
     by_offset = missed.jacobian[:, 9:] / problem.unit
     for column, drift in zip(by_offset.T, prior.drift_covariance, strict=True):

@@ -365,9 +365,8 @@ def _triad(
     record: Record, quantity: Quantity, confidence: float
 ) -> tuple[tuple[AxisNoise, ...], str, FloatArray, FloatArray]:
     """Return the noise of each axis, its unit, deviations with lower and upper limits (3, M, axes), and averaging times (M,)."""
-    what, values, unit = ("gyro", record.gyro, record.gyro_unit)
-    if quantity == "accel":
-        what, values, unit = ("accel", record.accel, record.accel_unit)
+    what = "gyro" if quantity == "rate" else "accel"
+    values, unit = getattr(record, what), getattr(record, f"{what}_unit")
     if values is None:
         taus_s = _averages("octave", len(record), record.sample_rate_hz, "oadev") / record.sample_rate_hz
         return (), SI_UNIT[quantity], np.empty((3, len(taus_s), 0)), taus_s
