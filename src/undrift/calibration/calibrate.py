@@ -294,17 +294,13 @@ def _mode_not_used(mode: Mode | None, triad: Triad, outcome: Outcome) -> Iterato
         yield finding("paper_mode.not_used", "warn", mode=mode, triad=triad, method=outcome.method, needs=needs)
 
 
-_NEVER_SHOWN = (  # by method; of the accelerometer, then of the gyroscope
-    {"multi-position": "multi_position.mounting", "six-face": "six_face.fixture"},
-    {"multi-position": "multi_position.g_sensitivity", "known-rotation": "known_rotation.other_rates"},
-)
-
-
 def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) -> Iterator[Finding]:
     """Return what this kind of session never shows, however well it was recorded."""
-    for outcome, codes in zip((accel, gyro), _NEVER_SHOWN, strict=True):
-        if outcome.fit is not None and outcome.method in codes:
-            yield finding(codes[outcome.method], "info")
+    if accel.fit is not None and accel.method in ("multi-position", "six-face"):
+        yield finding("multi_position.mounting" if accel.method == "multi-position" else "six_face.fixture", "info")
+    if gyro.fit is not None and gyro.method in ("multi-position", "known-rotation"):
+        by_poses = gyro.method == "multi-position"
+        yield finding("multi_position.g_sensitivity" if by_poses else "known_rotation.other_rates", "info")
     if gyro.fit is not None and gyro.method == "rate-table" and accel.fit is None:
         # An offset that differs between the axes asks for the same recording.
         shown = any(item.code == "rate_table.axis_offset" for item in gyro.fit.verdict.findings)
