@@ -115,10 +115,8 @@ def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "
 
 
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:
-    made: dict[str, object] = {"axis": axis.axis}
-    for name in ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization"):
-        c = getattr(axis, name)
-        made[name] = asdict(c)
+    names = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
+    made: dict[str, object] = {"axis": axis.axis, **{name: asdict(getattr(axis, name)) for name in names}}
     customary = _customary(axis)
     return made if customary is None else made | {customary[1]: customary[0]}
 

@@ -272,7 +272,8 @@ def fixed_triad(
     triad: Triad, *, raw_bits: int | None, full: float, accel_bound: FloatArray | None = None, accel_full: float = 0.0
 ) -> FixedTriad:
     """Return a triad in integers with its error bound: accel_bound (3,) m/s2."""
-    raw = _raw_bits(triad) if raw_bits is None else raw_bits
+    # bits behind the point of a reading: 16, or what leaves codes of twice the largest offset room
+    raw = max(0, min(16, 30 - math.frexp(triad.largest_offset)[1])) if raw_bits is None else raw_bits
     bits = min(_bits_of(triad.matrices), MOST_SHIFT + OUT_BITS - raw)
     if raw + bits - OUT_BITS < 1:
         largest = float(np.abs(triad.matrices).max())
@@ -356,14 +357,6 @@ def _fixed_axis(axis: Axis) -> FixedAxis:
     inverse = axis.inverse
     shift = max(1, min(34, 31 - math.frexp(float(inverse.max()))[1]))
     return FixedAxis(axis=axis, nodes=nodes, inverse=np.round(inverse * 2.0**shift).astype(np.int64), shift=shift)
-
-
-def _raw_bits(triad: Triad) -> int:
-    """Bits behind the point: 16, or what leaves codes of twice the largest offset room."""
-    largest, bits = 2.0 * triad.largest_offset, 16
-    while bits > 0 and largest * 2.0**bits >= 2.0**31:
-        bits -= 1
-    return bits
 
 
 def _bits_of(matrices: FloatArray) -> int:

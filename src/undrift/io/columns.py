@@ -154,11 +154,6 @@ class ColumnMap:
         """Return the unit of a mapped channel in its one spelling."""
         return canonical_unit(getattr(self, f"{channel}_unit"), QUANTITY[channel])
 
-    def scale_of(self, channel: Channel) -> Scale | None:
-        """Return the scale of a channel."""
-        scale: Scale | None = None if channel == "time" else getattr(self, f"{channel}_scale")
-        return scale
-
     def mapped(self) -> tuple[Channel, ...]:
         """Return the channels that have columns."""
         return tuple(channel for channel in CHANNELS if self.columns_of(channel))
@@ -371,7 +366,8 @@ def build_record(table: Table, columns: ColumnMap) -> ReadResult:
 
 def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
     """Return the scaled values of one channel, shape (N, 1 or 3), in the unit that Record wants."""
-    wanted, unit, scale = columns.columns_of(channel), columns.unit_of(channel), columns.scale_of(channel) or Scale()
+    wanted, unit = columns.columns_of(channel), columns.unit_of(channel)
+    scale: Scale = getattr(columns, f"{channel}_scale") or Scale()
     if len(wanted) == 1 and channel != "temp":  # a two-dimensional array of an npz or mat file
         wanted = tuple(f"{wanted[0]}[{k}]" for k in range(3))
         if wanted[2] not in table.names or f"{columns.columns_of(channel)[0]}[3]" in table.names:

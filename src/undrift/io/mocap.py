@@ -72,13 +72,8 @@ class ClusterPose:
 
     reference: Reference  # q_nb with b the frame m of the cluster, and position of its centroid
     template: FloatArray  # (K, 3), markers in m, m
-    residual: FloatArray  # (N,), root mean square over the seen markers of what the pose leaves, m; NaN in gaps
+    rms: float  # Root mean square of what the pose leaves, over the frames with a pose, m
     visible: FloatArray  # (N,), markers seen in each frame
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the residual over all frames with a pose, m."""
-        return float(np.sqrt(np.nanmean(self.residual**2)))
 
 
 def pose_from_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Reference:
@@ -108,18 +103,16 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
     left = points - (np.einsum("nij,kj->nki", turn, template) + shift[:, None])
     square = np.where(seen, (left**2).sum(axis=2), 0.0).sum(axis=1)
     residual = np.where(good, np.sqrt(square / np.maximum(seen.sum(axis=1), 1)), np.nan)
-    rms_mm = 1e3 * float(np.sqrt(np.nanmean(residual**2)))
+    rms = float(np.sqrt(np.nanmean(residual**2)))
     q_nb = np.full((len(points), 4), np.nan)
     q_nb[good] = _continuous_quaternions(turn[good])
     reference = Reference(
         time=markers.time,
         q_nb=q_nb,
         position=np.where(good[:, None], shift, np.nan),
-        name=f"{markers.name} cluster {' '.join(labels)} (rigid within {rms_mm:.2f} mm rms)".strip(),
+        name=f"{markers.name} cluster {' '.join(labels)} (rigid within {1e3 * rms:.2f} mm rms)".strip(),
     )
-    return ClusterPose(
-        reference=reference, template=template, residual=residual, visible=seen.sum(axis=1).astype(np.float64)
-    )
+    return ClusterPose(reference=reference, template=template, rms=rms, visible=seen.sum(axis=1).astype(np.float64))
 
 
 def level_from(points: FloatArray, up: Up) -> FloatArray:

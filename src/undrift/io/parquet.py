@@ -106,15 +106,10 @@ class ParquetWriter:
         from pyarrow import parquet as pq
 
         names, columns = native_columns(record)
-        held: dict[str, Any] = {
-            "kind": KIND,
-            "format": FORMAT,
-            "frame": record.frame,
-            "state": record.state,
-            "device": record.device,
-        }
-        held["gyro_unit"] = record.gyro_unit if record.gyro is not None else None
-        held["accel_unit"] = record.accel_unit if record.accel is not None else None
+        held: dict[str, Any] = {key: getattr(record, key) for key in ("frame", "state", "device")}
+        held |= {"kind": KIND, "format": FORMAT}
+        for triad, unit in (("gyro", record.gyro_unit), ("accel", record.accel_unit)):
+            held[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
         metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
