@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.errors import InputError, NotObservable
+from undrift.errors import NotObservable
 from undrift.rig.programme import Protocol
+from undrift.study import run
 from undrift.study.case import Unit
 from undrift.study.plan import Space, Study, StudyTask
-from undrift.study.run import HalvingSettings, InProcess, halve
+from undrift.study.run import InProcess, halve
 
 DPS = np.pi / 180.0
 TASK = StudyTask(
@@ -93,7 +94,7 @@ def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
     assert two.best == one.best
 
 
-def test_real_runs_halve_too(tmp_path: Path) -> None:
+def test_real_runs_halve_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = Study(name="few", device="enc03j_3031", tasks=(TASK,), subjects=3)
     narrow = StudyTask(
         name="step",
@@ -105,7 +106,9 @@ def test_real_runs_halve_too(tmp_path: Path) -> None:
         ),
         base=TASK.base,
     )
-    found = halve(study, narrow, InProcess(), tmp_path, settings=HalvingSettings(first_subjects=1, least=1))
+    monkeypatch.setattr(run, "FIRST_SUBJECTS", 1)
+    monkeypatch.setattr(run, "LEAST", 1)
+    found = halve(study, narrow, InProcess(), tmp_path)
     assert [len(each.candidates) for each in found.rounds] == [3, 2, 1]
     assert found.runs == 3 + 2 + 1
     assert np.isfinite(found.rounds[-1].mean_deg).all()
@@ -114,5 +117,3 @@ def test_real_runs_halve_too(tmp_path: Path) -> None:
 def test_nothing_that_calibrates_is_said(tmp_path: Path) -> None:
     with pytest.raises(NotObservable, match="wanted a protocol of step that calibrates every device, got none"):
         halve(STUDY, TASK, Fails(), tmp_path)
-    with pytest.raises(InputError, match="halving: wanted one subject or more, keep and growth above 1"):
-        HalvingSettings(keep=1.0)

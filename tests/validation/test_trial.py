@@ -13,7 +13,7 @@ from undrift.model import AdcModel, Calibration, TriadModel
 from undrift.record import Record
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_trial
-from undrift.validation.trial import Track, TrialSettings, nominal_calibration, validate_trial
+from undrift.validation.trial import TrialSettings, nominal_calibration, orientation_at, validate_trial
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -180,8 +180,7 @@ def test_what_cannot_be_judged_is_refused(perfect):
 
 def test_a_track_is_read_between_its_samples():
     q = Rotation.from_euler("z", [[0.0], [10.0], [30.0]], degrees=True).as_quat(scalar_first=True)
-    track = Track(time=np.array([0.0, 1.0, 2.0]), q_nb=q)
-    at = track.at(np.array([-0.1, 0.5, 1.25, 2.0, 2.1]))
+    at = orientation_at(np.array([0.0, 1.0, 2.0]), q, np.array([-0.1, 0.5, 1.25, 2.0, 2.1]))
     assert np.isnan(at[[0, 4]]).all()
     turned = Rotation.from_quat(at[1:4], scalar_first=True).as_euler("zyx", degrees=True)[:, 0]
     assert turned == pytest.approx([5.0, 15.0, 30.0])

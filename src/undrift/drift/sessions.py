@@ -23,7 +23,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.record import Record, Session
-from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
 
 _STRAY = 6.0  # standard deviations of a reading: further from the smooth course is a stray
 _LEAST_NOISE_C = 0.05
@@ -74,11 +74,22 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
             f"drift: wanted a calibration, or gyroscope readings in a physical unit, got {unit or 'none'}; give "
             "--calibration, or the scale of the columns"
         )
-    gyro = TriadModel(
+    return Calibration(
+        device=first.serial or first.records[0].device,
+        reference_temp_c=float("nan"),
+        gravity_m_s2=first.gravity_m_s2,
+        gyro=nominal_triad(unit, "rate"),
+        verdict=Verdict(status="marginal", findings=(finding("calibration.nominal", "warn"),)),
+    )
+
+
+def nominal_triad(unit: str, quantity: Quantity) -> TriadModel:
+    """Return the model of sensors that are what their unit says."""
+    return TriadModel(
         method="nominal",
         unit_in=unit,
-        unit_out="rad/s",
-        matrix=np.eye(3) * si_factor(unit, "rate"),
+        unit_out=SI_UNIT[quantity],
+        matrix=np.eye(3) * si_factor(unit, quantity),
         offset=np.zeros(3),
         covariance=np.zeros((12, 12)),
         rms_residual=0.0,
@@ -86,13 +97,6 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
         rank=0,
         condition=1.0,
         valid_range=(-np.inf, np.inf),
-    )
-    return Calibration(
-        device=first.serial or first.records[0].device,
-        reference_temp_c=float("nan"),
-        gravity_m_s2=first.gravity_m_s2,
-        gyro=gyro,
-        verdict=Verdict(status="marginal", findings=(finding("calibration.nominal", "warn"),)),
     )
 
 

@@ -183,11 +183,11 @@ def judge_study(
     executor: Executor,
     folder: Path,
     *,
-    advance: Callable[[int, int], None] | None = None,
+    advance: Callable[[int, int], None] = lambda done, total: None,
     rivals: bool = False,
     real: RealData | None = None,
     begin: Callable[[StageName], None] = lambda stage: None,
-    tell: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> StudyOutcome:
     """Run a study, or what is left of it, and judge it; ``begin`` gets each stage, ``tell`` each round of a halving."""
     begin("calibration sessions")

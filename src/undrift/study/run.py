@@ -48,14 +48,10 @@ class Executor(Protocol):
         """Do units of work; yield the place of each and its result, in any order."""
 
 
-@dataclass(frozen=True, slots=True)
 class InProcess:
     """One unit after the other, here."""
 
-    @property
-    def workers(self) -> int:
-        """One."""
-        return 1
+    workers = 1
 
     def run(self, work: Callable[[U], R], units: Sequence[U]) -> Iterator[tuple[int, R]]:
         """Do units of work in their order."""
@@ -273,11 +269,10 @@ class TaskSurface:
 
 
 def run_study(
-    study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None] | None = None
+    study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None] = lambda done, total: None
 ) -> tuple[TaskSurface, ...]:
     """Run every protocol on every subject, or what is left of that; ``advance`` gets units done and units in all."""
     units, store = units_of(study), RunStore(folder, study)
-    advance = advance or (lambda done, total: None)
     done = sum(map(store.holds, units))
     advance(done, len(units))
     for count, _ in enumerate(store.finish(units, executor), done + 1):
@@ -333,24 +328,8 @@ def count_runs(study: Study) -> int:
 # ---- successive halving
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HalvingSettings:
-    """How fast candidates are dropped."""
-
-    first_subjects: int = 3  # Of the first round; too few, and the best protocol may be dropped by chance
-    keep: float = 2.0  # Candidates of a round over those of the next
-    growth: float = 2.0  # Subjects of the next round over those of a round
-    least: int = 4  # So many candidates meet all subjects
-
-    def __post_init__(self) -> None:
-        if self.first_subjects < 1 or not self.keep > 1.0 or not self.growth > 1.0 or self.least < 1:
-            raise InputError(
-                f"halving: wanted one subject or more, keep and growth above 1 and one last candidate or more, got "
-                f"{self.first_subjects}, {self.keep:g}, {self.growth:g} and {self.least}"
-            )
-
-
-HALVING_SETTINGS = HalvingSettings()
+FIRST_SUBJECTS = 3  # of the first round; too few, and the best protocol may be dropped by chance
+LEAST = 4  # so many candidates meet all subjects
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -380,15 +359,13 @@ class Halving:
         return replace(self.every, **{name: getattr(self.every, name)[..., last] for name in COLUMNS})
 
 
-def rounds_of(
-    candidates: int, subjects: int, settings: HalvingSettings = HALVING_SETTINGS
-) -> tuple[tuple[int, int], ...]:
+def rounds_of(candidates: int, subjects: int) -> tuple[tuple[int, int], ...]:
     """Return how many candidates each round has, and how many subjects they have met at its end."""
-    plan = [(candidates, min(settings.first_subjects, subjects))]
+    plan = [(candidates, min(FIRST_SUBJECTS, subjects))]
     while plan[-1][1] < subjects:
         count, met = plan[-1]
-        count = min(count, max(math.ceil(count / settings.keep), settings.least))
-        plan.append((count, subjects if count <= settings.least else min(math.ceil(met * settings.growth), subjects)))
+        count = min(count, max(math.ceil(count / 2), LEAST))
+        plan.append((count, subjects if count <= LEAST else min(2 * met, subjects)))
     return tuple(plan)
 
 
@@ -397,12 +374,11 @@ def halve_study(
     executor: Executor,
     folder: Path,
     *,
-    advance: Callable[[int, int], None] | None = None,
-    tell: Callable[[str], None] | None = None,
+    advance: Callable[[int, int], None],
+    tell: Callable[[str], None],
 ) -> tuple[Halving, ...]:
     """Search every task by halving, or resume that; ``advance`` gets runs done and runs in all, ``tell`` each round."""
     total, done = count_runs(study), 0
-    advance = advance or (lambda done, total: None)
     RunStore(folder, study)
 
     def count(runs: int) -> None:
@@ -434,9 +410,8 @@ def halve(
     executor: Executor,
     folder: Path,
     *,
-    settings: HalvingSettings = HALVING_SETTINGS,
     count: Callable[[int], None] = lambda runs: None,
-    tell: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Halving:
     """Find the best protocol of a task with a part of the runs; ``count`` gets the runs of each finished unit."""
     protocols = task.protocols()
@@ -447,13 +422,13 @@ def halve(
     if study.rig_minutes_max is not None:
         every.rig_minutes[:] = [impose(protocol).duration_s / 60.0 for protocol in protocols]
         left = np.flatnonzero(every.rig_minutes <= study.rig_minutes_max)
-    plan = rounds_of(len(left), study.subjects, settings)
+    plan = rounds_of(len(left), study.subjects)
     rounds: list[Round] = []
     met = runs = 0
     for number, (kept, wanted) in enumerate(plan, 1):
         if rounds:
             left = np.sort(left[np.argsort(rounds[-1].mean_deg, kind="stable")[:kept]])
-        if tell and len(left):
+        if len(left):
             tell(f"{task.name}, round {number} of {len(plan)}: {len(left)} protocols on {wanted} subjects")
         runs += len(left) * (wanted - met)
         _run_round(study, task, (range(met, wanted), left), executor, folder / f"round-{number}", every, count)

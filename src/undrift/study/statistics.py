@@ -187,10 +187,7 @@ def _means(
 
 def _within(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
     """Return the sum of squares that is left once each subject has a level of its own."""
-    count = np.bincount(whose)
-    own = np.eye(len(count))[whose]
-    y = values - (np.bincount(whose, values) / count)[whose]
-    x = design - (own.T @ design / count[:, None])[whose]
+    y, x = _shrunk(values[:, None], whose, np.inf)[:, 0], _shrunk(design, whose, np.inf)
     left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
     return float(left @ left)
 

@@ -290,15 +290,13 @@ def validate_leave_one_out(
         )
         for record, h in zip(records, held, strict=True)
     ]
-    trials, apart = [], _told_apart(held)
-    called = list(names) or [""] * len(pairs)
-    for (record, reference), calibration, h, name in zip(pairs, calibrations, held, called, strict=True):
-        trial = validate_trial(
-            record, reference, calibration=calibration, settings=replace(settings, offset="none"), name=name
-        )
-        more = (h.extrapolation, apart)
-        trials.append(replace(trial, findings=(*trial.findings, *(item for item in more if item))))
-    return summed(tuple(trials), held)
+    made = validate_trials(pairs, calibrations=calibrations, settings=replace(settings, offset="none"), names=names)
+    apart = _told_apart(held)
+    trials = tuple(
+        replace(trial, findings=(*trial.findings, *(item for item in (h.extrapolation, apart) if item)))
+        for trial, h in zip(made.trials, held, strict=True)
+    )
+    return replace(made, trials=trials, held_out=held)
 
 
 def _check_different(records: Sequence[Record]) -> None:
@@ -319,7 +317,7 @@ def _told_apart(held: tuple[HeldOut, ...]) -> Finding | None:
     return finding("validate.devices_apart", "warn", spread_dps=spread) if spread > ONE_DEVICE_DPS else None
 
 
-def summed(trials: tuple[Trial, ...], held_out: tuple[HeldOut, ...] = ()) -> Validation:
+def summed(trials: tuple[Trial, ...]) -> Validation:
     """Return trials with their mean, median and agreement."""
     table = {
         field.name: np.array([getattr(trial.figures, field.name) for trial in trials]) for field in fields(Figures)
@@ -328,7 +326,7 @@ def summed(trials: tuple[Trial, ...], held_out: tuple[HeldOut, ...] = ()) -> Val
         Figures(**{name: of_known(summary, column) for name, column in table.items()})
         for summary in (np.mean, np.median)
     )
-    return Validation(trials=trials, mean=mean, median=median, agreement=_agreement(trials), held_out=held_out)
+    return Validation(trials=trials, mean=mean, median=median, agreement=_agreement(trials))
 
 
 def _agreement(trials: tuple[Trial, ...]) -> Agreement | None:

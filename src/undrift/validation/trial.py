@@ -29,10 +29,11 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
 from undrift.correction.correct import Policy, correct_checked
 from undrift.correction.coverage import find_beyond
+from undrift.drift.sessions import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
-from undrift.model import AdcModel, Calibration, TriadModel
+from undrift.model import AdcModel, Calibration
 from undrift.orientation import (
     check_gaps,
     heading_of,
@@ -43,32 +44,25 @@ from undrift.orientation import (
 )
 from undrift.record import Face, Record, Reference
 from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
-from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-# ---- Track: orientation from the readings alone, started from rest
+# ---- track: orientation from the readings alone, started from rest
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Track:
-    """Integrated orientation."""
-
-    time: FloatArray  # (N,), s, record clock, from the start of the integration to the end of the record
-    q_nb: FloatArray  # (N, 4), orientation, w-x-y-z
-
-    def at(self, times: FloatArray) -> FloatArray:
-        """Return the orientation at other times, along the great arc between samples: times (M,) s -> (M, 4)."""
-        k = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
-        share = (times - self.time[k]) / (self.time[k + 1] - self.time[k])
-        step = rotation_vector(quaternion_product(quaternion_conjugate(self.q_nb[k]), self.q_nb[k + 1]))
-        q = quaternion_product(self.q_nb[k], quaternion_of(step * share[:, None]))
-        inside = (times >= self.time[0]) & (times <= self.time[-1])
-        return np.where(inside[:, None], q, np.nan)
+def orientation_at(time: FloatArray, q_nb: FloatArray, times: FloatArray) -> FloatArray:
+    """Return a track's orientation at other times, along the great arc between samples: times (M,) s -> (M, 4)."""
+    k = np.clip(np.searchsorted(time, times, side="right") - 1, 0, len(time) - 2)
+    share = (times - time[k]) / (time[k + 1] - time[k])
+    step = rotation_vector(quaternion_product(quaternion_conjugate(q_nb[k]), q_nb[k + 1]))
+    q = quaternion_product(q_nb[k], quaternion_of(step * share[:, None]))
+    inside = (times >= time[0]) & (times <= time[-1])
+    return np.where(inside[:, None], q, np.nan)
 
 
 def track_from_rest(
     record: Record, reference: Reference, motion: Motion, *, shift_s: float, rest_s: float, lead_s: float
-) -> Track:
-    """Integrate the readings from the rest before the motion to the end of the record."""
+) -> tuple[FloatArray, FloatArray]:
+    """Integrate the readings from the rest before the motion to the end of the record: time and orientation."""
     if record.gyro is None:
         raise InputError("validate: wanted a record with a gyroscope, got none; map its columns")
     stop = motion.start_s - lead_s
@@ -86,7 +80,7 @@ def track_from_rest(
             )
         start = _levelled(force.mean(axis=0), start)
     time = record.time[first:]
-    return Track(time=time, q_nb=integrate_strapdown(record.gyro[first:], time, start))
+    return time, integrate_strapdown(record.gyro[first:], time, start)
 
 
 def _mean_pose(reference: Reference, start_s: float, stop_s: float) -> FloatArray:
@@ -461,7 +455,7 @@ def validate_trial(
         done, reference, motion, shift_s=lag.seconds - held, rest_s=settings.rest_s, lead_s=settings.lead_s
     )
     undone, axes = abs(lag.seconds) > settings.undo_lag_above_s, {"forward": settings.forward, "up": settings.up}
-    tracks = [track.at(reference.time + shift) for shift in (0.0, lag.seconds - held)]
+    tracks = [orientation_at(*track, reference.time + shift) for shift in (0.0, lag.seconds - held)]
     errors = [compare_orientations(q, reference.q_nb, **axes) for q in tracks]
     error, sensor = errors[undone], tracks[undone]
     moving, after = _stretches(reference, motion, lag.seconds * undone, settings)
@@ -574,27 +568,12 @@ def _corrected(
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
     """Return the calibration of a device that is what its unit says, apart from the rounding of its codes."""
 
-    def nominal(unit: str, quantity: Literal["rate", "accel"]) -> TriadModel:
-        return TriadModel(
-            method="nominal",
-            unit_in=unit,
-            unit_out=SI_UNIT[quantity],
-            matrix=np.eye(3) * si_factor(unit, quantity),
-            offset=np.zeros(3),
-            covariance=np.zeros((12, 12)),
-            rms_residual=0.0,
-            count=0,
-            rank=0,
-            condition=1.0,
-            valid_range=(-np.inf, np.inf),
-        )
-
     return Calibration(
         device=record.device,
         reference_temp_c=float("nan"),
         gravity_m_s2=STANDARD_GRAVITY,
-        gyro=None if record.gyro is None else nominal(record.gyro_unit, "rate"),
-        accel=None if record.accel is None else nominal(record.accel_unit, "accel"),
+        gyro=None if record.gyro is None else nominal_triad(record.gyro_unit, "rate"),
+        accel=None if record.accel is None else nominal_triad(record.accel_unit, "accel"),
         adc=adc,
     )
 
