@@ -174,7 +174,7 @@ def validate_demo() -> Result:
 @call("worn_trial_levels", "the demo's worn trial by constant calibration, static table, all tables")
 def worn_trial_levels() -> Result:
     made = bench_device()
-    worn = worn_trial(made, seed=2007)
+    record, reference = worn_trial(made, seed=2007)
     true = true_calibration(made)
     held = true_tables(made, np.arange(18.0, 50.1, 0.5), np.radians(np.arange(-90.0, 91.0, 15.0)))
     static = replace(held, scale=None, dynamic=None)
@@ -190,7 +190,7 @@ def worn_trial_levels() -> Result:
         for name, calibration in levels.items()
         for trial in (
             validate_trial(
-                worn.record, worn.reference, calibration=calibration, name=name, settings=TrialSettings(policy="hold")
+                record, reference, calibration=calibration, name=name, settings=TrialSettings(policy="hold")
             ),
         )
     }

@@ -107,18 +107,17 @@ def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial"
     from undrift.io.reference import write_reference
     from undrift.io.session import read_session
     from undrift.io.store import read_calibration, write_calibration
-    from undrift.study.virtual_bench import WornTrial, fit_bench, judge_levels, worn_trial
+    from undrift.study.virtual_bench import fit_bench, judge_levels, worn_trial
 
     fit = fit_bench(read_session(out / "bench"), read_session(out / "thermal"))
     write_calibration(fit.drift.calibration, out / "calibration.json")
     made = worn_trial(device, seed=SEED)
-    write_record(made.record, out / "trial.parquet")
-    write_reference(made.reference, out / "reference.parquet")
+    write_record(made[0], out / "trial.parquet")
+    write_reference(made[1], out / "reference.parquet")
     record = read_record(out / "trial.parquet")  # what is judged is read from the disk
-    worn = WornTrial(record=record, reference=read_reference(out / "reference.parquet"))
     corrected = correct_checked(record, read_calibration(out / "calibration.json"))
     write_record(corrected.record, out / "corrected.parquet")
-    return fit, judge_levels(fit, worn)
+    return fit, judge_levels(fit, record, read_reference(out / "reference.parquet"))
 
 
 def _studied(quick: bool, out: Path, shown: "_Shown") -> "StudyOutcome":

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from undrift import __version__
 from undrift.files import write_whole
@@ -31,34 +31,16 @@ class Section:
     words: bool = False  # Cells hold words rather than figures: aligned at the left
 
 
-def table_section(
-    title: str,
-    items: Iterable[Item],
-    cells: Cells[Item],
-    *,
-    text: Sequence[str] = (),
-    pictures: Sequence[str] = (),
-    words: bool = False,
-) -> Section:
-    """Return a section with a row for each item; each column is a head and the function that makes its cell."""
-    return Section(
-        title=title,
-        text=tuple(text),
-        columns=tuple(head for head, _ in cells),
-        rows=tuple(tuple(cell(item) for _, cell in cells) for item in items),
-        pictures=tuple(pictures),
-        words=words,
-    )
-
-
-def rows_section(
-    title: str, rows: Sequence[dict[str, str]], *, text: Sequence[str] = (), pictures: Sequence[str] = ()
-) -> Section:
-    """Return a section with rows that all have the same heads; without rows, with nothing."""
+def rows_section(title: str, rows: Sequence[dict[str, str]], **more: Any) -> Section:
+    """Return a section with rows that all have the same heads, and more of its fields; without rows, with nothing."""
     if not rows:
         return Section(title=title)
-    cells = tuple(tuple(row.values()) for row in rows)
-    return Section(title=title, text=tuple(text), columns=tuple(rows[0]), rows=cells, pictures=tuple(pictures))
+    return Section(title=title, columns=tuple(rows[0]), rows=tuple(tuple(row.values()) for row in rows), **more)
+
+
+def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more: Any) -> Section:
+    """Return a section with a row for each item; each column is a head and the function that makes its cell."""
+    return rows_section(title, [{head: cell(item) for head, cell in cells} for item in items], **more)
 
 
 def write_page(

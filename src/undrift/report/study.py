@@ -239,7 +239,7 @@ def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         text.insert(1, f"No parameter's p is below {outcome.study.level:g}, so its values are not compared in pairs.")
     title = f"{_name(task)}: what each parameter does"
     rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
-    return rows_section(title, rows, text=text, pictures=(svg_of(draw_effects(task)),))
+    return rows_section(title, rows, text=tuple(text), pictures=(svg_of(draw_effects(task)),))
 
 
 def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
@@ -320,34 +320,21 @@ def _tests(outcome: "StudyOutcome") -> Section:
 
 
 def _test_row(effect: "ParameterEffect") -> dict[str, str]:
-    names = (
-        "p",
-        "p GG",
-        "p HF",
-        "quoted",
-        "epsilon GG",
-        "epsilon HF",
-        "Mauchly's W",
-        "p of Mauchly",
-        "generalised eta²",
-    )
-    row, found, residual = dict.fromkeys(names, ""), effect.anova, f"{effect.error_variance**0.5:.4f}"
-    if effect.mixed is not None:
-        row |= {"p": p_text(effect.mixed.p_value), "quoted": "mixed model"}
-    elif found is not None:
-        form = found.sphericity
-        row |= {
-            "p": p_text(found.p_uncorrected),
-            "p GG": p_text(found.p_greenhouse_geisser),
-            "p HF": p_text(found.p_huynh_feldt),
-            "quoted": {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction],
-            "epsilon GG": f"{form.greenhouse_geisser:.2f}",
-            "epsilon HF": f"{form.huynh_feldt:.2f}",
-            "generalised eta²": f"{found.generalized_eta_squared:.3f}",
-        }
-        if found.conditions > 2:
-            row |= {"Mauchly's W": f"{form.mauchly_w:.2f}", "p of Mauchly": p_text(form.p_value)}
-    return row | {"residual sd (deg)": residual}
+    found, mixed = effect.anova, effect.mixed
+    form = found.sphericity if found else None
+    several = form if found and found.conditions > 2 else None
+    return {
+        "p": p_text(found.p_uncorrected) if found else p_text(mixed.p_value) if mixed else "",
+        "p GG": p_text(found.p_greenhouse_geisser) if found else "",
+        "p HF": p_text(found.p_huynh_feldt) if found else "",
+        "quoted": {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction] if found else "mixed model",
+        "epsilon GG": f"{form.greenhouse_geisser:.2f}" if form else "",
+        "epsilon HF": f"{form.huynh_feldt:.2f}" if form else "",
+        "Mauchly's W": f"{several.mauchly_w:.2f}" if several else "",
+        "p of Mauchly": p_text(several.p_value) if several else "",
+        "generalised eta²": f"{found.generalized_eta_squared:.3f}" if found else "",
+        "residual sd (deg)": f"{effect.error_variance**0.5:.4f}",
+    }
 
 
 # ---- Figure 3

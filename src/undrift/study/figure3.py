@@ -210,10 +210,13 @@ def calibrated(
     )
     none = calibrate(session)
     thermal = simulate_thermal_session("soak", device, rng=rng, settings=replace(THERMAL, back=back))
-    full = fit_drift((thermal,), none).calibration
-    tables = full.drift or DriftTables()
-    static = replace(tables, scale=None, dynamic=None)
-    return none, replace(full, drift=static), full
+    return levels_of(none, fit_drift((thermal,), none).calibration)
+
+
+def levels_of(constant: Calibration, full: Calibration) -> tuple[Calibration, Calibration, Calibration]:
+    """Return a calibration without tables, with the static one alone, and with all."""
+    static = replace(full.drift or DriftTables(), scale=None, dynamic=None)
+    return constant, replace(full, drift=static), full
 
 
 def worn_record(device: DeviceModel, performed: Task, *, excursion_k: float, rng: np.random.Generator) -> Record:

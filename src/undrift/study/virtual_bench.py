@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,7 +45,7 @@ from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBenchSetti
 from undrift.sim.rig.emulator import Bench as EmulatedBench
 from undrift.sim.rig.stream import StreamSettings
 from undrift.study.case import ROOM_TEMP_C
-from undrift.study.figure3 import worn_record
+from undrift.study.figure3 import levels_of, worn_record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial, validate_trial
 
@@ -86,11 +85,6 @@ class BenchPlan:
         settings = ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, soak_s=SOAK_S)
         return programme_of(self.bench, settings), programme_of(self.thermal, settings)
 
-    @property
-    def host_s(self) -> float:
-        """Forecast of both, host s."""
-        return sum(p.duration_s / self.speed + STEP_HOST_S * len(p.steps) for p in self.programmes)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchRun:
@@ -118,16 +112,8 @@ def bench_plan(*, quick: bool = False) -> BenchPlan:
         soak_c_per_min=0.5,
     )
     least = (45.0 if quick else 15.0) * RADIAN_PER_DEGREE
-    room = replace(
-        few,
-        name="bench",
-        faces=FACES,
-        bracket_s=seconds,
-        turn_rate_min=least,
-        turn_rate_step=least,
-        temperatures_c=(),
-    )
-    return BenchPlan(bench=room, thermal=few)
+    room = replace(few, name="bench", faces=FACES, bracket_s=seconds, temperatures_c=())
+    return BenchPlan(bench=replace(room, turn_rate_min=least, turn_rate_step=least), thermal=few)
 
 
 def bench_device(seed: int = UNIT_SEED) -> DeviceModel:
@@ -159,35 +145,27 @@ def _record_rest(
     """Run the protocols that are not done yet on a bench of their own, and add their results."""
     stream = StreamSettings(seed=plan.seed, framing="frame")  # costs half as much as text
     emulated = EmulatedBenchSettings(rig=EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device)
-    warm = plan.programmes[1]
-    later_s = warm.duration_s / plan.speed + STEP_HOST_S * len(warm.steps)
+    host_s = [p.duration_s / plan.speed + STEP_HOST_S * len(p.steps) for p in plan.programmes]
     with start_bench(emulated) as bench:
-        if not done:
-            tell("virtual bench: faces and rates at room temperature", plan.host_s)
-            done.append(_record(plan, bench, 0, folder / "bench", partial(_told, tell, plan, later_s), resume=resume))
-        tell("virtual bench: set-points in the thermal chamber", later_s)
-        done.append(_record(plan, bench, 1, folder / "thermal", partial(_told, tell, plan, 0.0), resume=resume))
-
-
-def _told(tell: Tell, plan: BenchPlan, later_s: float, progress: Progress) -> None:
-    left_s = progress.left_s / plan.speed + STEP_HOST_S * (progress.steps - progress.number) + later_s
-    name = "thermal" if later_s == 0.0 else "bench"
-    tell(f"{name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}", left_s)
+        for which in range(len(done), 2):
+            what = ("faces and rates at room temperature", "set-points in the thermal chamber")[which]
+            tell(f"virtual bench: {what}", sum(host_s[which:]))
+            done.append(_record(plan, bench, which, folder, tell, sum(host_s[which + 1 :]), resume=resume))
 
 
 def _record(
-    plan: BenchPlan,
-    bench: EmulatedBench,
-    which: int,
-    path: Path,
-    report: Callable[[Progress], None],
-    *,
-    resume: bool,
+    plan: BenchPlan, bench: EmulatedBench, which: int, path: Path, tell: Tell, later_s: float, *, resume: bool
 ) -> RunResult:
     """Run what is not on the disk yet; all connections end with it."""
     protocol, programme = (plan.bench, plan.thermal)[which], plan.programmes[which]
+
+    def report(progress: Progress) -> None:
+        left_s = progress.left_s / plan.speed + STEP_HOST_S * (progress.steps - progress.number) + later_s
+        text = f"{protocol.name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}"
+        tell(text, left_s)
+
     with ExitStack() as stack:
-        folder = stack.enter_context(RunFolder(path, protocol, resume=resume))
+        folder = stack.enter_context(RunFolder(path / protocol.name, protocol, resume=resume))
         settings = RecorderSettings(clock=CRYSTAL, silence_s=PATIENCE_S)
         recorder = Recorder(source_at(bench.device_address), settings)
         readings = DwellReadings(recorder, deadline_s=PATIENCE_S)
@@ -195,11 +173,7 @@ def _record(
         recorder.start()
         chamber = None
         if protocol.temperatures_c:
-            watched = ChamberSettings(
-                soak=plan.soak,
-                clock_speed=plan.speed,
-                reply_timeout_s=PATIENCE_S,
-            )
+            watched = ChamberSettings(soak=plan.soak, clock_speed=plan.speed, reply_timeout_s=PATIENCE_S)
             chamber = open_chamber(bench.chamber_address, watched)
             stack.callback(chamber.close)
         rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=PATIENCE_S))
@@ -227,16 +201,7 @@ class BenchFit:
     @property
     def levels(self) -> tuple[Calibration, Calibration, Calibration]:
         """Calibrations for each of ``LEVELS``."""
-        full = self.drift.calibration
-        static = replace(full.drift or DriftTables(), scale=None, dynamic=None)
-        return self.constant, replace(full, drift=static), full
-
-
-class WornTrial(NamedTuple):
-    """A sit-to-stand of a person who wears the device."""
-
-    record: Record  # What the device read
-    reference: Reference  # What the optics saw
+        return levels_of(self.constant, self.drift.calibration)
 
 
 def fit_bench(bench: Session, thermal: Session) -> BenchFit:
@@ -245,18 +210,18 @@ def fit_bench(bench: Session, thermal: Session) -> BenchFit:
     return BenchFit(constant=constant, drift=fit_drift((bench, thermal), constant))
 
 
-def worn_trial(device: DeviceModel, *, seed: int, excursion_k: float = EXCURSION_K) -> WornTrial:
-    """Simulate a sit-to-stand with a device that its wearer has warmed."""
+def worn_trial(device: DeviceModel, *, seed: int) -> tuple[Record, Reference]:
+    """Simulate a sit-to-stand with a device that its wearer has warmed: what it reads, and what the optics see."""
     person, noise = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
-    return WornTrial(record=worn_record(device, performed, excursion_k=excursion_k, rng=noise), reference=reference)
+    return worn_record(device, performed, excursion_k=EXCURSION_K, rng=noise), reference
 
 
-def judge_levels(fit: BenchFit, worn: WornTrial) -> tuple[Trial, ...]:
+def judge_levels(fit: BenchFit, record: Record, reference: Reference) -> tuple[Trial, ...]:
     """Compare the trial with the optics at each level of correction."""
     return tuple(
-        validate_trial(worn.record, worn.reference, calibration=calibration, name=name)
+        validate_trial(record, reference, calibration=calibration, name=name)
         for name, calibration in zip(LEVELS, fit.levels, strict=True)
     )
 
