@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undrift.report.drift import drift_sections, plus_minus
-from undrift.report.figures import DEVICE, ERROR, LIMIT, OPTICS, envelope, new_figure, svg_of
+from undrift.report.figures import LEVEL_COLOURS, OPTICS, envelope, new_figure, svg_of
 from undrift.report.page import Cells, Section, calibration_sections, plain_words, table_section, write_page
 from undrift.report.study import NOTE, study_sections
 from undrift.report.validation import trials_section
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from undrift.study.outcome import StudyOutcome
     from undrift.study.virtual_bench import BenchFit, BenchRun, Check
     from undrift.validation.trial import Trial
-
-LEVEL_COLOURS = (LIMIT, ERROR, DEVICE)
 
 
 def write_demo_report(
@@ -80,8 +78,7 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
         course = envelope(trial.time, trial.error.pitch / RADIAN_PER_DEGREE)
         error.plot(*course, color=colour, label=trial.recording)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
-    error.set_ylabel("error (deg)")
-    error.set_xlabel("time (s)")
+    error.set(xlabel="time (s)", ylabel="error (deg)")
     error.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False)
     return Section(
         title="A sit-to-stand with the device warmed by its wearer",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.model import AXES
-from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, svg_of
+from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, stretches, svg_of
 from undrift.report.page import Section, write_page
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -81,9 +81,8 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
         (state > 0.0, "v", _COOL, "cooling"),
         (state == 0.0, "o", LIMIT, "direction not known"),
     )
-    style: Any = {"linewidths": 0.0} | dict(
-        zip(("s", "alpha"), (9.0, 0.4) if len(temp) > _MANY else (14.0, 0.75), strict=True)
-    )
+    many = len(temp) > _MANY
+    style: Any = {"linewidths": 0.0, "s": 9.0 if many else 14.0, "alpha": 0.4 if many else 0.75}
     for which, mark, colour, name in marks:
         if which.any():
             axes.scatter(temp[which], held[which], marker=mark, color=colour, label=name, **style)
@@ -124,16 +123,11 @@ def _legend_below(figure: "Figure", axes: "Axes") -> None:
 
 def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> None:
     """Hatch the spans of nodes that no data were near."""
-    marks = np.concatenate(([False], extrapolated, [False])).astype(int)
-    starts, stops = np.flatnonzero(np.diff(marks) == 1), np.flatnonzero(np.diff(marks) == -1) - 1
     half = 0.5 * (temp_c[-1] - temp_c[0]) / (len(temp_c) - 1)
     hatched: Any = {"facecolor": "#f1f1ee", "edgecolor": "#cfcfca", "hatch": "///", "linewidth": 0.0, "zorder": 0}
-    for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
-        low, high = (
-            max(float(temp_c[start]) - half, float(temp_c[0])),
-            min(float(temp_c[stop]) + half, float(temp_c[-1])),
-        )
-        axes.axvspan(low, high, label="extrapolated" if k == 0 else None, **hatched)
+    for k, (start, stop) in enumerate(stretches(extrapolated)):
+        low, high = max(temp_c[start] - half, temp_c[0]), min(temp_c[stop] + half, temp_c[-1])
+        axes.axvspan(float(low), float(high), label="extrapolated" if k == 0 else None, **hatched)
 
 
 def draw_scale(summary: "ScaleSummary") -> "Figure":
@@ -191,9 +185,8 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
         axes.errorbar(error, place, xerr=reach, fmt="o", capsize=3.0, **style)
         names.append(alternatives.name[k] + " (chosen)" * taken)
     axes.set_yticks(range(len(rows)), names)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    axes.set_xscale("log")
-    axes.set_xlabel("error of held-out soaks and rates (deg/s rms, with standard error)")
+    label = "error of held-out soaks and rates (deg/s rms, with standard error)"
+    axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
     return figure
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.noise import NoiseFit
 from undrift.errors import InputError
 from undrift.files import write_whole
@@ -120,14 +120,18 @@ def draw_comparison(
     angle.legend(loc="lower left", bbox_to_anchor=(0.75, 1.0), ncols=2, borderaxespad=0.2, frameon=False)
     for (name, course), colour in zip(errors_deg, (ERROR, DEVICE, LIMIT, OPTICS), strict=False):
         error.plot(*envelope(time, course), color=colour, label=name)
-    marks = np.diff(np.concatenate(([False], np.zeros(0) if moving is None else moving > 0.0, [False])).astype(int))
-    for start, stop in zip(np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True):
+    for start, stop in () if moving is None else stretches(moving > 0.0):
         error.axvspan(float(time[start]), float(time[stop]), color=SHADE, linewidth=0.0, zorder=0)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
-    error.set_ylabel("error (deg)")
-    error.set_xlabel("time (s)")
+    error.set(xlabel="time (s)", ylabel="error (deg)")
     error.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(errors_deg), borderaxespad=0.2, frameon=False)
     return figure
+
+
+def stretches(chosen: BoolArray) -> list[tuple[int, int]]:
+    """Return the first and last place of each stretch of what is chosen (N,)."""
+    marks = np.diff(np.concatenate(([False], chosen, [False])).astype(int))
+    return list(zip(np.flatnonzero(marks > 0).tolist(), (np.flatnonzero(marks < 0) - 1).tolist(), strict=True))
 
 
 def _without_wraps(angle_deg: FloatArray) -> FloatArray:
@@ -149,8 +153,7 @@ def draw_agreement(
         axes.axhline(limit, color=LIMIT, linestyle="--")
     where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
     axes.annotate(f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), **where)
-    axes.set_xlabel(f"mean of device and optics (deg), one point a {unit}")
-    axes.set_ylabel("device - optics (deg)")
+    axes.set(xlabel=f"mean of device and optics (deg), one point a {unit}", ylabel="device - optics (deg)")
     return figure
 
 
@@ -172,8 +175,7 @@ def draw_allan(found: NoiseFit, *, title: str) -> "Figure":
             reach = np.abs(limits[:, :, k] - course)  # bars are lengths down and up
             style: Any = {"color": colour, "marker": "o", "markersize": 2.5, "elinewidth": 0.7}
             panel.errorbar(taus, course, yerr=reach, label=f"{name} {axis.axis}", **style)
-        panel.set_xscale("log")
-        panel.set_yscale("log")
+        panel.set(xscale="log", yscale="log")
         anchor = float(np.nanmedian(deviation[0]))
         panel.plot(taus, anchor * np.sqrt(taus[0] / taus), color=LIMIT, linestyle=":", label="white noise, slope -1/2")
         panel.set_ylabel(f"Allan deviation ({unit})")
@@ -281,9 +283,8 @@ def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
     for place, mark, size, face, label in marks:
         style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": OPTICS}
         axes.scatter(minutes[place], mean[place], zorder=4, label=label, **style)
-    axes.set_ylim(0.0, 1.1 * float(np.nanmax(mean)))
-    axes.set_xlabel("session (min)")
-    axes.set_ylabel(f"mean {outcome.study.objective} error (deg)")
+    label = f"mean {outcome.study.objective} error (deg)"
+    axes.set(ylim=(0.0, 1.1 * float(np.nanmax(mean))), xlabel="session (min)", ylabel=label)
     figure.legend(loc="outside right upper", frameon=False)
     return figure
 
@@ -303,7 +304,6 @@ def draw_figure3(found: "Figure3") -> "Figure":
     error.legend(loc="best", fontsize=7.5, frameon=False, ncols=3)
     for limit in (-0.15, 0.15):
         apart.axhline(limit, color=OPTICS, linewidth=0.7, linestyle=":")
-    apart.set_ylabel("difference (deg)")
+    apart.set(xlabel="time (s)", ylabel="difference (deg)")
     apart.set_title("actual less simulated; dotted: the note's 0.15 deg", loc="left", fontsize=9)
-    apart.set_xlabel("time (s)")
     return figure

@@ -40,7 +40,8 @@ def rows_section(title: str, rows: Sequence[dict[str, str]], **more: Any) -> Sec
 
 def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more: Any) -> Section:
     """Return a section with a row for each item; each column is a head and the function that makes its cell."""
-    return rows_section(title, [{head: cell(item) for head, cell in cells} for item in items], **more)
+    rows = tuple(tuple(cell(item) for _, cell in cells) for item in items)
+    return Section(title=title, columns=tuple(head for head, _ in cells), rows=rows, **more)
 
 
 def write_page(

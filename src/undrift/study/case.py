@@ -33,7 +33,7 @@ from undrift.sim.device.model import DeviceModel, device_from_json
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.simulate import DwellReadings, Dwells, simulate_device, simulate_dwells
 from undrift.sim.motion.tasks import Subject, Task, TaskName, cohort, draw_task
-from undrift.study.plan import SAMPLE_RATE_HZ, RecordedTask, Study, StudyTask, read_motion
+from undrift.study.plan import SAMPLE_RATE_HZ, TURN_RATES, RecordedTask, Study, StudyTask, read_motion
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- calibration session
@@ -276,15 +276,7 @@ def _accel(imposed: Imposed, readings: DwellReadings, at: IntArray, unit: str) -
 
 # ---- unit of work
 
-COLUMNS = (
-    "cutoff_hz",
-    "turn_rate_step_dps",
-    "turn_rate_min_dps",
-    "turn_rate_max_dps",
-    "error_rms_deg",
-    "error_max_deg",
-    "rig_minutes",
-)
+COLUMNS = ("cutoff_hz", *(f"{name}_dps" for name in TURN_RATES), "error_rms_deg", "error_max_deg", "rig_minutes")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -335,6 +327,5 @@ def run_unit(unit: Unit) -> dict[str, FloatArray]:
 
 def rates_of(protocols: tuple[Protocol, ...]) -> dict[str, FloatArray]:
     """Return what is varied of protocols, an array (P,) for each of the first four of ``COLUMNS``."""
-    names = ("turn_rate_step", "turn_rate_min", "turn_rate_max")
-    dps = {f"{name}_dps": np.array([getattr(p, name) for p in protocols]) / RADIAN_PER_DEGREE for name in names}
+    dps = {f"{name}_dps": np.array([getattr(p, name) for p in protocols]) / RADIAN_PER_DEGREE for name in TURN_RATES}
     return {"cutoff_hz": np.array([p.cutoff_hz for p in protocols])} | dps

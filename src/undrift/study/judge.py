@@ -20,7 +20,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TABLE_2, Group, TableRow
-from undrift.study.case import subject_of
+from undrift.study.case import COLUMNS, subject_of
 from undrift.study.plan import NoteRow, Space, Study, StudyTask
 from undrift.study.run import InProcess, TaskSurface, run_study
 from undrift.study.statistics import (
@@ -38,7 +38,7 @@ from undrift.units import RADIAN_PER_DEGREE
 
 # ---- effect of each parameter, the others at the optimum
 
-PARAMETERS = ("cutoff_hz", "turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
+PARAMETERS = COLUMNS[:4]
 SYMBOLS = dict(zip(PARAMETERS, ("cut-off", "step d", "omega_m", "omega_M"), strict=True))
 FEWEST_SHARE = 0.5  # of the subjects whose device a level has to calibrate
 

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Literal, NamedTuple, TypeVar, cast, get_args
+from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
-from undrift.errors import InputError, UndriftError
+from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
 from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
@@ -35,7 +35,7 @@ from undrift.study.judge import (
     run_testing,
 )
 from undrift.study.plan import DEVICE, TABLE_1, Study, StudyTask, Untried
-from undrift.study.real import RealData, RealOutcome, judge_real
+from undrift.study.real import RealData, RealOutcome, judge_real, tried
 from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
 from undrift.study.run import (
     Executor,
@@ -50,8 +50,6 @@ from undrift.study.run import (
 )
 from undrift.study.statistics import Anova, MixedModel, OptionalStopping, power_of_anova, stopping_of, subjects_needed
 from undrift.units import RADIAN_PER_DEGREE
-
-Made = TypeVar("Made")
 
 # ---- forecast
 
@@ -211,16 +209,16 @@ def judge_study(
     figure: Figure3 | None = None
     missing: Finding | None = finding("study.no_sit_to_stand", "info")
     if _has_figure3(study):
-        figure, missing = _tried(lambda: figure3(unit, seed=study.seed, excursion_k=warmer), "Figure 3")
+        figure, missing = tried("Figure 3", lambda: figure3(unit, seed=study.seed, excursion_k=warmer))
     effects: tuple[EffectRow, ...] | None = None
     rows: tuple[RivalRow, ...] | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
     if rivals and figure is not None:
         begin("Figure 3, effect by effect")
-        effects, _ = _tried(lambda: effect_table(unit, seed=study.seed, excursion_k=warmer, back=False), "Figure 3")
+        effects, _ = tried("Figure 3", lambda: effect_table(unit, seed=study.seed, excursion_k=warmer, back=False))
     if rivals:
         begin("rival methods")
-        rows, rivals_missing = _tried(lambda: _rivals(study), "Other ways to calibrate")
+        rows, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study))
     if real is not None:
         begin("real recordings")
     return StudyOutcome(
@@ -236,14 +234,6 @@ def judge_study(
         rivals_missing=rivals_missing,
         real=None if real is None else judge_real(real, study),
     )
-
-
-def _tried(make: Callable[[], Made], part: str) -> tuple[Made | None, Finding | None]:
-    """Return what is made, or why not: this device cannot be calibrated so, and the study's own figures stand."""
-    try:
-        return make(), None
-    except UndriftError as error:
-        return None, finding("study.part_failed", "info", part=part, reason=str(error))
 
 
 def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optimum) -> tuple[DesignRow, ...]:

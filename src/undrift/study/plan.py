@@ -43,6 +43,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 Objective = Literal["rms", "maximum"]
 Search = Literal["grid", "halving"]
 Grid = tuple[float, float, float]
+TURN_RATES = ("turn_rate_step", "turn_rate_min", "turn_rate_max")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +86,7 @@ class Space:
         tried = list(self.grids())
         lows, highs = self.turn_rate_min, self.turn_rate_max
         rows = []
-        for place, name in enumerate(("turn_rate_step", "turn_rate_min", "turn_rate_max")):
+        for place, name in enumerate(TURN_RATES):
             for value in getattr(self, name):
                 if any(grid[place] == value for grid in tried):
                     continue
@@ -186,11 +187,8 @@ def ends_of(study: Study) -> Study:
     """Return a study of the first and last value of everything that it tries: a first look."""
     tasks = []
     for task in study.tasks:
-        values = (
-            getattr(task.space, name) for name in ("cutoff_hz", "turn_rate_step", "turn_rate_min", "turn_rate_max")
-        )
-        cutoffs, steps, lows, highs = (v if len(v) < 3 else (v[0], v[-1]) for v in values)
-        ends = Space(cutoff_hz=cutoffs, turn_rate_step=steps, turn_rate_min=lows, turn_rate_max=highs)
+        tried = {name: getattr(task.space, name) for name in ("cutoff_hz", *TURN_RATES)}
+        ends = Space(**{name: v if len(v) < 3 else (v[0], v[-1]) for name, v in tried.items()})
         tasks.append(replace(task, space=ends) if any(True for _ in ends.grids()) else task)
     return replace(study, tasks=tuple(tasks))
 
@@ -334,22 +332,20 @@ class RecordedTask:
         motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
         if self.held_s == 0.0:
             return motion
-        first = self.spline.at(np.array([start]), gravity_m_s2).q_nb
-        up = rotate(quaternion_conjugate(first), np.array([0.0, 0.0, gravity_m_s2]))
-        held: dict[str, Any] = {
-            "q_nb": first,
-            "rate_b": 0.0,
-            "mean_rate_b": 0.0,
-            "force_b": up,
-            "moving": 0.0,
-            "valid": 1.0,
-        }
-        if motion.angular_acceleration_b is not None:
-            held["angular_acceleration_b"] = 0.0
-        rows = time < self.held_s
-        own = {name: getattr(motion, name) for name in held}
-        kept = {name: np.where(rows if own[name].ndim == 1 else rows[:, None], held[name], own[name]) for name in held}
+        held = rest_of(motion, self.spline.at(np.array([start]), gravity_m_s2).q_nb)
+        held |= {"moving": np.zeros(1), "valid": np.ones(1)}
+        kept: dict[str, Any] = {name: np.array(getattr(motion, name)) for name in held}
+        for name, row in held.items():
+            kept[name][time < self.held_s] = row
         return replace(motion, **kept)
+
+
+def rest_of(motion: Motion, q_nb: FloatArray) -> dict[str, FloatArray]:
+    """Return a row of a motion for a rest in a pose (1, 4), by the fields of a motion."""
+    still = np.zeros((1, 3))
+    up = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, motion.gravity_m_s2]))
+    turning = {} if motion.angular_acceleration_b is None else {"angular_acceleration_b": still}
+    return {"q_nb": q_nb, "rate_b": still, "mean_rate_b": still, "force_b": up} | turning
 
 
 @lru_cache(maxsize=4)
@@ -369,10 +365,8 @@ def read_motion(own: OwnMotion) -> RecordedTask:
     elif own.hold and rest_s < LEAST_REST_S:
         refused = f"a rest_s of {LEAST_REST_S:g} s or more to hold the first pose for, got {rest_s:g}; 6 is the note's"
     elif not own.hold and not LEAST_REST_S <= rest_s < length - 1.0:
-        refused = (
-            f"a rest_s of {LEAST_REST_S:g} s to {length - 1.0:.1f} s, got {rest_s:g}; state how long the body is at "
-        )
-        refused += "rest at the beginning"
+        span = f"{LEAST_REST_S:g} s to {length - 1.0:.1f} s"
+        refused = f"a rest_s of {span}, got {rest_s:g}; state how long the body is at rest at the beginning"
     if refused:
         raise InputError(f"{path}: wanted {refused}")
     if own.hold:

@@ -13,6 +13,7 @@ import gzip
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -23,7 +24,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError, UndriftError
 from undrift.files import Entry, read_toml
 from undrift.findings import Finding, finding
-from undrift.frames import quaternion_conjugate, rotate
+from undrift.frames import rotate
 from undrift.io.formats import detect, read_record, read_reference
 from undrift.io.reference import BodyName
 from undrift.io.session import read_column_map
@@ -37,7 +38,7 @@ from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import GYRATION, Group, Task, TaskName, cohort, draw_task
 from undrift.study.case import REST_S, ROOM_TEMP_C, Case, delay_s, pitch_error, typical_unit
 from undrift.study.figure3 import LEVELS, SETTLED_S, calibrated
-from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Study, read_poses
+from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Study, read_poses, rest_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.agreement import (
     LEAST_FOR_AGREEMENT,
@@ -91,12 +92,6 @@ class RealErrors:
 
 def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, ...]:
     """Judge real trials without calibration, with their rest alone, and with a calibration from the device's other trials."""
-    few = [device.device for device in devices if len(device.pairs) < 2]
-    if not devices or few:
-        raise InputError(
-            f"real trials: wanted devices with two trials or more, got {'none' if not devices else 'one of ' + few[0]}; a fit "
-            "that judges a trial must come from others"
-        )
     undone, left_in = _levels(devices, "auto"), _levels(devices, "none")
     errors = [
         [t.figures.rmse_total_deg for held in levels.values() for t in held.trials] for levels in (undone, left_in)
@@ -464,12 +459,7 @@ def _case(
 
 def _after_rest(motion: Motion) -> Motion:
     """Return a motion with a rest in its first pose before it."""
-    count = round(REST_S * SAMPLE_RATE_HZ)
-    up = rotate(quaternion_conjugate(motion.q_nb[:1]), np.array([0.0, 0.0, motion.gravity_m_s2]))
-    still = np.zeros((1, 3))
-    rest: dict[str, FloatArray] = {"q_nb": motion.q_nb[:1], "rate_b": still, "mean_rate_b": still, "force_b": up}
-    if motion.angular_acceleration_b is not None:
-        rest["angular_acceleration_b"] = still
+    count, rest = round(REST_S * SAMPLE_RATE_HZ), rest_of(motion, motion.q_nb[:1])
     joined: dict[str, Any] = {
         name: np.concatenate((np.repeat(row, count, axis=0), getattr(motion, name))) for name, row in rest.items()
     }
@@ -595,34 +585,33 @@ def judge_real(data: RealData, study: Study) -> RealOutcome:
     """Judge real recordings as the study judges its own."""
     lacks: list[Finding] = []
 
-    def tried(what: str, judge: Callable[[], Given], given: Sequence[object]) -> Given | None:
-        if not given:
-            lacks.append(finding("study.none_given", "info", part=what))
-            return None
-        try:
-            return judge()
-        except UndriftError as error:
-            lacks.append(finding("study.part_failed", "info", part=what, reason=str(error)))
-            return None
+    def judged(part: str, given: Sequence[object], judge: Callable[[], Given]) -> Given | None:
+        made, lack = tried(part, judge) if given else (None, finding("study.none_given", "info", part=part))
+        lacks.extend([lack] if lack else [])
+        return made
 
-    def counted(what: str, given: int, unit: str) -> None:
-        few = finding(
-            "study.too_few_for_agreement", "info", part=what, wanted=LEAST_FOR_AGREEMENT, unit=unit, given=given
-        )
-        lacks.append(few)
+    def counted(part: str, given: int, unit: str) -> None:
+        numbers = {"wanted": LEAST_FOR_AGREEMENT, "unit": unit, "given": given}
+        lacks.append(finding("study.too_few_for_agreement", "info", part=part, **numbers))
 
-    captures, stances, unit = data.captures, data.stances, typical_unit(study)
-    warmer, people, seed = sum(study.excursion_k) / 2.0, min(study.subjects, 30), study.seed
-    errors = tried("trials beside optics", lambda: real_errors(data.devices), data.devices)
+    captures, stances, unit, seed = data.captures, data.stances, typical_unit(study), study.seed
+    warmer, people, group = sum(study.excursion_k) / 2.0, min(study.subjects, 30), study.group
+    errors = judged("trials beside optics", data.devices, lambda: real_errors(data.devices))
     if errors and errors[0].agreement is None:
         counted("agreement over trials", len(errors[0].trials), "trials ")
-    motions = tried(
-        "captured motions", lambda: motion_rows(captures, subjects=people, seed=seed, group=study.group), captures
-    )
-    worn = tried(
-        "device worn in captured motions", lambda: worn_in(captures, unit, seed=seed, excursion_k=warmer), captures
-    )
+    rows = partial(motion_rows, captures, subjects=people, seed=seed, group=group)
+    motions = judged("captured motions", captures, rows)
+    worn_by = partial(worn_in, captures, unit, seed=seed, excursion_k=warmer)
+    worn = judged("device worn in captured motions", captures, worn_by)
     if worn is not None and not worn.agreement:
         counted("agreement over captures", len(captures), "")
-    sways = tried("stances", lambda: sway_rows(stances, subjects=people, seed=seed), stances)
+    sways = judged("stances", stances, lambda: sway_rows(stances, subjects=people, seed=seed))
     return RealOutcome(errors=errors or (), motions=motions or (), sways=sways or (), worn=worn, lacks=tuple(lacks))
+
+
+def tried(part: str, make: Callable[[], Given]) -> tuple[Given | None, Finding | None]:
+    """Return what is made, or why not: this device cannot be calibrated so, and the study's own figures stand."""
+    try:
+        return make(), None
+    except UndriftError as error:
+        return None, finding("study.part_failed", "info", part=part, reason=str(error))

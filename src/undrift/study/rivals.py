@@ -123,10 +123,6 @@ def calibrate_by(
     )
 
 
-def _rate_table(bench: _Bench) -> _Found:
-    return _fitted(bench, bench_motion("bench", rng=bench.rng, settings=BENCH))
-
-
 def _inclined_plane(bench: _Bench, *, moves: bool = False) -> _Found:
     plain = RivalSettings(tilt_sd=TILT_SD)
     still_s = _settled((bench.budget_s / (3.0 * len(plain.plane_angles))) - plain.move_s, "inclined plane")
@@ -154,13 +150,8 @@ def _driven(bench: _Bench, kind: Literal["trolley", "piston"]) -> _Found:
         forward = fit_forward(force[sliding], record.accel[sliding], None)
         fits.append((float((forward.residuals**2).sum()), float(np.abs(force).max()), forward))
     _, reach, forward = min(fits, key=lambda fit: fit[0])
-    accel = triad_from_forward(
-        forward,
-        method=f"known-force/{kind}",
-        unit_in=record.accel_unit,
-        unit_out="m/s2",
-        valid_range=(-reach, reach),
-    ).model
+    units = {"unit_in": record.accel_unit, "unit_out": "m/s2"}
+    accel = triad_from_forward(forward, method=f"known-force/{kind}", valid_range=(-reach, reach), **units).model
     note = f"accelerometers fitted to the commanded motion of the {kind}, not to the achieved one"
     return found._replace(calibration=replace(bench.nominal, gyro=None, accel=accel), notes=(*found.notes, note))
 
@@ -202,13 +193,11 @@ def _plane_and_mocap(bench: _Bench) -> _Found:
     )
 
 
-def _data_sheet(bench: _Bench) -> _Found:
-    return _Found(None, ("nothing was recorded: nominal sensitivities and nulls, square axes",), (), 0.0)
-
-
 _HOW: dict[Method, Callable[[_Bench], _Found]] = {
-    "data_sheet": _data_sheet,
-    "rate_table": _rate_table,
+    "data_sheet": lambda bench: _Found(
+        None, ("nothing was recorded: nominal sensitivities and nulls, square axes",), (), 0.0
+    ),
+    "rate_table": lambda bench: _fitted(bench, bench_motion("bench", rng=bench.rng, settings=BENCH)),
     "inclined_plane": _inclined_plane,
     "plane_and_moves": partial(_inclined_plane, moves=True),
     "trolley": partial(_driven, kind="trolley"),
@@ -333,8 +322,8 @@ def compare_rivals(
             f"rivals: wanted a unit, a method and a task or more, got {units}, {len(methods)} and {len(tasks)}; name some"
         )
     errors = np.full((len(tasks), len(methods), units, 3), np.nan)
-    refusals: dict[Method, list[str]] = {method: [] for method in methods}
     made: dict[Method, list[Rivalled]] = {method: [] for method in methods}
+    refusals: dict[Method, list[str]] = {method: [] for method in methods}
     for number in range(units):
         device = random_device_of(kind, np.random.default_rng([seed, number, 0]))
         cases = []
@@ -355,18 +344,13 @@ def compare_rivals(
                 since = error - error[np.flatnonzero(np.isfinite(error))[0]]
                 largest = np.nanmax(np.abs(error)), np.nanmax(np.abs(since))
                 errors[t, m, number] = np.sqrt(np.nanmean(error**2)), *largest
-    return tuple(
-        _row(made[method], task, errors[t, m], refusals[method][:1])
-        for t, task in enumerate(tasks)
-        for m, method in enumerate(methods)
-    )
+    each = [(t, m) for t in range(len(tasks)) for m in range(len(methods))]
+    return tuple(_row(made[methods[m]], tasks[t], errors[t, m], refusals[methods[m]][:1]) for t, m in each)
 
 
 def _row(done: list[Rivalled], task: TaskName, errors: FloatArray, refused: list[str]) -> RivalRow:
-    first = done[0]
-    rms, largest, change = (
-        Spread(*(of_known(summary, column) for summary in (np.median, np.min, np.max))) for column in errors.T
-    )
+    first, summaries = done[0], (np.median, np.min, np.max)
+    rms, largest, change = (Spread(*(of_known(summary, column) for summary in summaries)) for column in errors.T)
     return RivalRow(
         method=first.method,
         task=task,
@@ -492,13 +476,40 @@ def design_rows(study: Study, task: StudyTask, found: Protocol) -> tuple[DesignR
     else:
         dps = rate_grid(note.turn_rate_min_dps, note.turn_rate_max_dps, note.turn_rate_step_dps, rule="paper")
         grid, name = dps * RADIAN_PER_DEGREE, "the note's"
-    rates, sd = task_rates(study, task), _dwell_sd(study, task.base)
-    rows: list[DesignRow] = []
+    rates, dwell_s = task_rates(study, task), task.base.dwell_s
+    noise = device_of(study, 0).gyro.white_noise
+    dwell_sd = task.base.turn_rate_uncertainty if dwell_s is None else None
+    if dwell_s is not None and noise is not None:
+        dwell_sd = float(noise.random_walk[1] / np.sqrt(dwell_s))
+    top, even = float(np.abs(grid).max()), np.full(len(grid), 1.0 / len(grid))
+    candidates, criteria = np.linspace(-top, top, CANDIDATES), cast("tuple[Criterion, ...]", ("D", "I"))
+    rows = []
     for degree in DEGREES:
-        try:
-            rows += _of_degree(task, name, grid, rates, sd, degree)
-        except InputError:  # too few rates in the grid for this polynomial
+        if len(np.unique(grid)) <= degree:  # too few rates for this polynomial
             continue
+        designs = [RateDesign("uniform", grid, even, 1.0, 1.0)]
+        designs += [optimal_rates(candidates, rates, grid, criterion=c, degree=degree) for c in criteria]
+        for design in designs:
+            at, share, error = design.turn_rate, design.share, None
+            if dwell_sd is not None:
+                error = prediction_sd(at, share, rates, dwell_sd=dwell_sd, dwells=len(grid), degree=degree)
+            if design.criterion != "uniform":
+                at, share = _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
+            row = DesignRow(
+                task=task.name,
+                grid=name,
+                degree=degree,
+                criterion=design.criterion,
+                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in at),
+                share=tuple(map(float, share)),
+                d_efficiency_uniform=design.d_efficiency_uniform,
+                i_efficiency_uniform=design.i_efficiency_uniform,
+                dwells=len(grid),
+                dwell_s=dwell_s,
+                error_dps=None if error is None else error / RADIAN_PER_DEGREE,
+                beyond=float(np.mean(np.abs(rates) > top * (1.0 + 1e-9))),
+            )
+            rows.append(row)
     return tuple(rows)
 
 
@@ -513,47 +524,6 @@ def task_rates(study: Study, task: StudyTask) -> FloatArray:
     rates: FloatArray = np.concatenate(seen)
     known: FloatArray = rates[np.isfinite(rates)]
     return known[:: len(known) // SAMPLES + 1].copy()
-
-
-def _dwell_sd(study: Study, base: Protocol) -> float | None:
-    """Return how uncertain the mean of one dwell is, rad/s."""
-    noise = device_of(study, 0).gyro.white_noise
-    if base.dwell_s is None:
-        return base.turn_rate_uncertainty
-    return None if noise is None else float(noise.random_walk[1] / np.sqrt(base.dwell_s))
-
-
-def _of_degree(
-    task: StudyTask, name: str, grid: FloatArray, rates: FloatArray, dwell_sd: float | None, degree: int
-) -> list[DesignRow]:
-    top, even = float(np.abs(grid).max()), np.full(len(grid), 1.0 / len(grid))
-    candidates, criteria = np.linspace(-top, top, CANDIDATES), cast("tuple[Criterion, ...]", ("D", "I"))
-    designs = [RateDesign("uniform", grid, even, 1.0, 1.0)]
-    designs += [optimal_rates(candidates, rates, grid, criterion=c, degree=degree) for c in criteria]
-    rows = []
-    for design in designs:
-        at, share, error = design.turn_rate, design.share, None
-        if dwell_sd is not None:
-            error = prediction_sd(at, share, rates, dwell_sd=dwell_sd, dwells=len(grid), degree=degree)
-        if design.criterion != "uniform":
-            at, share = _gathered(at, share, 5.0 * top / (CANDIDATES - 1))
-        rows.append(
-            DesignRow(
-                task=task.name,
-                grid=name,
-                degree=degree,
-                criterion=design.criterion,
-                turn_rate_dps=tuple(float(rate / RADIAN_PER_DEGREE) for rate in at),
-                share=tuple(map(float, share)),
-                d_efficiency_uniform=design.d_efficiency_uniform,
-                i_efficiency_uniform=design.i_efficiency_uniform,
-                dwells=len(grid),
-                dwell_s=task.base.dwell_s,
-                error_dps=None if error is None else error / RADIAN_PER_DEGREE,
-                beyond=float(np.mean(np.abs(rates) > top * (1.0 + 1e-9))),
-            )
-        )
-    return rows
 
 
 def _gathered(rate: FloatArray, share: FloatArray, near: float) -> tuple[FloatArray, FloatArray]:
