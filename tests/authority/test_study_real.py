@@ -80,8 +80,8 @@ def test_broad_trials_by_level_and_their_agreement() -> None:
         limits, icc = level.agreement.limits, level.agreement.icc
         show(
             f"BROAD, {level.level}, rounding {level.rounding}: median rms total, inclination; largest pitch; end, deg",
-            f"{level.rmse_total_deg:.2f}, {level.rmse_inclination_deg:.2f}; {level.max_abs_pitch_deg:.1f}; "
-            f"{level.end_total_deg:.2f}",
+            f"{level.median.rmse_total_deg:.2f}, {level.median.rmse_inclination_deg:.2f}; {level.median.max_abs_pitch_deg:.1f}; "
+            f"{level.median.end_total_deg:.2f}",
         )
         show(
             "   mean inclination: bias, limits, deg; ICC(2,1) and interval",
@@ -89,15 +89,17 @@ def test_broad_trials_by_level_and_their_agreement() -> None:
             f"{icc.interval[0]:.4f} to {icc.interval[1]:.4f}",
         )
     assert len(none.trials) == len(FILES)
-    assert none.rmse_total_deg > 4.0 * rest.rmse_total_deg  # offsets of half a degree a second over two minutes
+    assert (
+        none.median.rmse_total_deg > 4.0 * rest.median.rmse_total_deg
+    )  # offsets of half a degree a second over two minutes
     assert [level.rounding for level in left_in] == ["left in"] * 3
     # Truncated codes: half a step is an offset that turning reads differently from resting.
-    assert left_in[1].rmse_total_deg > 1.2 * rest.rmse_total_deg
-    assert left_in[2].rmse_total_deg > calibrated.rmse_total_deg
+    assert left_in[1].median.rmse_total_deg > 1.2 * rest.median.rmse_total_deg
+    assert left_in[2].median.rmse_total_deg > calibrated.median.rmse_total_deg
     # A third at least: what the matrix and the offset in motion are worth beyond the rest and the half step given back, on
     # trials that the fit never saw.
-    assert calibrated.rmse_total_deg < 0.67 * rest.rmse_total_deg
-    assert calibrated.end_total_deg < 1.5
+    assert calibrated.median.rmse_total_deg < 0.67 * rest.median.rmse_total_deg
+    assert calibrated.median.end_total_deg < 1.5
     assert calibrated.agreement is not None
     assert rest.agreement is not None
     assert calibrated.agreement.limits.standard_deviation < rest.agreement.limits.standard_deviation

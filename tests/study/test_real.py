@@ -159,7 +159,7 @@ def test_trials_in_foreign_columns_and_units_are_read_and_judged_as_the_same_one
     assert [(level.level, level.rounding) for level in levels] == [
         (name, "none found") for name in ("none", "rest", "calibrated")
     ]  # readings of many digits
-    totals = {level.level: level.rmse_total_deg for level in levels}
+    totals = {level.level: level.median.rmse_total_deg for level in levels}
     show("a perfect device in foreign columns, median total error, deg", totals)
     assert totals["none"] < 0.5  # half a sample at up to 3 rad/s: the lag is left in
 

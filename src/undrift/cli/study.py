@@ -246,7 +246,7 @@ def _real_summary(real: "RealOutcome") -> dict[str, object]:
             {
                 "level": level.level,
                 "rounding": level.rounding,
-                "median": {name: getattr(level, name) for name in REAL_FIGURES},
+                "median": {name: getattr(level.median, name) for name in REAL_FIGURES},
                 "trials": [{"recording": trial.recording} | asdict(trial.figures) for trial in level.trials],
                 "agreement": level.agreement and asdict(level.agreement),
             }

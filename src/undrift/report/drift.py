@@ -47,11 +47,7 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
     margin = 0.02 * float(np.ptp(summary.temp_c))
     for k, axis in enumerate(AXES):
         for axes, level in zip(panels[2 * k : 2 * k + 2], (summary.departure[:, k], np.zeros(1)), strict=True):
-            value = np.broadcast_to(level * factor, summary.temp_c.shape)
-            _shade(axes, summary.temp_c, summary.extrapolated)
-            held = _draw_blocks(axes, summary, k, factor, value)
-            _draw_table(axes, summary, k, factor, value)
-            _keep_in_view(axes, summary, (held, value, NORMAL_95 * summary.uncertainty[:, k] * factor))
+            _draw_level(axes, summary, k, factor, np.broadcast_to(level * factor, summary.temp_c.shape))
             axes.set_xlim(float(summary.temp_c[0]) - margin, float(summary.temp_c[-1]) + margin)
         panels[2 * k].set_ylabel(f"{axis} ({unit})")
     for axes in panels[-2:]:
@@ -89,9 +85,11 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
     return held
 
 
-def _draw_table(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> None:
-    doubt = NORMAL_95 * summary.uncertainty[:, k] * factor
-    temp = summary.temp_c
+def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> None:
+    """Draw blocks and table about a level; they fill the panel, and a band that is wide where nothing was seen runs out of it."""
+    temp, doubt, near = summary.temp_c, NORMAL_95 * summary.uncertainty[:, k] * factor, ~summary.extrapolated
+    _shade(axes, temp, summary.extrapolated)
+    held = _draw_blocks(axes, summary, k, factor, value)
     axes.fill_between(temp, value - doubt, value + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2)
     name = "table" if summary.in_table else "fit"
     axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
@@ -99,18 +97,8 @@ def _draw_table(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
         for sign, colour, branch in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
             course = value + sign * summary.half_loop[k] * factor
             axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=branch, zorder=3)
-
-
-def _keep_in_view(
-    axes: "Axes", summary: "TriadSummary", drawn: tuple["FloatArray", "FloatArray", "FloatArray"]
-) -> None:
-    """Let data and table fill the panel: a band that is wide where nothing was seen runs out of it."""
-    held, value, doubt = drawn
-    near = ~summary.extrapolated
-    ends = [value, (value - doubt)[near], (value + doubt)[near]]
-    if len(held):
-        ends.append(np.quantile(held, (0.002, 0.998)))
-    every = np.concatenate(ends)
+    spread = np.quantile(held, (0.002, 0.998)) if len(held) else held
+    every = np.concatenate((value, (value - doubt)[near], (value + doubt)[near], spread))
     low, high = float(every.min()), float(every.max())
     margin = 0.08 * max(high - low, 1e-12)
     axes.set_ylim(low - margin, high + margin)

@@ -3,16 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.report.figures import (
-    LEVEL_NAMES,
-    NAMES,
-    draw_effects,
-    draw_figure3,
-    draw_pareto,
-    draw_surface,
-    p_text,
-    svg_of,
-)
+from undrift.report import figures
+from undrift.report.figures import NAMES, p_text, svg_of
 from undrift.report.page import Cells, Section, interval, number, plain_words, rows_section, table_section, write_page
 
 if TYPE_CHECKING:
@@ -203,7 +195,7 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
 
 def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Section, ...]:
-    name, surface = _name(task), svg_of(draw_surface(outcome, task))
+    name, surface = _name(task), svg_of(figures.draw_surface(outcome, task))
     white = "not tried" if task.halving is None else "not tried, dropped in an earlier round"
     return (
         Section(
@@ -222,7 +214,7 @@ def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Sectio
             text=("One point a protocol; the table has those that no other beats in both error and time.",),
             columns=_PROTOCOL,
             rows=tuple(_protocol(task, int(place)) for place in task.optimum.pareto),
-            pictures=(svg_of(draw_pareto(outcome, task)),),
+            pictures=(svg_of(figures.draw_pareto(outcome, task)),),
         ),
     )
 
@@ -239,7 +231,7 @@ def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         text.insert(1, f"No parameter's p is below {outcome.study.level:g}, so its values are not compared in pairs.")
     title = f"{_name(task)}: what each parameter does"
     rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
-    return rows_section(title, rows, text=tuple(text), pictures=(svg_of(draw_effects(task)),))
+    return rows_section(title, rows, text=tuple(text), pictures=(svg_of(figures.draw_effects(task)),))
 
 
 def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
@@ -361,15 +353,18 @@ def _figure3(found: "Figure3 | None", missing: "Finding | None") -> Section:
             "g-sensitivity, which the study's model lacks.",
         ),
         columns=("compensation", *columns),
-        rows=tuple((name, *(f"{v[k]:.2f}" for v in columns.values())) for k, name in enumerate(LEVEL_NAMES)),
-        pictures=(svg_of(draw_figure3(found)),),
+        rows=tuple((name, *(f"{v[k]:.2f}" for v in columns.values())) for k, name in enumerate(figures.LEVEL_NAMES)),
+        pictures=(svg_of(figures.draw_figure3(found)),),
     )
 
 
 def _figure3_effects(outcome: "StudyOutcome") -> Section:
     rows = [
         {"effect": plain_words(row.effect)}
-        | {f"{name} (deg)": f"{v:.2f}" for name, v in zip(LEVEL_NAMES, row.simulated_actual_max_deg, strict=True)}
+        | {
+            f"{name} (deg)": f"{v:.2f}"
+            for name, v in zip(figures.LEVEL_NAMES, row.simulated_actual_max_deg, strict=True)
+        }
         | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
         for row in outcome.figure3_effects
     ]
@@ -515,7 +510,7 @@ def _trials(levels: "tuple[RealErrors, ...]") -> Section:
     named = [(trial.recording, level, trial.figures) for level in levels for trial in level.trials]
     rows = tuple(
         (name, level.level, level.rounding, *(number(getattr(figures, key)) for key in heads))
-        for name, level, figures in (*named, *(("median", level, level) for level in levels))
+        for name, level, figures in (*named, *(("median", level, level.median) for level in levels))
     )
     rounding = (
         "Converters that truncate leave half a step as an offset. Rounding undone: the half step is corrected at all three "

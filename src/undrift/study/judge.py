@@ -20,20 +20,11 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TABLE_2, Group, TableRow
+from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
 from undrift.study.plan import NoteRow, Space, Study, StudyTask
 from undrift.study.run import InProcess, TaskSurface, run_study
-from undrift.study.statistics import (
-    Anova,
-    MixedModel,
-    Pair,
-    adjust_holm,
-    compare_conditions,
-    compare_pairs,
-    compare_pairs_of,
-    compare_unbalanced,
-    mean_interval,
-)
+from undrift.study.statistics import Anova, MixedModel, adjust_holm, mean_interval
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- effect of each parameter, the others at the optimum
@@ -57,7 +48,7 @@ class ParameterEffect:
     mixed: MixedModel | None  # Where some are
     untested: Finding | None  # Why neither could be
     p_holm: float  # p after Holm over the parameters; NaN without a test
-    pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
+    pairs: tuple[statistics.Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
 
     @property
     def test(self) -> Anova | MixedModel | None:
@@ -115,7 +106,11 @@ def effects_at(
     made = []
     for effect, own in effects:
         p = float("nan") if effect.test is None else float(next(holm))
-        pairs = (compare_pairs(own) if effect.mixed is None else compare_pairs_of(effect.mixed)) if p < level else ()
+        pairs = (
+            (statistics.compare_pairs(own) if effect.mixed is None else statistics.compare_pairs_of(effect.mixed))
+            if p < level
+            else ()
+        )
         made.append(replace(effect, p_holm=p, pairs=pairs))
     return tuple(made)
 
@@ -127,10 +122,12 @@ def _tested(error: FloatArray) -> Anova | MixedModel | Finding:
     there = np.isfinite(error)
     try:
         if there.all():
-            return compare_conditions(error)
+            return statistics.compare_conditions(error)
         # by value first, so that the model's conditions come in the order of the values
         condition, subject = np.nonzero(there.T)
-        return compare_unbalanced(error[subject, condition], [str(s) for s in subject], [str(c) for c in condition])
+        return statistics.compare_unbalanced(
+            error[subject, condition], [str(s) for s in subject], [str(c) for c in condition]
+        )
     except InputError:  # nothing to test against
         return finding("study.all_alike", "info")
 

@@ -18,36 +18,12 @@ import numpy as np
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
+from undrift.study import judge, run
 from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
 from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
-from undrift.study.judge import (
-    PARAMETERS,
-    SYMBOLS,
-    Cohort,
-    NoteComparison,
-    Optimum,
-    ParameterEffect,
-    Tested,
-    cohort_of,
-    compare_with_note,
-    find_optimum,
-    other_study,
-    run_testing,
-)
 from undrift.study.plan import DEVICE, TABLE_1, Study, StudyTask, Untried
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
 from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
-from undrift.study.run import (
-    Executor,
-    Halving,
-    RunStore,
-    TaskSurface,
-    count_runs,
-    halve_study,
-    run_study,
-    runs_held,
-    without_lost,
-)
 from undrift.study.statistics import Anova, MixedModel, OptionalStopping, power_of_anova, stopping_of, subjects_needed
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -79,7 +55,7 @@ class Stage(NamedTuple):
 
 def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None) -> tuple[Stage, ...]:
     """Return the stages of a study with their times; what is on the disk already costs nothing."""
-    store, halving = RunStore(folder, study), study.search == "halving"
+    store, halving = run.RunStore(folder, study), study.search == "halving"
     units = units_of(study)
     left = units if halving else tuple(unit for unit in units if not store.holds(unit))
     sessions, cohort = 0.0, 0.0
@@ -92,7 +68,7 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
         sessions += len(own) * _unit_s(own[0]) if own else 0.0
     if halving:
         grid = study.subjects * sum(len(task.protocols()) for task in study.tasks)
-        sessions *= max(count_runs(study) - runs_held(folder), 0) / grid
+        sessions *= max(run.count_runs(study) - run.runs_held(folder), 0) / grid
     figured, real_s = _has_figure3(study), 0.0
     if real is not None:
         trials, rows = sum(len(device.pairs) for device in real.devices), len(real.captures) + len(real.stances)
@@ -139,18 +115,18 @@ class EffectPower:
 class TaskOutcome:
     """What came out of one task."""
 
-    surface: TaskSurface  # All errors; of the last round's protocols in a halving
-    optimum: Optimum  # With its equals
-    tested: tuple[Tested, Tested]  # The optimum and its cheapest equal on the other cohort
+    surface: run.TaskSurface  # All errors; of the last round's protocols in a halving
+    optimum: judge.Optimum  # With its equals
+    tested: tuple[judge.Tested, judge.Tested]  # The optimum and its cheapest equal on the other cohort
     # Half the 95 % interval of the means over each parameter, between-subject differences taken out (Loftus and
     # Masson, 1994); 0 where it could not be tested, deg
     effect_reach_deg: tuple[float, ...]
     powers: tuple[EffectPower, ...]  # One for each parameter that could be tested
     stopping: OptionalStopping | None  # Of the parameter with the least p; None with ten subjects or fewer
     stopping_of: str  # That parameter
-    note: NoteComparison | None  # With the note's row; None for other tasks
+    note: judge.NoteComparison | None  # With the note's row; None for other tasks
     untried: tuple[Untried, ...]  # Values of the plan that no protocol has, or none that is short enough
-    halving: Halving | None  # Its rounds, where protocols were searched so
+    halving: run.Halving | None  # Its rounds, where protocols were searched so
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -165,7 +141,7 @@ class StudyOutcome:
     study: Study
     runs: int  # Sessions simulated, fitted and judged
     tasks: tuple[TaskOutcome, ...]  # One a task
-    cohorts: tuple[Cohort, Cohort]  # Who chose, and who tested
+    cohorts: tuple[judge.Cohort, judge.Cohort]  # Who chose, and who tested
     figure3: Figure3 | None  # For a study with a sit-to-stand
     figure3_missing: Finding | None  # Why there is none
     # Differences of its two devices, effect by effect; empty where the rivals were not asked for either
@@ -178,7 +154,7 @@ class StudyOutcome:
 
 def judge_study(
     study: Study,
-    executor: Executor,
+    executor: run.Executor,
     folder: Path,
     *,
     advance: Callable[[int, int], None] = lambda done, total: None,
@@ -189,19 +165,19 @@ def judge_study(
 ) -> StudyOutcome:
     """Run a study, or what is left of it, and judge it; ``begin`` gets each stage, ``tell`` each round of a halving."""
     begin("calibration sessions")
-    halvings: tuple[Halving | None, ...] = (None,) * len(study.tasks)
+    halvings: tuple[run.Halving | None, ...] = (None,) * len(study.tasks)
     if study.search == "halving":
-        halvings = halved = halve_study(study, executor, folder, advance=advance, tell=tell)
+        halvings = halved = run.halve_study(study, executor, folder, advance=advance, tell=tell)
         runs, surfaces = sum(each.runs for each in halved), tuple(each.surface for each in halved)
     else:
-        runs, surfaces = count_runs(study), run_study(study, executor, folder, advance=advance)
-    surfaces = tuple(map(without_lost, surfaces))
+        runs, surfaces = run.count_runs(study), run.run_study(study, executor, folder, advance=advance)
+    surfaces = tuple(map(run.without_lost, surfaces))
     optima = tuple(
-        find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
+        judge.find_optimum(surface, objective=study.objective, level=study.level, rig_minutes_max=study.rig_minutes_max)
         for surface in surfaces
     )
     begin("the other cohort")
-    tested = run_testing(study, surfaces, optima, folder / TESTING)
+    tested = judge.run_testing(study, surfaces, optima, folder / TESTING)
     begin("rates to dwell at")
     designs = tuple(row for held in zip(study.tasks, surfaces, optima, strict=True) for row in _designs(study, *held))
     begin("Figure 3")
@@ -225,7 +201,7 @@ def judge_study(
         study=study,
         runs=runs,
         tasks=tuple(_judge(study, *held) for held in zip(study.tasks, surfaces, optima, tested, halvings, strict=True)),
-        cohorts=(cohort_of(study), cohort_of(other_study(study))),
+        cohorts=(judge.cohort_of(study), judge.cohort_of(judge.other_study(study))),
         figure3=figure,
         figure3_missing=missing,
         figure3_effects=effects or (),
@@ -236,7 +212,7 @@ def judge_study(
     )
 
 
-def _designs(study: Study, task: StudyTask, surface: TaskSurface, optimum: Optimum) -> tuple[DesignRow, ...]:
+def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[DesignRow, ...]:
     step, low, high = (
         round(float(getattr(surface, name)[optimum.best]), 9) * RADIAN_PER_DEGREE
         for name in ("turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
@@ -255,10 +231,10 @@ def _rivals(study: Study) -> tuple[RivalRow, ...]:
 def _judge(
     study: Study,
     task: StudyTask,
-    surface: TaskSurface,
-    optimum: Optimum,
-    tested: tuple[Tested, Tested],
-    halving: Halving | None,
+    surface: run.TaskSurface,
+    optimum: judge.Optimum,
+    tested: tuple[judge.Tested, judge.Tested],
+    halving: run.Halving | None,
 ) -> TaskOutcome:
     row = TABLE_1.get(cast("TaskName", surface.task))
     least, stopping = _stopping(study, surface, optimum)
@@ -270,17 +246,17 @@ def _judge(
         powers=tuple(_power(study, effect, effect.test) for effect in optimum.effects if effect.test),
         stopping=stopping,
         stopping_of=least,
-        note=row if row is None else compare_with_note(surface, optimum, row, study.objective, study.level),
+        note=row if row is None else judge.compare_with_note(surface, optimum, row, study.objective, study.level),
         untried=(*task.space.untried(), *_too_long(study, surface if halving is None else halving.every)),
         halving=halving,
     )
 
 
-def _too_long(study: Study, surface: TaskSurface) -> tuple[Untried, ...]:
+def _too_long(study: Study, surface: run.TaskSurface) -> tuple[Untried, ...]:
     """Return the rates and steps whose every session is longer than is allowed."""
     most = np.inf if study.rig_minutes_max is None else study.rig_minutes_max
     rows = []
-    for name in PARAMETERS[1:]:
+    for name in judge.PARAMETERS[1:]:
         values = getattr(surface, name)
         for value in np.unique(values):
             if (surface.rig_minutes[values == value] > most).all():
@@ -289,7 +265,7 @@ def _too_long(study: Study, surface: TaskSurface) -> tuple[Untried, ...]:
     return tuple(rows)
 
 
-def _reach(effect: ParameterEffect) -> float:
+def _reach(effect: judge.ParameterEffect) -> float:
     from scipy.stats import t as t_distribution
 
     if (found := effect.test) is None:
@@ -297,7 +273,7 @@ def _reach(effect: ParameterEffect) -> float:
     return float(t_distribution.ppf(0.975, found.dof[1]) * np.sqrt(effect.error_variance / found.subjects))
 
 
-def _power(study: Study, effect: ParameterEffect, found: Anova | MixedModel) -> EffectPower:
+def _power(study: Study, effect: judge.ParameterEffect, found: Anova | MixedModel) -> EffectPower:
     means, variance, epsilon = found.means, effect.error_variance, effect.epsilon
     try:
         count: int | None = subjects_needed(means, variance, epsilon=epsilon, level=study.level)
@@ -307,13 +283,13 @@ def _power(study: Study, effect: ParameterEffect, found: Anova | MixedModel) -> 
     return EffectPower(name=effect.name, power=reached, subjects=count)
 
 
-def _stopping(study: Study, surface: TaskSurface, optimum: Optimum) -> tuple[str, OptionalStopping | None]:
+def _stopping(study: Study, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[str, OptionalStopping | None]:
     """Look again at the parameter with the least p as if after each subject."""
     tested = [effect for effect in optimum.effects if effect.test is not None]
     if not tested:
         return "", None
     least = min(tested, key=lambda effect: effect.p_holm)
-    columns = {name: getattr(surface, name) for name in PARAMETERS}
+    columns = {name: getattr(surface, name) for name in judge.PARAMETERS}
     same = [np.isclose(c, c[optimum.best]) for name, c in columns.items() if name != least.name]
     held = np.all(same, axis=0) & np.isin(columns[least.name], least.values)
     table = surface.error(study.objective)[:, held]
@@ -335,14 +311,14 @@ def _findings(task: TaskOutcome) -> tuple[Finding, ...]:
         rows.append(finding("study.subjects_left_out", "warn", subjects=surface.left_out))
     if found.failed:
         rows.append(finding("study.runs_missing", "warn", missing=found.failed, runs=surface.error_rms_deg.size))
-    if mixed := tuple(SYMBOLS[effect.name] for effect in found.effects if effect.mixed is not None):
+    if mixed := tuple(judge.SYMBOLS[effect.name] for effect in found.effects if effect.mixed is not None):
         rows.append(finding("study.mixed_model", "warn", parameters=mixed))
     if found.cheapest != found.best:
         saved = float(surface.rig_minutes[found.best] - surface.rig_minutes[found.cheapest])
         more = float(surface.error_rms_deg[:, found.cheapest].mean() - surface.error_rms_deg[:, found.best].mean())
         rows.append(finding("study.shorter_session", "info", saved_min=saved, difference_deg=more))
     if matter := [effect for effect in found.effects if effect.name in found.deciding]:
-        names, spans = tuple(SYMBOLS[e.name] for e in matter), tuple(e.span_deg for e in matter)
+        names, spans = tuple(judge.SYMBOLS[e.name] for e in matter), tuple(e.span_deg for e in matter)
         rows.append(
             finding("study.deciding", "info", parameters=names, span_deg=spans, p_holm=tuple(e.p_holm for e in matter))
         )
@@ -368,7 +344,7 @@ def untried_findings(rows: tuple[Untried, ...]) -> tuple[Finding, ...]:
         finding(
             "study.value_not_tried",
             "info",
-            parameter=SYMBOLS[f"{row.parameter}_dps"],
+            parameter=judge.SYMBOLS[f"{row.parameter}_dps"],
             value_dps=row.value / RADIAN_PER_DEGREE,
             reason=row.reason,
         )

@@ -52,7 +52,7 @@ from undrift.validation.agreement import (
     validate_leave_one_out,
     validate_trials,
 )
-from undrift.validation.trial import Adc, Trial, TrialSettings
+from undrift.validation.trial import Adc, Figures, Trial, TrialSettings
 
 Rounding = Literal["undone", "left in", "none found"]
 
@@ -83,10 +83,7 @@ class RealErrors:
     # What became of the converter's rounding: undone, left in, or none found in the codes of any trial
     rounding: Rounding
     trials: tuple[Trial, ...]  # Each judged
-    rmse_total_deg: float  # This and the next three: medians over the trials
-    rmse_inclination_deg: float
-    max_abs_pitch_deg: float
-    end_total_deg: float
+    median: Figures  # Over the trials
     agreement: Pairwise | None  # Of mean inclination, sensor and optics; None with fewer than three trials
 
 
@@ -124,14 +121,9 @@ def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwi
 
 
 def _at_level(level: str, rounding: Rounding, held: Validation) -> RealErrors:
-    names, both = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg"), held.agreement
-    return RealErrors(
-        level=level,
-        rounding=rounding,
-        trials=held.trials,
-        agreement=None if both is None else Pairwise("mean inclination, deg", both.limits, both.absolute),
-        **{name: getattr(held.median, name) for name in names},
-    )
+    both = held.agreement
+    pairwise = None if both is None else Pairwise("mean inclination, deg", both.limits, both.absolute)
+    return RealErrors(level=level, rounding=rounding, trials=held.trials, median=held.median, agreement=pairwise)
 
 
 # ---- captured people and the cohort
