@@ -1,5 +1,7 @@
 """Sections on real recordings and rivals: agreement told, what is not there named, no figure that is not one."""
 
+from dataclasses import fields
+
 import numpy as np
 
 from undrift.findings import finding
@@ -9,7 +11,9 @@ from undrift.study.outcome import StudyOutcome
 from undrift.study.plan import note_study
 from undrift.study.real import CohortComparison, RealData, RealErrors, RealOutcome, Worn, agreement_of, judge_real
 from undrift.study.rivals import RivalRow, Spread
+from undrift.validation.trial import Figures
 
+NAMES = [field.name for field in fields(Figures)]
 NONE = Spread(median=np.nan, least=np.nan, greatest=np.nan)
 
 
@@ -20,10 +24,7 @@ def test_agreement_of_real_trials_is_told_with_limits_and_icc() -> None:
         level="rest",
         rounding="undone",
         trials=(),
-        rmse_total_deg=1.25,
-        rmse_inclination_deg=0.5,
-        max_abs_pitch_deg=np.nan,
-        end_total_deg=np.nan,
+        median=Figures(**dict.fromkeys(NAMES, np.nan) | {"rmse_total_deg": 1.25, "rmse_inclination_deg": 0.5}),
         agreement=pairwise,
     )
     row = CohortComparison(

@@ -24,7 +24,7 @@ from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
 from undrift.study.plan import NoteRow, Space, Study, StudyTask
 from undrift.study.run import InProcess, TaskSurface, run_study
-from undrift.study.statistics import Anova, MixedModel, adjust_holm, mean_interval
+from undrift.study.statistics import Anova, MixedModel, adjust_holm, compare_pairs, compare_pairs_of, mean_interval
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- effect of each parameter, the others at the optimum
@@ -106,11 +106,7 @@ def effects_at(
     made = []
     for effect, own in effects:
         p = float("nan") if effect.test is None else float(next(holm))
-        pairs = (
-            (statistics.compare_pairs(own) if effect.mixed is None else statistics.compare_pairs_of(effect.mixed))
-            if p < level
-            else ()
-        )
+        pairs = (compare_pairs(own) if effect.mixed is None else compare_pairs_of(effect.mixed)) if p < level else ()
         made.append(replace(effect, p_holm=p, pairs=pairs))
     return tuple(made)
 
