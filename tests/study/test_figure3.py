@@ -6,7 +6,7 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.device.presets import preset
-from undrift.study.figure3 import HIDDEN, LEVELS, Figure3, actual_device, effect_table, figure3, study_model
+from undrift.study.figure3 import HIDDEN, LEVELS, Figure3, actual_device, effect_table, figure3
 
 pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
 
@@ -80,9 +80,9 @@ def test_hysteresis_is_what_sets_simulated_and_actual_apart() -> None:
 
 def test_the_model_and_the_actual_device_differ_by_the_named_effects_alone() -> None:
     unit = preset("enc03j_3031")
-    plain, bare = study_model(unit), actual_device(unit, ())
-    assert plain.gyro.hysteresis is None
-    assert plain.thermometer.lag_s == 0.0
+    bare = actual_device(unit, ())
+    assert bare.gyro.hysteresis is None
+    assert bare.thermometer.lag_s == 0.0
     assert bare.gyro.g_sensitivity is None
     assert bare.gyro.offset is unit.gyro.offset
     whole = actual_device(unit)

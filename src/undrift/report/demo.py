@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 
 
 def write_demo_report(
-    path: Path,
-    made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]",
-    checks: tuple["Check", ...],
-    study: "StudyOutcome",
+    path: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", checks: tuple["Check", ...], study: "StudyOutcome"
 ) -> None:
     """Write the page of the demo."""
     run, fit, trials = made
@@ -94,6 +91,8 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
 
 def _bench(run: "BenchRun") -> Section:
     """Show what was emulated, and how it differs from a real bench."""
+    from undrift.study.virtual_bench import SOAK
+
     plan = run.plan
     cells: Cells[tuple[Protocol, RunResult]] = (
         ("run folder", lambda row: row[0].name),
@@ -108,8 +107,8 @@ def _bench(run: "BenchRun") -> Section:
         "whose offset drifts by 0.1 deg/s per kelvin. Table: a servo card of Galil's language with its control loop, encoder and "
         "amplifier. Device, table, chamber and mounting are reached over TCP by the drivers for hardware.",
         f"Emulated time ran {plan.speed:g} times as fast as the host's, {run.host_s:.0f} s in all. The chamber heats by 10 K a "
-        f"second and the board follows within seconds. A set-point counts as reached after {plan.soak.window_s:g} s within "
-        f"{plan.soak.tolerance_c:g} K and {plan.soak.slope_c_per_min:g} K/min; a real one needs 0.1 K/min over five minutes.",
+        f"second and the board follows within seconds. A set-point counts as reached after {SOAK.window_s:g} s within "
+        f"{SOAK.tolerance_c:g} K and {SOAK.slope_c_per_min:g} K/min; a real one needs 0.1 K/min over five minutes.",
     )
     return table_section("The virtual bench", ((plan.bench, run.bench), (plan.thermal, run.thermal)), cells, text=text)
 

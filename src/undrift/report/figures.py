@@ -162,14 +162,11 @@ def draw_agreement(
 
 def draw_allan(found: NoiseFit, *, title: str) -> "Figure":
     """Draw Allan deviation over averaging time, with its intervals and the slope of white noise as a guide."""
-    both = (
-        ("gyro", found.gyro, found.gyro_adev, found.gyro_limits, found.gyro_unit),
-        ("accel", found.accel, found.accel_adev, found.accel_limits, found.accel_unit),
-    )
-    triads = [triad for triad in both if triad[1]]
+    triads = [name for name in ("gyro", "accel") if getattr(found, name)]
     figure, panels = new_figure(len(triads), height=3.4)
     taus = found.taus_s
-    for panel, (name, axes, deviation, limits, unit) in zip(panels, triads, strict=True):
+    for panel, name in zip(panels, triads, strict=True):
+        axes, deviation, limits, unit = (getattr(found, f"{name}{of}") for of in ("", "_adev", "_limits", "_unit"))
         for k, (axis, colour) in enumerate(zip(axes, AXIS_COLOURS, strict=False)):
             course = deviation[:, k]
             reach = np.abs(limits[:, :, k] - course)  # bars are lengths down and up

@@ -29,7 +29,6 @@ from undrift.drift.fit import fit_drift
 from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables
 from undrift.record import Record, Session
-from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
@@ -50,36 +49,22 @@ INL_LSB = 2.0  # [assumed] what 12-bit converters of the note's time are specifi
 LEAST_LAG_S = 80.0  # LM335 in still air
 
 
-def study_model(unit: DeviceModel) -> DeviceModel:
-    """Return a unit as a study models it: without the hidden effects."""
-    chains: dict[str, Any] = {}
-    for name, chain in (("gyro", unit.gyro), ("accel", unit.accel)):
-        adc = chain.adc and replace(chain.adc, inl_lsb=np.zeros(3))
-        chains[name] = replace(chain, hysteresis=None, g_sensitivity=None, adc=adc)
-    return replace(unit, **chains, thermometer=replace(unit.thermometer, lag_s=0.0))
-
-
 def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> DeviceModel:
-    """Return a unit with the effects that the study's model lacks, or some of them."""
+    """Return a unit with the effects that the study's model lacks, or some of them; with none it is that model."""
     unknown = [name for name in hidden if name not in HIDDEN]
     if unknown:
         raise InputError(f"actual device: wanted effects of {', '.join(HIDDEN)}, got '{unknown[0]}'; name some of them")
-    made = study_model(unit)
-    gyro, accel, thermometer = made.gyro, made.accel, made.thermometer
-    if "hysteresis" in hidden:
-        gyro = replace(gyro, hysteresis=unit.gyro.hysteresis)
-        accel = replace(accel, hysteresis=unit.accel.hysteresis)
-    if "g_sensitivity" in hidden:
-        gyro = replace(gyro, g_sensitivity=unit.gyro.g_sensitivity)
-    if "adc_inl" in hidden:
-        gyro, accel = _bowed(gyro), _bowed(accel)
-    if "thermometer" in hidden:
-        thermometer = replace(thermometer, lag_s=max(unit.thermometer.lag_s, LEAST_LAG_S))
-    return replace(made, gyro=gyro, accel=accel, thermometer=thermometer)
-
-
-def _bowed(chain: SensorChain) -> SensorChain:
-    return chain if chain.adc is None else replace(chain, adc=replace(chain.adc, inl_lsb=np.full(3, INL_LSB)))
+    bow = np.full(3, INL_LSB if "adc_inl" in hidden else 0.0)
+    chains: dict[str, Any] = {}
+    for name, chain in (("gyro", unit.gyro), ("accel", unit.accel)):
+        chains[name] = replace(
+            chain,
+            hysteresis=chain.hysteresis if "hysteresis" in hidden else None,
+            g_sensitivity=chain.g_sensitivity if name == "gyro" and "g_sensitivity" in hidden else None,
+            adc=chain.adc and replace(chain.adc, inl_lsb=bow),
+        )
+    lag_s = max(unit.thermometer.lag_s, LEAST_LAG_S) if "thermometer" in hidden else 0.0
+    return replace(unit, **chains, thermometer=replace(unit.thermometer, lag_s=lag_s))
 
 
 # ---- the figure
@@ -169,7 +154,7 @@ def _figures(
         record = worn_record(device, performed, excursion_k=excursion_k, rng=trial)
         return tuple(validate_trial(record, reference, calibration=level) for level in levels)
 
-    simulated = judged(study_model(held), 1)
+    simulated = judged(actual_device(held, ()), 1)
     return tuple(_figure(simulated, judged(actual_device(held, hidden), 2), excursion_k) for hidden in cases)
 
 

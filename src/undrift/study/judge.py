@@ -289,12 +289,11 @@ def _only(task: StudyTask, surface: TaskSurface, place: int) -> StudyTask:
 
 
 def _on_others(surface: TaskSurface) -> Tested:
-    rms, worst = surface.error_rms_deg[:, 0], surface.error_max_deg[:, 0]
-    done = np.isfinite(rms)
-    error_rms, of_rms = mean_interval(rms[done])
-    error_max, of_max = mean_interval(worst[done])
+    done = np.isfinite(surface.error_rms_deg[:, 0])
+    error_rms, of_rms = mean_interval(surface.error_rms_deg[done, 0])
+    error_max, of_max = mean_interval(surface.error_max_deg[done, 0])
     return Tested(
-        subjects=len(rms),
+        subjects=len(done),
         failed=int((~done).sum()),
         error_rms_deg=error_rms,
         error_max_deg=error_max,

@@ -370,12 +370,7 @@ def rounds_of(candidates: int, subjects: int) -> tuple[tuple[int, int], ...]:
 
 
 def halve_study(
-    study: Study,
-    executor: Executor,
-    folder: Path,
-    *,
-    advance: Callable[[int, int], None],
-    tell: Callable[[str], None],
+    study: Study, executor: Executor, folder: Path, *, advance: Callable[[int, int], None], tell: Callable[[str], None]
 ) -> tuple[Halving, ...]:
     """Search every task by halving, or resume that; ``advance`` gets runs done and runs in all, ``tell`` each round."""
     total, done = count_runs(study), 0

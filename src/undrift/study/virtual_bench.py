@@ -76,8 +76,6 @@ class BenchPlan:
     bench: Protocol  # At room temperature
     thermal: Protocol  # At set-points
     speed: float = 50.0  # Emulated seconds in one of the host's
-    soak: SoakSettings = SOAK  # When a set-point counts as reached
-    seed: int = 0  # Of the device's noise
 
     @property
     def programmes(self) -> tuple[Programme, Programme]:
@@ -116,9 +114,9 @@ def bench_plan(*, quick: bool = False) -> BenchPlan:
     return BenchPlan(bench=replace(room, turn_rate_min=least, turn_rate_step=least), thermal=few)
 
 
-def bench_device(seed: int = UNIT_SEED) -> DeviceModel:
+def bench_device() -> DeviceModel:
     """Return the hidden truth: a unit of the note's kind, with its thermometer in moving air."""
-    unit = random_device_of(KIND, np.random.default_rng(seed), serial=f"{KIND}-{seed}")
+    unit = random_device_of(KIND, np.random.default_rng(UNIT_SEED), serial=f"{KIND}-{UNIT_SEED}")
     return replace(unit, thermometer=replace(unit.thermometer, lag_s=THERMOMETER_LAG_S))
 
 
@@ -143,7 +141,7 @@ def _record_rest(
     plan: BenchPlan, device: DeviceModel, folder: Path, done: list[RunResult], tell: Tell, *, resume: bool
 ) -> None:
     """Run the protocols that are not done yet on a bench of their own, and add their results."""
-    stream = StreamSettings(seed=plan.seed, framing="frame")  # costs half as much as text
+    stream = StreamSettings(seed=0, framing="frame")  # costs half as much as text
     emulated = EmulatedBenchSettings(rig=EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device)
     host_s = [p.duration_s / plan.speed + STEP_HOST_S * len(p.steps) for p in plan.programmes]
     with start_bench(emulated) as bench:
@@ -173,7 +171,7 @@ def _record(
         recorder.start()
         chamber = None
         if protocol.temperatures_c:
-            watched = ChamberSettings(soak=plan.soak, clock_speed=plan.speed, reply_timeout_s=PATIENCE_S)
+            watched = ChamberSettings(soak=SOAK, clock_speed=plan.speed, reply_timeout_s=PATIENCE_S)
             chamber = open_chamber(bench.chamber_address, watched)
             stack.callback(chamber.close)
         rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=PATIENCE_S))
@@ -198,11 +196,6 @@ class BenchFit:
     constant: Calibration  # Of the bench run alone
     drift: DriftFit  # Its calibration has the tables
 
-    @property
-    def levels(self) -> tuple[Calibration, Calibration, Calibration]:
-        """Calibrations for each of ``LEVELS``."""
-        return levels_of(self.constant, self.drift.calibration)
-
 
 def fit_bench(bench: Session, thermal: Session) -> BenchFit:
     """Fit what a virtual bench recorded."""
@@ -222,7 +215,7 @@ def judge_levels(fit: BenchFit, record: Record, reference: Reference) -> tuple[T
     """Compare the trial with the optics at each level of correction."""
     return tuple(
         validate_trial(record, reference, calibration=calibration, name=name)
-        for name, calibration in zip(LEVELS, fit.levels, strict=True)
+        for name, calibration in zip(LEVELS, levels_of(fit.constant, fit.drift.calibration), strict=True)
     )
 
 
@@ -256,7 +249,9 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
         raise InputError("tables: wanted offsets over temperature, got none; run the thermal programme")
     nodes = tables.static.temp_c
     seen = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
-    warm = true_tables(device, board_temperature(device, nodes[seen]), np.array([-1.0, 0.0, 1.0]))
+    felt = device.thermometer  # settled: from its reading to the temperature of the board
+    board = (nodes[seen] - felt.trim_error_c + 25.0 * felt.slope_error) / (1.0 + felt.slope_error) - felt.self_heating_c
+    warm = true_tables(device, board, np.array([-1.0, 0.0, 1.0]))
     rows = []
     for name, one, other in (("accelerometers", found.accel, true.accel), ("gyroscopes", found.gyro, true.gyro)):
         if one is None or other is None:
@@ -277,14 +272,6 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
     rows.append(Check(f"{what}, largest error, all tables (deg)", full.max_abs_pitch_deg, FULL_SHARE * largest))
     rows.append(Check(f"{what}, rms, all tables (deg)", full.rmse_pitch_deg, FULL_SHARE * none.rmse_pitch_deg))
     return tuple(rows)
-
-
-def board_temperature(device: DeviceModel, reading_c: FloatArray) -> FloatArray:
-    """Return the temperature of the board, degC, where a settled thermometer gives a reading."""
-    thermometer = device.thermometer
-    felt = (reading_c - thermometer.trim_error_c + 25.0 * thermometer.slope_error) / (1.0 + thermometer.slope_error)
-    board: FloatArray = felt - thermometer.self_heating_c
-    return board
 
 
 def _offset_apart(triad: TriadModel | None, found: DriftTables, true: DriftTables, seen: BoolArray) -> float:

@@ -143,9 +143,7 @@ def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignm
     cosine = float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0))
     residual = w - u @ rotation.T
     return Alignment(
-        rotation=rotation,
-        angle=float(np.arccos(cosine)),
-        residual_rms=float(np.sqrt((residual**2).mean())),
+        rotation=rotation, angle=float(np.arccos(cosine)), residual_rms=float(np.sqrt((residual**2).mean()))
     )
 
 
