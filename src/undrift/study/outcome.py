@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Literal, NamedTuple, cast, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from undrift.sim.motion.tasks import TaskName
 from undrift.study import judge, run
 from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
 from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
-from undrift.study.plan import DEVICE, TABLE_1, Study, StudyTask, Untried
+from undrift.study.plan import DEVICE, TABLE_1, TURN_RATES, Study, StudyTask, Untried
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
 from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
 from undrift.study.statistics import Anova, MixedModel, OptionalStopping, power_of_anova, stopping_of, subjects_needed
@@ -213,12 +213,9 @@ def judge_study(
 
 
 def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: judge.Optimum) -> tuple[DesignRow, ...]:
-    step, low, high = (
-        round(float(getattr(surface, name)[optimum.best]), 9) * RADIAN_PER_DEGREE
-        for name in ("turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
-    )
-    found = replace(task.base, turn_rate_step=step, turn_rate_min=low, turn_rate_max=high)
-    return design_rows(study, task, found)
+    dps = {name: round(float(getattr(surface, f"{name}_dps")[optimum.best]), 9) for name in TURN_RATES}
+    rates: dict[str, Any] = {name: rate * RADIAN_PER_DEGREE for name, rate in dps.items()}
+    return design_rows(study, task, replace(task.base, **rates))
 
 
 def _rivals(study: Study) -> tuple[RivalRow, ...]:

@@ -40,18 +40,7 @@ from undrift.study.case import REST_S, ROOM_TEMP_C, Case, delay_s, pitch_error, 
 from undrift.study.figure3 import LEVELS, SETTLED_S, calibrated
 from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, Study, read_poses, rest_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.agreement import (
-    LEAST_FOR_AGREEMENT,
-    BlandAltman,
-    IntraclassCorrelation,
-    Pair,
-    Validation,
-    bland_altman,
-    intraclass_correlation,
-    summed,
-    validate_leave_one_out,
-    validate_trials,
-)
+from undrift.validation import agreement
 from undrift.validation.trial import Adc, Figures, Trial, TrialSettings
 
 Rounding = Literal["undone", "left in", "none found"]
@@ -63,7 +52,7 @@ class DeviceTrials:
 
     device: str  # What to call it
     names: tuple[str, ...]  # Of the trials
-    pairs: tuple[Pair, ...]  # Two or more
+    pairs: tuple[agreement.Pair, ...]  # Two or more
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +60,8 @@ class Pairwise:
     """Agreement of two ways to measure one quantity over trials."""
 
     quantity: str  # What, with its unit
-    limits: BlandAltman  # Bias and limits
-    icc: IntraclassCorrelation  # Absolute agreement, ICC(2,1)
+    limits: agreement.BlandAltman  # Bias and limits
+    icc: agreement.IntraclassCorrelation  # Absolute agreement, ICC(2,1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,34 +82,37 @@ def real_errors(devices: Sequence[DeviceTrials]) -> tuple[RealErrors, ...]:
     errors = [
         [t.figures.rmse_total_deg for held in levels.values() for t in held.trials] for levels in (undone, left_in)
     ]
-    treated: tuple[tuple[Rounding, dict[str, Validation]], ...] = (("undone", undone), ("left in", left_in))
+    treated: tuple[tuple[Rounding, dict[str, agreement.Validation]], ...] = (("undone", undone), ("left in", left_in))
     if np.array_equal(errors[0], errors[1], equal_nan=True):
         treated = (("none found", undone),)
     return tuple(_at_level(level, rounding, held) for rounding, levels in treated for level, held in levels.items())
 
 
-def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> dict[str, Validation]:
+def _levels(devices: Sequence[DeviceTrials], adc: Adc) -> dict[str, agreement.Validation]:
     """Return the trials at the three levels, the codes treated alike in all."""
     pairs = [pair for device in devices for pair in device.pairs]
     names = [name for device in devices for name in device.names]
     settings = TrialSettings(adc=adc)
-    held = [validate_leave_one_out(device.pairs, settings=settings, names=device.names).trials for device in devices]
+    held = [
+        agreement.validate_leave_one_out(device.pairs, settings=settings, names=device.names).trials
+        for device in devices
+    ]
     return {
-        "none": validate_trials(pairs, settings=settings, names=names),
-        "rest": validate_trials(pairs, settings=replace(settings, offset="rest"), names=names),
-        "calibrated": summed(tuple(trial for of_device in held for trial in of_device)),
+        "none": agreement.validate_trials(pairs, settings=settings, names=names),
+        "rest": agreement.validate_trials(pairs, settings=replace(settings, offset="rest"), names=names),
+        "calibrated": agreement.summed(tuple(trial for of_device in held for trial in of_device)),
     }
 
 
 def agreement_of(quantity: str, first: FloatArray, second: FloatArray) -> Pairwise | None:
     """Return the agreement of two ways to measure: first (n,), second (n,)."""
-    if len(first) < LEAST_FOR_AGREEMENT:
+    if len(first) < agreement.LEAST_FOR_AGREEMENT:
         return None
-    icc = intraclass_correlation(np.stack((first, second), axis=1), "ICC(2,1)")
-    return Pairwise(quantity, bland_altman(first, second), icc)
+    icc = agreement.intraclass_correlation(np.stack((first, second), axis=1), "ICC(2,1)")
+    return Pairwise(quantity, agreement.bland_altman(first, second), icc)
 
 
-def _at_level(level: str, rounding: Rounding, held: Validation) -> RealErrors:
+def _at_level(level: str, rounding: Rounding, held: agreement.Validation) -> RealErrors:
     both = held.agreement
     pairwise = None if both is None else Pairwise("mean inclination, deg", both.limits, both.absolute)
     return RealErrors(level=level, rounding=rounding, trials=held.trials, median=held.median, agreement=pairwise)
@@ -420,12 +412,12 @@ def worn_in(
                     saturated=saturated,
                 )
             )
-    agreement = []
+    agreed = []
     for level in LEVELS:
         leans = np.array([(row.lean_device_deg, row.lean_optics_deg) for row in rows if row.level == level])
         if (pairwise := agreement_of("largest lean, deg", *leans.reshape(-1, 2).T)) is not None:
-            agreement.append((level, pairwise))
-    return Worn(rows=tuple(rows), agreement=tuple(agreement))
+            agreed.append((level, pairwise))
+    return Worn(rows=tuple(rows), agreement=tuple(agreed))
 
 
 def _case(
@@ -583,7 +575,7 @@ def judge_real(data: RealData, study: Study) -> RealOutcome:
         return made
 
     def counted(part: str, given: int, unit: str) -> None:
-        numbers = {"wanted": LEAST_FOR_AGREEMENT, "unit": unit, "given": given}
+        numbers = {"wanted": agreement.LEAST_FOR_AGREEMENT, "unit": unit, "given": given}
         lacks.append(finding("study.too_few_for_agreement", "info", part=part, **numbers))
 
     captures, stances, unit, seed = data.captures, data.stances, typical_unit(study), study.seed

@@ -19,6 +19,7 @@ References
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -300,14 +301,12 @@ def validate_leave_one_out(
 
 
 def _check_different(records: Sequence[Record]) -> None:
-    for later in range(1, len(records)):
-        for earlier in range(later):
-            one, other = records[earlier].gyro, records[later].gyro
-            if one is not None and other is not None and np.array_equal(one, other, equal_nan=True):
-                raise InputError(
-                    f"leave-one-out: wanted different recordings, got number {later + 1} with the readings of number "
-                    f"{earlier + 1}; a recording cannot judge itself: name each once"
-                )
+    for (earlier, one), (later, other) in combinations(enumerate(record.gyro for record in records), 2):
+        if one is not None and other is not None and np.array_equal(one, other, equal_nan=True):
+            raise InputError(
+                f"leave-one-out: wanted different recordings, got number {later + 1} with the readings of number "
+                f"{earlier + 1}; a recording cannot judge itself: name each once"
+            )
 
 
 def _told_apart(held: tuple[HeldOut, ...]) -> Finding | None:
