@@ -23,7 +23,6 @@ def test_the_asymmetry_of_a_device_comes_back_within_its_uncertainty():
     # 2 (S+ - S-) / (S+ + S-) = a for y = x + (a / 2) |x|, to second order in the cross-axis terms of 1 %: 1e-6.
     assert (np.abs(found.mean - [2e-3, -1e-3, 0.0]) < 4.0 * found.mean_uncertainty + 1e-6).all()
     assert found.mean_uncertainty.max() < 3e-5
-    assert (np.abs(found.per_k) < 4.0 * found.per_k_uncertainty).all()
     assert any(reason.startswith("Scale factor asymmetry x: +0.2") for reason in found.verdict.reasons)
 
 
@@ -50,8 +49,7 @@ def test_rates_of_one_sign_show_no_asymmetry():
     )
 
 
-def test_one_soak_gives_a_value_and_no_slope():
+def test_one_soak_gives_a_value():
     made = device()
     found = scale_asymmetry(computed(made, SOAKS[:1], np.random.default_rng(1)), true_calibration(made))
     assert np.isfinite(found.mean).all()
-    assert np.isnan(found.per_k).all()

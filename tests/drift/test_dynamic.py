@@ -9,7 +9,7 @@ from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading
 from undrift.drift.dynamic import fit_dynamic
 from undrift.drift.observe import RestBlocks
 from undrift.drift.scale import measured_rate, rests_of, steps_of
-from undrift.errors import InputError, NotObservable
+from undrift.errors import NotObservable
 from undrift.sim.device.effects import RateDrift
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -27,11 +27,11 @@ def device(**changes):
     return replace(made, gyro=replace(made.gyro, nonlinearity=None, **changes))
 
 
-def fitted(made, temps=TEMPS, noise_dps=1e-5, steps=None, turn_rate=None, rests=None, **kept):
+def fitted(made, temps=TEMPS, noise_dps=1e-5, steps=None, rests=None, **kept):
     if steps is None:
         steps = computed(made, temps, np.random.default_rng(1), rates=FEW, noise_dps=noise_dps, **kept)
     table = true_tables(made, NODES, np.radians([-90.0, 90.0])).static
-    return fit_dynamic(steps, true_calibration(made), static=table, scale=None, rests=rests, turn_rate=turn_rate)
+    return fit_dynamic(steps, true_calibration(made), static=table, scale=None, rests=rests)
 
 
 def resting(made, temps, faces=(0, 1, 2)):
@@ -142,11 +142,6 @@ def test_two_soaks_say_that_they_show_no_bend():
     assert [item.values["axes"] for item in fit.verdict.findings if item.code == "drift.dynamic_two_temperatures"] == [
         ("x", "y", "z")
     ]
-
-
-def test_nodes_that_do_not_increase_are_refused():
-    with pytest.raises(InputError, match="wanted nodes that increase, got some that do not"):
-        fitted(device(), turn_rate=np.array([0.0, 1.0, 0.5]))
 
 
 def test_gaps_are_left_out_and_counted():

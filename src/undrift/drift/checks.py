@@ -441,7 +441,7 @@ def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:
     known, found = between.known * factor, list[Finding]()
     if (between.pose > _MORE * between.known).any():
         g_known = device.gyro is not None and device.gyro.g_sensitivity is not None
-        size, poses, no_accel = between.pose * factor, between.poses, device.accel is None
+        size, poses, no_accel = between.pose * factor, between.in_pose.shape[1], device.accel is None
         found.append(
             finding(
                 "drift.poses_disagree" if g_known else "drift.poses_g_no_accel" if no_accel else "drift.poses_g",
@@ -453,7 +453,7 @@ def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:
             )
         )
     if (between.rest > _MORE * between.known).any():
-        size, rests = between.rest * factor, between.rests
+        size, rests = between.rest * factor, len(between.rests)
         found.append(finding("drift.rests_disagree", "info", deviation=size, unit=unit, rests=rests, known=known))
     return Verdict(findings=tuple(found))
 

@@ -27,12 +27,10 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.scale import MATRIX_GAP_C, Steps, measured_rate, rests_of, steps_of
 from undrift.drift.static import near_data
-from undrift.errors import InputError, NotObservable
+from undrift.errors import NotObservable
 from undrift.findings import finding
 from undrift.fit.least_squares import excess_variance
 from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, Verdict
-
-Softness = tuple[tuple[float, float], ...]  # of each axis' surface over rate and temperature
 
 DEFAULT_STEP_C = 5.0
 _OWN = 0.5  # share of the turning rate from which a row counts for an axis
@@ -124,10 +122,9 @@ class DynamicFit:
     """The table of rate-dependent drift."""
 
     drift: DynamicDrift  # an axis that was not turned has zeros with uncertainty NaN
-    surfaces: tuple[Surface | None, Surface | None, Surface | None]  # one an axis; None where it was not turned
+    surfaces: tuple[Surface | None, ...]  # one an axis; None where it was not turned
     before: FloatArray  # (3,), residual rms of each axis about the offset of its mountings before the fit, rad/s
     after: FloatArray  # (3,), and after it
-    excess: FloatArray  # (3,), scatter of the steps beyond the noise they stated, rad/s
     verdict: Verdict
 
 
@@ -138,50 +135,44 @@ def fit_dynamic(
     static: StaticDrift | None,
     scale: ScaleDrift | None,
     rests: RestBlocks | None = None,
-    turn_rate: FloatArray | None = None,
     temp_c: FloatArray | None = None,
-    softness: Softness | None = None,
+    like: "DynamicFit | None" = None,
 ) -> DynamicFit:
     """Fit the dynamic drift of the gyroscopes.
 
     Nodes of the measured rate (k,), rad/s, are the imposed rates, zero and the ends of what was measured, those of the temperature
-    (m,) every 5 degC over the soaks; the softness of each axis' surface over rate and temperature is found by cross-validation.
+    (m,) every 5 degC over the soaks; the softness of each surface is found by cross-validation, or as in an earlier fit.
     """
     clean = steps_of(steps)
     points = _points(clean, calibration, static, scale, rests)
-    turn_rate, temp_c = _nodes(clean, points, turn_rate, temp_c)
+    turn_rate, temp_c = _nodes(clean, points, temp_c)
     shape = (len(temp_c), len(turn_rate), 3)
     error, uncertainty, marks = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape[:2], dtype=bool)
     w, t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
-    before, after, excess = (np.full(3, np.nan) for _ in range(3))
+    before, after = np.full(3, np.nan), np.full(3, np.nan)
     surfaces: list[Surface | None] = [None, None, None]
     for axis, own in enumerate(points):
         if own is None:
             continue
         ends = (float(turn_rate[0]), float(turn_rate[-1])), (float(temp_c[0]), float(temp_c[-1]))
-        alike = None if softness is None else softness[axis]
+        earlier = None if like is None else like.surfaces[axis]
+        alike = earlier.softness if earlier is not None else None if like is None else (_SOFTNESS[0], _SOFTNESS[0])
         surface = surfaces[axis] = fit_surface(own, rate_span=ends[0], temp_span=ends[1], softness=alike)
         error[:, :, axis] = surface.at(w, t).reshape(shape[:2])
         uncertainty[:, :, axis] = surface.uncertainty(w, t).reshape(shape[:2])
         marks |= _unseen(own, turn_rate, temp_c)
         means = np.bincount(own.mounting, own.value) / np.bincount(own.mounting)
         before[axis] = np.sqrt(np.mean((own.value - means[own.mounting]) ** 2))
-        after[axis], excess[axis] = np.sqrt(np.mean(surface.residuals**2)), surface.excess
+        after[axis] = np.sqrt(np.mean(surface.residuals**2))
     return DynamicFit(
         drift=DynamicDrift(
             temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=marks
         ),
-        surfaces=(surfaces[0], surfaces[1], surfaces[2]),
+        surfaces=tuple(surfaces),
         before=before,
         after=after,
-        excess=excess,
         verdict=_verdict(points).also(clean.verdict),
     )
-
-
-def softness_of(fit: DynamicFit) -> Softness:
-    """Return how soft each axis' surface was found to be, to fit parts of the same data alike."""
-    return tuple((1e-2, 1e-2) if surface is None else surface.softness for surface in fit.surfaces)
 
 
 def _points(
@@ -226,8 +217,9 @@ def _points(
 
 
 def _nodes(
-    steps: Steps, points: list[SurfacePoints | None], turn_rate: FloatArray | None, temp_c: FloatArray | None
+    steps: Steps, points: list[SurfacePoints | None], temp_c: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
+    """Return the imposed rates, zero, and the ends of what was measured where they lie beyond; and the temperatures."""
     have = [p for p in points if p is not None]
     soaks = len(np.unique(steps.soak))
     if not have:
@@ -240,23 +232,14 @@ def _nodes(
         temps = np.concatenate([p.temp_c for p in have]) / DEFAULT_STEP_C
         first, last = np.floor(np.round(temps.min(), 2)), np.ceil(np.round(temps.max(), 2))
         temp_c = DEFAULT_STEP_C * np.arange(first, last + 0.5)
-    if turn_rate is None:
-        turn_rate = _rate_nodes(np.concatenate([p.turn_rate for p in have]), steps.along)
-    if (np.diff(turn_rate) <= 0.0).any() or (np.diff(temp_c) <= 0.0).any():
-        raise InputError("dynamic drift: wanted nodes that increase, got some that do not; sort and merge them")
-    return turn_rate, temp_c
-
-
-def _rate_nodes(measured: FloatArray, imposed: FloatArray) -> FloatArray:
-    """Return the imposed rates, zero, and the ends of what was measured where they lie beyond."""
-    tolerance = _SAME_RATE * float(np.abs(imposed).max())
-    wanted = np.sort(np.concatenate((imposed, [0.0])))
+    tolerance = _SAME_RATE * float(np.abs(steps.along).max())
+    wanted = np.sort(np.concatenate((steps.along, [0.0])))
     groups = np.split(wanted, np.flatnonzero(np.diff(wanted) > tolerance) + 1)
     nodes = np.array([0.0 if (g == 0.0).any() else g.mean() for g in groups])
-    low, high = float(measured.min()), float(measured.max())
-    below = [low] if low < nodes[0] - tolerance else []
-    above = [high] if high > nodes[-1] + tolerance else []
-    return np.concatenate((below, nodes, above))
+    measured = np.concatenate([p.turn_rate for p in have])
+    below, above = measured.min(keepdims=True), measured.max(keepdims=True)
+    below, above = below[below < nodes[0] - tolerance], above[above > nodes[-1] + tolerance]
+    return np.concatenate((below, nodes, above)), temp_c
 
 
 def _unseen(own: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) -> BoolArray:

@@ -180,26 +180,17 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestMembers:
-    """Which blocks make which rest, N rests."""
-
-    rows: tuple[IntArray, ...]  # blocks of each
-    cell: IntArray  # (N,)
-    pose: IntArray  # (N,)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RestScatter:
     """How rests of one set-point disagree, n cells, N rests."""
 
-    poses: int
-    rests: int
     pose: FloatArray  # (3,), standard deviation from pose to pose, the same at every temperature, raw unit
     rest: FloatArray  # (3,), from rest to rest, beyond noise and instability, raw unit
     known: FloatArray  # (3,), uncertainty of one rest by noise and instability, raw unit
     shared: FloatArray  # (3, n, n), covariance that poses give the cells, raw unit squared
     own: FloatArray  # (n, 3), variance that rests give each cell, raw unit squared
-    members: RestMembers
+    rests: list[IntArray]  # blocks of each
+    in_pose: FloatArray  # (N, poses), one where a rest lay in a pose
+    centred: FloatArray  # (N, N), subtracts the mean of its cell from each rest
     mean: FloatArray  # (N, 3), of each rest, the slope within its cell subtracted, raw unit
     covariance: FloatArray  # (3, N, N), of these means by noise and instability, raw unit squared
 
@@ -256,11 +247,11 @@ def gather(
     middle = np.array([value[rows].mean(axis=0) for rows in members])
     x = temp_c - temp_c.mean()  # the usual slope within a cell is subtracted; 0 for one temperature
     level = value - np.asarray(x @ middle / max(float(x @ x), 1e-9)) * blocks.temp_c[:, None]
-    rests = rests_of(blocks, members)
+    rests, labels = _rests_of(blocks, members)
     instability, pairs = instability_of(blocks, value, variance), 0
     if instability is None:
-        instability, pairs = _from_pairs(blocks, rests, level, variance)
-    between = rest_scatter(rests, *_rest_means(blocks, rests, level, variance, instability))
+        instability, pairs = _from_pairs(blocks, rests, labels, level, variance)
+    between = _rest_scatter(blocks, rests, labels, level, variance, instability)
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
         temp_c=temp_c,
@@ -305,34 +296,20 @@ def instability_of(blocks: RestBlocks, value: FloatArray, variance: FloatArray) 
 
 
 def _from_pairs(
-    blocks: RestBlocks, rests: RestMembers, level: FloatArray, variance: FloatArray
+    blocks: RestBlocks, rests: list[IntArray], labels: IntArray, level: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray | None, int]:
     """Return s2 from neighbouring blocks of one cell and pose, and how many pairs there are."""
-    of_pose: dict[tuple[int, int], list[IntArray]] = {}
-    for rows, cell, pose in zip(rests.rows, rests.cell.tolist(), rests.pose.tolist(), strict=True):
-        of_pose.setdefault((cell, pose), []).append(rows)
-    for runs in (rests.rows, [np.concatenate(parts) for parts in of_pose.values()]):
-        one, two = np.concatenate([rows[:-1] for rows in runs]), np.concatenate([rows[1:] for rows in runs])
-        if len(one) >= _LEAST_PAIRS:
-            break  # else what differs from rest to rest counts as instability
-    else:
+    rows, rest = np.concatenate(rests), np.repeat(np.arange(len(rests)), [len(rows) for rows in rests])
+    pairs = np.flatnonzero(np.diff(rest) == 0)
+    if len(pairs) < _LEAST_PAIRS:  # then what differs from rest to rest counts as instability
+        pairs = np.flatnonzero((np.diff(labels[rest], axis=0) == 0).all(axis=1))
+    if len(pairs) < _LEAST_PAIRS:
         return None, 0
+    one, two = rows[pairs], rows[pairs + 1]
     noise = (variance[one] + variance[two]).mean(axis=0)
     square = ((level[two] - level[one]) ** 2).mean(axis=0) - noise
     share = 2.0 * float(np.mean(1.0 - _rho(np.abs(blocks.time[two] - blocks.time[one]))))
     return np.asarray(np.maximum(square, noise * np.sqrt(2.0 / len(one))) / share), len(one)
-
-
-def _rest_means(
-    blocks: RestBlocks, rests: RestMembers, level: FloatArray, variance: FloatArray, instability: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of each rest and the covariance of these means by noise and instability."""
-    mean = np.array([level[rows].mean(axis=0) for rows in rests.rows])
-    own = np.array([variance[rows].mean(axis=0) / len(rows) for rows in rests.rows])
-    covariance = own.T[:, :, None] * np.eye(len(mean))
-    if instability is not None:
-        covariance = covariance + instability[:, None, None] * _correlation(blocks, list(rests.rows))
-    return mean, covariance
 
 
 def _variance(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
@@ -378,25 +355,34 @@ def _correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:
 # ---- rests of one set-point that disagree
 
 
-def rests_of(blocks: RestBlocks, cells: list[IntArray]) -> RestMembers:
-    """Return the rests that cells are made of."""
-    rows: list[IntArray] = []
-    cell: list[int] = []
+def _rests_of(blocks: RestBlocks, cells: list[IntArray]) -> tuple[list[IntArray], IntArray]:
+    """Return the rests that cells are made of, and cell and pose of each, (N, 2)."""
+    rests, labels = list[IntArray](), list[tuple[int, int]]()
     for k, members in enumerate(cells):
         for pose in np.unique(blocks.pose[members]):
             own = members[blocks.pose[members] == pose]
             own = own[np.argsort(blocks.time[own], kind="stable")]
             runs = np.split(own, np.flatnonzero(np.diff(blocks.time[own]) > _APART_S) + 1)
-            rows.extend(runs)
-            cell.extend([k] * len(runs))
-    return RestMembers(rows=tuple(rows), cell=np.array(cell), pose=np.array([blocks.pose[r[0]] for r in rows]))
+            rests += runs
+            labels += [(k, pose)] * len(runs)
+    return rests, np.array(labels)
 
 
-def rest_scatter(members: RestMembers, mean: FloatArray, covariance: FloatArray) -> RestScatter | None:
-    """Find how rests of one set-point disagree beyond their covariance; mean (N, 3), covariance (3, N, N)."""
-    count = len(members.rows)
-    in_cell, in_pose = indicators(members.cell), indicators(members.pose)
-    centred = centred_on_cells(members)
+def _rest_scatter(
+    blocks: RestBlocks,
+    rests: list[IntArray],
+    labels: IntArray,
+    level: FloatArray,
+    variance: FloatArray,
+    instability: FloatArray | None,
+) -> RestScatter | None:
+    """Find how rests of one set-point disagree beyond noise and instability."""
+    count, mean = len(rests), np.array([level[rows].mean(axis=0) for rows in rests])
+    covariance = np.array([variance[rows].mean(axis=0) / len(rows) for rows in rests]).T[:, :, None] * np.eye(count)
+    if instability is not None:
+        covariance = covariance + instability[:, None, None] * _correlation(blocks, rests)
+    in_cell, in_pose = ((number[:, None] == np.unique(number)).astype(float) for number in labels.T)
+    centred = np.eye(count) - in_cell @ (in_cell / in_cell.sum(axis=0)).T
     poses = centred @ in_pose
     compared = int(np.linalg.matrix_rank(poses, tol=_NONE))
     inverse = np.linalg.pinv(poses, rcond=_NONE)
@@ -412,28 +398,21 @@ def rest_scatter(members: RestMembers, mean: FloatArray, covariance: FloatArray)
         taken = inverse @ centred
         with_rests = covariance + rest[:, None, None] * np.eye(count)
         pose = pooled(excess(taken, float(((taken @ in_pose) ** 2).sum()), mean, with_rests), compared)
-    share = np.array([len(rows) for rows in members.rows], float)[:, None] * in_cell
+    share = np.array([len(rows) for rows in rests], float)[:, None] * in_cell
     share /= share.sum(axis=0)
     by_pose = share.T @ in_pose
     return RestScatter(
-        poses=in_pose.shape[1],
-        rests=count,
         pose=np.sqrt(pose),
         rest=np.sqrt(rest),
         known=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=1)),
         shared=(pose * widening_of(compared + _ALIKE))[:, None, None] * (by_pose @ by_pose.T),
         own=(share**2).sum(axis=0)[:, None] * rest * widening_of(freedom + _ALIKE),
-        members=members,
+        rests=rests,
+        in_pose=in_pose,
+        centred=centred,
         mean=mean,
         covariance=covariance,
     )
-
-
-def centred_on_cells(members: RestMembers) -> FloatArray:
-    """Return what subtracts the mean of its cell from each rest, (N, N)."""
-    in_cell = indicators(members.cell)
-    centred: FloatArray = np.eye(len(in_cell)) - in_cell @ (in_cell / in_cell.sum(axis=0)).T
-    return centred
 
 
 def excess(taken: FloatArray, size: float, mean: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -448,12 +427,6 @@ def pooled(variance: FloatArray, freedom: int) -> FloatArray:
     """Return variances of the three axes, (3,), drawn towards their mean: sensors of one triad are alike."""
     drawn: FloatArray = (freedom * variance + _ALIKE * variance.mean()) / (freedom + _ALIKE)
     return drawn
-
-
-def indicators(number: IntArray) -> FloatArray:
-    """Return a column of zeros and ones for each number that occurs."""
-    columns: FloatArray = (number[:, None] == np.unique(number)[None, :]).astype(float)
-    return columns
 
 
 # ---- sessions of one device: how much the offset moves from one switch-on to the next
@@ -472,16 +445,6 @@ class TurnOn:
     variance_to_come: FloatArray = field(default_factory=lambda: np.zeros(3))
     # (3,), whether ``variance`` is only that of the shifts
     bounded: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
-
-    @property
-    def observable(self) -> bool:
-        """Whether sessions share temperatures, so that their shifts show."""
-        return bool(np.isfinite(self.variance).all())
-
-    def shared(self, session: IntArray) -> FloatArray:
-        """Return the covariance that rows of one session have in common, (n,) -> (3, n, n)."""
-        same = session[:, None] == session[None, :]
-        return np.asarray(np.nan_to_num(self.variance)[:, None, None] * same)
 
 
 def between_sessions(cells: Cells, settings: SmoothSettings) -> TurnOn:
@@ -566,7 +529,7 @@ def with_g_sensitivity(rests: RestBlocks, device: Calibration) -> tuple[Calibrat
     covariance[count:, count:] = np.einsum("ak,bk,kij->aibj", m, m, estimated[1]).reshape(len(G_NAMES), len(G_NAMES))
     known = replace(model, g_sensitivity=g, parameters=(*model.parameters, *G_NAMES), covariance=covariance)
     size = float(np.abs(g).max()) * si_factor(model.unit_out, "rate") * STANDARD_GRAVITY / RADIAN_PER_DEGREE
-    estimate = finding("drift.g_sensitivity", "info", largest_dps_per_g=size, poses=between.poses)
+    estimate = finding("drift.g_sensitivity", "info", largest_dps_per_g=size, poses=between.in_pose.shape[1])
     return replace(device, gyro=known), Verdict.of(estimate)
 
 
@@ -574,9 +537,8 @@ def _g_sensitivity(between: RestScatter, force: FloatArray) -> tuple[FloatArray,
     """Return H (3, 3), raw unit per m/s2, and the covariance of each row, (3, 3, 3); None where it is not observable."""
     from scipy.special import chdtri
 
-    members = between.members
-    centred, poses = centred_on_cells(members), indicators(members.pose)
-    seen = centred @ np.array([force[rows].mean(axis=0) for rows in members.rows])
+    centred, poses = between.centred, between.in_pose
+    seen = centred @ np.array([force[rows].mean(axis=0) for rows in between.rests])
     strength = np.linalg.svd(seen, compute_uv=False)
     if len(strength) < 3 or strength[-1] < _LEAST_SEEN * strength[0]:
         return None

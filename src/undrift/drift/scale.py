@@ -57,7 +57,6 @@ class SoakMatrices:
     temp_c: FloatArray  # (S,), mean temperature of the soak's steps, degC, increasing
     forward: FloatArray  # (S, 3, 3), K, raw unit per rad/s: sensor, axis; NaN for an axis that the soak did not turn
     variance: FloatArray  # (S, 3, 3), of each element, that unit squared
-    offset_left: FloatArray  # (S, 3), d, mean over the mountings, raw unit
     rms: FloatArray  # (S, 3), residual of each sensor about its line, raw unit
 
     @property
@@ -87,8 +86,6 @@ class Asymmetry:
     uncertainty: FloatArray  # (S, 3), standard uncertainty
     mean: FloatArray  # (3,), over the soaks, weighted; their scatter beyond the stated noise counts
     mean_uncertainty: FloatArray  # (3,)
-    per_k: FloatArray  # (3,), slope over temperature, per K; NaN with fewer than three soaks
-    per_k_uncertainty: FloatArray  # (3,)
     verdict: Verdict
 
 
@@ -134,16 +131,21 @@ def _forward(model: TriadModel) -> FloatArray:
     return np.asarray(model.forward_matrix / si_factor(model.unit_out, "rate"))
 
 
-def _weighted(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return least-squares parameters and their covariance for values y (n,) of variance v (n,)."""
+def _weighted(
+    design: FloatArray, y: FloatArray, v: FloatArray, full: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return least-squares parameters and their covariance for values y (n,) of variance v (n,) and what the full design leaves."""
+    full = design if full is None else full
+    found, _, rank, _ = np.linalg.lstsq(full, y, rcond=None)
+    v = v + excess_variance(y - full @ found, v, len(y) - rank)
     inverse = np.linalg.inv(design.T @ (design / v[:, None]))
     return inverse @ (design.T @ (y / v)), inverse
 
 
 def _one_soak(
     steps: Steps, own: FloatArray, rows: IntArray, kept: FloatArray
-) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return temperature, K, its variance, mean offset left, and residual of one soak."""
+) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    """Return temperature, K, its variance, and residual of one soak."""
     rate, reading, variance = steps.rate_b[rows], own[rows], steps.gyro_variance[rows]
     main = np.abs(rate).max()
     turned = np.flatnonzero((np.abs(rate) > 0.5 * np.linalg.norm(rate, axis=1, keepdims=True)).any(axis=0))
@@ -156,18 +158,14 @@ def _one_soak(
             f"scale over temperature: wanted turns that separate the axes at {steps.temp_c[rows].mean():.1f} degC, got "
             f"{len(rows)} that do not; turn about each axis at two rates or more"
         )
-    forward, spread = np.full((3, 3), np.nan), np.full((3, 3), np.nan)
-    left, rms = np.full(3, np.nan), np.full(3, np.nan)
+    forward, spread, rms = np.full((3, 3), np.nan), np.full((3, 3), np.nan), np.full(3, np.nan)
     full = np.column_stack((design, bends))
     for i in range(3):
-        noise = reading[:, i] - full @ np.linalg.lstsq(full, reading[:, i], rcond=None)[0]
-        v = variance[:, i] + excess_variance(noise, variance[:, i], len(rows) - full.shape[1])
-        theta, inverse = _weighted(design, reading[:, i], v)
+        theta, inverse = _weighted(design, reading[:, i], variance[:, i], full)
         forward[i, turned] = theta[: len(turned)] / main
         spread[i, turned] = np.diag(inverse)[: len(turned)] / main**2
-        left[i] = theta[len(turned) :].mean() if offsets.shape[1] else np.nan
         rms[i] = np.sqrt(np.mean((reading[:, i] - design @ theta) ** 2))
-    return float(steps.temp_c[rows].mean()), forward, spread, left, rms
+    return float(steps.temp_c[rows].mean()), forward, spread, rms
 
 
 def _mountings(steps: Steps, rows: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -213,9 +211,7 @@ def _sensitivity(soaks: SoakMatrices, reference_temp_c: float) -> tuple[FloatArr
         if len(t) < 2 or np.ptp(t) == 0.0:
             continue
         zero = reference_temp_c if np.isfinite(reference_temp_c) else float(t.mean())
-        x = np.column_stack((np.ones(len(t)), t - zero))
-        left = k - x @ np.linalg.lstsq(x, k, rcond=None)[0]
-        (value, change), inverse = _weighted(x, k, v + excess_variance(left, v, len(t) - 2))
+        (value, change), inverse = _weighted(np.column_stack((np.ones(len(t)), t - zero)), k, v)
         slope[j], doubt[j] = 100.0 * change / value, abs(100.0 / value) * np.sqrt(inverse[1, 1])
     return slope, doubt
 
@@ -248,7 +244,12 @@ def scale_asymmetry(steps: RateSteps, calibration: Calibration, *, static: Stati
             rows = np.flatnonzero((clean.soak == s) & main[:, axis])
             of_axis = clean.rate_b[rows, axis], reading[rows, axis], clean.gyro_variance[rows, axis]
             value[k, axis], doubt[k, axis] = _asymmetry_of(*of_axis)
-    mean, mean_doubt, slope, slope_doubt = _over_soaks(temps[order], value, doubt)
+    mean, mean_doubt = np.full(3, np.nan), np.full(3, np.nan)
+    for axis, have in enumerate(np.isfinite(value).T):
+        y, v = value[have, axis], doubt[have, axis] ** 2
+        if len(y):
+            spread = v + excess_variance(y - np.average(y, weights=1.0 / v), v, len(y) - 1)
+            mean[axis], mean_doubt[axis] = np.average(y, weights=1.0 / spread), np.sqrt(1.0 / (1.0 / spread).sum())
     unseen = tuple(axis for axis, a in zip(AXES, mean, strict=True) if np.isnan(a))
     found = [finding("drift.asymmetry_not_observable", "warn", axes=unseen)] if unseen else []
     found += [
@@ -262,8 +263,6 @@ def scale_asymmetry(steps: RateSteps, calibration: Calibration, *, static: Stati
         uncertainty=doubt,
         mean=mean,
         mean_uncertainty=mean_doubt,
-        per_k=slope,
-        per_k_uncertainty=slope_doubt,
         verdict=Verdict.of(*found).also(clean.verdict),
     )
 
@@ -275,33 +274,10 @@ def _asymmetry_of(rate: FloatArray, reading: FloatArray, variance: FloatArray) -
     z = rate / np.abs(rate).max()
     design = np.column_stack((np.ones_like(z), np.maximum(z, 0.0), np.minimum(z, 0.0)))
     full = np.column_stack((design, z**2, z**3)) if len(z) > 7 else design  # curvature is no noise
-    noise = reading - full @ np.linalg.lstsq(full, reading, rcond=None)[0]
-    v = variance + excess_variance(noise, variance, len(z) - np.linalg.matrix_rank(full))
-    (_, plus, minus), inverse = _weighted(design, reading, v)
+    (_, plus, minus), inverse = _weighted(design, reading, variance, full)
     total = plus + minus
     slope = np.array([0.0, 4.0 * minus, -4.0 * plus]) / total**2
     return float(2.0 * (plus - minus) / total), float(np.sqrt(slope @ inverse @ slope))
-
-
-def _over_soaks(
-    temp_c: FloatArray, value: FloatArray, doubt: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    mean, mean_doubt, slope, slope_doubt = (np.full(3, np.nan) for _ in range(4))
-    for axis in range(3):
-        have = np.isfinite(value[:, axis])
-        t, y, v = temp_c[have], value[have, axis], doubt[have, axis] ** 2
-        if not len(y):
-            continue
-        spread = v + excess_variance(y - np.average(y, weights=1.0 / v), v, len(y) - 1)
-        mean[axis] = np.average(y, weights=1.0 / spread)
-        mean_doubt[axis] = np.sqrt(1.0 / (1.0 / spread).sum())
-        if len(y) < 3 or np.ptp(t) == 0.0:
-            continue
-        x = np.column_stack((np.ones(len(t)), t - t.mean()))
-        left = y - x @ np.linalg.lstsq(x / np.sqrt(v)[:, None], y / np.sqrt(v), rcond=None)[0]
-        (_, slope[axis]), inverse = _weighted(x, y, v + excess_variance(left, v, len(y) - 2))
-        slope_doubt[axis] = np.sqrt(inverse[1, 1])
-    return mean, mean_doubt, slope, slope_doubt
 
 
 # ---- rate steps made ready: usable rows, soaks and mountings by number

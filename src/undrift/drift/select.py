@@ -21,7 +21,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.drift.dynamic import DEFAULT_STEP_C, DynamicFit, fit_dynamic, softness_of
+from undrift.drift.dynamic import DEFAULT_STEP_C, DynamicFit, fit_dynamic
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.scale import ScaleFit, Steps, fit_scale, measured_rate, steps_of
 from undrift.drift.static import StaticFit, TriadDrift, far_from_data
@@ -128,10 +128,7 @@ def choose_tables(
             scale = fit_scale(rows, calibration, static=static, temp_c=temp_c)
 
         def bent(matrix: ScaleDrift | None, earlier: DynamicFit | None) -> DynamicFit:
-            alike = None if earlier is None else softness_of(earlier)
-            return fit_dynamic(
-                rows, calibration, static=static, scale=matrix, rests=rests, temp_c=nodes, softness=alike
-            )
+            return fit_dynamic(rows, calibration, static=static, scale=matrix, rests=rests, temp_c=nodes, like=earlier)
 
         with suppress(CalibrationError):
             dynamic = bent(None, like.dynamic if like else None)

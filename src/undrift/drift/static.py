@@ -73,11 +73,6 @@ class Loop:
     half: FloatArray  # (3,), h: offset while cooling minus offset while warming, over two, raw unit
     uncertainty: FloatArray  # (3,), standard uncertainty
 
-    @property
-    def significant(self) -> bool:
-        """Whether one axis or more exceeds three standard uncertainties."""
-        return bool((np.abs(self.half) > _SIGNIFICANT * self.uncertainty).any())
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OffsetCurve:
@@ -90,14 +85,6 @@ class OffsetCurve:
     warm_up: WarmUp | None  # where it was asked for and observable
     turn_on: TurnOn | None  # None for one session
     findings: tuple[Finding, ...]
-
-    @property
-    def extra_variance(self) -> FloatArray:
-        """Variance that every node gets beside that of the middle curve: hysteresis half-width, session to come; (3,)."""
-        extra = np.zeros(3) if self.turn_on is None else self.turn_on.variance_to_come
-        if self.kept_loop and self.loop is not None:
-            extra = extra + self.loop.half**2
-        return extra
 
     def through_set_points(self, nodes: FloatArray) -> NodeValues:
         """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
@@ -209,12 +196,16 @@ def _triad(
         model = reference[1]
         value = model.offset + found.value[:n] - found.value[-1]
         own = own + every[-1] - 2.0 * found.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
+    # Beside that of the middle curve: the session to come, the hysteresis half-width
+    extra = offsets.common_variance + (0.0 if curve.turn_on is None else curve.turn_on.variance_to_come)
+    if curve.kept_loop and curve.loop is not None:
+        extra = extra + curve.loop.half**2
     temps, rows = found.temp_c[n : n + _SLOPE_POINTS], slice(n, n + _SLOPE_POINTS)
     weight = (temps - temps.mean()) / ((temps - temps.mean()) @ (temps - temps.mean()))
     slope_variance = np.einsum("i,kij,j->k", weight, found.covariance[:, rows, rows], weight)
     return TriadDrift(
         offset=value,
-        uncertainty=np.sqrt(np.maximum(own, 0.0) + offsets.common_variance + curve.extra_variance),
+        uncertainty=np.sqrt(np.maximum(own, 0.0) + extra),
         extrapolated=~near_data(nodes, temp_c, gap_c=_GAP_C),
         slope=np.asarray(weight @ found.value[rows]),
         slope_uncertainty=np.sqrt(np.maximum(slope_variance, 0.0)),
@@ -290,11 +281,11 @@ def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
     if seen:
         full = _fitted(offsets, state, tau)
         loop = Loop(half=full[1].coefficient[0], uncertainty=full[1].coefficient_uncertainty[0])
-    kept = loop is not None and loop.significant
+    kept = loop is not None and bool((np.abs(loop.half) > _SIGNIFICANT * loop.uncertainty).any())
     cells, spline, turn_on = full if kept else _fitted(offsets, None, tau)
     if turn_on is None:
         found.append(finding("drift.one_session", "info"))
-    elif not turn_on.observable:
+    elif not np.isfinite(turn_on.variance).all():
         found.append(finding("drift.sessions_apart", "info", sessions=turn_on.sessions))
     elif turn_on.bounded.any():
         axes = tuple(axis for axis, held in zip(AXES, turn_on.bounded, strict=True) if held)
@@ -330,7 +321,7 @@ def _fitted(offsets: Offsets, state: FloatArray | None, tau: float | None) -> tu
         smooth = SmoothSettings(scatter_spread=float(np.hypot(smooth.scatter_spread, np.sqrt(2.0 / cells.pairs))))
     if len(np.unique(cells.session)) > 1:
         turn_on = between_sessions(cells, smooth)
-        of_sessions = turn_on.shared(cells.session)
+        of_sessions = np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)
         shared = of_sessions if shared is None else of_sessions + shared
     spline = fit_smooth(
         cells.temp_c,
