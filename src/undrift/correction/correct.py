@@ -34,6 +34,7 @@ from undrift.correction.plan import (
     carry_at_start,
     conditions_of,
     flat,
+    has_tables,
     in_pieces,
     plan_record,
 )
@@ -282,7 +283,9 @@ def correct_planned(
 ) -> Corrected:
     """Correct a record with plans made beforehand, as a stream has them."""
     temp_c, since, coming = conditions_of(record, calibration, plans, carry)
-    before, missing = carry.last_time, coverage.find_missing(record, temp_c, plans)
+    before, missing = carry.last_time, np.zeros(len(record), dtype=bool)
+    if has_tables(plans) and np.isnan(temp_c.min()):  # a least value is NaN where any is
+        missing = np.isnan(temp_c)
     outside = coverage.find_outside(record, temp_c, plans, allowed=policy != "raise", before=before)
     outputs = _buffers(len(record), plans, out)
 

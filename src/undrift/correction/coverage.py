@@ -72,13 +72,6 @@ def seconds_of(mask: BoolArray, time: FloatArray, before: float | None) -> float
 # ---- masks, (N,)
 
 
-def find_missing(record: Record, temp_c: FloatArray, plans: Plans) -> BoolArray:
-    """Find the samples without the temperature that a tuning table needs."""
-    if not has_tables(plans) or not np.isnan(temp_c.min()):  # a least value is NaN where any is
-        return np.zeros(len(record), dtype=bool)
-    return np.isnan(temp_c)
-
-
 def find_outside(
     record: Record, temp_c: FloatArray, plans: Plans, *, allowed: bool, before: float | None = None
 ) -> BoolArray:

@@ -32,8 +32,9 @@ from undrift.units import RADIAN_PER_DEGREE
 
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
 ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first
-T = TypeVar("T", StaticDrift, ScaleDrift, TriadDrift)
-_BY_NODE = ("temp_c", "offset", "matrix", "uncertainty", "extrapolated", "unknown_scale")  # fields of one row a node
+T = TypeVar("T", StaticDrift, ScaleDrift, DynamicDrift, TriadDrift)
+# Fields of one row a node
+_BY_NODE = ("temp_c", "offset", "matrix", "error", "uncertainty", "extrapolated", "unknown_scale")
 _RATE_FOLDS = 4
 _SAME_C = 1.0  # between soaks, in the order of their temperature: further apart is another set-point
 _WORTH = 1.05  # a table more has to reduce the rms by this factor at least
@@ -270,53 +271,39 @@ def widened(nodes: FloatArray, span_c: tuple[float, float]) -> FloatArray:
 
 def cropped_static(fit: StaticFit, nodes: FloatArray) -> StaticFit:
     """Return the offsets at some of their nodes (n,), degC."""
-    keep = _kept(fit.table.temp_c, nodes)
-    gyro, accel = (found and _cropped(found, keep) for found in (fit.gyro, fit.accel))
+    old = fit.table.temp_c
+    gyro, accel = (found and _cropped(found, old, nodes) for found in (fit.gyro, fit.accel))
     kept = [item for item in fit.verdict.findings if item.code != "drift.nodes_extrapolated"]
     kept += [] if gyro is None else far_from_data("gyroscope", gyro)
     kept += [] if accel is None or accel.offset is None else far_from_data("accelerometer", accel)
     verdict = replace(fit.verdict, findings=tuple(kept))
-    return StaticFit(table=_cropped(fit.table, keep), gyro=gyro, accel=accel, verdict=verdict)
+    return StaticFit(table=_cropped(fit.table, old, nodes), gyro=gyro, accel=accel, verdict=verdict)
 
 
 def cropped_choice(choice: Choice, nodes: FloatArray) -> Choice:
-    """Return what was chosen with all its tables cut to nodes (n,), degC."""
+    """Return what was chosen with all its tables cut to nodes (n,), degC; those of the dynamic tables lie further apart."""
     scale = choice.scale
     if scale is not None:
-        scale = replace(scale, drift=_cropped(scale.drift, _kept(scale.drift.temp_c, nodes)))
-    dynamic, both = (fit and _cropped_dynamic(fit, nodes) for fit in (choice.dynamic, choice.both))
+        scale = replace(scale, drift=_cropped(scale.drift, scale.drift.temp_c, nodes))
+
+    def cropped(fit: DynamicFit) -> DynamicFit:
+        old, low, high = fit.drift.temp_c, nodes[0], nodes[-1]
+        at = np.concatenate(([low], old[(old > low + 1e-9) & (old < high - 1e-9)], [high]))
+        return replace(fit, drift=replace(_cropped(fit.drift, old, at), temp_c=at))
+
+    dynamic, both = (fit and cropped(fit) for fit in (choice.dynamic, choice.both))
     return replace(choice, scale=scale, dynamic=dynamic, both=both)
 
 
-def _kept(temp_c: FloatArray, nodes: FloatArray) -> slice:
-    first = int(np.argmin(np.abs(temp_c - nodes[0])))
-    return slice(first, first + len(nodes))
-
-
-def _cropped(table: T, keep: slice) -> T:
-    """Return a table at some of its nodes."""
-    names = [
-        name for name in table.__dataclass_fields__ if name.removeprefix("gyro_").removeprefix("accel_") in _BY_NODE
-    ]
-    own = {name: getattr(table, name) for name in names}
-    kept: dict[str, Any] = {name: None if value is None else value[keep] for name, value in own.items()}
-    return replace(table, **kept)
-
-
-def _cropped_dynamic(fit: DynamicFit, nodes: FloatArray) -> DynamicFit:
-    """Its nodes lie further apart: the ends asked for become nodes, linear between their neighbours."""
-    drift, old, low, high = fit.drift, fit.drift.temp_c, nodes[0], nodes[-1]
-    at = np.concatenate(([low], old[(old > low + 1e-9) & (old < high - 1e-9)], [high]))
+def _cropped(table: T, old: FloatArray, at: FloatArray) -> T:
+    """Return a table at temperatures within its own: linear between two nodes, marked where one of them is."""
     right = np.clip(np.searchsorted(old, at - 1e-9), 1, len(old) - 1)
     share = np.clip((at - old[right - 1]) / (old[right] - old[right - 1]), 0.0, 1.0)
-
-    def between(values: FloatArray | BoolArray | None) -> Any:
-        if values is None:
-            return None
-        w = share.reshape(-1, *[1] * (values.ndim - 1))
-        left, over = values[right - 1], values[right]
-        return np.where(w == 0.0, left, np.where(w == 1.0, over, (1.0 - w) * left + w * over))  # NaN times 0 is NaN
-
-    error, uncertainty, marks = (between(v) for v in (drift.error, drift.uncertainty, drift.extrapolated))
-    seen = None if marks is None else marks > 0.0
-    return replace(fit, drift=replace(drift, temp_c=at, error=error, uncertainty=uncertainty, extrapolated=seen))
+    kept: dict[str, Any] = {}
+    for name in table.__dataclass_fields__:
+        values = getattr(table, name)
+        if values is not None and name.removeprefix("gyro_").removeprefix("accel_") in _BY_NODE:
+            w, left, over = share.reshape(-1, *[1] * (values.ndim - 1)), values[right - 1], values[right]
+            made = np.where(w == 0.0, left, np.where(w == 1.0, over, (1.0 - w) * left + w * over))  # NaN times 0 is NaN
+            kept[name] = made > 0.0 if values.dtype == bool else made
+    return replace(table, **kept)
