@@ -54,7 +54,7 @@ def parse_status(line: str, name: str) -> Status:
 
 
 class GrblController:
-    """Commands of the controller."""
+    """Commands of a controller."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.link, self.clock, self.name = link, clock, link.name
@@ -201,14 +201,13 @@ class Feeder:
             sent += 1
 
 
-class GrblAxis:
+class GrblAxis(GrblController):
     """What the axis does, in degrees."""
 
     refused: str | None = None  # a controller that was reset can be used again
 
     def __init__(self, link: Link, axis: str, clock: Clock) -> None:
-        self.grbl, self.name = GrblController(link, clock), link.name
-        self.clock = clock
+        super().__init__(link, clock)
         self.enabled = False
         self.feeder: Feeder | None = None
         self._axis = axis
@@ -222,33 +221,23 @@ class GrblAxis:
         self._found_dps2 = self.acceleration_dps2
         self.place_deg = self.home_deg = self.read_place()
 
-    @property
-    def broken(self) -> RigError | None:
-        """How the link first failed since it was last in step."""
-        return self.grbl.broken
-
-    @broken.setter
-    def broken(self, error: RigError | None) -> None:
-        """Note or forget it."""
-        self.grbl.broken = error
-
     def wake_up(self) -> str:
         """Reset, and clear an alarm that a reset in our own motion or our own sleep leaves behind."""
         self._last = None
         try:
-            answer = self.grbl.status_anew()
+            answer = self.status_anew()
         except RigTimeout:  # a board that a serial port's opening restarted
             answer = ""
         if self._found_asleep is None:
             self._found_asleep = not answer or "<Sleep" in answer
-        greeting = self.grbl.reset()
-        if self.grbl.status().state == "Alarm" and any(f"<{state}" in answer for state in OWN_STOPS):
-            self.grbl.do("$X")
+        greeting = self.reset()
+        if self.status().state == "Alarm" and any(f"<{state}" in answer for state in OWN_STOPS):
+            self.do("$X")
         return greeting
 
     def stored(self, first: int) -> tuple[int, float]:
         """Return the number and the value of a setting of the axis."""
-        listed = dict(line.removeprefix("$").split("=", 1) for line in self.grbl.do("$$") if line.startswith("$"))
+        listed = dict(line.removeprefix("$").split("=", 1) for line in self.do("$$") if line.startswith("$"))
         own = first + AXES.index(self._axis)
         number = own if str(own) in listed else first
         text = listed.get(str(number), "nothing").split(" ")[0]
@@ -265,7 +254,7 @@ class GrblAxis:
     def store_acceleration(self, acceleration_dps2: float) -> float:
         """Store run-up and slow-down."""
         number, _ = self.stored(ACCELERATION)
-        self.grbl.do(f"${number}={acceleration_dps2:.3f}")
+        self.do(f"${number}={acceleration_dps2:.3f}")
         _, held = self.stored(ACCELERATION)
         if abs(held - acceleration_dps2) > 1e-3:
             raise LinkError(
@@ -276,7 +265,7 @@ class GrblAxis:
     def read_place(self) -> float:
         """Return the machine position."""
         asked = self.clock.now()
-        machine = self.grbl.status().machine
+        machine = self.status().machine
         if machine is None:
             raise LinkError(f"{self.name}: wanted machine positions, got work positions; set $10 to 1")
         index = AXES.index(self._axis) if len(machine) > 1 else 0
@@ -297,7 +286,7 @@ class GrblAxis:
 
     def jog(self, distance_deg: float, deg_per_min: float) -> None:
         """Queue a jog by a whole number of steps, signed, at a rate above 0."""
-        self.grbl.do(f"$J=G91G21{self._axis}{distance_deg:.5f}F{deg_per_min:.3f}")
+        self.do(f"$J=G91G21{self._axis}{distance_deg:.5f}F{deg_per_min:.3f}")
 
     def start_turning(self, deg_per_min: float, room_deg: float) -> None:
         """Start a chain of jogs."""
@@ -315,37 +304,37 @@ class GrblAxis:
         failure = self._end_feeding()
         if isinstance(failure, LinkError | RigTimeout):
             raise failure
-        if self.grbl.status().state in ("Jog", "Run", "Hold"):
-            self.grbl.link.send(JOG_CANCEL)
-            self.grbl.wait_for(("Idle",), self.fastest_dps / self.acceleration_dps2)
+        if self.status().state in ("Jog", "Run", "Hold"):
+            self.link.send(JOG_CANCEL)
+            self.wait_for(("Idle",), self.fastest_dps / self.acceleration_dps2)
         self.read_place()
         if failure is not None:
             raise failure
 
     def check_awake(self) -> None:
         """Refuse to jog when the motor is off or an alarm stands."""
-        status = self.grbl.status()
+        status = self.status()
         if status.state != "Idle":
-            got = self.grbl.alarm_text(status) if status.state in ("Alarm", "Door") else status.state
+            got = self.alarm_text(status) if status.state in ("Alarm", "Door") else status.state
             raise RigFault(f"{self.name}: wanted an idle controller, got {got}; enable the rig, look at the table")
 
     def restore(self) -> bool:
         """Come to rest, with the acceleration and the motor as they were found."""
-        self.grbl.status_anew()
+        self.status_anew()
         self.stop()
         if self.acceleration_dps2 != self._found_dps2:
             self.store_acceleration(self._found_dps2)
-        return self.grbl.sleep() if self._found_asleep else self.grbl.status().state == "Idle"
+        return self.sleep() if self._found_asleep else self.status().state == "Idle"
 
     def make_safe(self) -> bool:
         """End the chain, stop, put the motor to sleep."""
         self.enabled = False
         self._end_feeding()
-        return self.grbl.make_safe()
+        return super().make_safe()
 
     def let_go(self) -> None:
         """Close the link."""
-        self.grbl.link.close()
+        self.link.close()
 
     def _end_feeding(self) -> RigError | None:
         feeder, self.feeder = self.feeder, None
@@ -380,18 +369,18 @@ class GrblRig(LinkedRig):
     def identify(self) -> str:
         """Return the firmware's greeting and what ``$I`` says."""
         with self._guarded():
-            return "; ".join([self._axis.greeting, *(line.strip("[]") for line in self._axis.grbl.do("$I"))])
+            return "; ".join([self._axis.greeting, *(line.strip("[]") for line in self._axis.do("$I"))])
 
     def enable(self, on: bool) -> None:
         """Wake the motor up, or stop and put it to sleep (``$SLP``)."""
         with self._guarded():
             self._axis.stop()
             if not on:
-                self._axis.grbl.sleep()
+                self._axis.sleep()
             else:
-                if self._axis.grbl.status().state == "Sleep":
+                if self._axis.status().state == "Sleep":
                     self._axis.wake_up()
-                self._axis.grbl.wait_for(("Idle",))
+                self._axis.wait_for(("Idle",))
             self._axis.enabled = on
 
     def set_acceleration(self, acceleration: float) -> float:
@@ -438,7 +427,7 @@ class GrblRig(LinkedRig):
             axis.check_awake()
             before = axis.place_deg
             axis.jog(distance, 60.0 * rate_dps)
-            axis.grbl.wait_for(("Idle",), abs(distance) / rate_dps + 2.0 * rate_dps / axis.acceleration_dps2)
+            axis.wait_for(("Idle",), abs(distance) / rate_dps + 2.0 * rate_dps / axis.acceleration_dps2)
             went = axis.read_place() - before
             if abs(went - distance) > 1.0 / axis.steps_per_deg + 2e-3:
                 raise RigFault(
@@ -470,9 +459,9 @@ class GrblRig(LinkedRig):
         if axis.feeder is not None and axis.feeder.failure is not None:
             return str(axis.feeder.failure)
         with self._guarded():
-            status = axis.grbl.status()
+            status = axis.status()
         if status.state in ("Alarm", "Door"):
-            return axis.grbl.alarm_text(status)
+            return axis.alarm_text(status)
         if axis.enabled and status.state == "Sleep":
             return "the motor is asleep though it was switched on"
         return None

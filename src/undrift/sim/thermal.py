@@ -412,7 +412,7 @@ def simulate_thermal_session(
     chosen = settings or ThermalSettings()
     chosen = replace(chosen, power_on_s=0.0) if kind == "warm_up" else chosen
     profile, legs = programme_of(kind, chosen, draw_streams(rng))
-    records, stills, turns = _pieced(_read(profile, legs, device, chosen, rng), chosen)
+    records, stills, turns = _read(profile, legs, device, chosen, rng)
     return Session(
         kind="thermal",
         serial=device.serial,
@@ -423,14 +423,14 @@ def simulate_thermal_session(
     )
 
 
-# What was recorded of a leg, its labels counted from its own first sample
-Taken = tuple[Record, tuple[Still, ...], tuple[Turn, ...]]
-
-
 def _read(
     profile: Profile, legs: list[Leg], device: DeviceModel, settings: ThermalSettings, rng: np.random.Generator
-) -> list[Taken]:
-    thermometer, taken = device.thermometer, []
+) -> tuple[tuple[Record, ...], tuple[Still, ...], tuple[Turn, ...]]:
+    """Return what is recorded of the legs, with labels: a record for each leg, or one in all."""
+    records: list[Record] = []
+    stills: list[Any] = []
+    turns: list[Any] = []
+    thermometer = device.thermometer
     scene = Scene(
         time=profile.time,
         step_s=float(profile.time[-1] / (len(profile.time) - 1)),
@@ -450,8 +450,15 @@ def _read(
         noise = draw_streams(rng).of("thermometer")
         shown = thermometer.shown(np.interp(made.true_time, profile.time, felt), noise)
         record = replace(made.record, temp_c=None if settings.drop_temperature else shown)
-        taken.append(_labelled(leg, record.part(first, len(record)), made.true_time[first:], settings))
-    return taken
+        recording, offset = (0, sum(map(len, records))) if settings.one_record else (len(records), 0)
+        for labels, found in ((leg[0].stills, stills), (leg[0].turns, turns)):
+            found += _labels(labels, leg, made.true_time[first:], recording, offset, settings)
+        records.append(record.part(first, len(record)))
+    if not settings.one_record:
+        return tuple(records), tuple(stills), tuple(turns)
+    columns = {name: [getattr(record, name) for record in records] for name in ("time", "gyro", "accel", "temp_c")}
+    joined: dict[str, Any] = {name: None if x[0] is None else np.concatenate(x) for name, x in columns.items()}
+    return (replace(records[0], **joined),), tuple(stills), tuple(turns)
 
 
 def _simulated(
@@ -501,40 +508,20 @@ def _shifted(device: DeviceModel, walked: Walks) -> DeviceModel:
     return replace(device, gyro=shift(device.gyro, walked[0]), accel=shift(device.accel, walked[1]))
 
 
-def _labelled(leg: Leg, record: Record, true_time: FloatArray, settings: ThermalSettings) -> Taken:
-    """Return a record with the labels of its leg, in samples of the record: the device's clock may be another."""
+def _labels(
+    labels: tuple[Any, ...], leg: Leg, true_time: FloatArray, recording: int, offset: int, settings: ThermalSettings
+) -> list[Any]:
+    """Return the labels of a leg in samples of its record, which begins at an offset: the device's clock may be another."""
     motion, soak = leg
     time, slack = motion.time, 1e-3 / motion.sample_rate_hz
 
     def sample(edge: int) -> int:
-        return len(record) if edge >= len(time) else int(np.searchsorted(true_time, time[edge] - slack))
+        return offset + (len(true_time) if edge >= len(time) else int(np.searchsorted(true_time, time[edge] - slack)))
 
     def temp_of(label: Still | Turn) -> float | None:
         stated = settings.drop_temperature and soak is not None and time[label.start] >= soak.soaked_s
         return soak.set_point_c if stated and soak else None
 
-    stills = tuple(replace(s, start=sample(s.start), stop=sample(s.stop), temp_c=temp_of(s)) for s in motion.stills)
-    turns = tuple(replace(t, start=sample(t.start), stop=sample(t.stop), temp_c=temp_of(t)) for t in motion.turns)
-    return record, stills, turns
-
-
-def _pieced(
-    taken: list[Taken], settings: ThermalSettings
-) -> tuple[tuple[Record, ...], tuple[Still, ...], tuple[Turn, ...]]:
-    """Return the records of a session with its labels: one record for each leg, or one in all."""
-    stills: list[Still] = []
-    turns: list[Turn] = []
-    before = 0
-    for number, (record, own_stills, own_turns) in enumerate(taken):
-        recording, offset = (0, before) if settings.one_record else (number, 0)
-        stills += [replace(s, start=s.start + offset, stop=s.stop + offset, recording=recording) for s in own_stills]
-        turns += [replace(t, start=t.start + offset, stop=t.stop + offset, recording=recording) for t in own_turns]
-        before += len(record)
-    records = tuple(record for record, _, _ in taken)
-    if settings.one_record:
-        joined: dict[str, Any] = {}
-        for name in ("time", "gyro", "accel", "temp_c"):
-            parts = [getattr(record, name) for record in records]
-            joined[name] = None if parts[0] is None else np.concatenate(parts)
-        records = (replace(records[0], **joined),)
-    return records, tuple(stills), tuple(turns)
+    return [
+        replace(x, start=sample(x.start), stop=sample(x.stop), temp_c=temp_of(x), recording=recording) for x in labels
+    ]

@@ -425,7 +425,7 @@ def _case(
 ) -> tuple[Case, FloatArray, float]:
     """Return the trial, the pitch that was captured, rad, and the share of readings at the end of the range."""
     spline = fit_pose_spline(capture.device, SKIN)
-    first, last = spline.pieces[0].start_s, spline.pieces[0].stop_s  # up to the first long gap
+    first, last = spline.pieces[0][:2]  # up to the first long gap
     time = first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     motion = _after_rest(spline.at(time, STANDARD_GRAVITY))
     before = len(motion) - len(time)

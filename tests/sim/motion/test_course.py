@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.sim.motion.motion import Burst, Part, Step, Sway, ViaPoint, Wave, course_at
+from undrift.sim.motion.motion import Burst, Part, Step, Sway, ViaPoint, course_at, wave
 
 PARTS: dict[str, Part] = {
     "step": Step(0.4, 1.3, 0.7),
     "via-point": ViaPoint(0.4, 0.9, 1.4, 0.6, -0.5),
-    "wave": Wave(0.5, 0.8, 0.3, 0.2, 3.6),
+    "wave": wave(0.5, 0.8, 0.3, 0.2, 3.6),
     "sway": Sway((0.3, 0.2, 0.1), (0.2, 0.7, 1.9), (0.0, 1.0, 2.0), 0.2, 3.6, 1.5),
     "burst": Burst(0.05, 3.0, 0.5, 0.2),
 }

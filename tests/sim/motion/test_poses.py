@@ -8,7 +8,7 @@ from testkit.motion_of_poses import motion_from_poses
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.record import Reference
-from undrift.sim.motion.motion import Wave
+from undrift.sim.motion.motion import wave
 from undrift.sim.motion.poses import (
     PoseSettings,
     PoseSpline,
@@ -26,19 +26,19 @@ G = 9.81
 def tumble(duration_s: float = 20.0) -> Task:
     """A body that turns about all axes while it travels along all."""
 
-    def wave(amplitude, frequency, phase):
-        return (Wave(amplitude, frequency, phase, -10.0, duration_s + 10.0),)
+    def swung(amplitude, frequency, phase):
+        return (wave(amplitude, frequency, phase, -10.0, duration_s + 10.0),)
 
     return Task(
         name="tumble",
         duration_s=duration_s,
         moving_s=(0.0, duration_s),
-        roll=wave(0.7, 0.9, 0.1),
-        pitch=wave(0.9, 1.3, 1.0),
-        yaw=wave(2.5, 0.4, 2.0),
-        forward=wave(0.3, 0.8, 0.3),
-        left=wave(0.2, 1.1, 1.3),
-        up=wave(0.1, 1.7, 2.3),
+        roll=swung(0.7, 0.9, 0.1),
+        pitch=swung(0.9, 1.3, 1.0),
+        yaw=swung(2.5, 0.4, 2.0),
+        forward=swung(0.3, 0.8, 0.3),
+        left=swung(0.2, 1.1, 1.3),
+        up=swung(0.1, 1.7, 2.3),
     )
 
 

@@ -7,7 +7,7 @@ from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.orientation import integrate_strapdown
-from undrift.sim.motion.motion import Step, Sway, ViaPoint, Wave
+from undrift.sim.motion.motion import Step, Sway, ViaPoint
 from undrift.sim.motion.tasks import Task, draw_task
 
 TASKS = ("sit_to_stand", "posturography", "free", "step")
@@ -49,7 +49,7 @@ def joins(task: Task) -> np.ndarray:
                 found += [start, start + part.duration_s]
             case ViaPoint():
                 found += [start, start + part.there_s, start + part.there_s + part.back_s]
-            case Wave() | Sway():
+            case Sway():
                 found += [start, start + part.swell_s, part.stop_s - part.swell_s, part.stop_s]
             case _:
                 found.append(start)

@@ -272,10 +272,8 @@ def test_a_bench_that_cannot_open_all_its_parts_leaves_none_open():
     before = threading.active_count()
     with start_bench(EmulatedBenchSettings(device=DEVICE)) as bench:
         taken = int(bench.chamber_address.rpartition(":")[2])
-        from undrift.sim.rig.emulator import BenchPorts
-
         with pytest.raises(OSError):
-            start_bench(EmulatedBenchSettings(device=DEVICE, ports=BenchPorts(hands=taken)))
+            start_bench(EmulatedBenchSettings(device=DEVICE, hands_port=taken))
     assert threading.active_count() == before
 
 

@@ -25,7 +25,7 @@ from undrift.errors import InputError
 from undrift.frames import quaternion_product, rotate
 from undrift.record import FACES, Axis, Face, Still
 from undrift.sim.device.simulate import Streams, draw_streams
-from undrift.sim.motion.motion import Course, Motion, Script, Wave, facing, turn_quaternion, unit_vector
+from undrift.sim.motion.motion import Course, Motion, Script, facing, turn_quaternion, unit_vector, wave
 from undrift.sim.motion.tasks import Task, draw_lines
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -75,7 +75,7 @@ def _trolley(script: Script, settings: RivalSettings, streams: Streams) -> None:
     for axis in range(3):
         _mount(script, settings, np.eye(3)[(axis + 1) % 3], np.eye(3)[axis], tilts)
         for frequency_hz in settings.trolley_hz:
-            swing = (Wave(settings.trolley_stroke, frequency_hz, 0.0, 0.0, settings.run_s, 2.0),)
+            swing = (wave(settings.trolley_stroke, frequency_hz, 0.0, 0.0, settings.run_s, 2.0),)
             script.slide((swing, _shake(settings, rail), _shake(settings, rail)), settings.run_s)
             script.still(settings.still_s)
 
@@ -92,7 +92,7 @@ def _piston(script: Script, settings: RivalSettings, streams: Streams) -> None:
     for axis in range(3):
         _mount(script, settings, np.eye(3)[axis], np.eye(3)[(axis + 1) % 3], tilts)
         for frequency_hz in settings.piston_hz:
-            lift = (Wave(settings.piston_stroke, frequency_hz, 0.0, 0.0, settings.run_s, 2.0),)
+            lift = (wave(settings.piston_stroke, frequency_hz, 0.0, 0.0, settings.run_s, 2.0),)
             script.slide(((), (), lift), settings.run_s)
             script.still(settings.still_s)
 

@@ -12,8 +12,7 @@ Course: one coordinate over time, a sum of parts whose derivatives are closed fo
 
 ``Step``      least-jerk change between two rests: 10 s^3 - 15 s^4 + 6 s^5; peak rate 1.875 A/T, acceleration 5.77 A/T^2
 ``ViaPoint``  least-jerk there and back: through a turning point at a given instant, its acceleration left free
-``Wave``      a sinusoid that swells and ebbs
-``Sway``      a sum of sinusoids under one such envelope
+``Sway``      a sum of sinusoids that swells and ebbs
 ``Burst``     a decaying oscillation: the knock of a heel
 
 Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
@@ -123,23 +122,6 @@ def _bend(s: FloatArray, duration_s: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Wave:
-    """A sinusoid that swells at the start and ebbs at the end."""
-
-    amplitude: float  # rad or m
-    frequency_hz: float  # Hz
-    phase: float  # rad
-    start_s: float  # Where it is not zero, s
-    stop_s: float
-    swell_s: float = 1.0  # Time to full amplitude, and back to none, s
-
-    def at(self, time: FloatArray) -> FloatArray:
-        """Return value, first and second derivative: time (N,) s -> (3, N)."""
-        one = (self.amplitude,), (self.frequency_hz,), (self.phase,)
-        return Sway(*one, self.start_s, self.stop_s, self.swell_s).at(time)
-
-
-@dataclass(frozen=True, slots=True)
 class Sway:
     """A sum of sinusoids under one envelope."""
 
@@ -159,6 +141,13 @@ class Sway:
         sine, cosine = np.sin(turn), np.cos(turn)
         v, v1, v2 = amplitude @ sine, (amplitude * speed) @ cosine, -(amplitude * speed**2) @ sine
         return np.stack((e * v, e1 * v + e * v1, e2 * v + 2.0 * e1 * v1 + e * v2))
+
+
+def wave(
+    amplitude: float, frequency_hz: float, phase: float, start_s: float, stop_s: float, swell_s: float = 1.0
+) -> Sway:
+    """Return a sinusoid, rad or m, that swells at the start and ebbs at the end."""
+    return Sway((amplitude,), (frequency_hz,), (phase,), start_s, stop_s, swell_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,14 +135,8 @@ class PoseSettings:
     end_trim_s: float = 0.1  # Trimmed at the ends of the recording, s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PosePiece:
-    """One stretch as splines."""
-
-    start_s: float  # Where it is valid, s
-    stop_s: float
-    quaternion: "BSpline"  # Four columns over time, 1
-    position: "BSpline | None"  # Three columns over time, m, frame n
+# One stretch: from where to where it is valid, s; quaternion over time; position over time, m, frame n
+PosePiece = tuple[float, float, "BSpline", "BSpline | None"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,19 +150,19 @@ class PoseSpline:
     @property
     def span_s(self) -> tuple[float, float]:
         """First and last instant that is known, s."""
-        return self.pieces[0].start_s, self.pieces[-1].stop_s
+        return self.pieces[0][0], self.pieces[-1][1]
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
         """Return the motion at given instants."""
         n = len(time)
         q, rate, swing, force = (np.full((n, width), np.nan) for width in (4, 3, 3, 3))
         valid = np.zeros(n)
-        for piece in self.pieces:
-            rows = np.flatnonzero((time >= piece.start_s) & (time <= piece.stop_s))
-            q[rows], rate[rows], swing[rows] = turning(piece.quaternion, time[rows])
+        for start_s, stop_s, quaternion, position in self.pieces:
+            rows = np.flatnonzero((time >= start_s) & (time <= stop_s))
+            q[rows], rate[rows], swing[rows] = turning(quaternion, time[rows])
             valid[rows] = 1.0
-            if piece.position is not None:
-                push = piece.position(time[rows], nu=2) + np.array([0.0, 0.0, gravity_m_s2])
+            if position is not None:
+                push = position(time[rows], nu=2) + np.array([0.0, 0.0, gravity_m_s2])
                 force[rows] = rotate(quaternion_conjugate(q[rows]), push)
         mean = mean_rate(time, q, rate[0])
         first = np.flatnonzero((valid[1:] > 0.0) & (valid[:-1] == 0.0)) + 1  # no step leads to the first after a gap
@@ -189,10 +183,10 @@ class PoseSpline:
     def position(self, time: FloatArray) -> FloatArray:
         """Return where the body's origin is."""
         out = np.full((len(time), 3), np.nan)
-        for piece in self.pieces:
-            if piece.position is not None:
-                rows = np.flatnonzero((time >= piece.start_s) & (time <= piece.stop_s))
-                out[rows] = piece.position(time[rows])
+        for start_s, stop_s, _, position in self.pieces:
+            if position is not None:
+                rows = np.flatnonzero((time >= start_s) & (time <= stop_s))
+                out[rows] = position(time[rows])
         return out
 
 
@@ -208,7 +202,7 @@ def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings(
         if reference.position is not None:
             position = _smooth(t, reference.position[rows], step, settings.position_cutoff_hz, settings.order)
         quaternion = _smooth(t, signed(reference.q_nb[rows]), step, settings.cutoff_hz, settings.order)
-        pieces.append(PosePiece(start_s=start, stop_s=stop, quaternion=quaternion, position=position))
+        pieces.append((start, stop, quaternion, position))
     moving = np.ones(len(time)) if reference.moving is None else reference.moving
     return PoseSpline(pieces=tuple(pieces), moving_time=time, moving=moving)
 
@@ -243,19 +237,9 @@ def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float 
 Method = Literal["rest", "residual"]
 Signal = Literal["orientation", "position"]
 _SMOOTH_HZ = 2.0  # a spectrum of few segments scatters by half: neighbours are averaged
-_TOP = 0.35  # of the sample rate: the highest cut-off that is tried
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CutoffSettings:
-    """How a cut-off is chosen."""
-
-    lowest_hz: float = 1.0  # Lowest that is tried, Hz
-    tries: int = 160  # Cut-offs tried by the residual, from lowest to 0.35 of the sample rate
-    # Rest for method rest, s; None takes what the recording marks as not moving
-    rest_s: tuple[float, float] | None = None
-    noise_factor: float = 2.0  # Power of the motion over that of the rest at which it counts as noise
-    segment_s: float = 2.0  # Length of a spectrum's segments, s; the resolution is its inverse
+_LOWEST_HZ, _TOP, _TRIES = 1.0, 0.35, 160  # the cut-offs that are tried: from here to a share of the sample rate
+_NOISE_FACTOR = 2.0  # power of the motion over that of the rest at which it counts as noise
+_SEGMENT_S = 2.0  # length of a spectrum's segments, s; the resolution is its inverse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,26 +257,25 @@ def choose_cutoff(
     *,
     method: Method | None = None,
     signal: Signal = "orientation",
-    settings: CutoffSettings = CutoffSettings(),
 ) -> Cutoff:
     """Choose the cut-off of the low-pass for poses; None takes the rest where it has a crossing, else the residual."""
     marked = reference.moving is not None and bool((reference.moving == 0.0).any())
-    if method == "rest" or (method is None and (settings.rest_s is not None or marked)):
+    if method == "rest" or (method is None and marked):
         try:
-            found = _by_rest(reference, signal, settings)
+            found = _by_rest(reference, signal)
         except InputError:  # too short a rest for a spectrum
             if method == "rest":
                 raise
         else:
             if method == "rest" or found.crossing:
                 return found
-    return _by_residual(reference, signal, settings)
+    return _by_residual(reference, signal)
 
 
-def _by_residual(reference: Reference, signal: Signal, settings: CutoffSettings) -> Cutoff:
+def _by_residual(reference: Reference, signal: Signal) -> Cutoff:
     time, values = _series(reference, signal, np.ones(len(reference), dtype=np.bool_))
     rate = float((len(time) - 1) / (time[-1] - time[0]))
-    tried = np.linspace(settings.lowest_hz, _TOP * rate, settings.tries)
+    tried = np.linspace(_LOWEST_HZ, _TOP * rate, _TRIES)
     misfit = (values - zero_phase(values, f, sample_rate_hz=rate) for f in tried)
     left = np.sqrt([(x**2).sum(axis=1).mean() / 3.0 for x in misfit])
     upper = tried > 0.5 * tried[-1]
@@ -308,43 +291,35 @@ def _by_residual(reference: Reference, signal: Signal, settings: CutoffSettings)
     )
 
 
-def _by_rest(reference: Reference, signal: Signal, settings: CutoffSettings) -> Cutoff:
+def _by_rest(reference: Reference, signal: Signal) -> Cutoff:
     from scipy.signal import welch
 
-    rest = _rest(reference, settings)
-    spectra = []
+    if reference.moving is None or reference.moving.all():
+        raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; state rest_s")
+    rest, spectra = reference.moving == 0.0, []
     for part in (rest, ~rest):
         time, values = _series(reference, signal, part)
         rate = float((len(time) - 1) / (time[-1] - time[0]))
-        length = round(settings.segment_s * rate)
+        length = round(_SEGMENT_S * rate)
         if len(time) < length:
             raise InputError(
-                f"cut-off: wanted {settings.segment_s:g} s or more of rest and of motion without a long gap, got "
+                f"cut-off: wanted {_SEGMENT_S:g} s or more of rest and of motion without a long gap, got "
                 f"{time[-1] - time[0]:.2g} s; state rest_s or shorten segment_s"
             )
         power = welch(values, rate, nperseg=length, axis=0, detrend="linear")[1].sum(axis=1)  # type: ignore[call-overload]  # its stub spells linear "literal"
-        width = round(_SMOOTH_HZ * settings.segment_s) + 1
+        width = round(_SMOOTH_HZ * _SEGMENT_S) + 1
         spectra.append(np.convolve(power, np.full(width, 1.0 / width), mode="same"))
     frequency = np.fft.rfftfreq(length, 1.0 / rate)
-    use = (frequency >= settings.lowest_hz) & (frequency <= _TOP * rate)
-    above = np.flatnonzero(use & (spectra[1] > settings.noise_factor * spectra[0]))
+    use = (frequency >= _LOWEST_HZ) & (frequency <= _TOP * rate)
+    above = np.flatnonzero(use & (spectra[1] > _NOISE_FACTOR * spectra[0]))
     last = float(frequency[use][-1])
-    chosen = float(frequency[above[-1] + 1]) if above.size else settings.lowest_hz
-    power_of_rest = f"than {settings.noise_factor:g} times the power of the rest"
+    chosen = float(frequency[above[-1] + 1]) if above.size else _LOWEST_HZ
+    power_of_rest = f"than {_NOISE_FACTOR:g} times the power of the rest"
     if chosen > last:  # cameras are noisier in motion than at rest
         reason = f"up to {last:.1f} Hz, the highest tried, the motion has more {power_of_rest}: no crossing, choose another method"
         return Cutoff(cutoff_hz=last, method="rest", reason=reason, crossing=False)
     reason = f"from {chosen:.1f} Hz on the motion has less {power_of_rest}"
     return Cutoff(cutoff_hz=chosen, method="rest", reason=reason)
-
-
-def _rest(reference: Reference, settings: CutoffSettings) -> BoolArray:
-    time = reference.time
-    if settings.rest_s is not None:
-        return np.asarray((time >= settings.rest_s[0]) & (time <= settings.rest_s[1]))
-    if reference.moving is None or reference.moving.all():
-        raise InputError("cut-off: wanted a rest, got no stretch marked as not moving; state rest_s")
-    return np.asarray(reference.moving == 0.0)
 
 
 def _series(reference: Reference, signal: Signal, part: BoolArray) -> tuple[FloatArray, FloatArray]:

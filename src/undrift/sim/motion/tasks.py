@@ -59,10 +59,10 @@ from undrift.sim.motion.motion import (
     Step,
     Sway,
     ViaPoint,
-    Wave,
     course_at,
     mean_rate,
     turn_quaternion,
+    wave,
 )
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -340,7 +340,7 @@ def _there_and_back(who: Performance, name: str, start_s: float, duration_s: flo
     return ViaPoint(start_s, 0.45 * duration_s, 0.55 * duration_s, size, -size)
 
 
-def _settling(who: Performance, amplitude_deg: float, start_s: float, stop_s: float) -> tuple[Wave, ...]:
+def _settling(who: Performance, amplitude_deg: float, start_s: float, stop_s: float) -> tuple[Sway, ...]:
     return _waves(who.draw, 2, 0.5 * amplitude_deg * DEGREE, (0.4, 1.2), (start_s, stop_s), 0.45 * (stop_s - start_s))
 
 
@@ -429,11 +429,11 @@ def _waves(
     band_hz: tuple[float, float],
     span: tuple[float, float],
     swell_s: float = 1.0,
-) -> tuple[Wave, ...]:
+) -> tuple[Sway, ...]:
     frequencies = draw.uniform(*band_hz, count)
     amplitudes = amplitude * draw.uniform(0.5, 1.5, count)
     phases = draw.uniform(0.0, 2.0 * math.pi, count)
     return tuple(
-        Wave(*numbers, *span, swell_s)
+        wave(*numbers, *span, swell_s)
         for numbers in zip(amplitudes.tolist(), frequencies.tolist(), phases.tolist(), strict=True)
     )

@@ -284,14 +284,6 @@ class EmulatedChamber(Served, Machine):
 HANDS_TIMEOUT_S = 30.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BenchPorts:
-    """Where the parts of a bench listen; 0 takes a free port."""
-
-    chamber: int = 0  # Of the chamber and of the hands; table and device have theirs in their own settings
-    hands: int = 0
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EmulatedBenchSettings:
     """What is emulated."""
@@ -300,7 +292,8 @@ class EmulatedBenchSettings:
     air: AirSettings = field(default_factory=AirSettings)  # The chamber
     stream: StreamSettings = field(default_factory=StreamSettings)  # How the device is mounted and sends
     device: DeviceModel | None = None  # The hidden truth; None draws one of consumer grade from the stream's seed
-    ports: BenchPorts = field(default_factory=BenchPorts)  # Where the chamber and the hands listen
+    chamber_port: int = 0  # Where the chamber and the hands listen; 0 takes a free one
+    hands_port: int = 0
 
 
 class Bench(Closed):
@@ -313,11 +306,11 @@ class Bench(Closed):
         with contextlib.ExitStack() as opened:
             self.rig: Emulator = opened.enter_context(start_emulator(settings.rig, clock=clock))
             host = settings.rig.host
-            self.chamber = EmulatedChamber(settings.air, self.rig.clock, host, settings.ports.chamber)
+            self.chamber = EmulatedChamber(settings.air, self.rig.clock, host, settings.chamber_port)
             opened.callback(self.chamber.close)
             self.stream = EmulatedDevice(chosen, self.rig, self.chamber.board_temp, self.rig.clock, settings.stream)
             opened.callback(self.stream.close)
-            hands = Server(_Hands(self.stream), FaultyLink(), (host, settings.ports.hands))
+            hands = Server(_Hands(self.stream), FaultyLink(), (host, settings.hands_port))
             opened.callback(hands.close)
             self._opened = opened.pop_all()
         options = f"?clock_speed={settings.rig.speed!r}"
