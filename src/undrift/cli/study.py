@@ -80,7 +80,6 @@ def study(
     """
     from undrift.report.study import write_study_report
     from undrift.study.outcome import forecast, judge_study
-    from undrift.study.plan import ends_of, note_study, read_study
     from undrift.study.real import read_real
     from undrift.study.run import HEAD, RunStore, choose_executor
 
@@ -89,12 +88,7 @@ def study(
         raise InputError(f"study: wanted a study.toml or --preset note, got {both}; name one")
     if seed is not None and seed < 0:
         raise InputError(f"seed: wanted 0 or more, got {seed}; give another")
-    planned = note_study(quick=quick) if plan is None else read_study(plan)
-    if quick and plan is not None:
-        planned = ends_of(planned)
-    count = subjects if subjects is not None else min(QUICK_SUBJECTS, planned.subjects) if quick else planned.subjects
-    seed = planned.seed if seed is None else seed
-    planned = replace(planned, subjects=count, search=search or planned.search, seed=seed)
+    planned = _planned(plan, quick, subjects, seed, search)
     with waiting("reading real recordings"):
         held = None if real is None else read_real(real)
     executor = choose_executor(scheduler, workers)
@@ -130,6 +124,20 @@ def study(
 
 
 # ---- before and while it runs
+
+
+def _planned(
+    plan: Path | None, quick: bool, subjects: int | None, seed: int | None, search: Literal["grid", "halving"] | None
+) -> "Study":
+    """Return the study of a plan, or the note's, with the choices of the command line."""
+    from undrift.study.plan import ends_of, note_study, read_study
+
+    planned = note_study(quick=quick) if plan is None else read_study(plan)
+    if quick and plan is not None:
+        planned = ends_of(planned)
+    count = subjects if subjects is not None else min(QUICK_SUBJECTS, planned.subjects) if quick else planned.subjects
+    seed = planned.seed if seed is None else seed
+    return replace(planned, subjects=count, search=search or planned.search, seed=seed)
 
 
 def _announce(planned: "Study", stages: "tuple[Stage, ...]", workers: int, json: bool) -> None:
@@ -231,7 +239,11 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
         "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,
         "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
         "designs": [asdict(row) for row in outcome.designs],
-        "rivals": [asdict(row) | {"said": row.notes} for row in outcome.rivals] or None,
+        "rivals": [
+            asdict(row) | {"said": row.notes}  # binding key
+            for row in outcome.rivals
+        ]
+        or None,
         "rivals_missing": outcome.rivals_missing and outcome.rivals_missing.detail,
         "real": outcome.real and _real_summary(outcome.real),
     }
@@ -239,7 +251,10 @@ def study_summary(outcome: "StudyOutcome") -> dict[str, object]:
 
 def _real_summary(real: "RealOutcome") -> dict[str, object]:
     def compared(rows: "tuple[CohortComparison, ...]") -> list[dict[str, object]]:
-        return [asdict(row) | {"inside": row.inside, "said": row.note} for row in rows]
+        return [
+            asdict(row) | {"inside": row.inside, "said": row.note}  # binding key
+            for row in rows
+        ]
 
     return {
         "trials": [

@@ -137,7 +137,7 @@ def _weighted(
     """Return least-squares parameters and their covariance for values y (n,) of variance v (n,) and what the full design leaves."""
     full = design if full is None else full
     found, _, rank, _ = np.linalg.lstsq(full, y, rcond=None)
-    v = v + excess_variance(y - full @ found, v, len(y) - rank)
+    v = v + excess_variance(y - full @ found, v, len(y) - int(rank))
     inverse = np.linalg.inv(design.T @ (design / v[:, None]))
     return inverse @ (design.T @ (y / v)), inverse
 
