@@ -814,6 +814,12 @@ CATALOGUE: dict[str, Entry] = {
     "correct.no_model": Entry(
         3, "{sensor}: the calibration has no model", "nominal values were passed on", "calibrate the {sensor} as well"
     ),
+    "correct.no_sensor": Entry(
+        1, "No {sensor} in the recording", "the calibration has one", "check the names of the columns"
+    ),
+    "correct.gravity": Entry(
+        1, "Specific force far from 1 g", "median {median_g:.3g} g after correction", "check the unit and the device"
+    ),
     "correct.device": Entry(
         1,
         "Recording and calibration name different devices",

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from testkit.command_line import Undrift
+from testkit.demo_session import demo_session
 from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct_checked
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session, write_session
 from undrift.io.store import write_calibration
-from undrift.sim.sessions import demo_session
 
 
 @pytest.fixture

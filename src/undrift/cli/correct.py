@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from undrift.correction.coverage import Beyond
     from undrift.correction.stream import Corrector, CorrectorState
+    from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record
 
@@ -207,7 +208,8 @@ def _correct_one(
     from undrift.io.formats import iter_record, write_record
     from undrift.io.parquet import ParquetWriter
 
-    stream, suspicions, notes = corrector(), list[str](), dict[str, None]()
+    stream, notes = corrector(), dict[str, None]()
+    suspicions: tuple[Finding, ...] = ()
     beyond: tuple[Beyond, ...] = ()
     whole = not part.name.endswith(".parquet")
     with nullcontext() if whole else ParquetWriter(part) as writer:
@@ -229,8 +231,8 @@ def _correct_one(
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
-    texts = [one.text for one in beyond if one.text]
-    return stream.state, Remarks(warnings=[*suspicions, *stream.warnings, *texts], notes=[*notes], beyond=beyond)
+    warnings = [*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text)]
+    return stream.state, Remarks(warnings=warnings, notes=[*notes], beyond=beyond)
 
 
 def _check_unit(done: "Record", path: Path, unit: str) -> None:
@@ -248,22 +250,21 @@ def _check_unit(done: "Record", path: Path, unit: str) -> None:
         )
 
 
-def _suspicions(done: "Record", model: "Calibration") -> list[str]:
+def _suspicions(done: "Record", model: "Calibration") -> "tuple[Finding, ...]":
     """Return signs that other columns or another unit were read than meant."""
+    from undrift.findings import finding
     from undrift.io.inspect import GRAVITY_RANGE, median_accel_g
 
     named = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
     suspicions = [
-        f"no {what} in the recording, though the calibration has one: check the names of its columns"
+        finding("correct.no_sensor", "warn", sensor=what)
         for what, triad, values in named
         if triad is not None and values is None
     ]
     median = median_accel_g(done)
     if median < GRAVITY_RANGE[0] or median > GRAVITY_RANGE[1]:
-        suspicions.append(
-            f"the median of the corrected specific force is {median:.3g} g, far from 1 g: check the unit and the device"
-        )
-    return suspicions
+        suspicions.append(finding("correct.gravity", "warn", median_g=median))
+    return tuple(suspicions)
 
 
 def _rows(record: Path) -> int | None:
