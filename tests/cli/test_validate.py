@@ -181,7 +181,7 @@ def test_gaps_in_the_rest_before_the_motion_are_told_and_the_rest_serves(undrift
     words = ["--reference", bench / "reference.parquet", "--policy", "nan", "--json"]
     told = undrift.good("validate", *warm_between(bench, tmp_path, 0.0, 3.0, accel=True), *words).json()
     assert (
-        "300 of 551 samples before the motion are gaps (NaN): the rest is taken from the others"
+        "Gaps before the motion: 300 of 551 samples are gaps (NaN): the rest is taken from the others"
         in told["trials"][0]["notes"]
     )
     whole = undrift.good("validate", *warm_between(bench, tmp_path, 99.0, 99.0, accel=True), *words).json()

@@ -1,6 +1,5 @@
 """``undrift noise``: noise coefficients of a device at rest."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -116,7 +115,9 @@ def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "
 
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     names = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
-    made: dict[str, object] = {"axis": axis.axis, **{name: asdict(getattr(axis, name)) for name in names}}
+    made: dict[str, object] = {"axis": axis.axis}
+    for name in names:
+        made[name] = {key: getattr(getattr(axis, name), key) for key in ("value", "interval", "unit", "reason")}
     customary = _customary(axis)
     return made if customary is None else made | {customary[1]: customary[0]}
 
