@@ -29,7 +29,7 @@ TRACKED_TEXT = [
 ]
 
 # The aim is 48,000 lines, 32,000 of them code (docs/worklist.md); these limits go down with every cut, never up.
-FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 150, 48_000, 32_550
+FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 150, 48_000, 32_510
 FILE_LINES, FUNCTION_LINES, CLASS_LINES, PARAMETERS = 900, 60, 250, 8
 CATALOGUE_LINES = 1_100  # findings.py: a table, one entry a code, read by looking a code up
 
