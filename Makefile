@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more tha
 test: $(INSTALLED)
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
 	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
-	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist loadgroup --durations=12
+	$(BIN)/python -m pytest tests --ignore=tests/house -n 2 --dist loadscope --no-loadscope-reorder --durations=12
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels tests/correction/test_correct.py tests/correction/test_stream.py tests/test_orientation.py tests/test_tilt.py tests/test_angles.py
 
 # The same Monte Carlo runs with larger cohorts.

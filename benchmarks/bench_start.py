@@ -32,7 +32,7 @@ def run() -> list[Figure]:
         "compiled work: a strapdown, kernel from the cache": (
             [
                 "-c",
-                "import numpy as np; from undrift.orientation.strapdown import integrate_strapdown as f; "
+                "import numpy as np; from undrift import integrate_strapdown as f; "
                 "f(np.ones((9, 3)), np.arange(9.0), np.array([1.0, 0, 0, 0]))",
             ],
             "<= 0.8",

@@ -1,24 +1,57 @@
 """Settings of the whole suite: the same examples in every run; `pytest --hypothesis-profile=hunt` looks for new ones.
 
-Tests of one module run in one process, so that what they share is made once (`--dist loadgroup`); modules that share more name a
-group of their own with ``pytest.mark.xdist_group``.
+With `pytest -n`, tests of one module run in one process, so that what they share is made once; so do the modules of ``SHARING``.
 """
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler.loadscope import LoadScopeScheduling
 
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("hunt", deadline=None, max_examples=3000)
 settings.load_profile("same")
 
+SHARING = (
+    "tests/study/test_figure3.py",
+    "tests/study/test_report.py",
+    "tests/study/test_real.py",
+    "tests/cli/test_study.py",
+    "tests/authority/test_study_real.py",
+    "tests/authority/test_broad_page.py",
+    "tests/authority/test_broad_lag.py",
+    "tests/authority/test_broad_twin.py",
+    "tests/authority/test_broad_reference.py",
+    "tests/authority/test_broad_rows.py",
+    "tests/authority/test_poses_on_broad.py",
+)
+LONGEST = (
+    *SHARING,
+    "tests/recover/test_static_drift.py",
+    "tests/recover/test_figure3.py",
+    "tests/recover/test_dynamic_drift.py",
+)
 
-@pytest.hookimpl(tryfirst=True)
+
+class Modules(LoadScopeScheduling):
+    """Give each process whole modules."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        module = nodeid.partition("::")[0]
+        return SHARING[0] if module in SHARING else module
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadScopeScheduling:
+    return Modules(config, log)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+    """Start what takes longest first."""
+    rank = {module: -len(LONGEST) + i for i, module in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.nodeid.partition("::")[0], 0))
 
 
 @pytest.fixture(scope="session")
@@ -40,7 +73,7 @@ def shared() -> list[tuple[Callable[..., object], Callable[..., object]]]:
 
 @pytest.fixture(scope="module")
 def computed_once(shared: list[tuple[Callable[..., object], Callable[..., object]]]) -> Iterator[None]:
-    """Compute once in a process what modules with this fixture share; those that share with others are the group ``shared``."""
+    """Compute once in a process what modules with this fixture share; see ``SHARING``."""
     from testkit.remembered import put_everywhere
 
     with pytest.MonkeyPatch.context() as patch:

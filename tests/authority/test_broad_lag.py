@@ -7,7 +7,7 @@ from testkit.broad_trials import FILES, trial
 from testkit.data import show
 from undrift.sync import find_lag, native_poses
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 # Per trial, from an earlier analysis of the same files with differentiated poses cut off at 20 Hz, ms.
 KNOWN_MS = {2: 4.12, 3: 4.14, 5: 4.14, 7: 4.16, 9: 4.15, 24: 4.14, 32: 4.16, 35: 4.06}

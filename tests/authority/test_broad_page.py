@@ -8,7 +8,7 @@ from undrift.io.formats import read_record, read_reference
 from undrift.report.validation import trial_figure
 from undrift.validation.trial import TrialSettings, validate_trial
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 
 @pytest.mark.parametrize("name", ["02_undisturbed_slow_rotation_B", "05_undisturbed_slow_rotation_with_breaks_B"])

@@ -12,7 +12,7 @@ from undrift.calibration.reference import ReferenceSettings
 from undrift.validation import agreement
 from undrift.validation.trial import TrialSettings
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 #         matrix and in-motion offset, codes as they are | codes given back
 LIMITS = {"B": (2.4, 1.4), "C": (1.3, 1.3), "D": (1.2, 1.2)}

@@ -11,7 +11,7 @@ from testkit.data import show
 from undrift.validation import trial as trial_module
 from undrift.validation.trial import TrialSettings
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 # (a) end total, inclination | (b) end total, inclination | (b) rms total, inclination | (c) end total, inclination
 ROWS = {

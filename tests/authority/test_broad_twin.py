@@ -18,7 +18,7 @@ from testkit.data import show
 from undrift.twin.fit import Prepared, Twin, TwinSettings, fit_prepared, prepare_twin
 from undrift.twin.heldout import compare_held_out, contributions, end_errors
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 SETTINGS = TwinSettings(gravity_m_s2=9.813)  # Berlin
 

@@ -17,7 +17,7 @@ from testkit.data import show
 from undrift.sim.motion.poses import ORDER, PoseSettings, choose_cutoff, fit_pose_spline, zero_phase
 from undrift.sync import find_lag, native_poses
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 BERLIN = 9.813
 EACH_PASS = (np.sqrt(2.0) - 1.0) ** 0.25  # 3 dB in each of two second-order passes: both together are 3 dB down here

@@ -27,7 +27,7 @@ from undrift.study.real import (
     worn_in,
 )
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 TRIALS: tuple[tuple[str, Captured, tuple[str, str]], ...] = (
     ("STS1", "sit_to_stand", ("mocap_sit_to_stand", "STS1.trc.gz")),

@@ -14,7 +14,7 @@ from testkit.data import data_path
 from undrift.study import outcome as outcome_module
 from undrift.study.rivals import compare_rivals
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 TEXT = """
 [study]

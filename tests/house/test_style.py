@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import undrift
-from undrift.findings import CATALOGUE
+from undrift.findings import catalogue
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "undrift"
@@ -28,10 +28,9 @@ TRACKED_TEXT = [
     for name in ("README.md", "Makefile", "pyproject.toml", "constraints.txt", "CHANGELOG.md", "CONTRIBUTING.md")
 ]
 
-# The aim is 48,000 lines, 32,000 of them code (docs/worklist.md); these limits go down with every cut, never up.
-FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 150, 48_000, 32_510
+# These limits go down with every cut, and up only by what a new ability needs.
+FILES_AT_MOST, LINES_AT_MOST, CODE_AT_MOST = 150, 46_000, 32_000
 FILE_LINES, FUNCTION_LINES, CLASS_LINES, PARAMETERS = 900, 60, 250, 8
-CATALOGUE_LINES = 1_100  # findings.py: a table, one entry a code, read by looking a code up
 
 # Types that exported functions take or return: documented like the functions themselves.
 RESULTS = {
@@ -164,8 +163,7 @@ def test_the_house_keeps_its_size() -> None:
 
 
 def test_files_functions_and_classes_keep_their_size() -> None:
-    limits = {PACKAGE / "findings.py": CATALOGUE_LINES}
-    wrong = [f"{p}: {n} lines" for p in SOURCES if (n := len(p.read_text().splitlines())) > limits.get(p, FILE_LINES)]
+    wrong = [f"{p}: {n} lines" for p in SOURCES if (n := len(p.read_text().splitlines())) > FILE_LINES]
     for path, name, node, _ in ALL:
         if "kernels" in path.parts:
             continue
@@ -210,11 +208,11 @@ def findings_made() -> Iterator[tuple[Path, str, set[str] | None]]:
 
 def test_every_finding_has_its_sentences_and_every_sentence_its_finding() -> None:
     made = list(findings_made())
-    wrong = [f"{where(path, code)}: not in findings.py" for path, code, _ in made if code not in CATALOGUE]
-    wrong += [f"findings.py: no fit makes {code}" for code in CATALOGUE.keys() - {code for _, code, _ in made}]
+    wrong = [f"{where(path, code)}: not in findings.toml" for path, code, _ in made if code not in catalogue()]
+    wrong += [f"findings.toml: no fit makes {code}" for code in catalogue().keys() - {code for _, code, _ in made}]
     for path, code, names in made:
-        if code in CATALOGUE and names is not None:
-            entry = CATALOGUE[code]
+        if code in catalogue() and names is not None:
+            entry = catalogue()[code]
             needs = {
                 re.split(r"[.\[]", field)[0]
                 for text in (entry.headline, entry.detail, entry.action)

@@ -35,6 +35,7 @@ def better(word: str) -> str:
 
 READ_BY_PEOPLE = [
     *sorted((ROOT / "src" / "undrift").rglob("*.py")),
+    *sorted((ROOT / "src" / "undrift").rglob("*.toml")),
     *sorted((ROOT / "src" / "undrift").rglob("*.j2")),
     *sorted((ROOT / "src" / "undrift").rglob("*.html")),
     *sorted((ROOT / "docs").glob("*.md")),

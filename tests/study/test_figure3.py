@@ -8,7 +8,7 @@ from undrift.errors import InputError
 from undrift.sim.device.presets import preset
 from undrift.study.figure3 import HIDDEN, LEVELS, Figure3, actual_device, effect_table, figure3
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 NOTE_DIFFERENCE_DEG, NOTE_DECREASE_DEG = 0.15, 3.2
 

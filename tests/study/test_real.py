@@ -28,7 +28,7 @@ from undrift.study.real import (
 )
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 
 def captured(seed: int = 3) -> Capture:

@@ -16,7 +16,7 @@ from undrift.study.plan import TABLE_1, Space, ends_of, note_study
 from undrift.study.rivals import design_rows, task_rates
 from undrift.study.run import InProcess, TaskSurface, run_study
 
-pytestmark = [pytest.mark.xdist_group("shared"), pytest.mark.usefixtures("computed_once")]
+pytestmark = pytest.mark.usefixtures("computed_once")
 
 ROW = TABLE_1["sit_to_stand"]
 

@@ -142,8 +142,9 @@ def _descend(
 
     def equations(p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         design, residuals = _linearised(v, p, gravity)
-        weighted = design[:, free].T * weight
-        return float(weight @ residuals**2), weighted @ design[:, free], weighted @ residuals
+        rows = design.T[free]
+        weighted = rows * weight
+        return float(weight @ residuals**2), weighted @ rows.T, weighted @ residuals
 
     p, damping = start, 1e-9
     cost, normal, gradient = equations(p)
@@ -165,11 +166,11 @@ def _descend(
 
 def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
     """Return design (K, 9) and residuals (K,) at p."""
-    matrix, d = _upper(p), v - p[6:]
-    a = d @ matrix.T
-    length = np.linalg.norm(a, axis=1)
-    n = a / length[:, None]
-    return np.column_stack((n[:, ROW] * d[:, COLUMN], -n @ matrix)), length - gravity
+    matrix, d = _upper(p), np.ascontiguousarray((v - p[6:]).T)  # rows of K, which numpy takes fastest
+    a = matrix @ d
+    length = np.sqrt((a * a).sum(axis=0))
+    n = a / length
+    return np.concatenate((n[ROW] * d[COLUMN], -matrix.T @ n)).T, length - gravity
 
 
 def _inverse(design: FloatArray) -> FloatArray:

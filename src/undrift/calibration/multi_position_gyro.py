@@ -203,9 +203,12 @@ def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[
     return mean, square / max(1, int(count.sum()) - len(start)), count
 
 
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # of each axis
+
+
 def cross_matrix(n: FloatArray) -> FloatArray:
     """Return the matrices (K, 3, 3) of the cross product with vectors (K, 3)."""
-    return np.cross(n[:, None, :], np.eye(3)).transpose(0, 2, 1)
+    return np.tensordot(n, _CROSS, axes=1)
 
 
 def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -131,11 +131,7 @@ class SmoothSpline:
         asked = np.concatenate((nodes, _ENDS))
         values, covariances = [], []
         for column in self.columns:
-            problem, weight = column.problem, column.weight
-            value, covariance = curve_at(problem, solved(problem, column.bend, column.scatter), column.bend, asked)
-            mean = weight @ value
-            off = value - mean
-            both = np.einsum("g,gij->ij", weight, covariance) + np.einsum("g,gi,gj->ij", weight, off, off)
+            mean, both = curve_at(column, asked)
             n = len(nodes)
             slopes = np.diff(mean[n:])[::2] / (_ENDS[1] - _ENDS[0])
             bow = beyond * (slopes[1] - slopes[0])  # the curvature continues outside
@@ -347,19 +343,30 @@ def restricted_likelihood(problem: Problem, made: Solved) -> FloatArray:
     return np.asarray(0.5 * (log_det - misfit))
 
 
-def curve_at(problem: Problem, made: Solved, bend: FloatArray, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the curve at nodes, (G, m), and its covariance, (G, m, m), without the regressors."""
+def curve_at(column: Weighed, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mixture's curve at nodes, (m,), and its covariance, (m, m), without the regressors."""
+    problem, bend, share = column.problem, column.bend[:, None, None], column.weight
+    made = solved(problem, column.bend, column.scatter)
     bow = parabola(nodes)
-    cross = bend[:, None, None] * bending(nodes, problem.x) + problem.bow * np.outer(bow, parabola(problem.x))
+    cross = bend * bending(nodes, problem.x) + problem.bow * np.outer(bow, parabola(problem.x))
     straight = np.zeros((len(nodes), problem.basis.shape[1]))
     straight[:, 0], straight[:, 1] = 1.0, nodes
     weight = cross @ made.inverse
     value = made.beta @ straight.T + np.einsum("gmn,gn->gm", weight, problem.y - made.beta @ problem.basis.T)
     lacking = straight - weight @ problem.basis
+    mean = share @ value
+    off = value - mean
     covariance = (
-        bend[:, None, None] * bending(nodes, nodes)
+        (share @ column.bend) * bending(nodes, nodes)
         + problem.bow * np.outer(bow, bow)
-        - weight @ np.swapaxes(cross, 1, 2)
-        + lacking @ made.beta_covariance @ np.swapaxes(lacking, 1, 2)
+        - _sum_of_products(share, weight, cross)
+        + _sum_of_products(share, lacking @ made.beta_covariance, lacking)
+        + (share * off.T) @ off
     )
-    return value, covariance
+    return mean, covariance
+
+
+def _sum_of_products(share: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
+    """Return the sum of share_g A_g B_g' over g, (m, m), of A and B (G, m, n)."""
+    wide = (share[:, None, None] * one).transpose(1, 0, 2).reshape(one.shape[1], -1)
+    return np.asarray(wide @ two.transpose(1, 0, 2).reshape(two.shape[1], -1).T)

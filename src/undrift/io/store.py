@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, Field, ValidationError
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import write_whole
-from undrift.findings import CATALOGUE, Finding, Level, finding
+from undrift.findings import Finding, Level, catalogue, finding
 from undrift.model import (
     AdcModel,
     Calibration,
@@ -402,7 +402,7 @@ def _scalar(x: float | str | None) -> float:
 def _verdict(file: VerdictFile) -> Verdict:
     findings = tuple(
         finding(item.code, item.level, **{k: math.nan if v is None else v for k, v in item.values.items()})
-        if item.code in CATALOGUE
+        if item.code in catalogue()
         else finding("earlier.text", item.level, text=item.text)
         for item in file.findings
     )
