@@ -91,7 +91,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without three axes"),
         ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),
         ("x.csv", "ax,ay,az,gx,gy,gz\n" + "0,0,1,0,0,0\n" * 2, "table", 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"]'),
-        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", 'time = "?", accel = "?" }, delimiter = " ", header = false'),
+        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", '"g" }  # accel proposed: the median |a| is 1, delimiter = " "'),
         ("z.csv", "put\n" + "20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n" * 2, "table", "temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6]"),
         ("u.txt", "gx\tgy\tgz\tq\n0\t0\t1\t4\n0\t0\t1\t4\n", "table", 'delimiter = "\\t"'),
     ],
@@ -112,6 +112,9 @@ def test_arrays_and_foreign_parquet_say_which_map_they_need(tmp_path):
     np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), gyro_raw=np.zeros((5, 3)), acc_raw=np.zeros((5, 3)))
     assert 'columns = { time = "t_s", gyro = "gyro_raw", accel = "acc_raw" }' in describe(tmp_path / "a.npz").summary
     assert describe(tmp_path / "a.npz").columns[1] == "gyro_raw (5, 3)"
+    np.savez(tmp_path / "c.npz", gyro=np.zeros((5, 3)), acc=np.full((5, 3), 16384 / 3**0.5))
+    units = 'units = { gyro = "count", accel = "count" }  # accel and gyro proposed: the median |a| is 1.638e+04'
+    assert describe(tmp_path / "c.npz").example[1] == units
     pq.write_table(pa.table({"Acc_X": [1.0], "Acc_Y": [1.0], "Acc_Z": [1.0]}), tmp_path / "a.parquet")
     assert 'accel = ["Acc_X", "Acc_Y", "Acc_Z"]' in describe(tmp_path / "a.parquet").summary
     np.savez(tmp_path / "b.npz", k=np.arange(5.0))

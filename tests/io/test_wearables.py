@@ -56,6 +56,9 @@ def test_an_apdm_file_of_several_sensors_lists_them_when_none_is_named(tmp_path)
 
 
 def test_apdm_files_that_are_not_are_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("\n".join(apdm(["Upper"])[0].split("\n")[:3]))
+    with pytest.raises(FileFormatError, match="wanted a row of units under the header, got the end of the file"):
+        read_apdm(tmp_path / "a.csv", "Upper")
     (tmp_path / "a.csv").write_text("a,b\n1,2\n3,4\n5,6\n")
     with pytest.raises(FileFormatError, match="wanted an APDM header in line 3"):
         apdm_sensors(tmp_path / "a.csv")

@@ -186,11 +186,12 @@ class Optics:
 
 def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
     """Read a reference; errors name the options that a file of markers needs."""
-    from undrift.io.formats import detect, read_markers, read_reference
+    from undrift.io.formats import format_of, read_markers, read_reference
     from undrift.io.mocap import pose_from_cluster
 
-    if detect(path) not in ("trc", "c3d"):
-        return read_reference(path)
+    entry = format_of(path)[1]
+    if entry.markers is None:
+        return read_reference(path, labels=labels if entry.bodies else None, up=up)
     try:
         markers = read_markers(path, up=up)
     except InputError as error:

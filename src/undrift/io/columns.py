@@ -335,6 +335,7 @@ class ReadResult:
     record: Record
     dropped_rows: int = 0  # Rows that did not parse
     repaired_rows: int = 0  # Rows whose time did not go forward
+    notes: tuple[str, ...] = ()  # How it was read: units of a manual, lines skipped, what was left out
 
 
 def build_record(table: Table, columns: ColumnMap) -> ReadResult:

@@ -10,6 +10,7 @@ Its module is imported when a file is met that no built-in format recognises by 
 """
 
 import json
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -17,13 +18,35 @@ from functools import cache
 from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, read_bytes
+from undrift.files import checked_file, is_gzip, read_bytes
 from undrift.io.arrays import mat_arrays, npz_arrays, open_hdf5, read_mat, read_npz
-from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings
+from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_native
+from undrift.io.labelled import is_labelled, read_labelled
+from undrift.io.makers import (
+    is_bids,
+    is_set_points,
+    read_apdm7,
+    read_bids_motion,
+    read_bids_positions,
+    read_dot,
+    read_dot_poses,
+    read_mobgap,
+    read_noraxon,
+    read_qtm_bodies,
+    read_qtm_markers,
+    read_sensor_logger,
+    read_set_points,
+    read_shimmer,
+    read_sto,
+    read_trigno,
+    read_trigno_discover,
+    read_xsens,
+    read_xsens_poses,
+)
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
 from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
-from undrift.io.text import read_csv, write_csv
+from undrift.io.text import MARK, read_csv, write_csv
 from undrift.io.wearables import read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
@@ -45,6 +68,7 @@ class Format:
     chunks: Callable[[Path, ColumnMap | None, ReadSettings, int], Iterator[Record]] | None = None  # In constant memory
     markers: Callable[[Path, Up | None], Markers] | None = None
     reference: Callable[[Path, ReferenceMap | None], Reference] | None = None
+    bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # One of several named bodies
     # "columns" and fields of ReadSettings that the record reader makes use of
     honours: frozenset[str] = frozenset()
     instead: str = ""  # What a file without a record reader is, and what to do with it
@@ -108,6 +132,26 @@ def _is_json(path: Path, head: bytes) -> bool:
     return True
 
 
+def _is_nilspod(path: Path, head: bytes) -> bool:
+    """Tell a NilsPod session by its header: sizes of header and sample, rows, start and end that fit the file."""
+    if len(head) < 0x34 or b"\0" not in head:
+        return False
+    start, end, rows = (int.from_bytes(head[k : k + 4], "little") for k in (15, 19, 23))
+    whole = head[0] + head[1] * rows
+    return head[0] >= 0x30 and 0 < start <= end and rows > 0 and (is_gzip(path) or path.stat().st_size == whole)
+
+
+def _has(pattern: bytes) -> Callable[[Path, bytes], bool]:
+    """Recognise a text by a pattern in its head."""
+    compiled = re.compile(pattern, re.MULTILINE)
+    return lambda _, head: b"\0" not in head and compiled.search(head) is not None
+
+
+def _is_labelled(path: Path, head: bytes) -> bool:
+    own = is_native(_line(head, 0).replace('"', "").split(",")) or head.startswith(MARK)
+    return not own and is_labelled(path, head)
+
+
 def _is_prose(path: Path, head: bytes) -> bool:
     """Tell prose from a table: most lines of a table have as many separators as each other, or are numbers."""
     if _suffix(path) in _PROSE:
@@ -126,6 +170,8 @@ def _is_prose(path: Path, head: bytes) -> bool:
 
 _TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"})
 _ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps"})
+_SET_POINT = _has(rb"^[ \t]*[A-Za-z_]\w*:[ \t]*[-+.\d]+[ \t]*,")
+_EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows"})
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
@@ -182,9 +228,63 @@ FORMATS: dict[str, Format] = {
         record=lambda path, _, settings: read_ximu(path, settings.sample_rate_hz),
         honours=frozenset({"sample_rate_hz"}),
     ),
+    "xsens": Format(
+        _has(rb"\A(\xef\xbb\xbf)?//[\s\S]*^(Packet)?Counter[\t,; ]"),
+        record=read_xsens,
+        reference=read_xsens_poses,
+        honours=_EXPORT,
+    ),
+    "dot": Format(
+        _has(rb"\A(\xef\xbb\xbf)?sep=[\s\S]*^PacketCounter,"),
+        record=read_dot,
+        reference=read_dot_poses,
+        honours=_EXPORT,
+    ),
+    "shimmer": Format(
+        _has(rb"\A.*\n?.*Timestamp_\w*(CAL|RAW)\b.*(Accel|Gyro)_\w*(CAL|RAW)\b"), record=read_shimmer, honours=_EXPORT
+    ),
+    "trigno": Format(_has(rb"\ALabel: .*Sampling frequency:"), record=read_trigno, honours=_EXPORT),
+    "trigno_discover": Format(_has(rb"\AApplication:.*Trigno"), record=read_trigno_discover, honours=_EXPORT),
+    "noraxon": Format(_has(rb"Accel Sensor [XYZ]|Noraxon MyoMotion-"), record=read_noraxon, honours=_EXPORT),
+    "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, honours=_EXPORT),
+    "mobgap": Format(_has(rb"\Asamples,acc_x,acc_y,acc_z,gyr_x"), record=read_mobgap, honours=_EXPORT),
+    "apdm7": Format(_has(rb"\AFormat=7,"), record=read_apdm7, honours=_EXPORT),
+    "bids_motion": Format(
+        lambda path, _: "_motion.tsv" in path.name and is_bids(path, positions=False),
+        record=read_bids_motion,
+        honours=_EXPORT,
+    ),
+    "bids_positions": Format(
+        lambda path, _: "_motion.tsv" in path.name and is_bids(path, positions=True),
+        markers=read_bids_positions,
+        instead="positions, not readings of a sensor; read them as a reference (labels of one rigid cluster)",
+    ),
+    "qtm_markers": Format(
+        _has(rb"^MARKER_NAMES\t"),
+        markers=read_qtm_markers,
+        instead="marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)",
+    ),
+    "qtm_bodies": Format(
+        _has(rb"^BODY_NAMES\t"), bodies=read_qtm_bodies, instead="poses of rigid bodies; read them as a reference"
+    ),
+    "sto": Format(
+        _has(rb"^DataType *= *Quaternion[\s\S]*^endheader"),
+        bodies=read_sto,
+        instead="orientations; read them as a reference",
+    ),
+    "opensim": Format(
+        _has(rb"^endheader\s*$"),
+        instead="an OpenSim table of coordinates or forces of a model, not readings of a sensor; a reference for undrift validate "
+        "is the .sto file of orientations (DataType=Quaternion)",
+    ),
+    "set_points": Format(
+        lambda path, head: _SET_POINT(path, head) and is_set_points(head),
+        record=read_set_points,
+        honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
+    ),
     # The formats of other packages come here.
     "nilspod": Format(
-        lambda path, head: b"\0" in head and path.suffix.lower() == ".bin" and head[0] >= 0x30,
+        _is_nilspod,
         instead="the binary of a NilsPod; export it with NilsPodLib to CSV",
         generic=True,
     ),
@@ -195,6 +295,7 @@ FORMATS: dict[str, Format] = {
     ),
     "json": Format(_is_json, instead="JSON, not a recording", generic=True),
     "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
+    "labelled": Format(_is_labelled, record=read_labelled, reference=read_text_poses, honours=_EXPORT, generic=True),
     "text": Format(_is_prose, instead="prose, not a table", generic=True),
     "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, honours=_TABLE, generic=True),
 }
@@ -245,7 +346,7 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     Parameters
     ----------
     path : str or Path
-        Text table (plain or gzip), Parquet, npz, mat, BROAD HDF5, APDM, ActiGraph, or an NGIMU, x-IMU or x-IMU3 folder.
+        Text table (plain or gzip), Parquet, npz, mat, BROAD HDF5, a maker's export, or an NGIMU, x-IMU or x-IMU3 folder.
     columns : ColumnMap or None
         Which column is what; None where the format or undrift's own names state it.
     settings : ReadSettings or None
@@ -362,13 +463,13 @@ def read_reference(
     Parameters
     ----------
     path : str or Path
-        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; C3D or TRC markers.
+        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; OpenSim .sto, QTM 6D, Xsens; markers in C3D, TRC, QTM or BIDS.
     columns : ReferenceMap or None
         For foreign names; None for undrift's own.
     labels : tuple of str or None
-        Markers of one rigid cluster, for C3D and TRC.
+        Markers of one rigid cluster, for C3D, TRC, QTM and BIDS; or the name of one body (.sto, QTM 6D).
     up : str or None
-        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not state it.
+        Laboratory axis that points up, "y" or "z": required for TRC, QTM 3D and BIDS, and for C3D files that do not state it.
 
     Returns
     -------
@@ -391,6 +492,10 @@ def read_reference(
                 f"{path}: wanted the labels of one rigid cluster, got none; choose from {', '.join(markers.labels)}"
             )
         return pose_from_cluster(markers, labels)
+    if entry.bodies is not None:
+        if labels is not None and len(labels) > 1:
+            raise InputError(f"{path}: wanted the name of one body, got {', '.join(labels)}; name one")
+        return entry.bodies(path, labels[0] if labels else None, up)
     if entry.reference is None:
         raise FileFormatError(f"{path}: wanted poses (BROAD, C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
     return entry.reference(path, columns)

@@ -6,8 +6,9 @@ A recording that reads well may still have a wrong unit, gaps, drop-outs, dead a
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,11 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
-from undrift.io.arrays import mat_arrays, npz_arrays
+from undrift.io.arrays import Arrays, mat_arrays, npz_arrays
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
+    Column,
     ColumnMap,
     ReadResult,
     ReadSettings,
@@ -31,11 +33,12 @@ from undrift.io.columns import (
     native_columns,
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
+from undrift.io.labelled import label_of
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
-from undrift.io.text import MARK, Text, open_text
+from undrift.io.text import MARK, Text, open_text, parse_text
 from undrift.io.wearables import apdm_sensors
 from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
@@ -168,6 +171,9 @@ _RESULTS: dict[str, set[str]] = {  # what undrift writes as plain JSON, and keys
     "undrift study": {"objective", "tasks", "cohorts", "rivals"},
     "undrift demo": {"calibration", "study", "checks"},
 }
+_NO_SENSOR = re.compile(r"quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[", re.IGNORECASE)
+# What |a| at rest may be in each unit; an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more
+_AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
     "accel": re.compile(r"^(a|acc|accel|accelerometer)[ _.]?([xyz])\b", re.IGNORECASE),
@@ -201,15 +207,20 @@ def foreign_kind(text: Text) -> str | None:
         quaternion = ", ".join(f'"{name}"' for name in names if _QUATERNION.match(name))
         return f"a table of orientations; read it as a reference with quaternion=({quaternion})"
     lines = text.head.decode("utf-8", "replace").splitlines()
-    row = _cells(lines[text.skip], text.layout.delimiter) if text.skip < len(lines) else []
-    if sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row):
+    rows = [_cells(line, text.layout.delimiter) for line in lines[text.skip : text.skip + 2]]  # one may be of units
+    if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
         return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
     triples = triples_of(text.names)
     if text.layout.header and not triples:
         return f"a table without three axes ({', '.join(names[:8])}), not a recording of an inertial sensor"
-    if triples and all(re.search(r"a\.u\.|uT|gauss|\(G\)", name) for triple in triples for name in triple):
+    if triples and all(_is_magnetic(name) for triple in triples for name in triple):
         return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
     return None
+
+
+def _is_magnetic(name: str) -> bool:
+    label = label_of(name)
+    return re.search(r"a\.u\.|uT|gauss|\(G\)", name) is not None or (label is not None and label.channel == "mag")
 
 
 def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
@@ -224,35 +235,91 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     return tuple(found)
 
 
-def example_map(names: tuple[str, ...], text: Text | None, arrays: tuple[str, ...]) -> tuple[str, ...]:
+def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
     """Return an example of the map that a table needs; a unit that no name states is "?", for a person to fill in."""
+    keys: dict[str, str] = {}
     if text is not None and not text.layout.header:
         keys = _by_position(text)
     else:
         triples = {triple[0]: json.dumps(triple, ensure_ascii=False) for triple in triples_of(names)}
-        quoted = {name: f'"{name}"' for name in arrays} or triples
-        gyro = _likely("gyro", tuple(quoted))
-        others = tuple(name for name in quoted if name != gyro)
-        accel = _likely("accel", others) or (None if arrays else next(iter(others), None))
-        keys = {channel: quoted[name] for channel, name in (("gyro", gyro), ("accel", accel)) if name}
+        quoted = {name: f'"{name}"' for name, _ in arrays} or triples
+        labels = {name: label_of(name) for name in quoted}
+        bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)]
+        for channel, others in (("gyro", []), ("accel", [] if arrays else bare)):
+            named = [name for name, label in labels.items() if label is not None and label.channel == channel]
+            first = _likely(channel, tuple(quoted if arrays else named)) or next(iter([*named, *others]), None)
+            if first is not None:
+                keys[channel] = quoted[first]
     for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
         name = next((name for name in names if re.match(pattern, name.strip(), re.IGNORECASE)), None)
         if name is not None:
             keys = {channel: f'"{name}"', **keys} if channel == "time" else {**keys, channel: f'"{name}"'}
     keys = keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
-    units = ", ".join(f'{channel} = "{_unit_of(channel, value)}"' for channel, value in keys.items())
-    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}"]
+    known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
+    why = ""
+    sizes = partial(_median_size, text, dict(arrays))
+    proposed = proposed_units(sizes, keys, known)
+    if text is not None and proposed is None and not text.layout.header and {"gyro", "accel"} <= keys.keys():
+        turned = keys | {"gyro": keys["accel"], "accel": keys["gyro"]}
+        proposed = proposed_units(sizes, turned, known)  # gravity tells which three are the accelerometer
+        keys = turned if proposed else keys
+        columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
+    if proposed is not None:
+        known |= proposed[0]
+        why = f"  # {' and '.join(proposed[0])} proposed: the median |a| is {proposed[1]:.4g}"
+    units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
+    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}{why}"]
     lines += [] if "time" in keys else ["sample_rate_hz = ?"]
     if text is not None:
         layout = text.layout
         lines += [] if layout.delimiter == "," else [f"delimiter = {json.dumps(layout.delimiter)}"]
         lines += [] if layout.header else ["header = false"]
         lines += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
+        below = text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
+        words = any(not all(is_number(cell, empty=True) for cell in _cells(line, layout.delimiter)) for line in below)
+        lines += ["drop_bad_rows = true  # the row of units"] if words and layout.header else []
     return tuple(lines)
 
 
+def proposed_units(
+    size_of: Callable[[list[Column]], float], keys: dict[str, str], known: dict[str, str]
+) -> tuple[dict[str, str], float] | None:
+    """Return units of channels that no name states, proposed by the median |a|, and that median."""
+    if "accel" not in keys or known["accel"] != "?":
+        return None
+    columns = json.loads(keys["accel"])
+    size = size_of(columns if isinstance(columns, list) else [columns])
+    unit = next((unit for unit, (low, high) in _AT_REST.items() if low <= size < high), None)
+    if unit is None:
+        return None
+    more = {"gyro": "count"} if unit == "count" and known.get("gyro") == "?" else {}
+    return {"accel": unit} | more, size
+
+
+def _median_size(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> float:
+    """Return the median length of three columns of the first MiB of text, or of an array, NaN where there is none."""
+    values = arrays.get(str(columns[0]))
+    if text is not None:
+        head = (
+            text.head if text.content is None and len(text.head) < 1 << 20 else text.head[: text.head.rfind(b"\n") + 1]
+        )
+        try:
+            rows = replace(text, content=head, layout=replace(text.layout, drop_bad_rows=True))
+            table = parse_text(rows, tuple(columns))
+            values = np.stack([table.numbers(column) for column in columns], axis=1)
+        except InputError:
+            return float("nan")
+    if values is None or values.ndim != 2 or values.dtype.kind not in "fiu":
+        return float("nan")
+    sizes = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
+    return float(np.median(sizes)) if len(sizes) else float("nan")
+
+
 def _unit_of(channel: str, names: str) -> str:
+    stated = [label_of(name) for name in re.findall(r'"([^"]*)"', names)]
+    if stated and stated[0] is not None and stated[0].unit and stated[0].gain == 1.0 and stated[0].channel == channel:
+        return stated[0].unit
     return next((unit for unit, stated in _UNITS[channel] if re.search(stated, names, re.IGNORECASE)), "?")
 
 
@@ -283,6 +350,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 # ---- describe
 
+_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -314,6 +382,7 @@ class Description:
         return tuple(
             f"recording {item.values['recording']}: {item.text}" if "recording" in item.values else item.text
             for item in self.findings
+            if item.code != "recording.how_read"
         )
 
 
@@ -330,11 +399,22 @@ def describe(
     if name in ("json", "toml"):
         return _settings(path, name)
     if entry.record is None and columns is None:
-        return _reference(path, name) if entry.reference is not None else _unread(path, name, entry)
+        return _reference(path, name) if entry.reference or entry.bodies else _unread(path, name, entry)
     needs = None if columns is not None else _needs(path, name, settings)
     if needs is not None:
         return needs
-    found = describe_record(read_counted(path, columns, settings=settings), path=str(path), format_name=name)
+    try:
+        read = read_counted(path, columns, settings=settings)
+    except InputError as error:
+        missing = error.numbers.get("missing")
+        if missing not in _MISSING:
+            raise
+        if missing == "readings" and name in ("xsens", "dot"):
+            return _reference(path, name)
+        names = error.numbers.get("names")
+        shown = tuple(map(str, names)) if isinstance(names, tuple) else ()
+        return _not_read(path, name, shown, str(error).removeprefix(f"{path}: "), missing=str(missing))
+    found = describe_record(read, path=str(path), format_name=name)
     if columns is None and name in ("csv", "parquet"):
         names = sniff(path).names if name == "csv" else parquet_names(path)
         unread = tuple(other for other in names if other not in found.columns)
@@ -351,7 +431,8 @@ def describe(
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
     """Return what a record holds."""
     record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
-    left_out = [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
+    left_out = [finding("recording.how_read", "info", what=note) for note in read.notes]
+    left_out += [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
     if read.repaired_rows:
         left_out.append(finding("recording.rows_repaired", "warn", count=read.repaired_rows))
     rate = f"{mean:.6g} Hz"
@@ -400,11 +481,11 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     """Return the description of a file that cannot be read without more settings, None where it can."""
     if name == "ximu" and settings.sample_rate_hz is None:
         what = "an x-IMU recording; needs its sample rate: give sample_rate_hz (256 as delivered)"
-        return _not_read(path, name, (), what)
+        return _not_read(path, name, (), what, missing="sample_rate_hz")
     if name == "apdm" and settings.sensor is None:
         held = apdm_sensors(path)
         what = f"APDM sensors {', '.join(held)}; needs the name of one of them as sensor"
-        return _not_read(path, name, held, what) if len(held) > 1 else None
+        return _not_read(path, name, held, what, missing="sensor") if len(held) > 1 else None
     if name not in ("npz", "mat", "parquet", "csv"):
         return None
     text = sniff(path) if name == "csv" else None
@@ -417,7 +498,7 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     foreign = None if text is None else foreign_kind(text)
     if foreign is not None:
         return _not_read(path, name, names, foreign)
-    threes = tuple(key for key, array in arrays if array.ndim == 2 and array.shape[1] == 3)
+    threes = tuple((key, array) for key, array in arrays if array.ndim == 2 and array.shape[1] == 3)
     example = example_map(names, text, threes)
     what = f"{len(names)} arrays or columns"
     if text is not None:
@@ -427,19 +508,32 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     return replace(_not_read(path, name, shown, needed), example=example)
 
 
-def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str) -> Description:
-    findings = (finding("recording.not_read", "warn", what=what),)
+def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:
+    findings = (finding("recording.not_read", "warn", what=what, missing=missing),)
     return Description(path=str(path), kind="table", format=name, summary=what, columns=columns, findings=findings)
 
 
 def _reference(path: Path, name: str) -> Description:
-    reference = read_reference(path)
+    names: tuple[str, ...] = ()
+    try:
+        reference = read_reference(path)
+    except InputError as error:
+        held = error.numbers.get("names")
+        if error.numbers.get("missing") == "sample_rate_hz":
+            return _not_read(path, name, (), str(error).removeprefix(f"{path}: "), missing="sample_rate_hz")
+        if not isinstance(held, tuple):
+            raise
+        names = tuple(map(str, held))
+        reference = read_reference(path, labels=names[:1])
     seen = int(reference.valid.sum())
+    more = f" of each of {len(names)} bodies ({', '.join(names)}); name one" if names else ""
+    more += f", {reference.name.removeprefix(path.name).strip()}" if name in ("xsens", "dot") else ""
     return Description(
         path=str(path),
         kind="reference",
         format=name,
-        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen",
+        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen{more.rstrip(', ')}",
+        columns=names,
         gaps=len(reference) - seen,
         **_of_clock(reference),
     )
@@ -529,4 +623,5 @@ def _unread(path: Path, name: str, entry: Format) -> Description:
         lines = read_bytes(path, 4096).decode("utf-8", "replace").splitlines()
         first = next((line.strip() for line in lines if line.strip()), "")
         summary = f"{summary}: {first[:60]}"
-    return Description(path=str(path), kind="text" if name == "text" else "binary", format=name, summary=summary)
+    kind = "binary" if b"\0" in read_bytes(path, 4096) else "text"
+    return Description(path=str(path), kind=kind, format=name, summary=summary)

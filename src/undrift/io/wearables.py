@@ -35,6 +35,10 @@ def read_apdm(path: str | Path, sensor: str | None = None) -> Record:
         wanted = "the name of one sensor" if sensor is None else f"sensor {sensor!r}"
         raise InputError(f"{text.path}: wanted {wanted}, got a file with {', '.join(sensors)}; name one of them")
     lines = [line.decode("utf-8", "replace").split(",") for line in text.head.splitlines()[: text.skip + 1]]
+    if len(lines) <= text.skip:
+        raise FileFormatError(
+            f"{text.path}: wanted a row of units under the header, got the end of the file; copy it again"
+        )
     try:
         rate = float(lines[1][1])
     except (IndexError, ValueError) as error:

@@ -1,0 +1,529 @@
+"""Text exports of makers: what their manuals state and their files do not, over :mod:`undrift.io.labelled`.
+
+Xsens MT      // lines, PacketCounter (16 bit) as the only clock; m/s2, rad/s by the manual
+Movella DOT   sep=, SampleTimeFine in us (32 bit), lost packets; m/s2, deg/s by the manual; FreeAcc has gravity removed
+Shimmer       unit row; Accel_LN and Accel_WR are two accelerometers
+Delsys        EMGworks: a time column for each channel; Trigno Discover: a rate for each channel, no time
+Noraxon       NAME Accel Sensor X (mG), NAME-Gyroscope-x (deg/s); decimal comma with ";"
+APDM          Format=7: a label for each sensor in line 1, us since 1970; m/s2, rad/s, uT by the manual
+Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity removed
+BIDS-motion   *_motion.tsv without header; *_channels.tsv and *_motion.json beside it
+OpenSim       .sto: cells "w,x,y,z", a column for each sensor
+QTM           TSV: markers (3D), or bodies (6D) with Rot[0..8] column by column; mm
+set-points    "BIN_DATA: 5, -10.1, 21652, ...": columns without names, read through a map by position
+
+A file of poses may hold several bodies, of which one is named. Quaternions are scalar first and turn the body to the
+laboratory; a lost body is zeros, NaN or empty cells.
+"""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import FileFormatError, InputError
+from undrift.files import read_bytes
+from undrift.frames import quaternion_product
+from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, TextLayout, build_record, is_number
+from undrift.io.labelled import (
+    Label,
+    Sheet,
+    as_utf8,
+    label_of,
+    labelled,
+    open_sheet,
+    read_sheet,
+    unit_for,
+    with_manual,
+)
+from undrift.io.mocap import Markers, Up, level_from, unique_labels
+from undrift.io.reference import ReferenceMap
+from undrift.record import Reference
+from undrift.units import si_factor
+
+_SI = {"gyro": "rad/s", "accel": "m/s2", "temp": "degC"}
+_DOT = {"gyro": "dps", "accel": "m/s2"}
+_HALF = 2.0**-0.5
+_FROM_Y_UP = np.array([_HALF, _HALF, 0.0, 0.0])  # z up from y up, as level_from turns points
+_NEARLY_UNIT = 0.01
+
+# ---- Xsens MT and Movella DOT: packets that may be lost
+
+
+def read_xsens(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read an MT Manager export; time from the packet counter and the stated rate, so that lost packets are gaps."""
+    sheet = with_manual(open_xsens(path, settings.sample_rate_hz), "Xsens", _SI)
+    return read_sheet(_needs_sensors(sheet), settings)
+
+
+def read_dot(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a DOT export; time from SampleTimeFine."""
+    return read_sheet(_needs_sensors(with_manual(open_dot(path), "Movella DOT", _DOT)), settings)
+
+
+def open_xsens(path: Path, sample_rate_hz: float | None = None) -> Sheet:
+    """Open an MT Manager export with its clock."""
+    sheet = open_sheet(path)
+    counter = sheet.position(r"^(Packet)?Counter$")
+    stated = sheet.stated(r"^// *(?:Update|Sample) rate: *(\d+(?:\.\d+)?) *Hz")
+    rate = sample_rate_hz or (float(stated) if stated else None)
+    device = sheet.stated(r"^// *DeviceId: *(\w+)") or (re.findall(r"_(00[0-9A-F]{6})\b", path.name) or [""])[-1]
+    sheet = replace(sheet, rate_hz=rate, device=device)
+    if counter is None or rate is None:
+        return sheet
+    return replace(sheet, clock=_packets(1 << 16, 1.0 / rate), counters=(counter,))
+
+
+def open_dot(path: Path) -> Sheet:
+    """Open a DOT export with its clock."""
+    sheet = open_sheet(path)
+    fine, counter = sheet.position(r"^SampleTimeFine$"), sheet.position(r"^PacketCounter$")
+    if fine is None or counter is None:
+        raise FileFormatError(
+            f"{path}: wanted the columns PacketCounter and SampleTimeFine, got {', '.join(sheet.names[:8])}; export them too"
+        )
+
+    def clock(stamps: FloatArray, packets: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+        return 1e-6 * (stamps[0] + _unwrapped(stamps, 1 << 32)), _lost(_unwrapped(packets, 1 << 32))
+
+    return replace(
+        sheet, clock=clock, counters=(fine, counter), device=(sheet.stated(r"^DeviceTag:, *(.*)$") or "").strip(", ")
+    )
+
+
+def _unwrapped(counts: FloatArray, size: int) -> FloatArray:
+    """Return a counter from 0 on, with its overflows undone."""
+    return np.concatenate(([0.0], np.cumsum(np.mod(np.diff(counts), size))))
+
+
+def _lost(packets: FloatArray) -> tuple[str, ...]:
+    lost = int(packets[-1]) + 1 - len(packets) if len(packets) else 0
+    return (
+        (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()
+    )
+
+
+def _packets(size: int, step_s: float) -> Callable[[FloatArray], tuple[FloatArray, tuple[str, ...]]]:
+    def clock(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+        packets = _unwrapped(counts, size)
+        return packets * step_s, _lost(packets)
+
+    return clock
+
+
+def _needs_sensors(sheet: Sheet) -> Sheet:
+    """Refuse an export of orientations only, which is a reference."""
+    if any(label and label.channel in ("gyro", "accel", "free") for label in sheet.labels):
+        return sheet
+    raise FileFormatError(
+        f"{sheet.path}: wanted Acc_X or Gyr_X columns, got orientations only; read the file as a reference (--reference)",
+        missing="readings",
+    )
+
+
+# ---- Shimmer, Noraxon, Sensor Logger, mobgap
+
+
+def read_shimmer(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a Consensys export; its stamps are whole ms, and those that repeat are left out and counted."""
+    return read_sheet(labelled(replace(open_sheet(path), repair_time=True)), settings)
+
+
+def read_noraxon(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a Noraxon MR export; accelerations of segments are not those of a sensor and are left out."""
+    sheet = with_manual(open_sheet(path), "Noraxon", {"time": "s"})
+    segment = re.compile(r"(?i)segments-.*-acceleration")
+    labels = [None if segment.search(n) else x for n, x in zip(sheet.names, sheet.labels, strict=True)]
+    return read_sheet(replace(sheet, labels=tuple(labels)), settings)
+
+
+def read_sensor_logger(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read one sensor of the Sensor Logger app; iOS writes AccelerometerUncalibrated in g, Android in m/s2."""
+    sheet, stem = open_sheet(path), path.name.split(".")[0]
+    kind = "Linear acceleration" if stem == "Accelerometer" else stem
+    names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.names)
+    labels = [label_of(name, "s" if name == "seconds_elapsed" else "", _SI) for name in names]
+    labels = [None if name == "time" else label for name, label in zip(names, labels, strict=True)]
+    note = "units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"
+    if stem.startswith("AccelerometerUncalibrated") and (size := _median_size(sheet, names)) is not None and size < 3.0:
+        labels = [label._replace(unit="g") if label and label.channel == "accel" else label for label in labels]
+        note = f"acceleration in g: its median is {size:.3g}; iOS writes this file in g, Android in m/s2"
+    return read_sheet(replace(sheet, names=names, labels=tuple(labels), notes=(note,)), settings)
+
+
+def _median_size(sheet: Sheet, names: tuple[str, ...]) -> float | None:
+    columns = [k for k, name in enumerate(names) if name[-2:] in (" x", " y", " z")]
+    return float(np.nanmedian(np.linalg.norm(sheet.array(columns), axis=1))) if len(columns) == 3 else None
+
+
+def read_mobgap(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a mobgap example CSV: samples, acc_x..z in g, gyr_x..z in deg/s, no rate."""
+    sheet = with_manual(open_sheet(path), "mobgap", {"accel": "g", "gyro": "dps"})
+    size = _median_size(sheet, tuple(re.sub(r"^acc_", "acc ", name) for name in sheet.names))
+    if size is None or not 0.5 < size < 2.0:
+        raise InputError(
+            f"{path}: wanted accelerations in g (median near 1), got a median of {size or 0.0:.3g}; give the units in a map "
+            "(--map FILE)"
+        )
+    return read_sheet(sheet, settings)
+
+
+# ---- Delsys Trigno
+
+
+def read_trigno(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read one sensor of an EMGworks export: "Label: ... Unit: g" lines, then pairs of X[s] and a channel."""
+    sheet = open_sheet(path)
+    line = re.compile(
+        r"Label: (.*?) Sampling frequency: *(\d+(?:\.\d+)?(?:e[-+]\d+)?)\b.*Unit: *(\S+) Domain Unit: *(\S+)"
+    )
+    stated = {found.group(1): found.groups() for text in sheet.preamble if (found := line.search(text))}
+    labels: list[Label | None] = [None] * len(sheet.names)
+    for k, name in enumerate(sheet.names):
+        if name in stated and ": " in name and k > 0 and sheet.names[k - 1].startswith("X["):
+            rate, unit, domain = stated[name][1:]
+            sensor, signal = name.split(": ", 1)
+            label = label_of(signal, unit)
+            labels[k - 1] = Label("", "own time", unit=(unit_for(domain, "time") or ("s", 1.0))[0])
+            labels[k] = label and label._replace(sensor=sensor, rate_hz=float(rate), time=k - 1)
+    return read_sheet(replace(sheet, labels=tuple(labels)), settings)
+
+
+def read_trigno_discover(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read one sensor of a Trigno Discover export: names in line 4, signals in line 6, rates in line 7, no time."""
+    sheet = open_sheet(path, header=False)
+    lines = [[cell.strip() for cell in text.split(",")] for text in (*sheet.preamble, ",".join(sheet.names))]
+    heads = [k for k, cells in enumerate(lines) if cells and re.fullmatch(r"\d+(\.\d+)? Hz", cells[0])]
+    if not heads or heads[0] < 3:
+        raise FileFormatError(f"{path}: wanted lines of sensors, modes, signals and rates, got none; export them too")
+    sensors, signals, rates = lines[heads[0] - 3], lines[heads[0] - 1], lines[heads[0]]
+    labels: list[Label | None] = []
+    for k in range(len(sheet.names)):
+        name = next((sensors[j] for j in range(min(k, len(sensors) - 1), -1, -1) if sensors[j]), "")
+        label = label_of(signals[k]) if k < len(signals) else None
+        rate = re.match(r"\d+(\.\d+)?(?= Hz)", rates[k]) if k < len(rates) else None
+        labels.append(label and rate and label._replace(sensor=name, rate_hz=float(rate.group())))
+    names = tuple(signals[: len(sheet.names)]) + ("",) * (len(sheet.names) - len(signals))
+    return read_sheet(replace(sheet, names=names, labels=tuple(labels)), settings)
+
+
+# ---- APDM, format 7
+
+
+def read_apdm7(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read one sensor of an APDM file in format 7; the barometer (the bits of a double as an integer) is left out."""
+    sheet = open_sheet(path)
+    if len(sheet.preamble) < 2 or not sheet.names:
+        raise FileFormatError(f"{path}: wanted three header lines of APDM format 7, got fewer; copy the file again")
+    first, second = (line.split(",") for line in sheet.preamble[-2:])
+    kinds = {"Accelerometer": "accel", "Gyroscope": "gyro", "Magnetometer": "mag"}
+    manual = {"accel": ("m/s2", 1.0), "gyro": ("rad/s", 1.0), "mag": ("ut", 1.0)}
+    labels: list[Label | None] = [Label("", "time", unit="us")]
+    sensor, kind = "", ""
+    starts = [k for k, cell in enumerate(second) if cell == "Accelerometer"]
+    tags = [cell for cell in first[1:] if cell][1::2]
+    for k in range(1, len(sheet.names)):
+        if k in starts and starts.index(k) < len(tags):
+            sensor = tags[starts.index(k)]
+        kind = second[k] if k < len(second) and second[k] else kind
+        channel, axis = kinds.get(kind), sheet.names[k].lower()
+        labels.append(Label(sensor, channel, axis, *manual[channel]) if channel and axis in AXES else None)
+    note = "units by the manual of APDM, not in the file: accel m/s2, gyro rad/s, mag uT"
+    return read_sheet(replace(sheet, labels=tuple(labels), preamble=(), notes=(note,)), settings)
+
+
+# ---- BIDS-motion
+
+
+def read_bids_motion(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read one tracked point of a BIDS-motion recording."""
+    sheet, channels = _bids(path)
+    kinds = {"ACCEL": "accel", "GYRO": "gyro", "MAGN": "mag", "LATENCY": "time"}
+    labels: list[Label | None] = []
+    for row in channels:
+        channel, unit = kinds.get(row.get("type", "").upper()), row.get("units", "")
+        known = unit_for(unit, channel) if channel else None
+        axis = row.get("component", "").lower() if channel != "time" else ""
+        point = row.get("tracked_point", "").replace("n/a", "")
+        labels.append(Label(point, channel, axis, *known) if channel and known else None)
+    return read_sheet(replace(sheet, labels=tuple(labels)), settings)
+
+
+def read_bids_positions(path: Path, up: Up | None = None) -> Markers:
+    """Read the positions of a BIDS-motion recording as markers."""
+    sheet, channels = _bids(path)
+    places: dict[str, dict[str, int]] = {}
+    for k, row in enumerate(channels):
+        if row.get("type", "").upper() == "POS":
+            places.setdefault(row.get("tracked_point", ""), {})[row.get("component", "").lower()] = k
+    whole = {name: [axes[axis] for axis in AXES] for name, axes in places.items() if set(axes) >= set(AXES)}
+    if not whole or sheet.rate_hz is None:
+        raise FileFormatError(
+            f"{path}: wanted POS channels x, y, z and SamplingFrequency, got none; check the sidecars"
+        )
+    points = np.stack([sheet.array(columns) for columns in whole.values()], axis=1)
+    unit = channels[next(iter(whole.values()))[0]].get("units", "")
+    return markers_of(path, tuple(whole), points * si_factor(unit, "length"), rate_hz=sheet.rate_hz, up=up)
+
+
+def markers_of(
+    path: Path, labels: tuple[str, ...], points: FloatArray, *, rate_hz: float, up: Up | None, why: str = "the file"
+) -> Markers:
+    """Return marker trajectories in the level frame; an axis that points up must be stated."""
+    if up is None:
+        raise InputError(
+            f'{path}: wanted the axis that points up, got none; {why} does not say: state up = "y" or "z"', missing="up"
+        )
+    try:
+        time = np.arange(len(points)) / rate_hz
+        return Markers(labels=unique_labels(labels), time=time, points=level_from(points, up), name=path.name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def is_bids(path: Path, *, positions: bool) -> bool:
+    """Tell a BIDS-motion table by its name and sidecar: one of positions, or one with inertial sensors."""
+    sidecar = _sidecar(path, "_channels.tsv")
+    if re.search(r"_motion\.tsv(\.gz)?$", path.name) is None:
+        return False
+    inertial = sidecar.is_file() and re.search(rb"\t(ACCEL|GYRO)\t", read_bytes(sidecar), re.IGNORECASE) is not None
+    return inertial is not positions
+
+
+def _sidecar(path: Path, ending: str) -> Path:
+    return path.with_name(re.sub(r"_motion\.tsv(\.gz)?$", ending, path.name))
+
+
+def _bids(path: Path) -> tuple[Sheet, list[dict[str, str]]]:
+    channels, settings = _sidecar(path, "_channels.tsv"), _sidecar(path, "_motion.json")
+    for sidecar in (channels, settings):
+        if not sidecar.is_file():
+            raise FileFormatError(f"{path}: wanted {sidecar.name} beside it, got none; copy the sidecars too")
+    lines = [line.split("\t") for line in as_utf8(read_bytes(channels)).decode().splitlines() if line.strip()]
+    rows = [dict(zip(lines[0], (cell.strip() for cell in line), strict=False)) for line in lines[1:]]
+    try:
+        rate = float(json.loads(read_bytes(settings))["SamplingFrequency"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise FileFormatError(f"{settings}: wanted SamplingFrequency in Hz, got none; add it") from error
+    names = tuple(row.get("name", "") for row in rows)
+    content = as_utf8(read_bytes(path))
+    width = content.split(b"\n", 1)[0].count(b"\t") + 1
+    if width != len(names):
+        raise FileFormatError(
+            f"{path}: wanted {len(names)} columns as in {channels.name}, got {width}; the two do not belong together"
+        )
+    layout = TextLayout(delimiter="\t", header=False)
+    sheet = Sheet(path=path, preamble=(), names=names, units=("",) * width, layout=layout, rows=content, rate_hz=rate)
+    return sheet, rows
+
+
+# ---- a log of set-points: "BIN_DATA: 5, -10.1, 21652, 0.13, ..."
+
+_SET_POINT = re.compile(rb"^[ \t]*([A-Za-z_]\w*):[ \t]*(?=[-+.\d])(.*?)[ \t,]*\r?$", re.MULTILINE)
+
+
+def is_set_points(head: bytes) -> bool:
+    """Tell whether most lines are one word, a colon and numbers."""
+    lines = [line for line in head.splitlines()[:64] if line.strip()]
+    rows = [(m.group(1), m.group(2)) for line in lines if (m := _SET_POINT.match(line))]
+    numbers = [row for _, row in rows if row.count(b",") >= 2 and re.fullmatch(rb"[-+.\deE, \tnaNA]*", row)]
+    return (
+        b"\0" not in head and len(numbers) >= 2 and len(numbers) > 0.5 * len(lines) and len({w for w, _ in rows}) == 1
+    )
+
+
+def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a log of set-points, whose columns have no names, through a map by position."""
+    found = [m.group(2) for m in _SET_POINT.finditer(as_utf8(read_bytes(path)))]
+    width = found[0].count(b",") + 1
+    if columns is None:
+        raise InputError(
+            f"{path}: wanted a map of its {width} columns by position (from 0, after the colon), got none; for example columns = "
+            "{ temp = 1, gyro = [3, 4, 5] } with units and sample_rate_hz (--map FILE)",
+            missing="columns",
+        )
+    layout = replace(columns.layout, header=False, skip_rows=0, delimiter=",")
+    names = tuple(str(k) for k in range(width))
+    rows = b"\n".join(found) + b"\n"
+    sheet = Sheet(path=path, preamble=(), names=names, units=("",) * width, layout=layout, rows=rows)
+    table = sheet.columns(
+        *(int(k) for k in columns.wanted()), drop_bad_rows=layout.drop_bad_rows or settings.drop_bad_rows
+    )
+    other = sum(bool(line.strip()) for line in read_bytes(path).splitlines()) - len(found)
+    notes = (f"{other} lines without readings skipped",) if other else ()
+    return replace(build_record(table, columns), notes=notes)
+
+
+# ---- poses of bodies
+
+
+def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
+    """Return the body to read: the only one, or the one named."""
+    if name is None and len(names) == 1:
+        return names[0]
+    if name not in names:
+        got = "none" if name is None else repr(name)
+        raise InputError(
+            f"{path}: wanted the name of one body, got {got}; the file holds {', '.join(names)}: name one (--markers)",
+            names=names,
+        )
+    return name
+
+
+def _table(path: Path, rows: bytes, width: int) -> FloatArray:
+    """Return rows of tab-separated numbers, (N, width)."""
+    layout, names = TextLayout(delimiter="\t", header=False), tuple(str(k) for k in range(width))
+    sheet = Sheet(path=path, preamble=(), names=names, units=("",) * width, layout=layout, rows=rows)
+    values = sheet.array(range(width)) if rows.strip() else np.empty((0, width))  # type: ignore[arg-type]
+    if len(values) < 2:
+        raise FileFormatError(f"{path}: wanted two frames or more, got {len(values)}; the file is cut")
+    return values
+
+
+def _reference(
+    path: Path, time: FloatArray, q_nb: FloatArray, *, position: FloatArray | None = None, up: Up | None, name: str
+) -> Reference:
+    """Return poses in the level frame, lost frames as gaps, time from 0."""
+    size = np.linalg.norm(q_nb, axis=1)
+    seen = np.abs(size - 1.0) < _NEARLY_UNIT
+    if np.isfinite(size).any() and not seen.any():
+        raise FileFormatError(f"{path}: wanted unit quaternions, got length {np.nanmedian(size):.3g}; check the export")
+    q_nb = np.where(seen[:, None], q_nb / np.where(seen, size, 1.0)[:, None], np.nan)
+    try:
+        return Reference(
+            time=time,
+            q_nb=quaternion_product(_FROM_Y_UP, q_nb) if up == "y" else q_nb,
+            position=None if position is None else np.where(seen[:, None], level_from(position, up or "z"), np.nan),
+            name=f"{path.name} {name}".strip(),
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+# ---- OpenSim
+
+
+def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
+    """Read one sensor of an OpenSense table: "endheader", names, then cells "w,x,y,z"; z is up unless stated."""
+    _, _, body = as_utf8(read_bytes(path)).replace(b"\r\n", b"\n").partition(b"endheader")
+    header, _, rows = body.lstrip(b" \t\n").partition(b"\n")
+    names = tuple(cell.strip() for cell in header.decode("utf-8", "replace").split("\t") if cell.strip())
+    if len(names) < 2 or names[0].lower() != "time":
+        raise FileFormatError(
+            f"{path}: wanted 'time' and sensor names after endheader, got {header[:40]!r}; check the export"
+        )
+    chosen = 1 + 4 * names[1:].index(name_of(path, names[1:], name))
+    values = _table(path, rows.replace(b",", b"\t"), 4 * len(names) - 3)
+    return _reference(path, values[:, 0], values[:, chosen : chosen + 4], up=up, name=names[1 + chosen // 4])
+
+
+# ---- QTM
+
+
+def read_qtm_markers(path: Path, up: Up | None = None) -> Markers:
+    """Read marker trajectories from a QTM TSV file of 3D data, mm; 0, 0, 0 is a lost marker."""
+    labels, values, rate = _qtm(path, "MARKER_NAMES", 3)
+    points = values.reshape(len(values), len(labels), 3) * 1e-3
+    points[(points == 0.0).all(axis=2) | np.isnan(points).any(axis=2)] = np.nan
+    return markers_of(path, labels, points, rate_hz=rate, up=up, why="QTM")
+
+
+def read_qtm_bodies(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
+    """Read one rigid body of a QTM TSV file of 6D data: mm, Rot[0..8] column by column; z is up unless stated."""
+    from scipy.spatial.transform import Rotation
+
+    labels, values, rate = _qtm(path, "BODY_NAMES", 16)
+    block = values.reshape(len(values), len(labels), 16)[:, labels.index(name_of(path, labels, name))]
+    turn = block[:, 7:].reshape(-1, 3, 3).transpose(0, 2, 1)
+    seen = np.abs(np.linalg.det(np.nan_to_num(turn)) - 1.0) < _NEARLY_UNIT
+    if not seen.any():
+        raise FileFormatError(f"{path}: wanted rotation matrices Rot[0..8], got none; export 6D data with the matrix")
+    q_nb = np.full((len(values), 4), np.nan)
+    q_nb[seen] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
+    position = np.where(seen[:, None], block[:, :3] * 1e-3, np.nan)
+    time = np.arange(len(values)) / rate
+    return _reference(path, time, q_nb, position=position, up=up, name=name_of(path, labels, name))
+
+
+def _qtm(path: Path, key: str, each: int) -> tuple[tuple[str, ...], FloatArray, float]:
+    """Return names, the blocks of all names without frame, time and gap columns, and the frame rate."""
+    lines = as_utf8(read_bytes(path)).decode().splitlines()
+    head: dict[str, str] = {}
+    start = next((k for k, line in enumerate(lines) if not re.match(r"[A-Z_]{4,}(\t|$)", line)), len(lines))
+    for line in lines[:start]:
+        head[line.split("\t")[0]] = line.partition("\t")[2]
+    names = tuple(cell.strip() for cell in head.get(key, "").split("\t") if cell.strip())
+    rate = head.get("FREQUENCY", "").strip()
+    if not names or not is_number(rate) or not rate:
+        raise FileFormatError(
+            f"{path}: wanted {key} and FREQUENCY in Hz in the header, got none; export the TSV header too"
+        )
+    if start < len(lines) and not all(
+        is_number(cell) or cell.strip() in ("", "NULL", "-") for cell in lines[start].split("\t")
+    ):
+        start += 1  # a line of column names
+    rows = [re.sub(r"\t+$", "", line) for line in lines[start:] if line.strip()]
+    width = max((row.count("\t") + 1 for row in rows), default=0)
+    for gap in (0, 1):
+        bare = len(names) * each + (len(names) - 1) * gap
+        if width - bare in (0, 2):  # frame and time may stand before
+            break
+    else:
+        raise FileFormatError(
+            f"{path}: wanted {each} columns for each of {len(names)} names, got {width} in all; check the export"
+        )
+    padded = "".join(f"{row}{chr(9) * (width - row.count(chr(9)) - 1)}\n" for row in rows).encode()
+    first = width - bare
+    keep = [first + k * (each + gap) + j for k in range(len(names)) for j in range(each)]
+    return names, _table(path, padded, width)[:, keep], float(rate)
+
+
+# ---- Xsens
+
+
+def read_xsens_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
+    """Read the orientations of an MT Manager export; its rate must stand in the file, or in the map."""
+    return _xsens(open_xsens(path, None if columns is None else columns.sample_rate_hz))
+
+
+def read_dot_poses(path: Path, _: ReferenceMap | None = None) -> Reference:
+    """Read the orientations of a DOT export."""
+    return _xsens(open_dot(path))
+
+
+def _xsens(sheet: Sheet) -> Reference:
+    """Return orientations as quaternion, matrix or Euler angles (roll, pitch, yaw; Z-Y-X), sensor to level."""
+    from scipy.spatial.transform import Rotation
+
+    if sheet.clock is None:
+        raise InputError(
+            f"{sheet.path}: wanted the sample rate, got a file without it; give sample_rate_hz in a map",
+            missing="sample_rate_hz",
+        )
+    forms = (
+        [r"^Quat_(w|q0)$", r"^Quat_(x|q1)$", r"^Quat_(y|q2)$", r"^Quat_(z|q3)$"],
+        [rf"^Mat\[{i}\]\[{j}\]$" for i in (1, 2, 3) for j in (1, 2, 3)],
+        [r"^Yaw$", r"^Pitch$", r"^Roll$"],
+    )
+    found = [[k for pattern in form if (k := sheet.position(pattern)) is not None] for form in forms]
+    held = next((columns for columns, form in zip(found, forms, strict=True) if len(columns) == len(form)), None)
+    if held is None:
+        raise FileFormatError(
+            f"{sheet.path}: wanted Quat, Mat or Roll, Pitch, Yaw columns, got none; export orientations"
+        )
+    values = sheet.array(held)
+    q_nb = np.full((len(values), 4), np.nan)
+    seen = np.isfinite(values).all(axis=1)
+    if len(held) == 4:
+        q_nb = values
+    else:
+        turn = Rotation.from_matrix(values[seen].reshape(-1, 3, 3)) if len(held) == 9 else None
+        turn = turn or Rotation.from_euler("ZYX", values[seen], degrees=True)
+        q_nb[seen] = turn.as_quat(scalar_first=True)
+    table = sheet.columns(*sheet.counters)
+    time, notes = sheet.clock(*(table.numbers(k) for k in sheet.counters))
+    return _reference(sheet.path, time, q_nb, up=None, name=", ".join(notes))

@@ -1,0 +1,227 @@
+"""Tables that state their units themselves: preambles, unit rows, units in names, several sensors, and what is refused."""
+
+import numpy as np
+import pytest
+
+from testkit.data import data_path
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ReadSettings
+from undrift.io.formats import detect, read_counted, read_record
+from undrift.io.inspect import describe
+from undrift.io.labelled import Label, label_of, open_sheet, split_unit
+
+
+def put(tmp_path, text, name="t.csv"):
+    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    return tmp_path / name
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "label"),
+    [
+        ("A_X [mg]", "", Label("", "accel", "x", "mg")),
+        ("G_Z [dps]", "", Label("", "gyro", "z", "dps")),
+        ("M_Y [mG]", "", Label("", "mag", "y", "mgauss")),
+        ("accX[g]", "", Label("", "accel", "x", "g")),
+        ("gyroY[mdps]", "", Label("", "gyro", "y", "dps", 1e-3)),
+        ("gyro_z", "deg/s", Label("", "gyro", "z", "dps")),
+        ("Gyroscope x (rad/s)", "", Label("", "gyro", "x", "rad/s")),
+        ("Beschleunigung y (m/s²)", "", Label("", "accel", "y", "m/s2")),
+        ("Shimmer_40AC_Accel_WR_X_CAL", "m/(s^2)", Label("Shimmer 40AC WR", "accel", "x", "m/s2")),
+        ("xsens_gyro_x (deg/s)", "", Label("xsens", "gyro", "x", "dps")),
+        ("ACC X (G)", "", Label("", "accel", "x", "g")),
+        ("Pelvis Accel Sensor X,mG", "", Label("Pelvis", "accel", "x", "mg")),
+        ("X [T]", "", Label("", "mag", "x", "t")),
+        ("field x (nT)", "", Label("", "mag", "x", "ut", 1e-3)),
+        ("Linear Acceleration x (m/s^2)", "", Label("", "free", "x", "m/s2")),
+        ("acc_x_g", "", Label("", "accel", "x", "g")),
+        ("gFx", "g", Label("", "accel", "x", "g")),
+        ("Temperature (°C)", "", Label("", "temp", "", "degc")),
+        ("time[ms]", "", Label("", "time", "", "ms")),
+        ("acc_x", "", Label("", "accel", "x")),
+        ("mag_x [count]", "", Label("", "mag", "x")),
+        ("acc_x (rad/s)", "", None),
+        ("xsens_gyro_x (m/s^2)", "", None),
+        ("pos_x (m)", "", None),
+        ("Absolute acceleration (m/s^2)", "", None),
+        ("Mat[1][1]", "", None),
+    ],
+)
+def test_a_column_is_what_its_name_and_unit_say(name, unit, label):
+    assert label_of(name, unit) == label
+
+
+def test_a_name_is_split_from_its_unit_and_an_index_is_no_unit():
+    assert split_unit("A_X [mg]") == ("A_X", "mg")
+    assert split_unit("Acc (m/(s^2))") == ("Acc", "m/(s^2)")
+    assert split_unit("Rot[0]") == ("Rot[0]", "")
+
+
+FLAVOURS = [(",", "."), ("\t", "."), (";", "."), ("\t", ","), (";", ",")]
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), FLAVOURS)
+def test_phyphox_reads_in_every_flavour_of_its_export(tmp_path, delimiter, decimal):
+    names = ["Time (s)", *(f"Acceleration {x} (m/s^2)" for x in "xyz"), "Absolute acceleration (m/s^2)"]
+    rows = [[f"{k}.5000000E-2", "-1.5E-1", "2.5E-2", "9.805E0", "9.806E0"] for k in range(9)]
+    lines = [delimiter.join(f'"{name}"' for name in names)]
+    lines += [delimiter.join(cell.replace(".", decimal) for cell in row) for row in rows]
+    path = put(tmp_path, "\n".join(lines) + "\n")
+    assert detect(path) == "labelled"
+    record = read_record(path)
+    np.testing.assert_allclose(record.accel, [[-0.15, 0.025, 9.805]] * 9)
+    np.testing.assert_allclose(record.time, 0.005 + 0.01 * np.arange(9))
+    assert (record.accel_unit, record.gyro) == ("m/s2", None)
+
+
+ST_ROWS = [
+    (f"{1000 + 10 * k}", "-748", "608", "12", "35", "-70", "140", "500", "-20", "4", "1013.2", "24.5") for k in range(5)
+]
+ST_NAMES = "time[ms],acc_x[mg],acc_y[mg],acc_z[mg]," + (
+    "gyro_x[mdps],gyro_y[mdps],gyro_z[mdps],mag_x[mG],mag_y[mG],mag_z[mG],press[mBar],temp[\xb0C]"
+)
+
+
+def test_an_st_log_in_latin_1_with_a_cut_header_loses_no_row(tmp_path):
+    rows = [",".join((*row, "40")) for row in ST_ROWS]
+    cut = f"log of a board\n{ST_NAMES},hum[{rows[0]}\n".encode("latin-1")
+    path = put(tmp_path, cut + "\n".join(rows[1:]).encode() + b"\n")
+    read = read_counted(path)
+    # the cut lost the name's closing bracket and unit; the row is whole: 40077830-like first cell is time
+    assert len(read.record) == 5
+    np.testing.assert_allclose(read.record.accel, [[-748, 608, 12]] * 5)
+    np.testing.assert_allclose(read.record.gyro, [[0.035, -0.07, 0.14]] * 5)
+    np.testing.assert_allclose(read.record.mag_ut, [[50.0, -2.0, 0.4]] * 5)
+    np.testing.assert_allclose(read.record.temp_c, 24.5)
+    assert (read.record.accel_unit, read.record.gyro_unit) == ("mg", "dps")
+    assert read.notes == ("lines before the header skipped: 1",)
+
+
+def test_blanks_around_tabs_and_a_trailing_tab_read(tmp_path):
+    path = put(tmp_path, "BOARD (CHIP)\n\nA_X [mg] \t A_Y [mg] \t A_Z [mg] \t\n" + "1 \t -2.5 \t 998 \t\n" * 4, "u.txt")
+    record = read_record(path, settings=ReadSettings(sample_rate_hz=26.0))
+    np.testing.assert_allclose(record.accel, [[1.0, -2.5, 998.0]] * 4)
+
+
+def test_a_preamble_is_skipped_and_a_unit_row_is_used_and_both_are_stated(tmp_path):
+    text = "Device: 17\nStart: 12:00\n\nt,wx,wy,wz,ax,ay,az,T\ns,deg/s,deg/s,deg/s,g,g,g,degC\n"
+    path = put(tmp_path, text + "".join(f"{k / 50:.2f},1,2,3,0,0,1,25\n" for k in range(200)))
+    read = read_counted(path)
+    assert (read.record.gyro_unit, read.record.accel_unit, read.record.sample_rate_hz) == (
+        "dps",
+        "g",
+        pytest.approx(50.0),
+    )
+    np.testing.assert_allclose(read.record.temp_c, 25.0)
+    assert read.notes == ("lines before the header skipped: 2", "units from the row under the header")
+    found = describe(path)
+    assert (found.kind, found.rows) == ("recording", 200)
+    assert [item.text for item in found.findings[:2]] == list(read.notes)
+    assert not any("header" in problem for problem in found.problems)
+
+
+def test_own_names_behind_a_preamble_read_without_a_map(tmp_path):
+    path = put(
+        tmp_path, "# a comment\n# another\ntime_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0.0,1,2,3\n0.1,1,2,3\n0.2,1,2,3\n"
+    )
+    assert read_record(path).gyro.tolist() == [[1.0, 2.0, 3.0]] * 3
+
+
+def test_a_clock_since_1970_starts_at_zero(tmp_path):
+    rows = "".join(f"{1700000000000 + 20 * k},0,0,1\n" for k in range(4))
+    record = read_record(put(tmp_path, f"time (ms),ax (g),ay (g),az (g)\n{rows}"))
+    np.testing.assert_allclose(record.time, [0.0, 0.02, 0.04, 0.06], atol=1e-9)
+
+
+def test_a_unit_that_no_name_states_is_not_supplied(tmp_path):
+    path = put(tmp_path, "time (s),ax,ay,az\n0,0,0,9.8\n1,0,0,9.8\n")
+    assert detect(path) == "csv"
+    with pytest.raises(InputError, match="wanted names such as gyro_x_dps"):
+        read_record(path)
+    found = describe(path)
+    assert 'accel = "m/s2" }  # accel proposed: the median |a| is 9.8' in found.example[1]
+
+
+@pytest.mark.parametrize(
+    ("size", "unit"), [("0.99", "g"), ("9.79", "m/s2"), ("1003", "mg"), ("16384", "count"), ("0.02", "?")]
+)
+def test_units_are_proposed_from_the_size_of_gravity_and_say_so(tmp_path, size, unit):
+    found = describe(put(tmp_path, "ax,ay,az,gx,gy,gz\n" + f"0,0,{size},1,2,3\n" * 9))
+    assert f'accel = "{unit}"' in found.example[1]
+    assert (f"the median |a| is {float(size):.4g}" in found.example[1]) == (unit != "?")
+    assert ('gyro = "count"' in found.example[1]) == (unit == "count")
+
+
+def test_gravity_tells_the_accelerometer_of_a_table_without_names(tmp_path):
+    found = describe(put(tmp_path, "0.1,0.2,-0.1,0.2,9.7,0.9\n0.1,0.1,-0.1,0.2,9.7,0.8\n" * 9))
+    assert found.example[0] == "columns = { accel = [3, 4, 5], gyro = [0, 1, 2] }"
+    assert found.example[1].startswith(
+        'units = { accel = "m/s2", gyro = "?" }  # accel proposed: the median |a| is 9.7'
+    )
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "xsens_gyro_x,xsens_gyro_y,xsens_gyro_z",
+        "mag_x [T],mag_y [T],mag_z [T]",
+        "X (uT),Y (uT),Z (uT)",
+        "vel_x,vel_y,vel_z",
+    ],
+)
+def test_what_is_no_accelerometer_is_never_proposed_as_one(tmp_path, header):
+    found = describe(put(tmp_path, f"time (s),{header}\n" + "0,1,2,3\n1,1,2,3\n2,1,2,4\n"))
+    assert "accel" not in "".join(found.example[:1]) or found.example[0].count('"ax"') == 1
+    assert found.kind == "table"
+
+
+def test_a_magnetometer_alone_is_called_one(tmp_path):
+    found = describe(put(tmp_path, "time (s),X [T],Y [T],Z [T]\n" + "0,1,2,3\n1,1,2,3\n2,1,2,4\n"))
+    assert "a magnetometer's table" in found.summary
+
+
+def test_several_sensors_in_one_table_ask_for_one_and_share_no_channel(tmp_path):
+    names = [
+        f"{place}_{kind}_{x} ({unit})"
+        for place in ("left", "right")
+        for kind, unit in (("acc", "g"), ("gyr", "dps"))
+        for x in "xyz"
+    ]
+    path = put(
+        tmp_path, ",".join(["t (s)", *names]) + "\n" + "".join(f"{k},0,0,1,5,5,5,0,1,0,7,7,7\n" for k in range(4))
+    )
+    with pytest.raises(InputError, match="the file holds left, right: name one"):
+        read_record(path)
+    right = read_record(path, settings=ReadSettings(sensor="right"))
+    assert (right.accel[0].tolist(), right.gyro[0].tolist(), right.device) == (
+        [0.0, 1.0, 0.0],
+        [7.0, 7.0, 7.0],
+        "right",
+    )
+
+
+def test_gaps_and_rates_are_checked_as_in_any_table(tmp_path):
+    path = put(tmp_path, "time (s),ax (g),ay (g),az (g)\n0.00,0,0,1\n0.01,,0,1\n0.02,0,0,1\n0.03,0,0,1\n")
+    with pytest.raises(InputError, match=r"column 'ax .g.': wanted a number in every row, got 1 empty or NaN cells"):
+        read_record(path)
+    kept = read_record(path, settings=ReadSettings(gaps="keep"))
+    assert np.isnan(kept.accel[1, 0])
+    with pytest.raises(InputError, match="wanted 50 Hz as stated, got 100 Hz"):
+        read_record(path, settings=ReadSettings(gaps="keep", sample_rate_hz=50.0))
+
+
+def test_a_text_without_rows_of_numbers_is_no_sheet(tmp_path):
+    with pytest.raises(FileFormatError, match="wanted a header line over rows of numbers, got none; check the export"):
+        open_sheet(put(tmp_path, "a,b\nc,d\n"))
+
+
+def test_the_published_labels_hold_on_the_real_unit_row():
+    sheet = open_sheet(data_path("makers", "shimmer_consensys", "read_test_data.csv"))
+    assert sheet.unit_row
+    assert (sheet.units[1], sheet.units[-2], sheet.layout.delimiter) == ("m/(s^2)", "Degrees Celsius", ";")
+
+
+def test_a_unit_row_over_a_table_that_lacks_units_is_passed_over_by_the_proposed_map(tmp_path):
+    path = put(tmp_path, "t,ax,ay,az\n,m/s^2,,\n" + "".join(f"{k / 50},0,0,9.8\n" for k in range(9)))
+    found = describe(path)
+    assert "drop_bad_rows = true  # the row of units" in found.example
