@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 
 import numpy as np
 import pytest
@@ -222,3 +223,21 @@ def test_every_public_folder_was_found():
     if EVERY:
         assert sum("/" not in name for name in EVERY) == len(list(DATA.iterdir()))
         assert len(EVERY) > 80
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("shimmer_consensys/read_test_data.csv", "--sensor LN"),
+        ("delsys_trigno/truncated_trigno_sample.csv", "--sensor 'Mini sensor 10'"),
+        ("stm_mems_logs/unico_acc_only_driving.txt", "--sample-rate-hz HZ"),
+    ],
+)
+def test_what_an_export_leaves_open_is_asked_for_by_an_option_that_opens_it(undrift, name, hint):
+    path = data_path("makers", name)
+    lines = undrift.good("info", path).out.splitlines()
+    assert lines[-1].strip() == f"say: undrift info FILE {hint}"
+    words = shlex.split(hint.replace("HZ", "26"))
+    told = undrift.good("info", path, *words, "--json").json()
+    assert told["kind"] == "recording"
+    assert [item["code"] for item in told["findings"]][:1] in (["recording.how_read"], ["recording.dropouts"], [])
