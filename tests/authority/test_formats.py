@@ -366,7 +366,8 @@ FORCES = ("PDS13", "BDS000")
 
 
 def every_file():
-    return sorted(path for path in DATA.rglob("*") if path.is_file()) if DATA.is_dir() else []
+    files = sorted(path for path in DATA.rglob("*") if path.is_file()) if DATA.is_dir() else []
+    return [path for path in files if path.name != "GENEActiv_testfile.bin"]  # cut by its author
 
 
 @pytest.mark.parametrize("path", every_file(), ids=lambda path: str(path.relative_to(DATA)))
@@ -384,13 +385,13 @@ def test_every_file_is_described_in_one_line(path):
         assert found.kind == "text"
 
 
-def test_foreign_tables_say_which_map_they_need_and_binaries_how_to_export_them():
+def test_foreign_tables_say_which_map_they_need_and_binaries_need_none():
     for parts in (("multipos_mpu9150", "imu0.log.gz"), ("static_mpu6050",)):
         path = data_path(*parts)
         path = next(path.glob("*.gz")) if path.is_dir() else path
         assert "needs a map with the true units, for example columns = { " in describe(path).summary
-    assert "export it" in describe(data_path("wearable_formats", "ggirread_ax6_testfile.cwa")).summary
-    assert "export it" in describe(data_path("ferraris_nilspod", "example_calibration.bin")).summary
+    assert describe(data_path("wearable_formats", "ggirread_ax6_testfile.cwa")).kind == "recording"
+    assert describe(data_path("ferraris_nilspod", "example_calibration.bin")).kind == "recording"
     assert "name of one of them" in describe(data_path("wearable_formats", "opensim_apdm_imuData01.csv.gz")).summary
     assert "sample rate" in describe(data_path("wearable_formats", "ximu")).summary
     assert "sample rate" in describe(data_path("worn_lowback", "HA_001_Test11.csv.gz")).summary

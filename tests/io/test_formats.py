@@ -71,16 +71,13 @@ def test_gaps_that_are_asked_for_overrule_the_map(tmp_path):
 
 
 # header and sample sizes, start, end, and two samples of 16 bytes
-NILSPOD = b"\x34\x10" + bytes(13) + b"\x91\xc2\x88\x5d\xf6\xc2\x88\x5d\x02" + bytes(28) + bytes(32)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
         ("a.trc", trc(np.ones((3, 1, 3)), ("A",)), "got marker trajectories; read them as a reference"),
-        ("a.cwa", b"MD\x00\x01" * 50, "got the binary of an Axivity logger; export it"),
-        ("a.bin", NILSPOD, "got the binary of a NilsPod"),
-        ("a.bin", NILSPOD + b"\0", "got binary data of an unknown kind"),
+        ("a.cwa", b"MD\x00\x01" * 50, "wanted a header of 1024 bytes and whole sectors of 512, got 200 bytes"),
         (
             "a.bin",
             bytes(np.random.default_rng(1).integers(0, 256, 4096, dtype=np.uint8)),

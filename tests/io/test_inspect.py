@@ -83,7 +83,6 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("m.toml", MAP, "settings", "a column map of gyro"),
         ("s.toml", "a = 1", "settings", "TOML settings, not a column map"),
         ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
-        ("a.cwa", b"MD\x00\x01" * 50, "binary", "the binary of an Axivity logger; export it"),
         ("f.txt", "Time[s]\tFx[N]\tFy[N]\tFz[N]\n0\t1\t2\t3\n1\t1\t2\t3\n", "table", "a force plate's table"),
         ("p.csv", "Time,COG_X,COG_Y,COG_Z\n0,1,2,3\n1,1,2,3\n", "table", "a table of positions"),
         ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", 'read it as a reference with quaternion=("W", "X", "Y", "Z")'),

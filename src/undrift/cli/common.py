@@ -56,7 +56,7 @@ class Opening:
     sample_rate_hz : float or None
         Samples per second, for a file without time.
     sensor : str or None
-        Which sensor, in a file of several (APDM).
+        Which sensor, stream or topic, in a file of several.
     gaps : str or None
         "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
     """
@@ -77,7 +77,7 @@ class Opening:
     def settings(self) -> "ReadSettings":
         """Return rate, sensor and gaps; options overrule a map without columns."""
         from undrift.io.columns import ReadSettings
-        from undrift.io.session import read_map_settings
+        from undrift.io.session import read_map_settings, read_temp_file
 
         held = (None if self.column_map is None else read_map_settings(self.column_map)) or ReadSettings()
         return replace(
@@ -85,6 +85,7 @@ class Opening:
             sample_rate_hz=self.sample_rate_hz or held.sample_rate_hz,
             sensor=self.sensor,
             gaps=self.gaps or held.gaps,
+            temp_file=None if self.column_map is None else read_temp_file(self.column_map),
         )
 
     def read(self, path: Path) -> "Record":

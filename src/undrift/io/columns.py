@@ -7,6 +7,7 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 """
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -182,17 +183,31 @@ class ColumnMap:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TempFile:
+    """A thermometer's text table of its own, at its own rate: interpolated onto the samples, held at the ends."""
+
+    path: Path
+    time: Column = "time_s"  # Time column, on the recording's clock after the shift
+    temp: Column = "temp_c"
+    time_unit: str = "s"
+    temp_unit: str = "degC"
+    shift_s: float = 0.0  # Added to the thermometer's time, s
+    layout: TextLayout = field(default_factory=TextLayout)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReadSettings:
     """What a file may leave unstated."""
 
     sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
-    sensor: str | None = None  # Which sensor, in a file of several (APDM)
+    sensor: str | None = None  # Which sensor, stream or topic, in a file of several
     # "raise" or "keep", overruling a map; None: as the map states, and without one gaps are refused except in
     # Parquet that undrift wrote
     gaps: Gaps | None = None
     # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
     repair_time: bool = False
     drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
+    temp_file: TempFile | None = None  # Takes the place of a temperature in the recording
 
 
 READ_SETTINGS = ReadSettings()

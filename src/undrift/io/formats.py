@@ -18,10 +18,20 @@ from functools import cache
 from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, is_gzip, read_bytes
-from undrift.io.arrays import mat_arrays, npz_arrays, open_hdf5, read_mat, read_npz
+from undrift.files import checked_file, read_bytes
+from undrift.io.arrays import mat_arrays, mat_names, npz_arrays, open_hdf5, read_mat, read_npz
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_native
+from undrift.io.containers import (
+    is_mobilised,
+    is_nilspod,
+    read_mobilised,
+    read_nilspod,
+    read_ros,
+    read_ulog,
+    read_xdf,
+)
 from undrift.io.labelled import is_labelled, read_labelled
+from undrift.io.loggers import is_gt3x, read_cwa, read_geneactiv, read_gt3x
 from undrift.io.makers import (
     is_bids,
     is_set_points,
@@ -47,7 +57,14 @@ from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad,
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
 from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
 from undrift.io.text import MARK, read_csv, write_csv
-from undrift.io.wearables import read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
+from undrift.io.wearables import (
+    read_actigraph,
+    read_apdm,
+    read_ngimu,
+    read_ximu,
+    read_ximu3,
+    with_thermometer,
+)
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
 
@@ -97,6 +114,8 @@ def _is_npz(path: Path, head: bytes) -> bool:
 
 
 def _is_broad(path: Path, head: bytes) -> bool:
+    if head.startswith(b"MATLAB"):
+        return {"imu_gyr", "opt_quat"} <= mat_names(path)
     if not head.startswith(_HDF5):
         return False
     with open_hdf5(path) as held:
@@ -132,15 +151,6 @@ def _is_json(path: Path, head: bytes) -> bool:
     return True
 
 
-def _is_nilspod(path: Path, head: bytes) -> bool:
-    """Tell a NilsPod session by its header: sizes of header and sample, rows, start and end that fit the file."""
-    if len(head) < 0x34 or b"\0" not in head:
-        return False
-    start, end, rows = (int.from_bytes(head[k : k + 4], "little") for k in (15, 19, 23))
-    whole = head[0] + head[1] * rows
-    return head[0] >= 0x30 and 0 < start <= end and rows > 0 and (is_gzip(path) or path.stat().st_size == whole)
-
-
 def _has(pattern: bytes) -> Callable[[Path, bytes], bool]:
     """Recognise a text by a pattern in its head."""
     compiled = re.compile(pattern, re.MULTILINE)
@@ -172,6 +182,9 @@ _TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_ba
 _ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps"})
 _SET_POINT = _has(rb"^[ \t]*[A-Za-z_]\w*:[ \t]*[-+.\d]+[ \t]*,")
 _EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows"})
+_STREAMS = frozenset({"sensor", "gaps", "repair_time"})
+_BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
+_BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
@@ -185,6 +198,9 @@ FORMATS: dict[str, Format] = {
         _is_npz, record=read_npz, reference=lambda p, c: read_array_poses(npz_arrays(p), p, c), honours=_ARRAYS
     ),
     "broad": Format(_is_broad, record=lambda p, *_: read_broad(p)[0], reference=lambda p, _: read_broad(p)[1]),
+    "mobilised": Format(
+        lambda _, head: head.startswith(b"MATLAB") and is_mobilised(head), record=read_mobilised, honours=_STREAMS
+    ),
     "mat": Format(
         _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
     ),
@@ -193,9 +209,25 @@ FORMATS: dict[str, Format] = {
         instead="HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read",
     ),
     "cwa": Format(
-        lambda path, head: head.startswith(b"MD") and path.suffix.lower() == ".cwa",
-        instead="the binary of an Axivity logger; export it with OMGUI or open-movement to CSV (time, gyro dps, accel g, "
-        "temperature)",
+        lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
+        record=read_cwa,
+        honours=_BLOCKS,
+    ),
+    "geneactiv": Format(lambda _, head: head.startswith(b"Device Identity"), record=read_geneactiv, honours=_BLOCKS),
+    "gt3x": Format(
+        lambda path, head: head.startswith(b"PK\x03\x04") and is_gt3x(path), record=read_gt3x, honours=_STREAMS
+    ),
+    "xdf": Format(lambda _, head: head.startswith(b"XDF:"), record=read_xdf, honours=_STREAMS | {"columns"}),
+    "ros": Format(
+        lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
+        record=read_ros,
+        honours=_STREAMS,
+    ),
+    "ulog": Format(
+        lambda _, head: head.startswith(b"ULog\x01\x12\x35"), record=read_ulog, honours=_STREAMS | {"drop_bad_rows"}
+    ),
+    "nilspod": Format(
+        lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=read_nilspod, honours=_STREAMS
     ),
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
@@ -283,11 +315,6 @@ FORMATS: dict[str, Format] = {
         honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
     ),
     # The formats of other packages come here.
-    "nilspod": Format(
-        _is_nilspod,
-        instead="the binary of a NilsPod; export it with NilsPodLib to CSV",
-        generic=True,
-    ),
     "binary": Format(
         lambda _, head: b"\0" in head,
         instead="binary data of an unknown kind; export it to CSV, MAT or npz",
@@ -330,8 +357,8 @@ def format_of(path: str | Path) -> tuple[str, Format]:
         if (head or not entry.generic) and entry.recognise(path, head):
             return name, entry
     raise InputError(
-        f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3) or "
-        "*_CalInertialAndMag.csv (x-IMU), got another directory; name a file in it"
+        f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3), "
+        "*_CalInertialAndMag.csv (x-IMU) or metadata.yaml (ROS 2), got another directory; name a file in it"
     )
 
 
@@ -346,7 +373,8 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     Parameters
     ----------
     path : str or Path
-        Text table (plain or gzip), Parquet, npz, mat, BROAD HDF5, a maker's export, or an NGIMU, x-IMU or x-IMU3 folder.
+        Text table (plain or gzip), Parquet, npz, mat, BROAD, a maker's export, XDF, ROS bag, PX4 ULog, Axivity, GENEActiv, GT3X,
+        NilsPod, Mobilise-D, or an NGIMU, x-IMU, x-IMU3 or ROS 2 folder.
     columns : ColumnMap or None
         Which column is what; None where the format or undrift's own names state it.
     settings : ReadSettings or None
@@ -389,13 +417,18 @@ def read_counted(
             entry = FORMATS["csv"]
     if entry.record is None:
         raise FileFormatError(f"{path}: wanted a recording, got {entry.instead or name}")
-    if columns is None and (settings.repair_time or settings.drop_bad_rows) and "repair_time" not in entry.honours:
+    unread = [key for key in ("repair_time", "drop_bad_rows") if getattr(settings, key) and key not in entry.honours]
+    if columns is None and unread:
         raise InputError(
             f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {name}; name the "
             "columns in the map, or leave these keys out"
         )
     found = entry.record(path, columns, settings)
-    return found if isinstance(found, ReadResult) else ReadResult(record=found)
+    found = found if isinstance(found, ReadResult) else ReadResult(record=found)
+    if settings.temp_file is None:
+        return found
+    note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
+    return replace(found, record=with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
 
 
 def iter_record(
@@ -404,7 +437,7 @@ def iter_record(
     """Read a recording in chunks. Parquet streams in constant memory; other formats are read whole and cut."""
     settings = settings or READ_SETTINGS
     chunks = format_of(path)[1].chunks
-    if chunks is not None:
+    if chunks is not None and settings.temp_file is None:
         columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
         yield from chunks(Path(path), columns, settings, rows)
         return

@@ -12,10 +12,10 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import AXES, Column, ColumnMap, Table, TextLayout, build_record
+from undrift.io.columns import AXES, Column, ColumnMap, Table, TempFile, TextLayout, build_record
 from undrift.io.text import Text, open_text, parse_text
 from undrift.record import Record
-from undrift.units import si_factor
+from undrift.units import canonical_unit, si_factor, temp_offset
 
 # ---- APDM Opal: several sensors in one CSV
 #
@@ -152,6 +152,24 @@ def _interpolated(record: Record, time: FloatArray, temp_c: FloatArray) -> Recor
         raise InputError("temperature: wanted one reading or more, got none; leave the temperature file out")
     order = np.argsort(time[known], kind="stable")
     return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
+
+
+def with_thermometer(record: Record, thermometer: TempFile) -> Record:
+    """Return the record with the temperature of a thermometer's own file."""
+    table = parse_text(open_text(thermometer.path, thermometer.layout), (thermometer.time, thermometer.temp))
+    time = table.numbers(thermometer.time) * si_factor(thermometer.time_unit, "time") + thermometer.shift_s
+    unit = canonical_unit(thermometer.temp_unit, "temp")
+    temp_c = table.numbers(thermometer.temp) * si_factor(unit, "temp") + temp_offset(unit)
+    known = time[np.isfinite(time) & np.isfinite(temp_c)]
+    if len(known) and (known.max() < record.time[0] or known.min() > record.time[-1]):
+        raise InputError(
+            f"{thermometer.path}: wanted temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, the recording's clock, "
+            f"got {known.min():.6g} to {known.max():.6g} s; set temp_file.shift_s, in s"
+        )
+    try:
+        return _interpolated(record, time, temp_c)
+    except InputError as error:
+        raise InputError(f"{thermometer.path}: {error}") from error
 
 
 # ---- ActiGraph GT9X Link: ten lines about the recording, then Timestamp and g, deg/s, uT, degC
