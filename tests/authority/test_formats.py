@@ -12,11 +12,11 @@ from undrift.io.arrays import read_npz
 from undrift.io.columns import ColumnMap, ReadSettings, Scale, TextLayout
 from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe, find_symptoms
+from undrift.io.makers import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
 from undrift.io.mocap import fit_cluster, read_broad, read_c3d, read_trc
 from undrift.io.reference import ReferenceMap
 from undrift.io.session import read_session
 from undrift.io.text import read_csv
-from undrift.io.wearables import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
 
 FACES = {"gyro": ("gyr_x", "gyr_y", "gyr_z"), "accel": ("acc_x", "acc_y", "acc_z")}
 BLANKS = TextLayout(delimiter=" ", header=False)

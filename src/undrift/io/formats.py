@@ -22,8 +22,12 @@ from undrift.files import checked_file, read_bytes
 from undrift.io.arrays import mat_arrays, mat_names, npz_arrays, open_hdf5, read_mat, read_npz
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_native
 from undrift.io.containers import (
+    is_gt3x,
     is_mobilised,
     is_nilspod,
+    read_cwa,
+    read_geneactiv,
+    read_gt3x,
     read_mobilised,
     read_nilspod,
     read_ros,
@@ -31,16 +35,18 @@ from undrift.io.containers import (
     read_xdf,
 )
 from undrift.io.labelled import is_labelled, read_labelled
-from undrift.io.loggers import is_gt3x, read_cwa, read_geneactiv, read_gt3x
 from undrift.io.makers import (
     is_bids,
     is_set_points,
+    read_actigraph,
+    read_apdm,
     read_apdm7,
     read_bids_motion,
     read_bids_positions,
     read_dot,
     read_dot_poses,
     read_mobgap,
+    read_ngimu,
     read_noraxon,
     read_qtm_bodies,
     read_qtm_markers,
@@ -50,21 +56,16 @@ from undrift.io.makers import (
     read_sto,
     read_trigno,
     read_trigno_discover,
+    read_ximu,
+    read_ximu3,
     read_xsens,
     read_xsens_poses,
+    with_thermometer,
 )
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
 from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
 from undrift.io.text import MARK, read_csv, write_csv
-from undrift.io.wearables import (
-    read_actigraph,
-    read_apdm,
-    read_ngimu,
-    read_ximu,
-    read_ximu3,
-    with_thermometer,
-)
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
 

@@ -34,12 +34,12 @@ from undrift.io.columns import (
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
 from undrift.io.labelled import label_of
+from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
 from undrift.io.text import MARK, Text, open_text, parse_text
-from undrift.io.wearables import apdm_sensors
 from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 

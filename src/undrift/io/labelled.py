@@ -35,7 +35,7 @@ from undrift.io.text import Text, parse_text
 from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
 
 _HEAD = 1 << 16
-_EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
+EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
 _TIME = "(time, s)"  # the column that holds the time in s once it is made
 _NUMERIC = 0.6  # of the filled cells of a row of readings
 
@@ -220,17 +220,7 @@ _KIND = tuple(
         ("time", r"^(t|zeit)$|time|seconds_elapsed"),
     )
 )
-_NATIVE = {
-    "dps": "dps",
-    "rad_s": "rad/s",
-    "m_s2": "m/s2",
-    "g": "g",
-    "mg": "mg",
-    "ut": "ut",
-    "s": "s",
-    "ms": "ms",
-    "us": "us",
-}
+_NATIVE = {"dps": "dps", "rad_s": "rad/s", "m_s2": "m/s2"} | {unit: unit for unit in ("g", "mg", "ut", "s", "ms", "us")}
 _SUFFIX = re.compile(rf"(?i)_({'|'.join(_NATIVE)})$")
 _AXIS = (
     re.compile(r"(?i)(?<![a-z])([xyz])(?![a-z])"),
@@ -450,7 +440,7 @@ def _time(
         return None, table, ()
     label, cells = sheet.labels[at], table.numbers(at)
     factor = si_factor(label.unit, "time") if label else 1.0
-    epoch = len(cells) > 0 and cells[0] * factor > _EPOCH_S
+    epoch = len(cells) > 0 and cells[0] * factor > EPOCH_S
     return (cells - (cells[0] if epoch else 0.0)) * factor, table, ()
 
 

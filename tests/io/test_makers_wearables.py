@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
-from undrift.io.wearables import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
+from undrift.io.makers import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
 
 
 def csv(header, rows):
