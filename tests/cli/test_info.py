@@ -17,7 +17,7 @@ KEYS = {
 }  # fmt: skip
 EVERY = sorted(str(path.relative_to(DATA)) for path in DATA.rglob("*")) if DATA.is_dir() else []
 CUT = "makers/geneactiv_bin/GENEActiv_testfile.bin"  # cut by its author: tests/cli/test_info_containers.py
-NO_GYRO = ("ax3_testfile.cwa", "gnactv_sample.bin", "sample.gt3x")
+NO_GYRO = ("ax3_testfile.cwa", "gnactv_sample.bin", "sample.gt3x", "HighGAccelerometer.csv")
 KINDS = (  # the first pattern that fits
     (r"^makers/.*\.(ulg|xdf)$", {"table"}),  # several sensors, or channels without units
     (r"\.(gt3x|bag|db3|mcap|cwa|bin)$", {"recording"}),
@@ -28,7 +28,7 @@ KINDS = (  # the first pattern that fits
     (r"^makers/opensim_sto_mot/.*\.mot$", {"text"}),
     (r"^makers/.*(MT46|skin_data_xsens|door_open1\.csv)", {"recording"}),
     (r"(^|/)(SOURCE|BDS_README|PDS_README)\.md$|LICENSE$", {"text"}),
-    (r"\.hdf5$|(ngimu|ximu3)$|(ngimu/sensors|ximu3/Inertial|IMU\.csv)", {"recording"}),
+    (r"\.hdf5$|(ngimu|ximu3)$|(ngimu/sensors|ximu3/(Inertial|HighG)|IMU\.csv)", {"recording"}),
     (r"\.(c3d|trc)(\.gz)?$", {"markers"}),
     (r"\.json$", {"settings"}),
     (r"\.(npz|csv|txt|log)(\.gz)?$|ximu$", {"table"}),
@@ -45,7 +45,7 @@ def test_every_public_file_and_folder_is_told(undrift, name):
     assert told["kind"] in expected
     if told["kind"] == "recording":
         assert told["rows"] > (100 if "MT46" not in name else 4)  # an export of five rows
-        assert (49.0 if "gt3x" not in name else 29.0) < told["sample_rate_hz"] < 300.0
+        assert (47.0 if "gt3x" not in name else 29.0) < told["sample_rate_hz"] < 300.0
         assert {"time", "accel", *(() if name.endswith(NO_GYRO) else ("gyro",))} <= told["units"].keys()
         assert all(start < stop for start, stop in told["stills"])
         assert told["stills"] or told["no_still_because"]

@@ -1,5 +1,7 @@
 """Tables that state their units themselves: preambles, unit rows, units in names, several sensors, and what is refused."""
 
+import tomllib
+
 import numpy as np
 import pytest
 
@@ -139,7 +141,7 @@ def test_a_unit_that_no_name_states_is_not_supplied(tmp_path):
     with pytest.raises(InputError, match="wanted names such as gyro_x_dps"):
         read_record(path)
     found = describe(path)
-    assert 'accel = "m/s2" }  # accel proposed: the median |a| is 9.8' in found.example[1]
+    assert 'accel = "m/s2" }  # proposed: accel by the median |a| 9.8' in found.example[1]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +150,7 @@ def test_a_unit_that_no_name_states_is_not_supplied(tmp_path):
 def test_units_are_proposed_from_the_size_of_gravity_and_say_so(tmp_path, size, unit):
     found = describe(put(tmp_path, "ax,ay,az,gx,gy,gz\n" + f"0,0,{size},1,2,3\n" * 9))
     assert f'accel = "{unit}"' in found.example[1]
-    assert (f"the median |a| is {float(size):.4g}" in found.example[1]) == (unit != "?")
+    assert (f"accel by the median |a| {float(size):.4g}" in found.example[1]) == (unit != "?")
     assert ('gyro = "count"' in found.example[1]) == (unit == "count")
 
 
@@ -156,7 +158,7 @@ def test_gravity_tells_the_accelerometer_of_a_table_without_names(tmp_path):
     found = describe(put(tmp_path, "0.1,0.2,-0.1,0.2,9.7,0.9\n0.1,0.1,-0.1,0.2,9.7,0.8\n" * 9))
     assert found.example[0] == "columns = { accel = [3, 4, 5], gyro = [0, 1, 2] }"
     assert found.example[1].startswith(
-        'units = { accel = "m/s2", gyro = "?" }  # accel proposed: the median |a| is 9.7'
+        'units = { accel = "m/s2", gyro = "?" }  # proposed: accel by the median |a| 9.7'
     )
 
 
@@ -225,3 +227,84 @@ def test_a_unit_row_over_a_table_that_lacks_units_is_passed_over_by_the_proposed
     path = put(tmp_path, "t,ax,ay,az\n,m/s^2,,\n" + "".join(f"{k / 50},0,0,9.8\n" for k in range(9)))
     found = describe(path)
     assert "drop_bad_rows = true  # the row of units" in found.example
+
+
+# ---- what is proposed for a table that states too little
+
+PROPOSED = [  # public recording, units, and why; the units are those of its SOURCE.md
+    ("multipos_mpu9150/imu0.log.gz", {"accel": "m/s2", "gyro": "rad/s"}, "gyro by the largest rate 5.268"),
+    ("multipos_xsens/xsens_gyro.txt.gz", {"time": "s", "gyro": "count"}, "gyro by whole numbers up to 4.855e+04"),
+    ("multipos_xsens/xsens_acc.txt.gz", {"time": "s", "accel": "count"}, "accel by the median |a| 5.745e+04"),
+    (
+        "ferraris_nilspod/example_ferraris_session.csv",
+        {"gyro": "dps", "accel": "m/s2"},
+        "gyro by the largest rate 895.3",
+    ),
+    ("ferraris_nilspod/annotated_session.csv", {"gyro": "count", "accel": "count"}, "accel by the median |a| 2060"),
+    (
+        "thermal_bmi270_two_point/BMI_270_cold_test.csv.gz",
+        {"temp": "degC", "accel": "?", "gyro": "?"},
+        "temp by the median 13.06",
+    ),
+    (
+        "thermal_mpu6050_warmup/Tempdata01-02-14.csv.gz",
+        {"time": "ms", "gyro": "count", "accel": "count", "temp": "degC"},
+        "time by the median step 17",
+    ),
+    (
+        "wearable_formats/skdh_ax6_data.npz",
+        {"time": "s", "gyro": "dps", "accel": "g", "temp": "degC"},
+        "time by the median step 0.0102",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "units", "why"), PROPOSED, ids=[name for name, *_ in PROPOSED])
+def test_units_of_the_public_recordings_are_proposed_with_the_figure_that_suggests_them(name, units, why):
+    line = describe(data_path(*name.split("/"))).example[1]
+    assert tomllib.loads(line)["units"] == units
+    assert why in line.partition("  # proposed: ")[2]
+
+
+def test_a_file_of_a_gyroscope_is_never_proposed_as_an_accelerometer(tmp_path):
+    rows = "".join(f"{k / 100} 0 0.2 9.8\n" for k in range(9))
+    assert describe(put(tmp_path, rows, "xsens_gyro.txt")).example[0] == "columns = { time = 0, gyro = [1, 2, 3] }"
+    assert describe(put(tmp_path, rows, "xsens_acc.txt")).example[0] == "columns = { time = 0, accel = [1, 2, 3] }"
+    named = put(tmp_path, "t,x,y,z\n" + rows.replace(" ", ","), "xsens_gyro.csv")
+    assert describe(named).example[0] == 'columns = { time = "t", gyro = ["x", "y", "z"] }'
+
+
+def test_neither_a_counter_nor_a_slow_gyroscope_gets_a_unit(tmp_path):
+    rows = "".join(f"{k},0.01,0.{k % 7}2,9.8,{k % 5}.5,0.25,3\n" for k in range(300))
+    example = describe(put(tmp_path, f"time,ax,ay,az,gx,gy,gz\n{rows}")).example
+    assert tomllib.loads(example[1])["units"] == {"time": "?", "gyro": "?", "accel": "m/s2"}
+
+
+def test_the_sample_rate_of_a_line_before_the_header_or_of_an_array_is_proposed(tmp_path):
+    example = describe(data_path("static_mpu6050", "example_data_tinit_calc.csv.gz")).example
+    assert 'sample_rate_hz = 100  # by the line "Fs,100"' in example
+    np.savez(tmp_path / "a.npz", acc=np.ones((9, 3)), fs=np.array([102.4]))
+    assert "sample_rate_hz = 102.4  # by fs" in describe(tmp_path / "a.npz").example
+
+
+def test_lines_before_the_rows_may_be_empty_or_text(tmp_path):
+    rows = "".join(f"{k},0,0,9.8\n" for k in range(99))
+    empty = describe(put(tmp_path, f"\n\nn,ax,ay,az\n{rows}"))
+    assert (empty.format, empty.columns, empty.example[-1]) == ("csv", ("n", "ax", "ay", "az"), "skip_rows = 2")
+    text = describe(put(tmp_path, "# a logger\n# of a laboratory\n# end\n" + rows.replace(",", "\t")))
+    assert (text.format, text.example[-1]) == ("csv", "skip_rows = 3")
+
+
+@pytest.mark.parametrize("row", ["(s),(g),(g),(g)", "[s],[g],[g],[g]"])
+def test_units_in_brackets_under_the_names_are_read(tmp_path, row):
+    record = read_record(put(tmp_path, f"time,ax,ay,az\n{row}\n" + "0,0,0,1\n0.5,0,0,1\n"))
+    assert (record.accel_unit, record.duration_s) == ("g", 0.5)
+
+
+def test_a_phone_log_of_androsensor_is_no_force_plate(tmp_path):
+    names = [
+        f"{kind} {x} ({unit})" for kind, unit in (("ACCELEROMETER", "m/s²"), ("GYROSCOPE", "rad/s")) for x in "XYZ"
+    ]
+    path = put(tmp_path, ";".join([*names, "Time since start in ms "]) + "\n" + "0;0;9.8;0;0;1;10\n0;0;9.8;0;0;1;20\n")
+    record = read_record(path)
+    assert (record.accel_unit, record.gyro_unit, record.sample_rate_hz) == ("m/s2", "rad/s", pytest.approx(100.0))

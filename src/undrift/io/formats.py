@@ -167,8 +167,8 @@ def _is_prose(path: Path, head: bytes) -> bool:
     """Tell prose from a table: most lines of a table have as many separators as each other, or are numbers."""
     if _suffix(path) in _PROSE:
         return True
-    lines = head.decode("utf-8", "replace").splitlines()
-    body = [line for line in lines[1:64] if line.strip()][:-1] or lines
+    lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
+    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may stand before the rows
     for delimiter in (",", "\t", ";"):
         counts = [line.count(delimiter) for line in body]
         if min(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts):

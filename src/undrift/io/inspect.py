@@ -157,7 +157,7 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need
 
-_FORCE = re.compile(r"GRF|COP|FREEMOMENT|^[FM][xyz]\[")
+_FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
 _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(r"^(q_?)?[wxyz]( element)?$", re.IGNORECASE)
 _UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
@@ -174,6 +174,17 @@ _RESULTS: dict[str, set[str]] = {  # what undrift writes as plain JSON, and keys
 _NO_SENSOR = re.compile(r"quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[", re.IGNORECASE)
 # What |a| at rest may be in each unit; an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more
 _AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
+_STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # between samples, 5 Hz to 5 kHz
+# The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
+# 0.3 deg/s, or 0.0005 to 0.005 rad/s
+_RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
+_COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
+_TEMP_C = (-30.0, 90.0)
+_STATED_RATE = re.compile(
+    r"(?i)^\W*(?:fs|sampl\w*[ _]?(?:rate|freq\w*)|output ?rate|rate)\b[^\d\n]{0,12}(\d+(?:\.\d+)?)"
+)
+_STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
+_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
     "accel": re.compile(r"^(a|acc|accel|accelerometer)[ _.]?([xyz])\b", re.IGNORECASE),
@@ -183,16 +194,19 @@ _LIKELY = {
 def sniff(path: object) -> Text:
     """Open a text table with the delimiter, header and skipped lines that most of it suggests."""
     head = read_bytes(str(path), 1 << 16)
-    lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
-    if head.startswith(MARK):  # undrift's own first line, which open_text passes over by itself
-        lines = lines[1:] or lines
+    raw = head.decode("utf-8", "replace").splitlines()[:64]
+    raw = (
+        raw[1:] if head.startswith(MARK) and len(raw) > 1 else raw
+    )  # undrift's first line, which open_text passes over
+    at = [k for k, line in enumerate(raw) if line.strip()]
+    lines = [raw[k] for k in at]
     body = lines[len(lines) // 2 :] or lines
     delimiter = max(",\t;", key=lambda mark: min(line.count(mark) for line in body[:-1] or body))
     if not any(delimiter in line for line in body):
         delimiter = " "
     width = max(len(_cells(line, delimiter)) for line in body)
-    skip = next((k for k, line in enumerate(lines) if len(_cells(line, delimiter)) == width), 0)
-    header = not all(is_number(cell, empty=True) for cell in _cells(lines[skip], delimiter))
+    skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
+    header = not all(is_number(cell, empty=True) for cell in _cells(raw[skip], delimiter))
     return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header))
 
 
@@ -236,84 +250,125 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
 
 
 def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
-    """Return an example of the map that a table needs; a unit that no name states is "?", for a person to fill in."""
-    keys: dict[str, str] = {}
-    if text is not None and not text.layout.header:
-        keys = _by_position(text)
-    else:
-        triples = {triple[0]: json.dumps(triple, ensure_ascii=False) for triple in triples_of(names)}
-        quoted = {name: f'"{name}"' for name, _ in arrays} or triples
-        labels = {name: label_of(name) for name in quoted}
-        bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)]
-        for channel, others in (("gyro", []), ("accel", [] if arrays else bare)):
-            named = [name for name, label in labels.items() if label is not None and label.channel == channel]
-            first = _likely(channel, tuple(quoted if arrays else named)) or next(iter([*named, *others]), None)
-            if first is not None:
-                keys[channel] = quoted[first]
-    for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
-        name = next((name for name in names if re.match(pattern, name.strip(), re.IGNORECASE)), None)
-        if name is not None:
-            keys = {channel: f'"{name}"', **keys} if channel == "time" else {**keys, channel: f'"{name}"'}
-    keys = keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
-    columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
+    """Return an example of the map that a table needs; a unit that nothing states or suggests is "?", for a person to fill in."""
+    keys = _by_position(text) if text is not None and not text.layout.header else _by_name(names, text, arrays)
+    readings = partial(_readings, text, dict(arrays))
     known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
-    why = ""
-    sizes = partial(_median_size, text, dict(arrays))
-    proposed = proposed_units(sizes, keys, known)
-    if text is not None and proposed is None and not text.layout.header and {"gyro", "accel"} <= keys.keys():
+    proposed = proposed_units(readings, keys, known)
+    if text is not None and not text.layout.header and "accel" not in proposed and {"gyro", "accel"} <= keys.keys():
         turned = keys | {"gyro": keys["accel"], "accel": keys["gyro"]}
-        proposed = proposed_units(sizes, turned, known)  # gravity tells which three are the accelerometer
-        keys = turned if proposed else keys
-        columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
-    if proposed is not None:
-        known |= proposed[0]
-        why = f"  # {' and '.join(proposed[0])} proposed: the median |a| is {proposed[1]:.4g}"
+        if "accel" in (
+            again := proposed_units(readings, turned, known)
+        ):  # gravity tells which three are the accelerometer
+            keys, proposed = turned, again
+    columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
+    known |= {channel: unit for channel, (unit, _) in proposed.items()}
     units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
-    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}{why}"]
-    lines += [] if "time" in keys else ["sample_rate_hz = ?"]
+    why = "; ".join(f"{channel} by {why}" for channel, (_, why) in proposed.items())
+    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}" + f"  # proposed: {why}" * bool(why)]
+    lines += [] if "time" in keys else [f"sample_rate_hz = {_stated_rate(text, arrays)}"]
     if text is not None:
         layout = text.layout
         lines += [] if layout.delimiter == "," else [f"delimiter = {json.dumps(layout.delimiter)}"]
         lines += [] if layout.header else ["header = false"]
         lines += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
         below = text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
-        words = any(not all(is_number(cell, empty=True) for cell in _cells(line, layout.delimiter)) for line in below)
+        cells = dict(zip(text.names, _cells(below[0], layout.delimiter), strict=False)) if below else {}
+        mapped = [column for value in keys.values() for column in _listed(value)]
+        words = any(not is_number(cells.get(str(column), ""), empty=True) for column in mapped)
         lines += ["drop_bad_rows = true  # the row of units"] if words and layout.header else []
     return tuple(lines)
 
 
+def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[str, str]:
+    """Return the columns of each channel, as a map writes them."""
+    keys: dict[str, str] = {}
+    triples = {triple[0]: json.dumps(triple, ensure_ascii=False) for triple in triples_of(names)}
+    threes = {name: f'"{name}"' for name, array in arrays if array.ndim == 2 and array.shape[1] == 3}
+    quoted = threes or triples
+    labels = {name: label_of(name) for name in quoted}
+    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)] * (not threes)
+    of_gyro = text is not None and _OF_GYRO.search(text.path.name) is not None
+    for channel, others in (("gyro", bare if of_gyro else []), ("accel", [] if of_gyro else bare)):
+        named = [name for name, label in labels.items() if label is not None and label.channel == channel]
+        first = _likely(channel, tuple(quoted if threes else named)) or next(iter([*named, *others]), None)
+        if first is not None:
+            keys[channel] = quoted[first]
+    for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
+        name = next((n for n in names if re.match(pattern, n.strip().rpartition(".")[2], re.IGNORECASE)), None)
+        if name is not None:
+            keys = {channel: f'"{name}"', **keys} if channel == "time" else {**keys, channel: f'"{name}"'}
+    return keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
+
+
+def _listed(value: str) -> list[Column]:
+    columns = json.loads(value)
+    return columns if isinstance(columns, list) else [columns]
+
+
 def proposed_units(
-    size_of: Callable[[list[Column]], float], keys: dict[str, str], known: dict[str, str]
-) -> tuple[dict[str, str], float] | None:
-    """Return units of channels that no name states, proposed by the median |a|, and that median."""
-    if "accel" not in keys or known["accel"] != "?":
-        return None
-    columns = json.loads(keys["accel"])
-    size = size_of(columns if isinstance(columns, list) else [columns])
-    unit = next((unit for unit, (low, high) in _AT_REST.items() if low <= size < high), None)
-    if unit is None:
-        return None
-    more = {"gyro": "count"} if unit == "count" and known.get("gyro") == "?" else {}
-    return {"accel": unit} | more, size
+    readings: Callable[[list[Column]], FloatArray], keys: dict[str, str], known: dict[str, str]
+) -> dict[str, tuple[str, str]]:
+    """Return units of channels that no name states, and the figure that suggests each: never more than a proposal."""
+    held = {channel: readings(_listed(keys[channel])) for channel in keys if known[channel] == "?"}
+    held = {channel: values for channel, values in held.items() if len(values) > 1}
+    found: dict[str, tuple[str, str]] = {}
+
+    def propose(channel: str, value: float, ranges: dict[str, tuple[float, float]], what: str) -> None:
+        unit = next((unit for unit, (low, high) in ranges.items() if low <= value < high), None)
+        if unit is not None:
+            found[channel] = (unit, f"{what} {value:.4g}")
+
+    if "accel" in held and held["accel"].shape[1] == 3:
+        propose("accel", float(np.median(np.linalg.norm(held["accel"], axis=1))), _AT_REST, "the median |a|")
+    if "gyro" in held:
+        largest, whole = float(np.abs(held["gyro"]).max()), np.array_equal(held["gyro"], np.round(held["gyro"]))
+        if whole and (largest > _COUNTS or found.get("accel", ("", ""))[0] == "count"):
+            found["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
+        elif not whole and (largest >= _RATE["dps"][0] or _least_spread(held["gyro"]) < _SPREAD_RAD_S):
+            propose("gyro", largest, _RATE, "the largest rate")
+    if "time" in held and (step := float(np.median(np.diff(held["time"][:, 0])))) != 1.0:  # of a counter, or 1 ms
+        propose("time", step, _STEP, "the median step")
+    if "temp" in held and not np.array_equal(held["temp"], np.round(held["temp"])):
+        propose("temp", float(np.median(held["temp"])), {"degC": _TEMP_C}, "the median")
+    return found
 
 
-def _median_size(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> float:
-    """Return the median length of three columns of the first MiB of text, or of an array, NaN where there is none."""
+def _least_spread(values: FloatArray) -> float:
+    """Return the standard deviation of the quietest 100 samples in a row, the mean of the axes."""
+    count = len(values) // 100
+    if count == 0:
+        return float("inf")
+    return float(values[: 100 * count].reshape(count, 100, -1).std(axis=1).mean(axis=1).min())
+
+
+def _stated_rate(text: Text | None, arrays: Arrays) -> str:
+    """Return the sample rate that a line before the header or an array of one number states, "?" where none does."""
+    for name, array in arrays:
+        if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
+            return f"{float(np.ravel(array)[0]):g}  # by {name}"
+    for line in [] if text is None else text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]:
+        if found := _STATED_RATE.search(line):
+            return f"{float(found.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
+    return "?"
+
+
+def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> FloatArray:
+    """Return columns of the first MiB of text, or of an array, (N, K) without gaps; none where there are none."""
     values = arrays.get(str(columns[0]))
     if text is not None:
-        head = (
-            text.head if text.content is None and len(text.head) < 1 << 20 else text.head[: text.head.rfind(b"\n") + 1]
-        )
+        whole = text.content is None and len(text.head) < 1 << 20
+        head = text.head if whole else text.head[: text.head.rfind(b"\n") + 1]
         try:
             rows = replace(text, content=head, layout=replace(text.layout, drop_bad_rows=True))
             table = parse_text(rows, tuple(columns))
             values = np.stack([table.numbers(column) for column in columns], axis=1)
         except InputError:
-            return float("nan")
-    if values is None or values.ndim != 2 or values.dtype.kind not in "fiu":
-        return float("nan")
-    sizes = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
-    return float(np.median(sizes)) if len(sizes) else float("nan")
+            values = None
+    if values is None or values.dtype.kind not in "fiu" or values.ndim > 2:
+        return np.empty((0, 1))
+    values = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    return values[np.isfinite(values).all(axis=1)]
 
 
 def _unit_of(channel: str, names: str) -> str:
@@ -332,7 +387,7 @@ def _by_position(text: Text) -> dict[str, str]:
     grows = all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1
     keys = {"time": "0"} if grows else {"temp": "0"} if width % 3 == 1 else {}
     start = len(keys)
-    for channel in ("accel", "gyro"):
+    for channel in ("gyro",) if _OF_GYRO.search(text.path.name) else ("accel", "gyro"):
         if start + 3 <= width:
             keys[channel] = f"[{start}, {start + 1}, {start + 2}]"
             start += 3
@@ -498,8 +553,16 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     foreign = None if text is None else foreign_kind(text)
     if foreign is not None:
         return _not_read(path, name, names, foreign)
-    threes = tuple((key, array) for key, array in arrays if array.ndim == 2 and array.shape[1] == 3)
-    example = example_map(names, text, threes)
+    if (
+        name in ("npz", "mat")
+        and not any(array.ndim == 2 and array.shape[1] == 3 for _, array in arrays)
+        and not triples_of(names)
+    ):
+        shown = ", ".join(names[:4])
+        return _not_read(
+            path, name, names, f"arrays without three axes ({shown}), not a recording of an inertial sensor"
+        )
+    example = example_map(names, text, arrays)
     what = f"{len(names)} arrays or columns"
     if text is not None:
         what = f"a table of {len(names)} columns" + ("" if text.layout.header else " without names")

@@ -120,7 +120,7 @@ def sheet_of(path: Path, content: bytes) -> Sheet | None:
         return None
     above = [k for k in range(start) if lines[k].strip()]
     unit_row = len(above) > 1 and _are_units(table[above[-1]]) and not _are_units(table[above[-2]])
-    units = table[above.pop()] if unit_row else []
+    units = [_bare(cell) for cell in table[above.pop()]] if unit_row else []
     at = above[-1] if above else None
     names = table[at] if at is not None else []
     offset = sum(len(line) + 1 for line in raw[:start])
@@ -182,8 +182,13 @@ def _is_row(cells: list[str], decimal: str) -> bool:
     return numbers >= min(3, len(cells)) > 0 and numbers >= _NUMERIC * len(filled)
 
 
+def _bare(cell: str) -> str:
+    """Return a unit without the brackets around it."""
+    return cell[1:-1].strip() if re.fullmatch(r"\([^()]*\)|\[[^\[\]]*\]", cell) else cell
+
+
 def _are_units(cells: list[str]) -> bool:
-    filled = [cell for cell in cells if cell]
+    filled = [_bare(cell) for cell in cells if cell]
     return bool(filled) and sum(is_unit(cell) for cell in filled) >= _NUMERIC * len(filled)
 
 
@@ -251,9 +256,9 @@ def is_unit(text: str) -> bool:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit: "A_X [mg]", "Time (s)", "Accel X,mG", "acc_x_g"."""
+    """Return a column's name without its unit, and the unit: "A_X [mg]", "Time (s)", "Accel X,mG", "Time in ms", "acc_x_g"."""
     found = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\[\]()]*(?:\([^()]*\))?)[\])]\s*", name) or re.fullmatch(
-        r"(.+),\s*(\S*)", name
+        r"(.+?)(?:,| in (?=[mu]?s *$))\s*(\S*)\s*", name
     )
     if found and (is_unit(found.group(2)) or not re.search(r"\d\]$", name)):
         return found.group(1), found.group(2)
@@ -274,7 +279,7 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
             break
     channel = next((channel for channel, pattern in _KIND if pattern.search(stem)), None)
     if channel is None and axis and unit:
-        fits = [other for other in ("gyro", "accel", "mag") if unit_for(unit, other)]
+        fits = [other for other in ("gyro", "accel", "mag") if unit_for(unit, other) and (other, unit) != ("mag", "g")]
         channel = fits[0] if len(fits) == 1 else None
     if channel == "time" and unit and not unit_for(unit, "time") and unit_for(unit, "temp"):
         channel = "temp"  # "T" in degC
