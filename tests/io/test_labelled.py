@@ -7,10 +7,11 @@ import pytest
 
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ReadSettings
-from undrift.io.formats import detect, read_counted, read_record
+from undrift.io.columns import ColumnMap, ReadSettings, TempFile
+from undrift.io.formats import detect, iter_record, read_counted, read_record
 from undrift.io.inspect import describe
 from undrift.io.labelled import Label, label_of, open_sheet, split_unit
+from undrift.io.session import read_column_map
 
 
 def put(tmp_path, text, name="t.csv"):
@@ -308,3 +309,57 @@ def test_a_phone_log_of_androsensor_is_no_force_plate(tmp_path):
     path = put(tmp_path, ";".join([*names, "Time since start in ms "]) + "\n" + "0;0;9.8;0;0;1;10\n0;0;9.8;0;0;1;20\n")
     record = read_record(path)
     assert (record.accel_unit, record.gyro_unit, record.sample_rate_hz) == ("m/s2", "rad/s", pytest.approx(100.0))
+
+
+# ---- dates
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ["2026-01-31 23:59:59.990", "2026-02-01 00:00:00.000", "2026-02-01 00:00:00.010"],
+        ["2026-01-31T23:59:59.990Z", "2026-02-01T00:00:00.000Z", "2026-02-01T00:00:00.010Z"],
+        ["2026/1/31 23:59:59:990", "2026/2/1 00:00:00:000", "2026/2/1 00:00:00:010"],
+        ["2026-01-31 23:59:59.990+01:00", "2026-02-01 00:00:00.000+01:00", "2026-02-01 00:00:00.010+01:00"],
+    ],
+)
+def test_dates_are_seconds_from_the_first(tmp_path, stamps):
+    rows = "".join(f"{stamp},0,0,1\n" for stamp in stamps)
+    stated = read_record(put(tmp_path, f"timestamp,ax (g),ay (g),az (g)\n{rows}"))
+    np.testing.assert_allclose(stated.time, [0.0, 0.01, 0.02], atol=1e-9)
+    bare = put(tmp_path, f"when,ax,ay,az\n{rows}", "bare.csv")
+    columns = ColumnMap(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
+    np.testing.assert_allclose(read_record(bare, columns).time, [0.0, 0.01, 0.02], atol=1e-9)
+    assert np.concatenate([part.time for part in iter_record(bare, columns, rows=2)]).tolist() == stated.time.tolist()
+
+
+def test_dates_of_a_table_without_names_are_proposed_and_read(tmp_path):
+    rows = "".join(f"2014-05-07 16:29:{30 + k // 100}.{k % 100:02d}0,0.1,0.2,0.97\n" for k in range(250))
+    path = put(tmp_path, rows)
+    example = describe(path).example
+    assert example[0] == "columns = { time = 0, accel = [1, 2, 3] }"
+    assert tomllib.loads(example[1])["units"] == {"time": "date", "accel": "g"}
+    put(tmp_path, "\n".join(example), "map.toml")
+    record = read_record(path, read_column_map(tmp_path / "map.toml"))
+    assert (len(record), record.sample_rate_hz) == (250, pytest.approx(100.0))
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        ("31/01/2026 12:00:01", "wanted dates such as 2026-01-31"),
+        ("2026-13-31 12:00:01", r"wanted dates, got none .*onth"),
+    ],
+)
+def test_other_dates_are_refused(tmp_path, cell, words):
+    path = put(tmp_path, f"when,ax,ay,az\n2026-01-31 12:00:00,0,0,1\n{cell},0,0,1\n")
+    columns = ColumnMap(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
+    with pytest.raises(FileFormatError, match=f"column 'when': {words}"):
+        read_record(path, columns)
+
+
+def test_a_thermometer_may_log_dates(tmp_path):
+    put(tmp_path, "when,T\n2026-01-31 12:00:00,20.0\n2026-01-31 12:00:10,21.0\n", "thermometer.csv")
+    path = put(tmp_path, "time (s),ax (g),ay (g),az (g)\n0,0,0,1\n5,0,0,1\n10,0,0,1\n")
+    thermometer = TempFile(path=tmp_path / "thermometer.csv", time="when", temp="T", time_unit="date")
+    assert read_record(path, settings=ReadSettings(temp_file=thermometer)).temp_c.tolist() == [20.0, 20.5, 21.0]

@@ -434,3 +434,79 @@ def test_a_file_cut_or_spoilt_anywhere_is_read_or_refused_in_one_line(tmp_path, 
             except InputError as error:
                 refusals.append(str(error))
     assert not any("\n" in refusal for refusal in refusals)
+
+
+# ---- clocks and folders
+
+
+def test_an_mt_export_without_a_rate_takes_its_fine_clock_of_10_khz(tmp_path):
+    rows = "".join(f"{k:05d};{(4294967290 + 100 * k) % 2**32};0;0;9.8;0.1;0;0\n" for k in range(4))
+    head = "//  MT Manager version: 2022.2\nPacketCounter;SampleTimeFine;Acc_X;Acc_Y;Acc_Z;Gyr_X;Gyr_Y;Gyr_Z\n"
+    (tmp_path / "m.txt").write_text(head + rows)
+    read = read_counted(tmp_path / "m.txt")
+    np.testing.assert_allclose(read.record.time, [0.0, 0.01, 0.02, 0.03])
+    assert read.notes[1] == "time from SampleTimeFine, 10 kHz by the manual of Xsens"
+    stated = read_counted(tmp_path / "m.txt", settings=ReadSettings(sample_rate_hz=50.0))
+    np.testing.assert_allclose(stated.record.time, [0.0, 0.02, 0.04, 0.06])
+
+
+def sensor_logger(rows):
+    return "time,seconds_elapsed,z,y,x\n" + "".join(f"{10**18 + k},{t},{z},0,{x}\n" for k, (t, z, x) in enumerate(rows))
+
+
+def phone(folder, accel="TotalAcceleration.csv", shift=0.005):
+    (folder / "Gyroscope.csv").write_text(sensor_logger([(k / 100, 0.1, 0.0) for k in range(9)]))
+    (folder / accel).write_text(sensor_logger([(k / 100 + shift, 9.8, k) for k in range(9)]))
+    return folder
+
+
+def test_the_folder_of_a_phone_is_one_recording(tmp_path):
+    read = read_counted(phone(tmp_path))
+    assert detect(tmp_path) == "phone"
+    np.testing.assert_allclose(read.record.time, np.arange(1, 9) / 100)  # the first stamp precedes the accelerometer's
+    np.testing.assert_allclose(read.record.accel[:, 0], np.arange(8) + 0.5)  # half a step between its samples
+    assert (read.record.gyro[0].tolist(), read.record.gyro_unit, read.record.accel_unit) == (
+        [0.0, 0.0, 0.1],
+        "rad/s",
+        "m/s2",
+    )
+    assert read.notes[-1] == "TotalAcceleration.csv interpolated onto the time stamps of Gyroscope.csv"
+
+
+def test_phyphox_in_a_folder_reads_as_well(tmp_path):
+    for name, kind, unit in (("Gyroscope", "Gyroscope", "rad/s"), ("Accelerometer", "Acceleration", "m/s^2")):
+        head = ",".join(['"Time (s)"', *(f'"{kind} {x} ({unit})"' for x in "xyz")])
+        (tmp_path / f"{name}.csv").write_text(head + "\n" + "".join(f"{k / 50},0,0,{k}\n" for k in range(6)))
+    record = read_record(tmp_path)
+    assert record.gyro.tolist() == record.accel.tolist()
+    assert record.sample_rate_hz == pytest.approx(50.0)
+
+
+def test_acceleration_without_gravity_in_the_folder_of_a_phone_is_left_out_aloud(tmp_path):
+    read = read_counted(phone(tmp_path, accel="Accelerometer.csv"))
+    assert (len(read.record), read.record.accel) == (9, None)
+    assert read.notes[-1].startswith("Accelerometer.csv: wanted accelerometer readings with gravity")
+
+
+def test_files_of_a_phone_that_do_not_belong_together_are_refused(tmp_path):
+    with pytest.raises(
+        FileFormatError, match=r"wanted Gyroscope.csv and TotalAcceleration.csv of the same time, got two times"
+    ):
+        read_record(phone(tmp_path, shift=60.0))
+    (tmp_path / "Gyroscope.csv").write_text((tmp_path / "TotalAcceleration.csv").read_text())
+    (tmp_path / "TotalAcceleration.csv").write_text("t (s),wx (rad/s),wy (rad/s),wz (rad/s)\n0,0,0,1\n1,0,0,1\n")
+    with pytest.raises(
+        FileFormatError, match=r"wanted a gyroscope in Gyroscope.csv and an accelerometer in Total.*, got others"
+    ):
+        read_record(tmp_path)
+
+
+def test_the_map_of_set_points_is_proposed_line_by_line(tmp_path):
+    (tmp_path / "s.txt").write_text("".join(f"BIN_DATA: {k}, -10.1, 21652, 0.13, 0.2, 0.{k}\n" for k in range(5)))
+    example = describe(tmp_path / "s.txt").example
+    assert example == (
+        "columns = { temp = 1, gyro = [3, 4, 5] }",
+        'units = { temp = "?", gyro = "?" }',
+        "sample_rate_hz = ?",
+    )
+    assert describe(maker("xdf", "minimal.xdf")).example[0] == 'columns = { time = "time_s", gyro = [0, 1, 2] }'

@@ -197,6 +197,7 @@ def read_xdf(path: Path, columns: Columns, settings: ReadSettings) -> ReadResult
             f"{path}: wanted channels of {name} labelled as accelerometer or gyroscope with units, got {shown}; name them in a "
             'map (--map), for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
             missing="columns",
+            example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
         )
     return build(path, time, found, settings, [note], device=name)
 

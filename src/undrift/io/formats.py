@@ -37,6 +37,7 @@ from undrift.io.containers import (
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.makers import (
     is_bids,
+    is_phone,
     is_set_points,
     read_actigraph,
     read_apdm,
@@ -48,6 +49,7 @@ from undrift.io.makers import (
     read_mobgap,
     read_ngimu,
     read_noraxon,
+    read_phone,
     read_qtm_bodies,
     read_qtm_markers,
     read_sensor_logger,
@@ -280,6 +282,7 @@ FORMATS: dict[str, Format] = {
     "trigno_discover": Format(_has(rb"\AApplication:.*Trigno"), record=read_trigno_discover, honours=_EXPORT),
     "noraxon": Format(_has(rb"Accel Sensor [XYZ]|Noraxon MyoMotion-"), record=read_noraxon, honours=_EXPORT),
     "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, honours=_EXPORT),
+    "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, honours=_EXPORT),
     "mobgap": Format(_has(rb"\Asamples,acc_x,acc_y,acc_z,gyr_x"), record=read_mobgap, honours=_EXPORT),
     "apdm7": Format(_has(rb"\AFormat=7,"), record=read_apdm7, honours=_EXPORT),
     "bids_motion": Format(
@@ -359,7 +362,8 @@ def format_of(path: str | Path) -> tuple[str, Format]:
             return name, entry
     raise InputError(
         f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3), "
-        "*_CalInertialAndMag.csv (x-IMU) or metadata.yaml (ROS 2), got another directory; name a file in it"
+        "*_CalInertialAndMag.csv (x-IMU), Gyroscope.csv and an accelerometer's (phone) or metadata.yaml (ROS 2), got another "
+        "directory; name a file in it"
     )
 
 
@@ -438,7 +442,8 @@ def iter_record(
     """Read a recording in chunks. Parquet streams in constant memory; other formats are read whole and cut."""
     settings = settings or READ_SETTINGS
     chunks = format_of(path)[1].chunks
-    if chunks is not None and settings.temp_file is None:
+    dated = columns is not None and columns.time is not None and columns.unit_of("time") == "date"
+    if chunks is not None and settings.temp_file is None and not dated:
         columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
         yield from chunks(Path(path), columns, settings, rows)
         return

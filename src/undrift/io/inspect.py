@@ -28,6 +28,7 @@ from undrift.io.columns import (
     ReadResult,
     ReadSettings,
     TextLayout,
+    is_date,
     is_native,
     is_number,
     native_columns,
@@ -206,7 +207,7 @@ def sniff(path: object) -> Text:
         delimiter = " "
     width = max(len(_cells(line, delimiter)) for line in body)
     skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
-    header = not all(is_number(cell, empty=True) for cell in _cells(raw[skip], delimiter))
+    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter))
     return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header))
 
 
@@ -254,6 +255,11 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     keys = _by_position(text) if text is not None and not text.layout.header else _by_name(names, text, arrays)
     readings = partial(_readings, text, dict(arrays))
     known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
+    below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
+    cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter)
+    row = {} if text is None else dict(zip(text.names, cells, strict=False))
+    if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
+        known["time"] = "date"
     proposed = proposed_units(readings, keys, known)
     if text is not None and not text.layout.header and "accel" not in proposed and {"gyro", "accel"} <= keys.keys():
         turned = keys | {"gyro": keys["accel"], "accel": keys["gyro"]}
@@ -272,10 +278,8 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
         lines += [] if layout.delimiter == "," else [f"delimiter = {json.dumps(layout.delimiter)}"]
         lines += [] if layout.header else ["header = false"]
         lines += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
-        below = text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
-        cells = dict(zip(text.names, _cells(below[0], layout.delimiter), strict=False)) if below else {}
-        mapped = [column for value in keys.values() for column in _listed(value)]
-        words = any(not is_number(cells.get(str(column), ""), empty=True) for column in mapped)
+        mapped = [row.get(str(column), "") for value in keys.values() for column in _listed(value)]
+        words = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
         lines += ["drop_bad_rows = true  # the row of units"] if words and layout.header else []
     return tuple(lines)
 
@@ -384,7 +388,7 @@ def _by_position(text: Text) -> dict[str, str]:
     lines = text.head.decode("utf-8", "replace").splitlines()[text.skip :][:8]
     first = [_cells(line, text.layout.delimiter)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
-    grows = all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1
+    grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
     keys = {"time": "0"} if grows else {"temp": "0"} if width % 3 == 1 else {}
     start = len(keys)
     for channel in ("gyro",) if _OF_GYRO.search(text.path.name) else ("accel", "gyro"):
@@ -468,7 +472,9 @@ def describe(
             return _reference(path, name)
         names = error.numbers.get("names")
         shown = tuple(map(str, names)) if isinstance(names, tuple) else ()
-        return _not_read(path, name, shown, str(error).removeprefix(f"{path}: "), missing=str(missing))
+        found = _not_read(path, name, shown, str(error).removeprefix(f"{path}: "), missing=str(missing))
+        example = error.numbers.get("example")
+        return replace(found, example=tuple(map(str, example)) if isinstance(example, tuple) else ())
     found = describe_record(read, path=str(path), format_name=name)
     if columns is None and name in ("csv", "parquet"):
         names = sniff(path).names if name == "csv" else parquet_names(path)
@@ -558,10 +564,8 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
         and not any(array.ndim == 2 and array.shape[1] == 3 for _, array in arrays)
         and not triples_of(names)
     ):
-        shown = ", ".join(names[:4])
-        return _not_read(
-            path, name, names, f"arrays without three axes ({shown}), not a recording of an inertial sensor"
-        )
+        what = f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
+        return _not_read(path, name, names, what)
     example = example_map(names, text, arrays)
     what = f"{len(names)} arrays or columns"
     if text is not None:

@@ -29,6 +29,8 @@ from undrift.io.columns import (
     Table,
     TextLayout,
     build_record,
+    in_seconds,
+    is_date,
     is_number,
 )
 from undrift.io.text import Text, parse_text
@@ -304,6 +306,13 @@ def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None) -> Sheet:
         label and label._replace(sensor=" ".join(word for word in label.sensor.split() if word not in shared))
         for label in held
     )
+    clocks = [k for k, label in enumerate(labels) if label and label.channel == "time"]
+    first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
+    dated = [k for k in clocks if k < len(first) and is_date(first[k])]
+    if dated and not any(label.unit for k in clocks if (label := labels[k])):
+        labels = tuple(
+            label._replace(unit="date") if label and k == dated[0] else label for k, label in enumerate(labels)
+        )
     return replace(sheet, labels=labels)
 
 
@@ -436,15 +445,18 @@ def _time(
     own = first.time if first else None
     stated = next((k for k, x in enumerate(sheet.labels) if x and x.channel == "time" and x.unit), None)
     at = own if own is not None else stated
-    more = sheet.counters if sheet.clock else () if at is None else (at,)
+    bare = at is None or ((label := sheet.labels[at]) is not None and label.unit == "date")  # dates are no numbers
+    more = sheet.counters if sheet.clock else () if bare or at is None else (at,)
     table = sheet.columns(*positions, *more, drop_bad_rows=settings.drop_bad_rows)
     if sheet.clock is not None:
         time, notes = sheet.clock(*(table.numbers(k) for k in sheet.counters))
         return time, table, notes
     if at is None:
         return None, table, ()
-    label, cells = sheet.labels[at], table.numbers(at)
+    label = sheet.labels[at]
+    dated = label is not None and label.unit == "date"
     factor = si_factor(label.unit, "time") if label else 1.0
+    cells = (in_seconds(table, at) if dated else table).numbers(at)
     epoch = len(cells) > 0 and cells[0] * factor > EPOCH_S
     return (cells - (cells[0] if epoch else 0.0)) * factor, table, ()
 

@@ -8,7 +8,7 @@ Noraxon       NAME Accel Sensor X (mG), NAME-Gyroscope-x (deg/s); decimal comma 
 APDM          Format=7: a label for each sensor in line 1, us since 1970; m/s2, rad/s, uT by the manual
 x-io          NGIMU, x-IMU, x-IMU3: a folder, temperature in a file of its own
 ActiGraph     GT9X Link: ten lines, then Timestamp and g, deg/s, uT, degC
-Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity removed
+Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity removed; a folder holds one file a sensor
 BIDS-motion   *_motion.tsv without header; *_channels.tsv and *_motion.json beside it
 OpenSim       .sto: cells "w,x,y,z", a column for each sensor
 QTM           TSV: markers (3D), or bodies (6D) with Rot[0..8] column by column; mm
@@ -38,10 +38,10 @@ from undrift.io.columns import (
     ColumnMap,
     ReadResult,
     ReadSettings,
-    Table,
     TempFile,
     TextLayout,
     build_record,
+    in_seconds,
     is_number,
 )
 from undrift.io.labelled import (
@@ -51,6 +51,7 @@ from undrift.io.labelled import (
     label_of,
     labelled,
     open_sheet,
+    read_labelled,
     read_sheet,
     unit_for,
     with_manual,
@@ -89,6 +90,13 @@ def open_xsens(path: Path, sample_rate_hz: float | None = None) -> Sheet:
     rate = sample_rate_hz or (float(stated) if stated else None)
     device = sheet.stated(r"^// *DeviceId: *(\w+)") or (re.findall(r"_(00[0-9A-F]{6})\b", path.name) or [""])[-1]
     sheet = replace(sheet, rate_hz=rate, device=device)
+    fine = sheet.position(r"^SampleTimeFine$")
+    if rate is None and fine is not None and np.isfinite(sheet.array((fine,))).all():
+
+        def ticks(stamps: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+            return 1e-4 * _unwrapped(stamps, 1 << 32), ("time from SampleTimeFine, 10 kHz by the manual of Xsens",)
+
+        return replace(sheet, clock=ticks, counters=(fine,))
     if counter is None or rate is None:
         return sheet
     return replace(sheet, clock=_packets(1 << 16, 1.0 / rate), counters=(counter,))
@@ -186,6 +194,46 @@ def read_mobgap(path: Path, _: ColumnMap | None, settings: ReadSettings) -> Read
             "(--map FILE)"
         )
     return read_sheet(sheet, settings)
+
+
+# ---- the folder of a phone: a file for each sensor, all on one clock
+
+_PHONE_GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
+_PHONE_ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv")
+
+
+def is_phone(path: Path) -> bool:
+    """Tell a folder of Sensor Logger or phyphox."""
+    return all(any((path / name).is_file() for name in names) for names in (_PHONE_GYRO, _PHONE_ACCEL))
+
+
+def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read gyroscope and accelerometer of a phone; the latter is interpolated onto the time stamps of the former."""
+
+    def one(names: tuple[str, ...]) -> tuple[str, ReadResult]:
+        name = next(name for name in names if (path / name).is_file())
+        first = open_sheet(path / name).names[:2]
+        reader = read_sensor_logger if first == ("time", "seconds_elapsed") else read_labelled
+        return name, reader(path / name, None, settings)
+
+    (name, found), notes = one(_PHONE_GYRO), list[str]()
+    try:
+        other, held = one(_PHONE_ACCEL)
+    except FileFormatError as error:  # without gravity: it is left out
+        return replace(found, notes=(*found.notes, str(error).removeprefix(f"{path}/")))
+    gyro, accel = found.record, held.record
+    if accel.accel is None or gyro.gyro is None:
+        raise FileFormatError(f"{path}: wanted a gyroscope in {name} and an accelerometer in {other}, got others")
+    inside = np.flatnonzero((gyro.time >= accel.time[0]) & (gyro.time <= accel.time[-1]))
+    if len(inside) < 2:
+        raise FileFormatError(
+            f"{path}: wanted {name} and {other} of the same time, got two times apart; read one of them"
+        )
+    part = gyro.part(int(inside[0]), int(inside[-1]) + 1)
+    values = np.stack([np.interp(part.time, accel.time, column) for column in accel.accel.T], axis=1)
+    notes = [f"{other} interpolated onto the time stamps of {name}"]
+    record = replace(part, accel=values, accel_unit=accel.accel_unit)
+    return replace(found, record=record, notes=tuple(dict.fromkeys((*found.notes, *held.notes, *notes))))
 
 
 # ---- Delsys Trigno
@@ -391,7 +439,10 @@ def _with_temp(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
 
 def with_thermometer(record: Record, thermometer: TempFile) -> Record:
     """Return the record with the temperature of a thermometer's own file."""
-    table = parse_text(open_text(thermometer.path, thermometer.layout), (thermometer.time, thermometer.temp))
+    dated = canonical_unit(thermometer.time_unit, "time") == "date"
+    wanted = (thermometer.temp,) if dated else (thermometer.time, thermometer.temp)
+    table = parse_text(open_text(thermometer.path, thermometer.layout), wanted)
+    table = in_seconds(table, thermometer.time) if dated else table
     time = table.numbers(thermometer.time) * si_factor(thermometer.time_unit, "time") + thermometer.shift_s
     unit = canonical_unit(thermometer.temp_unit, "temp")
     temp_c = table.numbers(thermometer.temp) * si_factor(unit, "temp") + temp_offset(unit)
@@ -427,24 +478,22 @@ def read_actigraph(path: str | Path) -> Record:
         tuple(f"{name} {axis}" for axis in "XYZ") for name in ("Gyroscope", "Accelerometer", "Magnetometer")
     )
     columns = replace(
-        _XIO, time="time_s", gyro=gyro, accel=accel, mag=mag, mag_unit="uT", temp="Temperature", temp_unit="degC"
+        _XIO,
+        time=_STAMPS,
+        time_unit="date",
+        gyro=gyro,
+        accel=accel,
+        mag=mag,
+        mag_unit="uT",
+        temp="Temperature",
+        temp_unit="degC",
     )
-    table = parse_text(text, columns.wanted()[1:])
-    stamps: Any = table.columns[table.position(_STAMPS)]
-    try:
-        moments = np.asarray(stamps.to_numpy()).astype("datetime64[ns]")
-    except (TypeError, ValueError) as error:
-        raise FileFormatError(
-            f"{path}: wanted ISO 8601 timestamps, got something else ({error}); export them so"
-        ) from error
-    time = (moments - moments[0]).astype(np.int64) * 1e-9
     columns = replace(
         columns,
         sample_rate_hz=float(rate.group(1)) if rate else None,
         device=serial.group(1) if serial else "",
     )
-    timed = Table(source=table.source, names=(*table.names, "time_s"), columns=(*table.columns, time))
-    return build_record(timed, columns).record
+    return build_record(parse_text(text, columns.numeric()), columns).record
 
 
 # ---- BIDS-motion
@@ -556,6 +605,11 @@ def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSetting
             f"{path}: wanted a map of its {width} columns by position (from 0, after the colon), got none; for example columns = "
             "{ temp = 1, gyro = [3, 4, 5] } with units and sample_rate_hz (--map FILE)",
             missing="columns",
+            example=(
+                "columns = { temp = 1, gyro = [3, 4, 5] }",
+                'units = { temp = "?", gyro = "?" }',
+                "sample_rate_hz = ?",
+            ),
         )
     layout = replace(columns.layout, header=False, skip_rows=0, delimiter=",")
     names = tuple(str(k) for k in range(width))

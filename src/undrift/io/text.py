@@ -55,7 +55,7 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
                 )
             frame, state = frames[marked["frame"]], states[marked["state"]]
             columns = replace(columns, frame=frame, state=state, device=marked.get("device", ""))
-    return build_record(parse_text(text, columns.wanted()), columns)
+    return build_record(parse_text(text, columns.numeric()), columns)
 
 
 def write_csv(record: Record, path: str | Path) -> None:
