@@ -266,7 +266,8 @@ def _stamp(message: Any) -> int:
 
 # ---- PX4 ULog
 
-_TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel"]
+_TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel", "sensor_selection"]
+_SELECTION = "sensor_selection"
 _COMBINED = "sensor_combined"
 
 
@@ -297,21 +298,15 @@ def _check_messages(content: bytes) -> None:
 def read_ulog(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     """Read one IMU of a PX4 log (sensor "0", "1", ...) or the autopilot's own choice (sensor "sensor_combined")."""
     topics, log = _ulog(path, settings)
-    numbers = [str(number) for number in sorted({number for name, number in topics if name != _COMBINED})]
+    numbers = [
+        str(number) for number in sorted({number for name, number in topics if name in ("sensor_gyro", "sensor_accel")})
+    ]
     names = (*([_COMBINED] if (_COMBINED, 0) in topics else []), *numbers)
     sensor = chosen(path, "sensor", names, settings.sensor)
     hardware = str(log.msg_info_dict.get("ver_hw", "")).strip()
     notes = ["axes forward, right, down: z reads -9.8 m/s2 level and at rest"]
     if sensor == _COMBINED:
-        data = topics[_COMBINED, 0]
-        notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): state corrected, frame b")
-        found: Channels = {
-            "gyro": (np.stack([data[f"gyro_rad[{k}]"] for k in range(3)], axis=1), "rad/s"),
-            "accel": (np.stack([data[f"accelerometer_m_s2[{k}]"] for k in range(3)], axis=1), "m/s2"),
-        }
-        return build(
-            path, data["timestamp"] * 1e-6, found, settings, notes, device=hardware, frame="b", state="corrected"
-        )
+        return _combined(path, topics, hardware, notes, settings)
     held = {name: topics.get((f"sensor_{name}", int(sensor))) for name in ("gyro", "accel")}
     main = held["gyro"] or held["accel"] or {}
     clock = _ulog_clock(main)
@@ -331,6 +326,30 @@ def read_ulog(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
         found["temp"] = (main["temperature"], "degC")
     number = f"{int(main['device_id'][0])}" if "device_id" in main else sensor
     return build(path, clock, found, settings, notes, device=f"{hardware} {number}".strip())
+
+
+def _combined(
+    path: Path,
+    topics: dict[tuple[str, int], dict[str, FloatArray]],
+    hardware: str,
+    notes: list[str],
+    settings: ReadSettings,
+) -> ReadResult:
+    """Return the autopilot's own choice of readings, with the temperature of the gyroscope that it chose."""
+    data = topics[_COMBINED, 0]
+    clock = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
+    notes = [*notes, "already corrected by the autopilot (board rotation, CAL_ parameters): state corrected, frame b"]
+    found: Channels = {
+        "gyro": (np.stack([data[f"gyro_rad[{k}]"] for k in range(3)], axis=1), "rad/s"),
+        "accel": (np.stack([data[f"accelerometer_m_s2[{k}]"] for k in range(3)], axis=1), "m/s2"),
+    }
+    ids = {int(k) for (name, _), held in topics.items() if name == _SELECTION for k in held["gyro_device_id"]}
+    gyros = {number: held for (name, number), held in topics.items() if name == "sensor_gyro" and "temperature" in held}
+    own = [number for number, held in gyros.items() if {int(k) for k in held.get("device_id", ())} == ids]
+    if len(own) == 1 and np.isfinite((slow := gyros[own[0]])["temperature"]).all():
+        found["temp"] = (np.interp(clock, _ulog_clock(slow), slow["temperature"]), "degC")
+        notes.append(f"temperature of sensor_gyro {own[0]}, which the autopilot chose, interpolated")
+    return build(path, clock, found, settings, notes, device=hardware, frame="b", state="corrected")
 
 
 def _ulog_clock(data: dict[str, FloatArray]) -> FloatArray:
