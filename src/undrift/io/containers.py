@@ -311,7 +311,7 @@ def read_ulog(path: Path, _: Columns, settings: ReadSettings) -> ReadResult:
     main = held["gyro"] or held["accel"] or {}
     clock = _ulog_clock(main)
     notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
-    found = {}
+    found: Channels = {}
     for channel, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
         fields = held[channel]
         if fields is None:
