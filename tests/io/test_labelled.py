@@ -363,3 +363,20 @@ def test_a_thermometer_may_log_dates(tmp_path):
     path = put(tmp_path, "time (s),ax (g),ay (g),az (g)\n0,0,0,1\n5,0,0,1\n10,0,0,1\n")
     thermometer = TempFile(path=tmp_path / "thermometer.csv", time="when", temp="T", time_unit="date")
     assert read_record(path, settings=ReadSettings(temp_file=thermometer)).temp_c.tolist() == [20.0, 20.5, 21.0]
+
+
+def test_a_table_that_states_one_unit_of_two_is_not_read_by_halves(tmp_path):
+    rows = "".join(f"{k / 100},0,0,9.8,1,2,3\n" for k in range(4))
+    path = put(tmp_path, f"time (s),ax,ay,az,gx (dps),gy (dps),gz (dps)\n{rows}")
+    assert detect(path) == "csv"
+    assert tomllib.loads(describe(path).example[1])["units"] == {"time": "s", "gyro": "dps", "accel": "m/s2"}
+
+
+def test_what_a_maker_s_reader_leaves_out_for_want_of_a_unit_is_said(tmp_path):
+    names = ["S_Timestamp_CAL", *(f"S_Accel_LN_{x}_CAL" for x in "XYZ"), *(f"S_Gyro_{x}_CAL" for x in "XYZ")]
+    units = ["ms", *["m/(s^2)"] * 3, "", "", ""]
+    rows = "".join(f"{10 * k},0,0,9.8,1,2,3\n" for k in range(4))
+    path = put(tmp_path, f"sep=,\n{','.join(names)}\n{','.join(units)}\n{rows}")
+    read = read_counted(path)
+    assert (detect(path), read.record.gyro) == ("shimmer", None)
+    assert "'S_Gyro_X_CAL' left out: it has no unit of a turn rate" in read.notes

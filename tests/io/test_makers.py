@@ -319,6 +319,16 @@ def test_noraxon_with_several_sensors_asks_for_one(tmp_path):
     assert (record.accel[0].tolist(), record.accel_unit) == ([4.0, 5.0, 980.0], "mg")
 
 
+def test_noraxon_names_one_side_before_and_behind_the_segment(tmp_path):
+    names = [f"RT Hand Accel Sensor {x} (mG)" for x in "XYZ"]
+    names += [
+        f"Noraxon MyoMotion-Segments-{place}-Gyroscope-{x} (deg/s)" for place in ("Hand RT", "Foot LT") for x in "xyz"
+    ]
+    (tmp_path / "n.csv").write_text(f"time,{','.join(names)}\n" + "0,1,2,990,4,5,6,7,8,9\n0.1,1,2,990,4,5,6,7,8,9\n")
+    record = read_record(tmp_path / "n.csv", settings=ReadSettings(sensor="Hand RT"))
+    assert (record.accel[0].tolist(), record.gyro[0].tolist()) == ([1.0, 2.0, 990.0], [4.0, 5.0, 6.0])
+
+
 @pytest.mark.parametrize(
     ("name", "row", "unit"),
     [

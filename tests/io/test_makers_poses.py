@@ -88,7 +88,10 @@ def test_damaged_opensense_tables_are_named(tmp_path, rows, words):
 
 def qtm(names, rows, *, key="MARKER_NAMES", columns="", rate="200"):
     kinds = "NO_OF_MARKERS" if key == "MARKER_NAMES" else "NO_OF_BODIES"
-    head = f"NO_OF_FRAMES\t{len(rows)}\nNO_OF_CAMERAS\t8\n{kinds}\t{len(names)}\nFREQUENCY\t{rate}\nDATA_INCLUDED\t3D\n"
+    head = f"NO_OF_FRAMES\t{len(rows)}\nNO_OF_CAMERAS\t8\n{kinds}\t{len(names)}\nFREQUENCY\t{rate}\n"
+    head += (
+        "DESCRIPTION -- \nTIME_STAMP\t2026-01-19, 10:19:43.755\t2063631.96\nTIME_STAMP\t2026-01-20\nDATA_INCLUDED\t3D\n"
+    )
     lines = (
         [f"{key}\t" + "\t".join(names)] + ([columns] if columns else []) + ["\t".join(map(str, row)) for row in rows]
     )
@@ -100,7 +103,7 @@ def test_qtm_trajectories_are_markers_in_metres(tmp_path, numbered):
     points = np.round(np.random.default_rng(1).normal(800.0, 100.0, (5, 2, 3)), 3)
     points[2, 1] = 0.0
     rows = [[*([k + 1, k / 200] if numbered else []), *frame.ravel()] for k, frame in enumerate(points)]
-    columns = "Frame\tTime\tA X\tA Y\tA Z\tB X\tB Y\tB Z" if numbered else ""
+    columns = "Frame\tTime\tA X\tA Y\tA Z\tB X\tB Y\tB Z\t" if numbered else ""
     path = put(tmp_path, "m.tsv", qtm(("A", "B"), rows, columns=columns))
     assert detect(path) == "qtm_markers"
     markers = read_markers(path, up="z")

@@ -506,11 +506,11 @@ def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
     free = next((name for name, x in zip(sheet.names, sheet.labels, strict=True) if x and x.channel == "free"), None)
     if free:
         notes.append(f"{free!r} left out: gravity is removed in it")
-    bare = next(
-        (n for n, x in zip(sheet.names, sheet.labels, strict=True) if x and x.channel == "mag" and not x.unit), None
-    )
-    if bare and "mag" not in triples:
-        notes.append(f"{bare!r} left out: it has no unit of a magnetic field")
+    for channel, what in (("gyro", "turn rate"), ("accel", "acceleration"), ("mag", "magnetic field")):
+        held = zip(sheet.names, sheet.labels, strict=True)
+        bare = next((name for name, x in held if x and x.channel == channel and not x.unit), None)
+        if bare and channel not in triples:
+            notes.append(f"{bare!r} left out: it has no unit of {'an' if what[0] == 'a' else 'a'} {what}")
     return tuple(notes)
 
 
@@ -527,7 +527,8 @@ def is_labelled(path: Path, head: bytes) -> bool:
     sheet = labelled(sheet)
     clocks = [label for label in sheet.labels if label and label.channel == "time"]
     held = triples_of(sheet, ("gyro", "accel", "free"))
-    return bool(held) and (not clocks or any(clock.unit for clock in clocks))
+    bare = {label.channel for label in sheet.labels if label and not label.unit and label.channel in ("gyro", "accel")}
+    return bool(held) and bare <= held.keys() and (not clocks or any(clock.unit for clock in clocks))
 
 
 def read_labelled(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:

@@ -161,7 +161,9 @@ def read_noraxon(path: Path, _: ColumnMap | None, settings: ReadSettings) -> Rea
     """Read a Noraxon MR export; accelerations of segments are not those of a sensor and are left out."""
     sheet = with_manual(open_sheet(path), "Noraxon", {"time": "s"})
     segment = re.compile(r"(?i)segments-.*-acceleration")
-    labels = [None if segment.search(n) else x for n, x in zip(sheet.names, sheet.labels, strict=True)]
+    kept = [None if segment.search(n) else x for n, x in zip(sheet.names, sheet.labels, strict=True)]
+    # "RT Hand" and "Hand RT" are one sensor
+    labels = [label and label._replace(sensor=re.sub(r"^([LR]T) (.+)", r"\2 \1", label.sensor)) for label in kept]
     return read_sheet(replace(sheet, labels=tuple(labels)), settings)
 
 
@@ -718,7 +720,7 @@ def _qtm(path: Path, key: str, each: int) -> tuple[tuple[str, ...], FloatArray, 
     """Return names, the blocks of all names without frame, time and gap columns, and the frame rate."""
     lines = as_utf8(read_bytes(path)).decode().splitlines()
     head: dict[str, str] = {}
-    start = next((k for k, line in enumerate(lines) if not re.match(r"[A-Z_]{4,}(\t|$)", line)), len(lines))
+    start = next((k for k, line in enumerate(lines) if not re.match(r"[A-Z_]{4,}(\s|$)", line)), len(lines))
     for line in lines[:start]:
         head[line.split("\t")[0]] = line.partition("\t")[2]
     names = tuple(cell.strip() for cell in head.get(key, "").split("\t") if cell.strip())
