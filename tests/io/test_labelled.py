@@ -380,3 +380,42 @@ def test_what_a_maker_s_reader_leaves_out_for_want_of_a_unit_is_said(tmp_path):
     read = read_counted(path)
     assert (detect(path), read.record.gyro) == ("shimmer", None)
     assert "'S_Gyro_X_CAL' left out: it has no unit of a turn rate" in read.notes
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+@pytest.mark.parametrize("header", ["time,ax,ay,az,gx,gy,gz", ""])
+def test_a_decimal_comma_is_seen_and_stands_in_the_proposed_map(tmp_path, delimiter, header):
+    rows = "".join(f"{k / 100:.2f},0.12,0.21,9.79,{40.5 * np.sin(k)},1.5,2.5\n" for k in range(99))
+    text = "".join([header, "\n"][: 2 * bool(header)]).replace(",", delimiter) + rows.replace(",", delimiter).replace(
+        ".", ","
+    )
+    example = describe(put(tmp_path, text)).example
+    assert 'decimal = ","' in example
+    assert tomllib.loads(example[1])["units"] == {"time": "s", "gyro": "dps", "accel": "m/s2"}
+    put(tmp_path, "\n".join(example), "map.toml")
+    record = read_record(tmp_path / "t.csv", read_column_map(tmp_path / "map.toml"))
+    assert (record.accel[0].tolist(), record.sample_rate_hz) == ([0.12, 0.21, 9.79], pytest.approx(100.0))
+
+
+@pytest.mark.parametrize(("row", "temp"), [("20.{k},5,-3,16384,1,2,-3", 0), ("5,-3,16384,1,2,-3,20.{k}", 6)])
+def test_a_thermometer_without_a_name_is_the_column_that_fits_one(tmp_path, row, temp):
+    found = describe(put(tmp_path, "".join(row.format(k=k % 7) + "\n" for k in range(20))))
+    start = 1 - temp // 6
+    accel, gyro = ([start + k for k in three] for three in ((0, 1, 2), (3, 4, 5)))
+    assert tomllib.loads(found.example[0])["columns"] == {"temp": temp, "accel": accel, "gyro": gyro}
+    assert tomllib.loads(found.example[1])["units"] == {"temp": "degC", "accel": "count", "gyro": "count"}
+
+
+def test_blanks_and_dates_are_a_table_and_no_prose(tmp_path):
+    rows = "".join(f"2026-01-31T12:00:00.{k:02d} 0.1 0.2 9.79\n" for k in range(20))
+    found = describe(put(tmp_path, f"time ax ay az\n{rows}"))
+    assert (found.format, tomllib.loads(found.example[1])["units"]) == ("csv", {"time": "date", "accel": "m/s2"})
+
+
+def test_a_damaged_row_that_is_no_utf_8_is_named_in_one_line(tmp_path, capfd):
+    rows = b"".join(b"%d,0,0,1\n" % k for k in range(9)) + b"9,\x9a\xff,0,1,7,7\n"
+    path = put(tmp_path, b"time (s),ax (g),ay (g),az (g)\n" + rows + b"10,0,0,1\n" * 300)
+    columns = ColumnMap(time="time (s)", time_unit="s", accel=("ax (g)", "ay (g)", "az (g)"), accel_unit="g")
+    with pytest.raises(FileFormatError, match="wanted 4 columns in every row, got 6 in data row 10"):
+        read_record(path, columns)
+    assert capfd.readouterr().err == ""

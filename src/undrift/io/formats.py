@@ -20,7 +20,7 @@ from pathlib import Path
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes
 from undrift.io.arrays import mat_arrays, mat_names, npz_arrays, open_hdf5, read_mat, read_npz
-from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_native
+from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.containers import (
     is_gt3x,
     is_mobilised,
@@ -175,10 +175,7 @@ def _is_prose(path: Path, head: bytes) -> bool:
         counts = [line.count(delimiter) for line in body]
         if min(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts):
             return False
-    try:
-        return not all([float(cell) for cell in line.split()] for line in body)
-    except ValueError:
-        return True
+    return not all(is_number(cell) or is_date(cell) for line in body for cell in line.split())
 
 
 _TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"})

@@ -34,7 +34,7 @@ from undrift.io.columns import (
     native_columns,
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.labelled import label_of
+from undrift.io.labelled import label_of, marks_of
 from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
@@ -196,19 +196,16 @@ def sniff(path: object) -> Text:
     """Open a text table with the delimiter, header and skipped lines that most of it suggests."""
     head = read_bytes(str(path), 1 << 16)
     raw = head.decode("utf-8", "replace").splitlines()[:64]
-    raw = (
-        raw[1:] if head.startswith(MARK) and len(raw) > 1 else raw
-    )  # undrift's first line, which open_text passes over
+    if head.startswith(MARK) and len(raw) > 1:  # undrift's own first line, which open_text passes over by itself
+        raw = raw[1:]
     at = [k for k, line in enumerate(raw) if line.strip()]
     lines = [raw[k] for k in at]
     body = lines[len(lines) // 2 :] or lines
-    delimiter = max(",\t;", key=lambda mark: min(line.count(mark) for line in body[:-1] or body))
-    if not any(delimiter in line for line in body):
-        delimiter = " "
+    delimiter, decimal = marks_of(lines)
     width = max(len(_cells(line, delimiter)) for line in body)
     skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
-    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter))
-    return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header))
+    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter, decimal))
+    return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header, decimal=decimal))
 
 
 def foreign_kind(text: Text) -> str | None:
@@ -222,7 +219,8 @@ def foreign_kind(text: Text) -> str | None:
         quaternion = ", ".join(f'"{name}"' for name in names if _QUATERNION.match(name))
         return f"a table of orientations; read it as a reference with quaternion=({quaternion})"
     lines = text.head.decode("utf-8", "replace").splitlines()
-    rows = [_cells(line, text.layout.delimiter) for line in lines[text.skip : text.skip + 2]]  # one may be of units
+    first = lines[text.skip : text.skip + 2]  # one may be of units
+    rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
     if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
         return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
     triples = triples_of(text.names)
@@ -252,21 +250,18 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
 
 def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
     """Return an example of the map that a table needs; a unit that nothing states or suggests is "?", for a person to fill in."""
-    keys = _by_position(text) if text is not None and not text.layout.header else _by_name(names, text, arrays)
     readings = partial(_readings, text, dict(arrays))
-    known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
     below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
-    cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter)
+    cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
     row = {} if text is None else dict(zip(text.names, cells, strict=False))
-    if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
-        known["time"] = "date"
-    proposed = proposed_units(readings, keys, known)
-    if text is not None and not text.layout.header and "accel" not in proposed and {"gyro", "accel"} <= keys.keys():
-        turned = keys | {"gyro": keys["accel"], "accel": keys["gyro"]}
-        if "accel" in (
-            again := proposed_units(readings, turned, known)
-        ):  # gravity tells which three are the accelerometer
-            keys, proposed = turned, again
+    several = _by_position(text) if text is not None and not text.layout.header else [_by_name(names, text, arrays)]
+    held = []
+    for keys in several:  # gravity tells which three are the accelerometer
+        known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
+        if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
+            known["time"] = "date"
+        held.append((keys, known, proposed_units(readings, keys, known)))
+    keys, known, proposed = max(held, key=lambda item: len(item[2]) * ("accel" in item[2]))
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
     known |= {channel: unit for channel, (unit, _) in proposed.items()}
     units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
@@ -276,6 +271,7 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     if text is not None:
         layout = text.layout
         lines += [] if layout.delimiter == "," else [f"delimiter = {json.dumps(layout.delimiter)}"]
+        lines += [] if layout.decimal == "." else [f"decimal = {json.dumps(layout.decimal)}"]
         lines += [] if layout.header else ["header = false"]
         lines += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
         mapped = [row.get(str(column), "") for value in keys.values() for column in _listed(value)]
@@ -369,7 +365,7 @@ def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) 
             values = np.stack([table.numbers(column) for column in columns], axis=1)
         except InputError:
             values = None
-    if values is None or values.dtype.kind not in "fiu" or values.ndim > 2:
+    if values is None or values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
         return np.empty((0, 1))
     values = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     return values[np.isfinite(values).all(axis=1)]
@@ -382,20 +378,25 @@ def _unit_of(channel: str, names: str) -> str:
     return next((unit for unit, stated in _UNITS[channel] if re.search(stated, names, re.IGNORECASE)), "?")
 
 
-def _by_position(text: Text) -> dict[str, str]:
-    """Return positions for a table without names: a growing first column is time, another odd one temperature."""
+def _by_position(text: Text) -> list[dict[str, str]]:
+    """Return what a table without names may hold: a growing first column is time, another odd one temperature."""
     width = len(text.names)
     lines = text.head.decode("utf-8", "replace").splitlines()[text.skip :][:8]
-    first = [_cells(line, text.layout.delimiter)[0] for line in lines]
+    first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
     grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
-    keys = {"time": "0"} if grows else {"temp": "0"} if width % 3 == 1 else {}
-    start = len(keys)
-    for channel in ("gyro",) if _OF_GYRO.search(text.path.name) else ("accel", "gyro"):
-        if start + 3 <= width:
-            keys[channel] = f"[{start}, {start + 1}, {start + 2}]"
-            start += 3
-    return keys
+    odd = [{"time": 0}] if grows else [{"temp": 0}, {"temp": width - 1}] if width % 3 == 1 else [{}]
+    found = []
+    for keys in odd:
+        free = [k for k in range(width) if k not in keys.values()]
+        threes = [str(free[k : k + 3]) for k in (0, 3) if k + 3 <= len(free)]
+        named = ("gyro",) if _OF_GYRO.search(text.path.name) else ("accel", "gyro")
+        for order in (named, named[::-1])[: len(threes)]:
+            channels = dict(zip(order, threes, strict=False))
+            found.append(
+                {channel: str(k) for channel, k in keys.items()} | {c: channels[c] for c in named if c in channels}
+            )
+    return found or [{}]
 
 
 def _likely(channel: str, names: tuple[str, ...]) -> str | None:
@@ -403,7 +404,8 @@ def _likely(channel: str, names: tuple[str, ...]) -> str | None:
     return next((name for name in names if stem in name.lower() or _LIKELY[channel].match(name.strip())), None)
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
+def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:
+    line = line.replace(decimal, ".")
     return line.split() if delimiter == " " else line.split(delimiter)
 
 

@@ -114,7 +114,7 @@ def sheet_of(path: Path, content: bytes) -> Sheet | None:
     raw = content[:_HEAD].split(b"\n")
     raw = raw[:-1] if len(content) > _HEAD else raw
     lines = [line.decode("utf-8", "replace").rstrip("\r") for line in raw]
-    delimiter, decimal = _marks([line for line in lines if line.strip()])
+    delimiter, decimal = marks_of([line for line in lines if line.strip()])
     table = [_cells(line, delimiter) for line in lines]
     rows = [k for k, cells in enumerate(table) if _is_row(cells, decimal)]
     start = next((k for k in rows if k + 1 in rows or k + 2 in rows or k == len(table) - 1), None)
@@ -158,7 +158,7 @@ def as_utf8(content: bytes) -> bytes:
     return content.removeprefix(b"\xef\xbb\xbf")
 
 
-def _marks(lines: list[str]) -> tuple[str, str]:
+def marks_of(lines: list[str]) -> tuple[str, str]:
     """Return delimiter and decimal sign of most lines; a comma is a delimiter only where nothing else can be one."""
     body = lines[-max(2, len(lines) // 4) :][-32:]
     delimiter = next((mark for mark in ";\t," if sum(mark in line for line in body) > 0.8 * len(body)), " ")
