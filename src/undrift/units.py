@@ -57,7 +57,7 @@ _TO_SI: dict[Quantity, dict[str, float]] = {
     "rate": {"rad/s": 1.0, "dps": RADIAN_PER_DEGREE},
     "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY * 1e-3},
     "temp": {"degc": 1.0, "lm335_v": LM335_K_PER_V},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "date": 1.0},  # date: from the first
     "mag": {"ut": 1.0, "gauss": 100.0, "mgauss": 0.1, "t": 1e6},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
 }

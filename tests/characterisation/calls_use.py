@@ -359,6 +359,7 @@ FOLDERS = (
     "posturography",
 )
 FEW = ("xsens_mtmanager/skin", "BDS", "PDS13C", "PDS13OR", "example_calibration")  # alike, or too many
+CUT = ("GENEActiv_testfile.bin",)  # in the middle of a page, as its SOURCE.md says
 
 
 @call("info_formats", "what info says of every file of makers, wearables, optics and force plates")
@@ -367,7 +368,8 @@ def info_formats() -> Result:
     for name in FOLDERS:
         for path in sorted(data_path(name).rglob("*")):
             if path.is_file() and path.suffix != ".md" and not any(few in str(path) for few in FEW):
-                found[str(path.relative_to(DATA)).replace(".", "_")] = said_of(path)
+                said = refused("info", path) if path.name in CUT else said_of(path)
+                found[str(path.relative_to(DATA)).replace(".", "_")] = said
     for path in (data_path("wearable_formats", "ngimu"), data_path("wearable_formats", "ximu3")):
         found[f"{path.name}_folder"] = said_of(path)
     return found

@@ -243,6 +243,23 @@ def test_markers_are_as_good_a_reference_as_poses(undrift, free, name, up):
     assert told["mean"]["rmse_total_deg"] < 1.0
 
 
+def test_a_sensor_of_an_opensense_table_is_as_good_a_reference(undrift, free, tmp_path):
+    poses = replace(read_reference(free / "poses.parquet"), moving=None, position=None)  # as .sto holds them
+    write_reference(poses, tmp_path / "poses.parquet")
+    rows = [
+        f"{t:.9f}\t1,0,0,0\t" + ",".join(f"{x:.12f}" for x in q) for t, q in zip(poses.time, poses.q_nb, strict=True)
+    ]
+    head = "DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\tcase_imu\n"
+    (tmp_path / "poses.sto").write_text(head + "\n".join(rows) + "\n")
+    words = ["validate", free / "free.parquet", "--offset", "none", "--json", "--reference"]
+    known = undrift.good(*words, tmp_path / "poses.parquet").json()
+    told = undrift.good(*words, tmp_path / "poses.sto", "--markers", "case_imu").json()
+    assert told["mean"]["rmse_total_deg"] == pytest.approx(
+        known["mean"]["rmse_total_deg"], abs=1e-4
+    )  # the file's digits
+    assert "pelvis_imu, case_imu" in undrift.refused(*words, tmp_path / "poses.sto")
+
+
 def test_what_a_marker_file_needs_is_asked_for_in_words_of_the_command_line(undrift, free):
     record = free / "free.parquet"
     assert "M1, M2, M3, M4" in undrift.refused(

@@ -9,8 +9,8 @@ from testkit.data import data_path, show
 from undrift.drift.temperature import check_span, step_of, trusted_temperature
 from undrift.errors import InputError, NotObservable
 from undrift.io.columns import ColumnMap, Scale, TextLayout
+from undrift.io.makers import read_actigraph
 from undrift.io.text import read_csv
-from undrift.io.wearables import read_actigraph
 from undrift.record import Record, Session, Still
 
 TIME = np.arange(0.0, 2400.0, 0.1)

@@ -70,12 +70,19 @@ def test_gaps_that_are_asked_for_overrule_the_map(tmp_path):
                 read(tmp_path / "a.csv", columns, settings=settings)
 
 
+# header and sample sizes, start, end, and two samples of 16 bytes
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
         ("a.trc", trc(np.ones((3, 1, 3)), ("A",)), "got marker trajectories; read them as a reference"),
-        ("a.cwa", b"MD\x00\x01" * 50, "got the binary of an Axivity logger; export it"),
-        ("a.bin", b"4\x10\x03\x00" * 50, "got the binary of a NilsPod"),
+        ("a.cwa", b"MD\x00\x01" * 50, "wanted a header of 1024 bytes and whole sectors of 512, got 200 bytes"),
+        (
+            "a.bin",
+            bytes(np.random.default_rng(1).integers(0, 256, 4096, dtype=np.uint8)),
+            "binary data of an unknown kind",
+        ),
         ("a.dat", b"\x00\x01\x02" * 50, "got binary data of an unknown kind"),
         ("a.zip", b"PK\x03\x04" + b"\x00" * 40, "damaged"),
         ("a.json", '{"a": 1}', "got JSON, not a recording"),

@@ -83,7 +83,6 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("m.toml", MAP, "settings", "a column map of gyro"),
         ("s.toml", "a = 1", "settings", "TOML settings, not a column map"),
         ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
-        ("a.cwa", b"MD\x00\x01" * 50, "binary", "the binary of an Axivity logger; export it"),
         ("f.txt", "Time[s]\tFx[N]\tFy[N]\tFz[N]\n0\t1\t2\t3\n1\t1\t2\t3\n", "table", "a force plate's table"),
         ("p.csv", "Time,COG_X,COG_Y,COG_Z\n0,1,2,3\n1,1,2,3\n", "table", "a table of positions"),
         ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", 'read it as a reference with quaternion=("W", "X", "Y", "Z")'),
@@ -91,7 +90,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without three axes"),
         ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),
         ("x.csv", "ax,ay,az,gx,gy,gz\n" + "0,0,1,0,0,0\n" * 2, "table", 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"]'),
-        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", 'time = "?", accel = "?" }, delimiter = " ", header = false'),
+        ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", "accel by the median |a| 1; time by the median step 0.1, delim"),
         ("z.csv", "put\n" + "20.1,0,0,1,0,0,0\n20,0,0,1,0,0,0\n" * 2, "table", "temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6]"),
         ("u.txt", "gx\tgy\tgz\tq\n0\t0\t1\t4\n0\t0\t1\t4\n", "table", 'delimiter = "\\t"'),
     ],
@@ -112,10 +111,16 @@ def test_arrays_and_foreign_parquet_say_which_map_they_need(tmp_path):
     np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), gyro_raw=np.zeros((5, 3)), acc_raw=np.zeros((5, 3)))
     assert 'columns = { time = "t_s", gyro = "gyro_raw", accel = "acc_raw" }' in describe(tmp_path / "a.npz").summary
     assert describe(tmp_path / "a.npz").columns[1] == "gyro_raw (5, 3)"
+    np.savez(tmp_path / "c.npz", gyro=np.zeros((5, 3)), acc=np.full((5, 3), 16384 / 3**0.5))
+    units, _, why = describe(tmp_path / "c.npz").example[1].partition("  # ")
+    assert units == 'units = { gyro = "count", accel = "count" }'
+    assert why == "proposed: accel by the median |a| 1.638e+04; gyro by whole numbers up to 0"
     pq.write_table(pa.table({"Acc_X": [1.0], "Acc_Y": [1.0], "Acc_Z": [1.0]}), tmp_path / "a.parquet")
     assert 'accel = ["Acc_X", "Acc_Y", "Acc_Z"]' in describe(tmp_path / "a.parquet").summary
     np.savez(tmp_path / "b.npz", k=np.arange(5.0))
-    assert 'gyro = ["gx", "gy", "gz"]' in describe(tmp_path / "b.npz").summary
+    assert (
+        describe(tmp_path / "b.npz").summary == "arrays without three axes (k), not a recording of an inertial sensor"
+    )
 
 
 def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):

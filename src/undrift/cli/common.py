@@ -56,7 +56,7 @@ class Opening:
     sample_rate_hz : float or None
         Samples per second, for a file without time.
     sensor : str or None
-        Which sensor, in a file of several (APDM).
+        Which sensor, stream or topic, in a file of several.
     gaps : str or None
         "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
     """
@@ -77,7 +77,7 @@ class Opening:
     def settings(self) -> "ReadSettings":
         """Return rate, sensor and gaps; options overrule a map without columns."""
         from undrift.io.columns import ReadSettings
-        from undrift.io.session import read_map_settings
+        from undrift.io.session import read_map_settings, read_temp_file
 
         held = (None if self.column_map is None else read_map_settings(self.column_map)) or ReadSettings()
         return replace(
@@ -85,6 +85,7 @@ class Opening:
             sample_rate_hz=self.sample_rate_hz or held.sample_rate_hz,
             sensor=self.sensor,
             gaps=self.gaps or held.gaps,
+            temp_file=None if self.column_map is None else read_temp_file(self.column_map),
         )
 
     def read(self, path: Path) -> "Record":
@@ -186,11 +187,12 @@ class Optics:
 
 def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":
     """Read a reference; errors name the options that a file of markers needs."""
-    from undrift.io.formats import detect, read_markers, read_reference
+    from undrift.io.formats import format_of, read_markers, read_reference
     from undrift.io.mocap import pose_from_cluster
 
-    if detect(path) not in ("trc", "c3d"):
-        return read_reference(path)
+    entry = format_of(path)[1]
+    if entry.markers is None:
+        return read_reference(path, labels=labels if entry.bodies else None, up=up)
     try:
         markers = read_markers(path, up=up)
     except InputError as error:

@@ -1,5 +1,6 @@
 """``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
+import shlex
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -223,6 +224,7 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
         lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
     elif reason:
         lines.append(reason)
+    lines += [f"read: {item.text}" for item in found.findings if item.code == "recording.how_read"]
     lines += [f"problem: {problem}" for problem in found.problems if problem != found.summary]
     lines += _hints(found)
     say(f"{found.path}: {found.kind} ({found.format})", *(f"  {line}" for line in lines))
@@ -235,10 +237,11 @@ def _hints(found: "Description") -> list[str]:
             "write the lines below into map.toml, put what is true where it says ?, and say: undrift info FILE --map map.toml",
             *found.example,
         ]
-    if found.kind == "table" and found.format == "apdm":
-        return [f"say: undrift info FILE --sensor {found.columns[0]}"]
-    if found.kind == "table" and found.format == "ximu":
-        return ["say: undrift info FILE --sample-rate-hz 256"]
+    missing = next((item.values.get("missing") for item in found.findings if item.code == "recording.not_read"), "")
+    if missing == "sensor":
+        return [f"say: undrift info FILE --sensor {shlex.quote(found.columns[0])}"]
+    if missing == "sample_rate_hz":
+        return [f"say: undrift info FILE --sample-rate-hz {'256' if found.format == 'ximu' else 'HZ'}"]
     if found.kind == "markers" and any(item.code == "recording.up_axis" for item in found.findings):
         return [
             "say: undrift info FILE --reference-up y, and undrift validate RECORD --reference FILE --reference-up y"

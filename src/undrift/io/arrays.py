@@ -1,7 +1,8 @@
 """Files of named arrays: npz and mat as tables, and HDF5.
 
 An array of shape (N,) is one column under its name; one of shape (N, K) is K columns ``name[0]`` ... . Fields of a MATLAB
-struct are ``struct.field``. Arrays of other lengths (a second clock, settings) are left out of the table.
+struct are ``struct.field``. An array of 3 or 4 rows and 16 columns or more has time along its columns: it is turned.
+Arrays of other lengths (a second clock, settings) are left out of the table.
 """
 
 import zipfile
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, first_line
+from undrift.files import checked_file, first_line, read_bytes
 from undrift.io.columns import (
     READ_SETTINGS,
     Column,
@@ -61,6 +62,7 @@ def read_array(handle: Any, name: str, path: Path) -> FloatArray:
 # ---- npz and mat
 
 Arrays = tuple[tuple[str, NDArray[Any]], ...]
+_ROWS = 16  # fewer columns than these are no recording
 
 
 def read_npz(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
@@ -85,7 +87,7 @@ def npz_arrays(path: str | Path) -> Arrays:
         with path.open("rb") as raw:
             held = np.load(raw, allow_pickle=False)
             if isinstance(held, np.lib.npyio.NpzFile):
-                return tuple((name, held[name]) for name in held.files)
+                return tuple((name, _upright(held[name])) for name in held.files)
     except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise FileFormatError(f"{path}: wanted a sound npz file of plain arrays, got {first_line(error)}") from error
     raise FileFormatError(f"{path}: wanted an npz file of named arrays, got a single array; save with np.savez")
@@ -105,6 +107,19 @@ def mat_arrays(path: str | Path) -> Arrays:
             f"{path}: wanted a MAT file, got something else or a damaged one; {first_line(error)}"
         ) from error
     return tuple(_flat("", held))
+
+
+def mat_names(path: str | Path) -> set[str]:
+    """Return the names of the arrays of a MAT file; none where it is damaged."""
+    from scipy.io import whosmat
+
+    try:
+        if read_bytes(path, 10) == b"MATLAB 7.3":
+            with open_hdf5(path) as held:
+                return set(held)
+        return {name for name, _, _ in whosmat(str(path))}
+    except Exception:  # noqa: BLE001 - what reads the file says what is wrong with it
+        return set()
 
 
 def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> Table:
@@ -138,4 +153,9 @@ def _flat(prefix: str, value: Any) -> list[tuple[str, NDArray[Any]]]:
     array = np.asarray(value) if isinstance(value, (np.ndarray, int, float)) else np.empty(0, dtype=object)
     if array.dtype.kind not in "fiub":
         return []
-    return [(prefix, np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else array))]
+    return [(prefix, np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else _upright(array)))]
+
+
+def _upright(array: NDArray[Any]) -> NDArray[Any]:
+    """Return x, y, z (or w, x, y, z) by columns, as MATLAB code often has them by rows."""
+    return array.T if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] >= _ROWS else array

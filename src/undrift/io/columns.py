@@ -6,7 +6,9 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 ``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs none: :func:`native_map` recognises exactly those.
 """
 
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -110,7 +112,9 @@ class ColumnMap:
     accel: tuple[Column, ...] | None = None
     temp: Column | None = None  # Temperature column
     mag: tuple[Column, ...] | None = None  # Three columns x, y, z
-    time_unit: str = ""  # Units after the scale is applied; any spelling of :mod:`undrift.units`
+    time_unit: str = (
+        ""  # Units after the scale is applied; any spelling of :mod:`undrift.units`; "date": dates, year first
+    )
     gyro_unit: str = ""
     accel_unit: str = ""
     temp_unit: str = ""
@@ -162,6 +166,11 @@ class ColumnMap:
         """Return the columns of all channels."""
         return tuple(column for channel in CHANNELS for column in self.columns_of(channel))
 
+    def numeric(self) -> tuple[Column, ...]:
+        """Return the columns of all channels that hold numbers: all but a time of dates."""
+        dated = self.time is not None and self.unit_of("time") == "date"
+        return tuple(c for channel in CHANNELS for c in self.columns_of(channel) if not (dated and channel == "time"))
+
     def _check_channel(self, channel: Channel) -> None:
         columns, unit = self.columns_of(channel), getattr(self, f"{channel}_unit")
         if channel in ("gyro", "accel", "mag") and len(columns) not in (0, 1, 3):
@@ -182,17 +191,31 @@ class ColumnMap:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TempFile:
+    """A thermometer's text table of its own, at its own rate: interpolated onto the samples, held at the ends."""
+
+    path: Path
+    time: Column = "time_s"  # Time column, on the recording's clock after the shift
+    temp: Column = "temp_c"
+    time_unit: str = "s"
+    temp_unit: str = "degC"
+    shift_s: float = 0.0  # Added to the thermometer's time, s
+    layout: TextLayout = field(default_factory=TextLayout)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReadSettings:
     """What a file may leave unstated."""
 
     sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
-    sensor: str | None = None  # Which sensor, in a file of several (APDM)
+    sensor: str | None = None  # Which sensor, stream or topic, in a file of several
     # "raise" or "keep", overruling a map; None: as the map states, and without one gaps are refused except in
     # Parquet that undrift wrote
     gaps: Gaps | None = None
     # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
     repair_time: bool = False
     drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
+    temp_file: TempFile | None = None  # Takes the place of a temperature in the recording
 
 
 READ_SETTINGS = ReadSettings()
@@ -293,6 +316,47 @@ class Table:
         return int(index if self.rows is None else self.rows[index]) + 1
 
 
+_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or without a time zone
+    r"(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T_](\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))? *(?:Z|[-+]\d\d:?\d\d)?"
+)
+
+
+def is_date(cell: str) -> bool:
+    """Tell whether a cell is a date with a time of day, year first."""
+    return _DATE.fullmatch(cell.strip().strip('"')) is not None
+
+
+def in_seconds(table: Table, column: Column) -> Table:
+    """Return the table with a column of dates as s from the first; years first, time zones passed over."""
+    at = table.position(column)
+    values = table.columns[at]
+    values = values if isinstance(values, np.ndarray) else values.to_numpy()
+    if values.dtype.kind != "M":
+        hits = [_DATE.fullmatch(str(_text(cell)).strip()) for cell in values]
+        bad = next((k for k, hit in enumerate(hits) if hit is None), None)
+        if bad is not None:
+            raise FileFormatError(
+                f"{table.source}: column {table.names[at]!r}: wanted dates such as 2026-01-31 12:00:00.250, got "
+                f"{str(_text(values[bad]))[:40]!r} in data row {table.row(bad)}; repair the file, or state another unit of time"
+            )
+        parts = [hit.groups(default="0") for hit in hits if hit]
+        try:
+            values = np.array(
+                [f"{y}-{m:0>2}-{d:0>2}T{h:0>2}:{n}:{s}.{f:0<9}" for y, m, d, h, n, s, f in parts], dtype="M8[ns]"
+            )
+        except ValueError as error:
+            raise FileFormatError(
+                f"{table.source}: column {table.names[at]!r}: wanted dates, got none ({error}); repair the file"
+            ) from error
+    steps = (values - values[0]).astype("m8[ns]") if len(values) else np.empty(0, dtype="m8[ns]")
+    seconds = np.where(np.isnat(steps), np.nan, steps.astype(np.int64) * 1e-9)
+    return replace(table, columns=(*table.columns[:at], seconds, *table.columns[at + 1 :]))
+
+
+def _text(cell: Any) -> Any:
+    return cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell
+
+
 def is_number(cell: Any, *, empty: bool = False) -> bool:
     """Tell whether a cell reads as a number, or is empty where that will do."""
     try:
@@ -335,12 +399,15 @@ class ReadResult:
     record: Record
     dropped_rows: int = 0  # Rows that did not parse
     repaired_rows: int = 0  # Rows whose time did not go forward
+    notes: tuple[str, ...] = ()  # How it was read: units of a manual, lines skipped, what was left out
 
 
 def build_record(table: Table, columns: ColumnMap) -> ReadResult:
     """Return the record that a table holds, every value checked."""
     if len(table) < 2:
         raise FileFormatError(f"{table.source}: wanted two rows or more, got {len(table)}; the file holds no recording")
+    if columns.time is not None and columns.unit_of("time") == "date":
+        table = in_seconds(table, columns.time)
     time = _time(table, columns)
     keep = _forward(table, time, columns)
     values = {channel: _channel(table, columns, channel) for channel in columns.mapped() if channel != "time"}

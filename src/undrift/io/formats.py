@@ -10,6 +10,7 @@ Its module is imported when a file is met that no built-in format recognises by 
 """
 
 import json
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -18,13 +19,55 @@ from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes
-from undrift.io.arrays import mat_arrays, npz_arrays, open_hdf5, read_mat, read_npz
-from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings
+from undrift.io.arrays import mat_arrays, mat_names, npz_arrays, open_hdf5, read_mat, read_npz
+from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
+from undrift.io.containers import (
+    is_gt3x,
+    is_mobilised,
+    is_nilspod,
+    read_cwa,
+    read_geneactiv,
+    read_gt3x,
+    read_mobilised,
+    read_nilspod,
+    read_ros,
+    read_ulog,
+    read_xdf,
+)
+from undrift.io.labelled import is_labelled, read_labelled
+from undrift.io.makers import (
+    is_bids,
+    is_phone,
+    is_set_points,
+    read_actigraph,
+    read_apdm,
+    read_apdm7,
+    read_bids_motion,
+    read_bids_positions,
+    read_dot,
+    read_dot_poses,
+    read_mobgap,
+    read_ngimu,
+    read_noraxon,
+    read_phone,
+    read_qtm_bodies,
+    read_qtm_markers,
+    read_sensor_logger,
+    read_set_points,
+    read_shimmer,
+    read_sto,
+    read_trigno,
+    read_trigno_discover,
+    read_ximu,
+    read_ximu3,
+    read_xsens,
+    read_xsens_poses,
+    with_thermometer,
+)
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
 from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
-from undrift.io.text import read_csv, write_csv
-from undrift.io.wearables import read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
+from undrift.io.text import MARK, read_csv, write_csv
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
 
@@ -45,6 +88,7 @@ class Format:
     chunks: Callable[[Path, ColumnMap | None, ReadSettings, int], Iterator[Record]] | None = None  # In constant memory
     markers: Callable[[Path, Up | None], Markers] | None = None
     reference: Callable[[Path, ReferenceMap | None], Reference] | None = None
+    bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # One of several named bodies
     # "columns" and fields of ReadSettings that the record reader makes use of
     honours: frozenset[str] = frozenset()
     instead: str = ""  # What a file without a record reader is, and what to do with it
@@ -73,6 +117,8 @@ def _is_npz(path: Path, head: bytes) -> bool:
 
 
 def _is_broad(path: Path, head: bytes) -> bool:
+    if head.startswith(b"MATLAB"):
+        return {"imu_gyr", "opt_quat"} <= mat_names(path)
     if not head.startswith(_HDF5):
         return False
     with open_hdf5(path) as held:
@@ -108,24 +154,37 @@ def _is_json(path: Path, head: bytes) -> bool:
     return True
 
 
+def _has(pattern: bytes) -> Callable[[Path, bytes], bool]:
+    """Recognise a text by a pattern in its head."""
+    compiled = re.compile(pattern, re.MULTILINE)
+    return lambda _, head: b"\0" not in head and compiled.search(head) is not None
+
+
+def _is_labelled(path: Path, head: bytes) -> bool:
+    own = is_native(_line(head, 0).replace('"', "").split(",")) or head.startswith(MARK)
+    return not own and is_labelled(path, head)
+
+
 def _is_prose(path: Path, head: bytes) -> bool:
     """Tell prose from a table: most lines of a table have as many separators as each other, or are numbers."""
     if _suffix(path) in _PROSE:
         return True
-    lines = head.decode("utf-8", "replace").splitlines()
-    body = [line for line in lines[1:64] if line.strip()][:-1] or lines
+    lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
+    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may stand before the rows
     for delimiter in (",", "\t", ";"):
         counts = [line.count(delimiter) for line in body]
         if min(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts):
             return False
-    try:
-        return not all([float(cell) for cell in line.split()] for line in body)
-    except ValueError:
-        return True
+    return not all(is_number(cell) or is_date(cell) for line in body for cell in line.split())
 
 
 _TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"})
 _ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps"})
+_SET_POINT = _has(rb"^[ \t]*[A-Za-z_]\w*:[ \t]*[-+.\d]+[ \t]*,")
+_EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows"})
+_STREAMS = frozenset({"sensor", "gaps", "repair_time"})
+_BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
+_BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
@@ -139,6 +198,9 @@ FORMATS: dict[str, Format] = {
         _is_npz, record=read_npz, reference=lambda p, c: read_array_poses(npz_arrays(p), p, c), honours=_ARRAYS
     ),
     "broad": Format(_is_broad, record=lambda p, *_: read_broad(p)[0], reference=lambda p, _: read_broad(p)[1]),
+    "mobilised": Format(
+        lambda _, head: head.startswith(b"MATLAB") and is_mobilised(head), record=read_mobilised, honours=_STREAMS
+    ),
     "mat": Format(
         _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
     ),
@@ -147,9 +209,25 @@ FORMATS: dict[str, Format] = {
         instead="HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read",
     ),
     "cwa": Format(
-        lambda path, head: head.startswith(b"MD") and path.suffix.lower() == ".cwa",
-        instead="the binary of an Axivity logger; export it with OMGUI or open-movement to CSV (time, gyro dps, accel g, "
-        "temperature)",
+        lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
+        record=read_cwa,
+        honours=_BLOCKS,
+    ),
+    "geneactiv": Format(lambda _, head: head.startswith(b"Device Identity"), record=read_geneactiv, honours=_BLOCKS),
+    "gt3x": Format(
+        lambda path, head: head.startswith(b"PK\x03\x04") and is_gt3x(path), record=read_gt3x, honours=_STREAMS
+    ),
+    "xdf": Format(lambda _, head: head.startswith(b"XDF:"), record=read_xdf, honours=_STREAMS | {"columns"}),
+    "ros": Format(
+        lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
+        record=read_ros,
+        honours=_STREAMS,
+    ),
+    "ulog": Format(
+        lambda _, head: head.startswith(b"ULog\x01\x12\x35"), record=read_ulog, honours=_STREAMS | {"drop_bad_rows"}
+    ),
+    "nilspod": Format(
+        lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=read_nilspod, honours=_STREAMS
     ),
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
@@ -182,12 +260,62 @@ FORMATS: dict[str, Format] = {
         record=lambda path, _, settings: read_ximu(path, settings.sample_rate_hz),
         honours=frozenset({"sample_rate_hz"}),
     ),
-    # The formats of other packages come here.
-    "nilspod": Format(
-        lambda path, head: b"\0" in head and path.suffix.lower() == ".bin" and head[0] >= 0x30,
-        instead="the binary of a NilsPod; export it with NilsPodLib to CSV",
-        generic=True,
+    "xsens": Format(
+        _has(rb"\A(\xef\xbb\xbf)?//[\s\S]*^(Packet)?Counter[\t,; ]"),
+        record=read_xsens,
+        reference=read_xsens_poses,
+        honours=_EXPORT,
     ),
+    "dot": Format(
+        _has(rb"\A(\xef\xbb\xbf)?sep=[\s\S]*^PacketCounter,"),
+        record=read_dot,
+        reference=read_dot_poses,
+        honours=_EXPORT,
+    ),
+    "shimmer": Format(
+        _has(rb"\A.*\n?.*Timestamp_\w*(CAL|RAW)\b.*(Accel|Gyro)_\w*(CAL|RAW)\b"), record=read_shimmer, honours=_EXPORT
+    ),
+    "trigno": Format(_has(rb"\ALabel: .*Sampling frequency:"), record=read_trigno, honours=_EXPORT),
+    "trigno_discover": Format(_has(rb"\AApplication:.*Trigno"), record=read_trigno_discover, honours=_EXPORT),
+    "noraxon": Format(_has(rb"Accel Sensor [XYZ]|Noraxon MyoMotion-"), record=read_noraxon, honours=_EXPORT),
+    "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, honours=_EXPORT),
+    "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, honours=_EXPORT),
+    "mobgap": Format(_has(rb"\Asamples,acc_x,acc_y,acc_z,gyr_x"), record=read_mobgap, honours=_EXPORT),
+    "apdm7": Format(_has(rb"\AFormat=7,"), record=read_apdm7, honours=_EXPORT),
+    "bids_motion": Format(
+        lambda path, _: "_motion.tsv" in path.name and is_bids(path, positions=False),
+        record=read_bids_motion,
+        honours=_EXPORT,
+    ),
+    "bids_positions": Format(
+        lambda path, _: "_motion.tsv" in path.name and is_bids(path, positions=True),
+        markers=read_bids_positions,
+        instead="positions, not readings of a sensor; read them as a reference (labels of one rigid cluster)",
+    ),
+    "qtm_markers": Format(
+        _has(rb"^MARKER_NAMES\t"),
+        markers=read_qtm_markers,
+        instead="marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)",
+    ),
+    "qtm_bodies": Format(
+        _has(rb"^BODY_NAMES\t"), bodies=read_qtm_bodies, instead="poses of rigid bodies; read them as a reference"
+    ),
+    "sto": Format(
+        _has(rb"^DataType *= *Quaternion[\s\S]*^endheader"),
+        bodies=read_sto,
+        instead="orientations; read them as a reference",
+    ),
+    "opensim": Format(
+        _has(rb"^endheader\s*$"),
+        instead="an OpenSim table of coordinates or forces of a model, not readings of a sensor; a reference for undrift validate "
+        "is the .sto file of orientations (DataType=Quaternion)",
+    ),
+    "set_points": Format(
+        lambda path, head: _SET_POINT(path, head) and is_set_points(head),
+        record=read_set_points,
+        honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
+    ),
+    # The formats of other packages come here.
     "binary": Format(
         lambda _, head: b"\0" in head,
         instead="binary data of an unknown kind; export it to CSV, MAT or npz",
@@ -195,6 +323,7 @@ FORMATS: dict[str, Format] = {
     ),
     "json": Format(_is_json, instead="JSON, not a recording", generic=True),
     "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
+    "labelled": Format(_is_labelled, record=read_labelled, reference=read_text_poses, honours=_EXPORT, generic=True),
     "text": Format(_is_prose, instead="prose, not a table", generic=True),
     "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, honours=_TABLE, generic=True),
 }
@@ -229,8 +358,9 @@ def format_of(path: str | Path) -> tuple[str, Format]:
         if (head or not entry.generic) and entry.recognise(path, head):
             return name, entry
     raise InputError(
-        f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3) or "
-        "*_CalInertialAndMag.csv (x-IMU), got another directory; name a file in it"
+        f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3), "
+        "*_CalInertialAndMag.csv (x-IMU), Gyroscope.csv and an accelerometer's (phone) or metadata.yaml (ROS 2), got another "
+        "directory; name a file in it"
     )
 
 
@@ -245,7 +375,8 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     Parameters
     ----------
     path : str or Path
-        Text table (plain or gzip), Parquet, npz, mat, BROAD HDF5, APDM, ActiGraph, or an NGIMU, x-IMU or x-IMU3 folder.
+        Text table (plain or gzip), Parquet, npz, mat, BROAD, a maker's export, XDF, ROS bag, PX4 ULog, Axivity, GENEActiv, GT3X,
+        NilsPod, Mobilise-D, or an NGIMU, x-IMU, x-IMU3 or ROS 2 folder.
     columns : ColumnMap or None
         Which column is what; None where the format or undrift's own names state it.
     settings : ReadSettings or None
@@ -288,13 +419,18 @@ def read_counted(
             entry = FORMATS["csv"]
     if entry.record is None:
         raise FileFormatError(f"{path}: wanted a recording, got {entry.instead or name}")
-    if columns is None and (settings.repair_time or settings.drop_bad_rows) and "repair_time" not in entry.honours:
+    unread = [key for key in ("repair_time", "drop_bad_rows") if getattr(settings, key) and key not in entry.honours]
+    if columns is None and unread:
         raise InputError(
             f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {name}; name the "
             "columns in the map, or leave these keys out"
         )
     found = entry.record(path, columns, settings)
-    return found if isinstance(found, ReadResult) else ReadResult(record=found)
+    found = found if isinstance(found, ReadResult) else ReadResult(record=found)
+    if settings.temp_file is None:
+        return found
+    note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
+    return replace(found, record=with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
 
 
 def iter_record(
@@ -303,7 +439,8 @@ def iter_record(
     """Read a recording in chunks. Parquet streams in constant memory; other formats are read whole and cut."""
     settings = settings or READ_SETTINGS
     chunks = format_of(path)[1].chunks
-    if chunks is not None:
+    dated = columns is not None and columns.time is not None and columns.unit_of("time") == "date"
+    if chunks is not None and settings.temp_file is None and not dated:
         columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
         yield from chunks(Path(path), columns, settings, rows)
         return
@@ -362,13 +499,13 @@ def read_reference(
     Parameters
     ----------
     path : str or Path
-        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; C3D or TRC markers.
+        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; OpenSim .sto, QTM 6D, Xsens; markers in C3D, TRC, QTM or BIDS.
     columns : ReferenceMap or None
         For foreign names; None for undrift's own.
     labels : tuple of str or None
-        Markers of one rigid cluster, for C3D and TRC.
+        Markers of one rigid cluster, for C3D, TRC, QTM and BIDS; or the name of one body (.sto, QTM 6D).
     up : str or None
-        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not state it.
+        Laboratory axis that points up, "y" or "z": required for TRC, QTM 3D and BIDS, and for C3D files that do not state it.
 
     Returns
     -------
@@ -391,6 +528,10 @@ def read_reference(
                 f"{path}: wanted the labels of one rigid cluster, got none; choose from {', '.join(markers.labels)}"
             )
         return pose_from_cluster(markers, labels)
+    if entry.bodies is not None:
+        if labels is not None and len(labels) > 1:
+            raise InputError(f"{path}: wanted the name of one body, got {', '.join(labels)}; name one")
+        return entry.bodies(path, labels[0] if labels else None, up)
     if entry.reference is None:
         raise FileFormatError(f"{path}: wanted poses (BROAD, C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
     return entry.reference(path, columns)

@@ -6,8 +6,9 @@ A recording that reads well may still have a wrong unit, gaps, drop-outs, dead a
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,25 +19,28 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
-from undrift.io.arrays import mat_arrays, npz_arrays
+from undrift.io.arrays import Arrays, mat_arrays, npz_arrays
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
+    Column,
     ColumnMap,
     ReadResult,
     ReadSettings,
     TextLayout,
+    is_date,
     is_native,
     is_number,
     native_columns,
 )
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
+from undrift.io.labelled import label_of, marks_of
+from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import native_reference
 from undrift.io.session import read_column_map, read_session
-from undrift.io.text import MARK, Text, open_text
-from undrift.io.wearables import apdm_sensors
+from undrift.io.text import MARK, Text, open_text, parse_text
 from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -154,7 +158,7 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need
 
-_FORCE = re.compile(r"GRF|COP|FREEMOMENT|^[FM][xyz]\[")
+_FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
 _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(r"^(q_?)?[wxyz]( element)?$", re.IGNORECASE)
 _UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
@@ -168,6 +172,20 @@ _RESULTS: dict[str, set[str]] = {  # what undrift writes as plain JSON, and keys
     "undrift study": {"objective", "tasks", "cohorts", "rivals"},
     "undrift demo": {"calibration", "study", "checks"},
 }
+_NO_SENSOR = re.compile(r"quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[", re.IGNORECASE)
+# What |a| at rest may be in each unit; an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more
+_AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
+_STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # between samples, 5 Hz to 5 kHz
+# The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
+# 0.3 deg/s, or 0.0005 to 0.005 rad/s
+_RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
+_COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
+_TEMP_C = (-30.0, 90.0)
+_STATED_RATE = re.compile(
+    r"(?i)^\W*(?:fs|sampl\w*[ _]?(?:rate|freq\w*)|output ?rate|rate)\b[^\d\n]{0,12}(\d+(?:\.\d+)?)"
+)
+_STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
+_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
     "accel": re.compile(r"^(a|acc|accel|accelerometer)[ _.]?([xyz])\b", re.IGNORECASE),
@@ -177,17 +195,17 @@ _LIKELY = {
 def sniff(path: object) -> Text:
     """Open a text table with the delimiter, header and skipped lines that most of it suggests."""
     head = read_bytes(str(path), 1 << 16)
-    lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
-    if head.startswith(MARK):  # undrift's own first line, which open_text passes over by itself
-        lines = lines[1:] or lines
+    raw = head.decode("utf-8", "replace").splitlines()[:64]
+    if head.startswith(MARK) and len(raw) > 1:  # undrift's own first line, which open_text passes over by itself
+        raw = raw[1:]
+    at = [k for k, line in enumerate(raw) if line.strip()]
+    lines = [raw[k] for k in at]
     body = lines[len(lines) // 2 :] or lines
-    delimiter = max(",\t;", key=lambda mark: min(line.count(mark) for line in body[:-1] or body))
-    if not any(delimiter in line for line in body):
-        delimiter = " "
+    delimiter, decimal = marks_of(lines)
     width = max(len(_cells(line, delimiter)) for line in body)
-    skip = next((k for k, line in enumerate(lines) if len(_cells(line, delimiter)) == width), 0)
-    header = not all(is_number(cell, empty=True) for cell in _cells(lines[skip], delimiter))
-    return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header))
+    skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
+    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter, decimal))
+    return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header, decimal=decimal))
 
 
 def foreign_kind(text: Text) -> str | None:
@@ -201,15 +219,21 @@ def foreign_kind(text: Text) -> str | None:
         quaternion = ", ".join(f'"{name}"' for name in names if _QUATERNION.match(name))
         return f"a table of orientations; read it as a reference with quaternion=({quaternion})"
     lines = text.head.decode("utf-8", "replace").splitlines()
-    row = _cells(lines[text.skip], text.layout.delimiter) if text.skip < len(lines) else []
-    if sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row):
+    first = lines[text.skip : text.skip + 2]  # one may be of units
+    rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
+    if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
         return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
     triples = triples_of(text.names)
     if text.layout.header and not triples:
         return f"a table without three axes ({', '.join(names[:8])}), not a recording of an inertial sensor"
-    if triples and all(re.search(r"a\.u\.|uT|gauss|\(G\)", name) for triple in triples for name in triple):
+    if triples and all(_is_magnetic(name) for triple in triples for name in triple):
         return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
     return None
+
+
+def _is_magnetic(name: str) -> bool:
+    label = label_of(name)
+    return re.search(r"a\.u\.|uT|gauss|\(G\)", name) is not None or (label is not None and label.channel == "mag")
 
 
 def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
@@ -224,52 +248,155 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     return tuple(found)
 
 
-def example_map(names: tuple[str, ...], text: Text | None, arrays: tuple[str, ...]) -> tuple[str, ...]:
-    """Return an example of the map that a table needs; a unit that no name states is "?", for a person to fill in."""
-    if text is not None and not text.layout.header:
-        keys = _by_position(text)
-    else:
-        triples = {triple[0]: json.dumps(triple, ensure_ascii=False) for triple in triples_of(names)}
-        quoted = {name: f'"{name}"' for name in arrays} or triples
-        gyro = _likely("gyro", tuple(quoted))
-        others = tuple(name for name in quoted if name != gyro)
-        accel = _likely("accel", others) or (None if arrays else next(iter(others), None))
-        keys = {channel: quoted[name] for channel, name in (("gyro", gyro), ("accel", accel)) if name}
-    for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
-        name = next((name for name in names if re.match(pattern, name.strip(), re.IGNORECASE)), None)
-        if name is not None:
-            keys = {channel: f'"{name}"', **keys} if channel == "time" else {**keys, channel: f'"{name}"'}
-    keys = keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
+def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
+    """Return an example of the map that a table needs; a unit that nothing states or suggests is "?", for a person to fill in."""
+    readings = partial(_readings, text, dict(arrays))
+    below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
+    cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
+    row = {} if text is None else dict(zip(text.names, cells, strict=False))
+    several = _by_position(text) if text is not None and not text.layout.header else [_by_name(names, text, arrays)]
+    held = []
+    for keys in several:  # gravity tells which three are the accelerometer
+        known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
+        if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
+            known["time"] = "date"
+        held.append((keys, known, proposed_units(readings, keys, known)))
+    keys, known, proposed = max(held, key=lambda item: len(item[2]) * ("accel" in item[2]))
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
-    units = ", ".join(f'{channel} = "{_unit_of(channel, value)}"' for channel, value in keys.items())
-    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}"]
-    lines += [] if "time" in keys else ["sample_rate_hz = ?"]
+    known |= {channel: unit for channel, (unit, _) in proposed.items()}
+    units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
+    why = "; ".join(f"{channel} by {why}" for channel, (_, why) in proposed.items())
+    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}" + f"  # proposed: {why}" * bool(why)]
+    lines += [] if "time" in keys else [f"sample_rate_hz = {_stated_rate(text, arrays)}"]
     if text is not None:
         layout = text.layout
         lines += [] if layout.delimiter == "," else [f"delimiter = {json.dumps(layout.delimiter)}"]
+        lines += [] if layout.decimal == "." else [f"decimal = {json.dumps(layout.decimal)}"]
         lines += [] if layout.header else ["header = false"]
         lines += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
+        mapped = [row.get(str(column), "") for value in keys.values() for column in _listed(value)]
+        words = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
+        lines += ["drop_bad_rows = true  # the row of units"] if words and layout.header else []
     return tuple(lines)
 
 
+def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[str, str]:
+    """Return the columns of each channel, as a map writes them."""
+    keys: dict[str, str] = {}
+    triples = {triple[0]: json.dumps(triple, ensure_ascii=False) for triple in triples_of(names)}
+    threes = {name: f'"{name}"' for name, array in arrays if array.ndim == 2 and array.shape[1] == 3}
+    quoted = threes or triples
+    labels = {name: label_of(name) for name in quoted}
+    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)] * (not threes)
+    of_gyro = text is not None and _OF_GYRO.search(text.path.name) is not None
+    for channel, others in (("gyro", bare if of_gyro else []), ("accel", [] if of_gyro else bare)):
+        named = [name for name, label in labels.items() if label is not None and label.channel == channel]
+        first = _likely(channel, tuple(quoted if threes else named)) or next(iter([*named, *others]), None)
+        if first is not None:
+            keys[channel] = quoted[first]
+    for channel, pattern in (("time", r"^(time|t|timestamp)([ _\[(].*)?$"), ("temp", r"^(board |die )?temp")):
+        name = next((n for n in names if re.match(pattern, n.strip().rpartition(".")[2], re.IGNORECASE)), None)
+        if name is not None:
+            keys = {channel: f'"{name}"', **keys} if channel == "time" else {**keys, channel: f'"{name}"'}
+    return keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
+
+
+def _listed(value: str) -> list[Column]:
+    columns = json.loads(value)
+    return columns if isinstance(columns, list) else [columns]
+
+
+def proposed_units(
+    readings: Callable[[list[Column]], FloatArray], keys: dict[str, str], known: dict[str, str]
+) -> dict[str, tuple[str, str]]:
+    """Return units of channels that no name states, and the figure that suggests each: never more than a proposal."""
+    held = {channel: readings(_listed(keys[channel])) for channel in keys if known[channel] == "?"}
+    held = {channel: values for channel, values in held.items() if len(values) > 1}
+    found: dict[str, tuple[str, str]] = {}
+
+    def propose(channel: str, value: float, ranges: dict[str, tuple[float, float]], what: str) -> None:
+        unit = next((unit for unit, (low, high) in ranges.items() if low <= value < high), None)
+        if unit is not None:
+            found[channel] = (unit, f"{what} {value:.4g}")
+
+    if "accel" in held and held["accel"].shape[1] == 3:
+        propose("accel", float(np.median(np.linalg.norm(held["accel"], axis=1))), _AT_REST, "the median |a|")
+    if "gyro" in held:
+        largest, whole = float(np.abs(held["gyro"]).max()), np.array_equal(held["gyro"], np.round(held["gyro"]))
+        if whole and (largest > _COUNTS or found.get("accel", ("", ""))[0] == "count"):
+            found["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
+        elif not whole and (largest >= _RATE["dps"][0] or _least_spread(held["gyro"]) < _SPREAD_RAD_S):
+            propose("gyro", largest, _RATE, "the largest rate")
+    if "time" in held and (step := float(np.median(np.diff(held["time"][:, 0])))) != 1.0:  # of a counter, or 1 ms
+        propose("time", step, _STEP, "the median step")
+    if "temp" in held and not np.array_equal(held["temp"], np.round(held["temp"])):
+        propose("temp", float(np.median(held["temp"])), {"degC": _TEMP_C}, "the median")
+    return found
+
+
+def _least_spread(values: FloatArray) -> float:
+    """Return the standard deviation of the quietest 100 samples in a row, the mean of the axes."""
+    count = len(values) // 100
+    if count == 0:
+        return float("inf")
+    return float(values[: 100 * count].reshape(count, 100, -1).std(axis=1).mean(axis=1).min())
+
+
+def _stated_rate(text: Text | None, arrays: Arrays) -> str:
+    """Return the sample rate that a line before the header or an array of one number states, "?" where none does."""
+    for name, array in arrays:
+        if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
+            return f"{float(np.ravel(array)[0]):g}  # by {name}"
+    for line in [] if text is None else text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]:
+        if found := _STATED_RATE.search(line):
+            return f"{float(found.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
+    return "?"
+
+
+def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> FloatArray:
+    """Return columns of the first MiB of text, or of an array, (N, K) without gaps; none where there are none."""
+    values = arrays.get(str(columns[0]))
+    if text is not None:
+        whole = text.content is None and len(text.head) < 1 << 20
+        head = text.head if whole else text.head[: text.head.rfind(b"\n") + 1]
+        try:
+            rows = replace(text, content=head, layout=replace(text.layout, drop_bad_rows=True))
+            table = parse_text(rows, tuple(columns))
+            values = np.stack([table.numbers(column) for column in columns], axis=1)
+        except InputError:
+            values = None
+    if values is None or values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
+        return np.empty((0, 1))
+    values = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    return values[np.isfinite(values).all(axis=1)]
+
+
 def _unit_of(channel: str, names: str) -> str:
+    stated = [label_of(name) for name in re.findall(r'"([^"]*)"', names)]
+    if stated and stated[0] is not None and stated[0].unit and stated[0].gain == 1.0 and stated[0].channel == channel:
+        return stated[0].unit
     return next((unit for unit, stated in _UNITS[channel] if re.search(stated, names, re.IGNORECASE)), "?")
 
 
-def _by_position(text: Text) -> dict[str, str]:
-    """Return positions for a table without names: a growing first column is time, another odd one temperature."""
+def _by_position(text: Text) -> list[dict[str, str]]:
+    """Return what a table without names may hold: a growing first column is time, another odd one temperature."""
     width = len(text.names)
     lines = text.head.decode("utf-8", "replace").splitlines()[text.skip :][:8]
-    first = [_cells(line, text.layout.delimiter)[0] for line in lines]
+    first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
-    grows = all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1
-    keys = {"time": "0"} if grows else {"temp": "0"} if width % 3 == 1 else {}
-    start = len(keys)
-    for channel in ("accel", "gyro"):
-        if start + 3 <= width:
-            keys[channel] = f"[{start}, {start + 1}, {start + 2}]"
-            start += 3
-    return keys
+    grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
+    odd = [{"time": 0}] if grows else [{"temp": 0}, {"temp": width - 1}] if width % 3 == 1 else [{}]
+    found = []
+    for keys in odd:
+        free = [k for k in range(width) if k not in keys.values()]
+        threes = [str(free[k : k + 3]) for k in (0, 3) if k + 3 <= len(free)]
+        named = ("gyro",) if _OF_GYRO.search(text.path.name) else ("accel", "gyro")
+        for order in (named, named[::-1])[: len(threes)]:
+            channels = dict(zip(order, threes, strict=False))
+            found.append(
+                {channel: str(k) for channel, k in keys.items()} | {c: channels[c] for c in named if c in channels}
+            )
+    return found or [{}]
 
 
 def _likely(channel: str, names: tuple[str, ...]) -> str | None:
@@ -277,12 +404,14 @@ def _likely(channel: str, names: tuple[str, ...]) -> str | None:
     return next((name for name in names if stem in name.lower() or _LIKELY[channel].match(name.strip())), None)
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
+def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:
+    line = line.replace(decimal, ".")
     return line.split() if delimiter == " " else line.split(delimiter)
 
 
 # ---- describe
 
+_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -314,6 +443,7 @@ class Description:
         return tuple(
             f"recording {item.values['recording']}: {item.text}" if "recording" in item.values else item.text
             for item in self.findings
+            if item.code != "recording.how_read"
         )
 
 
@@ -330,11 +460,24 @@ def describe(
     if name in ("json", "toml"):
         return _settings(path, name)
     if entry.record is None and columns is None:
-        return _reference(path, name) if entry.reference is not None else _unread(path, name, entry)
+        return _reference(path, name) if entry.reference or entry.bodies else _unread(path, name, entry)
     needs = None if columns is not None else _needs(path, name, settings)
     if needs is not None:
         return needs
-    found = describe_record(read_counted(path, columns, settings=settings), path=str(path), format_name=name)
+    try:
+        read = read_counted(path, columns, settings=settings)
+    except InputError as error:
+        missing = error.numbers.get("missing")
+        if missing not in _MISSING:
+            raise
+        if missing == "readings" and name in ("xsens", "dot"):
+            return _reference(path, name)
+        names = error.numbers.get("names")
+        shown = tuple(map(str, names)) if isinstance(names, tuple) else ()
+        found = _not_read(path, name, shown, str(error).removeprefix(f"{path}: "), missing=str(missing))
+        example = error.numbers.get("example")
+        return replace(found, example=tuple(map(str, example)) if isinstance(example, tuple) else ())
+    found = describe_record(read, path=str(path), format_name=name)
     if columns is None and name in ("csv", "parquet"):
         names = sniff(path).names if name == "csv" else parquet_names(path)
         unread = tuple(other for other in names if other not in found.columns)
@@ -351,7 +494,8 @@ def describe(
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
     """Return what a record holds."""
     record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
-    left_out = [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
+    left_out = [finding("recording.how_read", "info", what=note) for note in read.notes]
+    left_out += [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
     if read.repaired_rows:
         left_out.append(finding("recording.rows_repaired", "warn", count=read.repaired_rows))
     rate = f"{mean:.6g} Hz"
@@ -400,11 +544,11 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     """Return the description of a file that cannot be read without more settings, None where it can."""
     if name == "ximu" and settings.sample_rate_hz is None:
         what = "an x-IMU recording; needs its sample rate: give sample_rate_hz (256 as delivered)"
-        return _not_read(path, name, (), what)
+        return _not_read(path, name, (), what, missing="sample_rate_hz")
     if name == "apdm" and settings.sensor is None:
         held = apdm_sensors(path)
         what = f"APDM sensors {', '.join(held)}; needs the name of one of them as sensor"
-        return _not_read(path, name, held, what) if len(held) > 1 else None
+        return _not_read(path, name, held, what, missing="sensor") if len(held) > 1 else None
     if name not in ("npz", "mat", "parquet", "csv"):
         return None
     text = sniff(path) if name == "csv" else None
@@ -417,8 +561,14 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     foreign = None if text is None else foreign_kind(text)
     if foreign is not None:
         return _not_read(path, name, names, foreign)
-    threes = tuple(key for key, array in arrays if array.ndim == 2 and array.shape[1] == 3)
-    example = example_map(names, text, threes)
+    if (
+        name in ("npz", "mat")
+        and not any(array.ndim == 2 and array.shape[1] == 3 for _, array in arrays)
+        and not triples_of(names)
+    ):
+        what = f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
+        return _not_read(path, name, names, what)
+    example = example_map(names, text, arrays)
     what = f"{len(names)} arrays or columns"
     if text is not None:
         what = f"a table of {len(names)} columns" + ("" if text.layout.header else " without names")
@@ -427,19 +577,32 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     return replace(_not_read(path, name, shown, needed), example=example)
 
 
-def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str) -> Description:
-    findings = (finding("recording.not_read", "warn", what=what),)
+def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:
+    findings = (finding("recording.not_read", "warn", what=what, missing=missing),)
     return Description(path=str(path), kind="table", format=name, summary=what, columns=columns, findings=findings)
 
 
 def _reference(path: Path, name: str) -> Description:
-    reference = read_reference(path)
+    names: tuple[str, ...] = ()
+    try:
+        reference = read_reference(path)
+    except InputError as error:
+        held = error.numbers.get("names")
+        if error.numbers.get("missing") == "sample_rate_hz":
+            return _not_read(path, name, (), str(error).removeprefix(f"{path}: "), missing="sample_rate_hz")
+        if not isinstance(held, tuple):
+            raise
+        names = tuple(map(str, held))
+        reference = read_reference(path, labels=names[:1])
     seen = int(reference.valid.sum())
+    more = f" of each of {len(names)} bodies ({', '.join(names)}); name one" if names else ""
+    more += f", {reference.name.removeprefix(path.name).strip()}" if name in ("xsens", "dot") else ""
     return Description(
         path=str(path),
         kind="reference",
         format=name,
-        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen",
+        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen{more.rstrip(', ')}",
+        columns=names,
         gaps=len(reference) - seen,
         **_of_clock(reference),
     )
@@ -529,4 +692,5 @@ def _unread(path: Path, name: str, entry: Format) -> Description:
         lines = read_bytes(path, 4096).decode("utf-8", "replace").splitlines()
         first = next((line.strip() for line in lines if line.strip()), "")
         summary = f"{summary}: {first[:60]}"
-    return Description(path=str(path), kind="text" if name == "text" else "binary", format=name, summary=summary)
+    kind = "binary" if b"\0" in read_bytes(path, 4096) else "text"
+    return Description(path=str(path), kind=kind, format=name, summary=summary)

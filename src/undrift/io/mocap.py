@@ -19,7 +19,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes
-from undrift.io.arrays import open_hdf5, read_array
+from undrift.io.arrays import mat_arrays, open_hdf5, read_array
 from undrift.record import Record, Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
@@ -345,16 +345,11 @@ WIDTHS = (("imu_gyr", 3), ("imu_acc", 3), ("imu_mag", 3), ("opt_quat", 4), ("opt
 def read_broad(path: str | Path) -> tuple[Record, Reference]:
     """Read one trial of the BROAD data set (D. Laidig et al., Data 6(7), 72, 2021)."""
     path = Path(path)
-    held: dict[str, FloatArray] = {}
-    with open_hdf5(path) as handle:
-        if "sampling_rate" not in handle.attrs:
-            raise FileFormatError(f"{path}: wanted the attribute sampling_rate, got none; this is not a BROAD trial")
-        sample_rate_hz = float(handle.attrs["sampling_rate"])
-        for name, width in WIDTHS:
-            held[name] = values = read_array(handle, name, path)
-            if values.ndim != 2 or values.shape[1] != width:
-                raise FileFormatError(f"{path}: {name}: wanted shape (N, {width}), got {values.shape}; time is axis 0")
-        moving = read_array(handle, "movement", path)
+    sample_rate_hz, held = _broad_arrays(path)
+    for name, width in WIDTHS:
+        if held[name].ndim != 2 or held[name].shape[1] != width:
+            raise FileFormatError(f"{path}: {name}: wanted shape (N, {width}), got {held[name].shape}; time is axis 0")
+    moving = held["movement"]
     if not sample_rate_hz > 0.0:
         raise FileFormatError(f"{path}: wanted sampling_rate in Hz above 0, got {sample_rate_hz:g}")
     time, quat = np.arange(len(held["imu_gyr"])) / sample_rate_hz, held["opt_quat"]
@@ -364,3 +359,20 @@ def read_broad(path: str | Path) -> tuple[Record, Reference]:
         time=time, q_nb=quat, position=held["opt_pos"], moving=(moving > 0.0).astype(float), name=path.name
     )
     return record, reference
+
+
+def _broad_arrays(path: Path) -> tuple[float, dict[str, FloatArray]]:
+    """Return the sample rate in Hz and the arrays of a trial, from HDF5 or from MATLAB's file."""
+    names = (*(name for name, _ in WIDTHS), "movement")
+    if read_bytes(path, 6) != b"MATLAB":
+        with open_hdf5(path) as handle:
+            if "sampling_rate" not in handle.attrs:
+                raise FileFormatError(
+                    f"{path}: wanted the attribute sampling_rate, got none; this is not a BROAD trial"
+                )
+            return float(handle.attrs["sampling_rate"]), {name: read_array(handle, name, path) for name in names}
+    held = dict(mat_arrays(path))
+    missing = [name for name in (*names, "sampling_rate") if name not in held]
+    if missing:
+        raise FileFormatError(f"{path}: wanted {', '.join(missing)}, got none; this is not a BROAD trial")
+    return float(held["sampling_rate"][0]), {name: np.array(held[name], dtype=np.float64) for name in names}

@@ -22,6 +22,7 @@ scale = { temp = { gain = 0.00294117647, offset = 36.53 } }     # value = gain *
 temp_trim = { reads_c = 26.1, true_c = 25.0 }     # of an LM335, units.temp = "lm335_v"
 delimiter = ","      # " " for any number of blanks          header = true     skip_rows = 0     decimal = "."
 gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
+temp_file = { file = "thermometer.csv", time = "t", temp = "T", time_unit = "s", temp_unit = "degC", shift_s = 0.0 }   # of its own
 """
 
 import json
@@ -37,7 +38,7 @@ from pydantic import Field
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, sha256_of
-from undrift.io.columns import ColumnMap, Gaps, ReadSettings, Scale, TextLayout, Trim
+from undrift.io.columns import ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, Kind, Record, Session, Still, Turn
@@ -45,7 +46,9 @@ from undrift.units import RADIAN_PER_DEGREE, gravity_at
 
 # ---- column maps
 
-NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"}  # what undrift's own names may need
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "temp_file"}  # for undrift's own names
+_LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
 
 class ColumnsEntry(Entry):
@@ -91,6 +94,21 @@ class TrimEntry(Entry):
     true_c: float  # True temperature, degC
 
 
+class TempFileEntry(Entry):
+    """A thermometer's file of its own."""
+
+    file: str  # Text table, beside the map
+    time: str | int = "time_s"  # Time column
+    temp: str | int = "temp_c"  # Temperature column
+    time_unit: str = "s"  # Any spelling of :mod:`undrift.units`
+    temp_unit: str = "degC"
+    shift_s: Finite = 0.0  # Added to its time to give the recording's
+    delimiter: str = ","  # One character; " " for any number of blanks or tabs
+    header: bool = True  # Whether a line names the columns
+    skip_rows: int = 0  # Lines before the header or the first row
+    decimal: str = "."  # "." or ","
+
+
 class MapEntry(Entry):
     """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`."""
 
@@ -108,6 +126,15 @@ class MapEntry(Entry):
     repair_time: bool = False  # Leave out rows whose time does not go forward
     frame: Literal["s", "b"] = "s"  # "s" or "b"
     device: str = ""  # Serial number or name
+    temp_file: TempFileEntry | None = None  # A thermometer in a file of its own
+
+    def thermometer(self, folder: Path) -> TempFile | None:
+        """Return the thermometer of its own file."""
+        held = self.temp_file
+        if held is None:
+            return None
+        layout = TextLayout(**held.model_dump(include=_LAYOUT))
+        return TempFile(path=folder / held.file, layout=layout, **held.model_dump(exclude={"file", *_LAYOUT}))
 
     def maps(self) -> tuple[ColumnMap, ...]:
         """Return one column map for each table of columns."""
@@ -129,6 +156,11 @@ def read_column_map(path: str | Path) -> ColumnMap:
     return maps[0]
 
 
+def read_temp_file(path: str | Path) -> TempFile | None:
+    """Return the thermometer that a map names, its file beside the map."""
+    return read_toml(path, MapEntry).thermometer(Path(path).parent)
+
+
 def read_map_settings(path: str | Path) -> ReadSettings | None:
     """Read a map without columns: settings for a file with undrift's own names; None where the map has columns."""
     entry = read_toml(path, MapEntry)
@@ -141,12 +173,13 @@ def read_map_settings(path: str | Path) -> ReadSettings | None:
             f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
             f"names only {', '.join(sorted(NATIVE_KEYS))}"
         )
-    return _settings(entry)
+    return _settings(entry, Path(path).parent)
 
 
-def _settings(entry: MapEntry) -> ReadSettings:
+def _settings(entry: MapEntry, folder: Path) -> ReadSettings:
     gaps = entry.gaps if "gaps" in entry.model_fields_set else None
-    return ReadSettings(gaps=gaps, **{key: getattr(entry, key) for key in NATIVE_KEYS - {"gaps"}})
+    held = {key: getattr(entry, key) for key in NATIVE_KEYS - {"gaps", "temp_file"}}
+    return ReadSettings(gaps=gaps, temp_file=entry.thermometer(folder), **held)
 
 
 def _columns(channel: str, value: Any) -> Any:
@@ -170,7 +203,6 @@ def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
 # ---- session
 
 NAME = "session.toml"
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-273.15, allow_inf_nan=False)]
 Clock = tuple[FloatArray, float]  # times and their step, s
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
@@ -344,12 +376,12 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Re
         raise InputError(
             f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
         )
-    settings = replace(_settings(entry), sensor=entry.sensor)
+    settings = replace(_settings(entry, folder), sensor=entry.sensor)
     if maps:
         settings = replace(settings, repair_time=False, drop_bad_rows=False)
     records = tuple(
-        read_record(folder / name, columns, settings=settings)
-        for name, columns in zip(names, maps or (None,) * len(names), strict=True)
+        read_record(folder / name, columns, settings=settings if k == 0 else replace(settings, temp_file=None))
+        for k, (name, columns) in enumerate(zip(names, maps or (None,) * len(names), strict=True))
     )
     if not records:
         raise InputError("file: wanted one file or more, got an empty list")

@@ -55,7 +55,7 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
                 )
             frame, state = frames[marked["frame"]], states[marked["state"]]
             columns = replace(columns, frame=frame, state=state, device=marked.get("device", ""))
-    return build_record(parse_text(text, columns.wanted()), columns)
+    return build_record(parse_text(text, columns.numeric()), columns)
 
 
 def write_csv(record: Record, path: str | Path) -> None:
@@ -167,6 +167,10 @@ def _parse_by_row(text: Text, positions: list[int]) -> Table:
     import pyarrow as pa
     from pyarrow import compute as pc
 
+    content = text.content if text.content is not None else read_bytes(text.path)
+    text = replace(
+        text, content=content.decode("utf-8", "replace").encode()
+    )  # damaged bytes are named, not met by Arrow
     ragged: list[Any] = []  # rows with another number of columns
 
     def skip(row: Any) -> str:

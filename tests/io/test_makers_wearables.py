@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from testkit.strategies import few, one_line
 from undrift.errors import FileFormatError, InputError
-from undrift.io.wearables import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
+from undrift.io.makers import apdm_sensors, read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
 
 
 def csv(header, rows):
@@ -56,6 +56,9 @@ def test_an_apdm_file_of_several_sensors_lists_them_when_none_is_named(tmp_path)
 
 
 def test_apdm_files_that_are_not_are_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("\n".join(apdm(["Upper"])[0].split("\n")[:3]))
+    with pytest.raises(FileFormatError, match="wanted a row of units under the header, got the end of the file"):
+        read_apdm(tmp_path / "a.csv", "Upper")
     (tmp_path / "a.csv").write_text("a,b\n1,2\n3,4\n5,6\n")
     with pytest.raises(FileFormatError, match="wanted an APDM header in line 3"):
         apdm_sensors(tmp_path / "a.csv")
@@ -160,7 +163,7 @@ def test_actigraph_files_that_are_not_are_refused(tmp_path):
         read_actigraph(tmp_path / "a.csv")
     one_line(caught)
     (tmp_path / "b.csv").write_text(actigraph(2, clock=["noon", "later"])[0])
-    with pytest.raises(FileFormatError, match="wanted ISO 8601 timestamps"):
+    with pytest.raises(FileFormatError, match=r"column 'Timestamp': wanted dates such as .*, got 'noon'"):
         read_actigraph(tmp_path / "b.csv")
     (tmp_path / "c.csv").write_text(actigraph(50, rate=30)[0])
     with pytest.raises(InputError, match="wanted 30 Hz as stated, got 100 Hz"):

@@ -1,0 +1,536 @@
+"""Tables that state their units themselves: lines before the header, a unit row, units in names, sensors side by side.
+
+    A_X [mg]    accX[g]    Gyroscope x (rad/s)    Shimmer_40AC_Accel_LN_X_CAL over m/(s^2)    ACC X (G)
+
+A column becomes a Label by its name and unit; three labels x, y, z of one sensor and one unit become a channel. A unit that
+the file does not state is never supplied here: only a maker's reader may, and then the result says so.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import FileFormatError, InputError
+from undrift.files import read_bytes
+from undrift.io.columns import (
+    AXES,
+    QUANTITY,
+    ColumnMap,
+    ReadResult,
+    ReadSettings,
+    Scale,
+    Table,
+    TextLayout,
+    build_record,
+    in_seconds,
+    is_date,
+    is_number,
+)
+from undrift.io.text import Text, parse_text
+from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
+
+_HEAD = 1 << 16
+EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
+_TIME = "(time, s)"  # the column that holds the time in s once it is made
+_NUMERIC = 0.6  # of the filled cells of a row of readings
+
+
+class Label(NamedTuple):
+    """What a column holds."""
+
+    sensor: str  # "" where the file names one sensor only
+    channel: str  # time, gyro, accel, mag, temp, or "free": acceleration without gravity
+    axis: str = ""  # x, y, z
+    unit: str = ""  # Canonical; "" where none is stated or known
+    gain: float = 1.0  # To that unit
+    rate_hz: float | None = None  # Of its own, where channels of several rates stand side by side
+    time: int | None = None  # Its own time column
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sheet:
+    """A text export with its header read, and what a maker's reader adds to it."""
+
+    path: Path
+    preamble: tuple[str, ...]  # Lines before the header
+    names: tuple[str, ...]
+    units: tuple[str, ...]  # From the unit row, "" elsewhere
+    layout: TextLayout
+    rows: bytes  # From the first row of readings on
+    unit_row: bool = False
+    labels: tuple[Label | None, ...] = ()
+    rate_hz: float | None = None  # Hz, as the file states it
+    device: str = ""
+    notes: tuple[str, ...] = ()
+    # Time in s and notes from the columns ``counters``, where there is no column of time
+    clock: Callable[..., tuple[FloatArray, tuple[str, ...]]] | None = None
+    counters: tuple[int, ...] = ()
+    repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
+
+    def position(self, pattern: str) -> int | None:
+        """Return the first column whose name matches."""
+        return next((k for k, name in enumerate(self.names) if re.search(pattern, name, re.IGNORECASE)), None)
+
+    def stated(self, pattern: str) -> str | None:
+        """Return the first group of a pattern in the preamble."""
+        found = re.search(pattern, "\n".join(self.preamble), re.IGNORECASE | re.MULTILINE)
+        return found.group(1).strip() if found else None
+
+    def columns(self, *positions: int, drop_bad_rows: bool = False) -> Table:
+        """Parse the rows; the columns named hold numbers."""
+        layout = replace(self.layout, drop_bad_rows=drop_bad_rows)
+        head = self.rows[: 1 << 20]
+        text = Text(path=self.path, content=self.rows, head=head, names=self.names, layout=layout, skip=0, mark="")
+        return parse_text(text, positions)
+
+    def array(self, positions: tuple[int, ...] | list[int]) -> FloatArray:
+        """Return columns as numbers, (N, K)."""
+        table = self.columns(*positions)
+        return np.stack([table.numbers(k) for k in positions], axis=1)
+
+
+# ---- the lines of a text export
+
+
+def open_sheet(path: str | Path, *, header: bool = True) -> Sheet:
+    """Find header, unit row and first row of readings of a text export in UTF-8 or Latin-1."""
+    path = Path(path)
+    sheet = sheet_of(path, read_bytes(path))
+    if sheet is None or (header and not any(sheet.names)):
+        raise FileFormatError(f"{path}: wanted a header line over rows of numbers, got none; check the export")
+    return sheet
+
+
+def sheet_of(path: Path, content: bytes) -> Sheet | None:
+    """Return the sheet in a text, None where it has no rows of numbers."""
+    content = as_utf8(content)
+    raw = content[:_HEAD].split(b"\n")
+    raw = raw[:-1] if len(content) > _HEAD else raw
+    lines = [line.decode("utf-8", "replace").rstrip("\r") for line in raw]
+    delimiter, decimal = marks_of([line for line in lines if line.strip()])
+    table = [_cells(line, delimiter) for line in lines]
+    rows = [k for k, cells in enumerate(table) if _is_row(cells, decimal)]
+    start = next((k for k in rows if k + 1 in rows or k + 2 in rows or k == len(table) - 1), None)
+    if start is None:
+        return None
+    above = [k for k in range(start) if lines[k].strip()]
+    unit_row = len(above) > 1 and _are_units(table[above[-1]]) and not _are_units(table[above[-2]])
+    units = [_bare(cell) for cell in table[above.pop()]] if unit_row else []
+    at = above[-1] if above else None
+    names = table[at] if at is not None else []
+    offset = sum(len(line) + 1 for line in raw[:start])
+    names, first = _cut_header(names, delimiter)
+    width = Counter(len(table[k]) for k in rows if k >= start).most_common(1)[0][0]
+    while len(names) > width and not names[-1]:
+        names = names[:-1]
+    width = max(width, len(names))
+    return Sheet(
+        path=path,
+        preamble=tuple(lines[:at] if at is not None else lines[:start]),
+        names=tuple(names) + ("",) * (width - len(names)),
+        units=tuple(units[:width]) + ("",) * (width - len(units)),
+        layout=TextLayout(delimiter=delimiter, decimal=decimal, header=False),
+        rows=first + _packed(content[offset:], delimiter),
+        unit_row=unit_row,
+    )
+
+
+def _packed(rows: bytes, delimiter: str) -> bytes:
+    """Return rows with runs of blanks as one delimiter, as the parser takes them."""
+    if delimiter != " ":
+        return rows
+    return re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", rows.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
+
+
+def as_utf8(content: bytes) -> bytes:
+    """Return text as UTF-8 without a byte-order mark; what is not UTF-8 is taken for Latin-1."""
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        content = content.decode("cp1252", "replace").encode("utf-8")
+    return content.removeprefix(b"\xef\xbb\xbf")
+
+
+def marks_of(lines: list[str]) -> tuple[str, str]:
+    """Return delimiter and decimal sign of most lines; a comma is a delimiter only where nothing else can be one."""
+    body = lines[-max(2, len(lines) // 4) :][-32:]
+    delimiter = next((mark for mark in ";\t," if sum(mark in line for line in body) > 0.8 * len(body)), " ")
+    if delimiter == ",":
+        return delimiter, "."
+    cells = [cell for line in body for cell in _cells(line, delimiter)]
+    commas = sum(bool(re.fullmatch(r"[-+]?\d+,\d+([eE][-+]?\d+)?", cell)) for cell in cells)
+    points = sum(bool(re.fullmatch(r"[-+]?\d*\.\d+([eE][-+]?\d+)?", cell)) for cell in cells)
+    return delimiter, "," if commas > points else "."
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    if '"' in line and "\r" not in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _is_row(cells: list[str], decimal: str) -> bool:
+    filled = [cell.replace(decimal, ".") for cell in cells if cell]
+    numbers = sum(is_number(cell) for cell in filled)
+    return numbers >= min(3, len(cells)) > 0 and numbers >= _NUMERIC * len(filled)
+
+
+def _bare(cell: str) -> str:
+    """Return a unit without the brackets around it."""
+    return cell[1:-1].strip() if re.fullmatch(r"\([^()]*\)|\[[^\[\]]*\]", cell) else cell
+
+
+def _are_units(cells: list[str]) -> bool:
+    filled = [_bare(cell) for cell in cells if cell]
+    return bool(filled) and sum(is_unit(cell) for cell in filled) >= _NUMERIC * len(filled)
+
+
+def _cut_header(names: list[str], delimiter: str) -> tuple[list[str], bytes]:
+    """Return the names and the first row of a header that runs into it: "temp[C],hum[0,-748,608"."""
+    for k, name in enumerate(names[:-1]):
+        cut = re.fullmatch(r"(.*)[\[(](-?\d+(?:\.\d+)?)", name)
+        if cut and all(is_number(cell) for cell in names[k + 1 :] if cell):
+            row = delimiter.join([cut.group(2), *names[k + 1 :]])
+            return [*names[:k], cut.group(1)], f"{row}\n".encode()
+    return names, b""
+
+
+# ---- units and names
+
+_SPELLED = {
+    "m/(s^2)": "m/s2", "m/s**2": "m/s2", "m.s-2": "m/s2", "m s-2": "m/s2", "degrees celsius": "degc", "deg_c": "degc",
+    "degree/s": "dps", "°/sec": "dps", "deg/sec.": "dps", "mdps": "dps", "μt": "ut", "nt": "ut", "μs": "us",
+    "no_units": "count", "ga": "gauss", "mga": "mgauss", "tesla": "t",
+}  # fmt: skip
+_GAIN = {"mdps": 1e-3, "nt": 1e-3}
+_OTHER = {
+    "mv", "uv", "us", "kohms", "ohm", "local_flux", "kpa", "hpa", "pa", "mbar", "bar", "deg", "rad", "%", "a.u.", "-", "m",
+    "mm", "cm", "hz", "lux", "n", "nm", "unixtime", "n/a",
+}  # fmt: skip
+_KIND = tuple(
+    (channel, re.compile(pattern, re.IGNORECASE))
+    for channel, pattern in (
+        ("free", r"linear|lineare|free_?acc|user_? ?acc|lin_acc|without.?g|ohne.?g|no.?gravity"),
+        ("gyro", r"gyr|angular.?(velocity|rate|speed)|turn.?rate|rotation.?rate|omega|winkelgeschw|^[gw][ _.]*$"),
+        ("mag", r"magn|^mag|[ _.]mag|compass|^m[ _.]*$"),
+        ("accel", r"acc|beschleunigung|specific.?force|^(a|gF)[ _.]*$"),
+        ("temp", r"temp"),
+        ("time", r"^(t|zeit)$|time|seconds_elapsed"),
+    )
+)
+_NATIVE = {"dps": "dps", "rad_s": "rad/s", "m_s2": "m/s2"} | {unit: unit for unit in ("g", "mg", "ut", "s", "ms", "us")}
+_SUFFIX = re.compile(rf"(?i)_({'|'.join(_NATIVE)})$")
+_AXIS = (
+    re.compile(r"(?i)(?<![a-z])([xyz])(?![a-z])"),
+    re.compile(r"(?<=[a-z])([XYZ])(?![A-Za-z])"),
+    re.compile(r"(?i)^(?:a|w|g|gF|m|acc|accel|gyr|gyro|mag)_?([xyz])$"),
+)
+_WORDS = re.compile(  # of a name that do not tell sensors apart
+    r"(?i)^(acc\w*|gyr\w*|mag\w*|sensor|angular|velocity|rate|magnetic|field|un|cal|raw|noraxon|myomotion|segments|[agwm]|gf|"
+    r"temp\w*|beschleunigung|turn|rotation|specific|force|total|uncalibrated|imu)$"
+)
+
+
+def unit_for(text: str, channel: str) -> tuple[str, float] | None:
+    """Return a unit in its one spelling for a channel and the gain to it, None where it is none of that channel."""
+    name = text.strip().lower()
+    gain, name = _GAIN.get(name, 1.0), _SPELLED.get(name, name)
+    if channel == "mag":
+        name = {"g": "gauss", "mg": "mgauss"}.get(name, name)
+    try:
+        return canonical_unit(name, QUANTITY["accel" if channel == "free" else channel]), gain  # type: ignore[index]
+    except InputError:
+        return None
+
+
+def is_unit(text: str) -> bool:
+    """Tell whether a cell is a unit."""
+    return text.strip().lower() in _OTHER or any(unit_for(text, channel) for channel in QUANTITY)
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit: "A_X [mg]", "Time (s)", "Accel X,mG", "Time in ms", "acc_x_g"."""
+    found = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\[\]()]*(?:\([^()]*\))?)[\])]\s*", name) or re.fullmatch(
+        r"(.+?)(?:,| in (?=[mu]?s *$))\s*(\S*)\s*", name
+    )
+    if found and (is_unit(found.group(2)) or not re.search(r"\d\]$", name)):
+        return found.group(1), found.group(2)
+    suffix = _SUFFIX.search(name)
+    if suffix and any(pattern.search(name) for _, pattern in _KIND):
+        return name[: suffix.start()], _NATIVE[suffix.group(1).lower()]
+    return name, ""
+
+
+def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None) -> Label | None:
+    """Return what a column holds by its name and unit; ``assumed`` are units that a maker's manual states."""
+    base, own = split_unit(name)
+    unit, axis, stem = unit or own, "", base
+    for pattern in _AXIS:
+        if hits := list(pattern.finditer(base)):
+            at = hits[-1]
+            axis, stem = at.group(1).lower(), base[: at.start(1)] + base[at.end(1) :]
+            break
+    channel = next((channel for channel, pattern in _KIND if pattern.search(stem)), None)
+    if channel is None and axis and unit:
+        fits = [other for other in ("gyro", "accel", "mag") if unit_for(unit, other) and (other, unit) != ("mag", "g")]
+        channel = fits[0] if len(fits) == 1 else None
+    if channel == "time" and unit and not unit_for(unit, "time") and unit_for(unit, "temp"):
+        channel = "temp"  # "T" in degC
+    if channel is None or (not axis and channel not in ("time", "temp")):
+        return None
+    known = unit_for(unit or (assumed or {}).get(channel, ""), channel)
+    if unit and known is None and channel in ("gyro", "accel") and is_unit(unit):
+        return None  # the unit contradicts the name
+    tokens = re.split(r"[^A-Za-z0-9]+", stem) if channel not in ("time", "free") else []
+    tokens = [token for token in tokens if token and not _WORDS.match(token)]
+    if known and known[0] in DEVICE_UNITS and channel in ("mag", "temp"):
+        known = None  # they need a scale, which only a map states
+    return Label(" ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(known or ("", 1.0)))
+
+
+def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None) -> Sheet:
+    """Return the sheet with a label for each column, sensors named by what their names do not share."""
+    held = [label_of(name, unit, assumed) for name, unit in zip(sheet.names, sheet.units, strict=True)]
+    words = [set(label.sensor.split()) for label in held if label and label.axis]
+    shared = set.intersection(*words) if words else set()
+    labels = tuple(
+        label and label._replace(sensor=" ".join(word for word in label.sensor.split() if word not in shared))
+        for label in held
+    )
+    clocks = [k for k, label in enumerate(labels) if label and label.channel == "time"]
+    first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
+    dated = [k for k in clocks if k < len(first) and is_date(first[k])]
+    if dated and not any(label.unit for k in clocks if (label := labels[k])):
+        labels = tuple(
+            label._replace(unit="date") if label and k == dated[0] else label for k, label in enumerate(labels)
+        )
+    return replace(sheet, labels=labels)
+
+
+def with_manual(sheet: Sheet, maker: str, assumed: Mapping[str, str]) -> Sheet:
+    """Return the sheet with labels whose units come from a maker's manual, and a note of those that it supplied."""
+    stated = {label.channel for label in labelled(sheet).labels if label and label.unit}
+    sheet = labelled(sheet, assumed)
+    held = {label.channel for label in sheet.labels if label and label.unit} - stated
+    units = ", ".join(f"{channel} {unit}" for channel, unit in assumed.items() if channel in held)
+    note = (f"units by the manual of {maker}, not in the file: {units}",) if units else ()
+    return replace(sheet, notes=(*sheet.notes, *note))
+
+
+# ---- from labels to a record
+
+Triples = dict[str, dict[str, tuple[int, ...]]]  # channel, sensor: the columns x, y, z
+
+
+def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag")) -> Triples:
+    """Return the three axes of each channel and sensor; where counts stand beside a physical unit, the latter."""
+    found: Triples = {}
+    for channel in channels:
+        groups: dict[tuple[str, str, float], dict[str, int]] = {}
+        for k, label in enumerate(sheet.labels):
+            if label and label.channel == channel and label.unit:
+                groups.setdefault((label.sensor, label.unit, label.gain), {}).setdefault(label.axis, k)
+        for (sensor, unit, _), axes in groups.items():
+            held = found.setdefault(channel, {})
+            if len(axes) == 3 and (sensor not in held or unit != "count"):
+                held[sensor] = tuple(axes[axis] for axis in AXES)
+    return {channel: held for channel, held in found.items() if held}
+
+
+def sensors_of(triples: Triples) -> tuple[str, ...]:
+    """Return the names of the sensors that hold gyroscopes or accelerometers."""
+    held = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
+    return tuple(dict.fromkeys(held))
+
+
+def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
+    """Return the record of one sensor of a labelled sheet, and how it was read."""
+    triples = triples_of(sheet)
+    _check_readings(sheet, triples)
+    chosen = _chosen(sheet, triples, settings.sensor)
+    temp = _temperature(sheet, settings.sensor)
+    used = [sheet.labels[k] for columns in chosen.values() for k in columns]
+    rates = {label.rate_hz for label in used if label}
+    if len(rates) > 1:
+        listed = ", ".join(f"{rate:g} Hz" for rate in sorted(rate for rate in rates if rate))
+        raise InputError(f"{sheet.path}: wanted one sample rate in one sensor, got {listed}; export them apart")
+    positions = [k for columns in chosen.values() for k in columns] + ([] if temp is None else [temp])
+    time, parsed, clocked = _time(sheet, used[0], settings, positions)
+    rate = settings.sample_rate_hz or sheet.rate_hz or next(iter(rates))
+    if time is None and rate is None:
+        raise InputError(
+            f"{sheet.path}: wanted the sample rate, got a file without time; give sample_rate_hz (--sample-rate-hz)",
+            missing="sample_rate_hz",
+        )
+    table, trimmed = _trimmed(parsed, time, chosen) if None not in rates else (_timed(parsed, time), ())
+    columns = ColumnMap(
+        time=None if time is None else _TIME,
+        time_unit="s",
+        sample_rate_hz=rate if time is None else settings.sample_rate_hz,
+        temp=temp,
+        gaps=settings.gaps or "raise",
+        repair_time=settings.repair_time or sheet.repair_time,
+        device=sheet.device or next((label.sensor for label in used if label and label.sensor), ""),
+        **_channels(sheet, chosen, temp),
+    )
+    notes = (*sheet.notes, *clocked, *_notes(sheet, triples), *trimmed)
+    return replace(build_record(table, columns), notes=notes)
+
+
+def _check_readings(sheet: Sheet, triples: Triples) -> None:
+    if triples.get("gyro") or triples.get("accel"):
+        return
+    free = [name for name, label in zip(sheet.names, sheet.labels, strict=True) if label and label.channel == "free"]
+    if free:
+        raise FileFormatError(
+            f"{sheet.path}: wanted accelerometer readings with gravity, got {free[0]!r}, in which gravity is removed; record or "
+            "export the acceleration with gravity",
+            missing="readings",
+        )
+    held = ", ".join(repr(name) for name in sheet.names[:8] if name)
+    raise FileFormatError(
+        f"{sheet.path}: wanted gyroscope or accelerometer columns x, y, z with a unit, got {held}; export them, or give a map "
+        "(--map FILE)",
+        missing="readings",
+    )
+
+
+def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
+    names = sensors_of(triples)
+    several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
+    wanted = None if sensor is None or not names else _match(names, sensor)
+    if wanted is None and names and (several or sensor is not None):
+        got = "none" if sensor is None else repr(sensor)
+        raise InputError(
+            f"{sheet.path}: wanted the name of one sensor, got {got}; the file holds {', '.join(names)}: name one (--sensor)",
+            missing="sensor",
+            names=names,
+        )
+    chosen: dict[str, tuple[int, ...]] = {}
+    for channel, held in triples.items():
+        key = next(iter(held)) if wanted is None else wanted if wanted in held else ""
+        if key in held and (channel != "mag" or len(held) == 1 or wanted is not None):
+            chosen[channel] = held[key]
+    return chosen
+
+
+def _match(names: tuple[str, ...], sensor: str) -> str | None:
+    """Return the sensor of that name, or the only one whose name holds it."""
+    same = [name for name in names if name.lower() == sensor.lower()]
+    part = [name for name in names if sensor.lower() in name.lower()]
+    return same[0] if same else part[0] if len(part) == 1 else None
+
+
+def _temperature(sheet: Sheet, sensor: str | None) -> int | None:
+    held = [
+        (label.sensor, k) for k, label in enumerate(sheet.labels) if label and label.channel == "temp" and label.unit
+    ]
+    mine = [k for name, k in held if sensor is not None and name.lower() == sensor.lower()]
+    return mine[0] if mine else held[0][1] if len(held) == 1 else None
+
+
+def _time(
+    sheet: Sheet, first: Label | None, settings: ReadSettings, positions: list[int]
+) -> tuple[FloatArray | None, Table, tuple[str, ...]]:
+    """Return the time in s, from 0 where the clock counts from 1970, the parsed columns, and what the clock noted."""
+    own = first.time if first else None
+    stated = next((k for k, x in enumerate(sheet.labels) if x and x.channel == "time" and x.unit), None)
+    at = own if own is not None else stated
+    bare = at is None or ((label := sheet.labels[at]) is not None and label.unit == "date")  # dates are no numbers
+    more = sheet.counters if sheet.clock else () if bare or at is None else (at,)
+    table = sheet.columns(*positions, *more, drop_bad_rows=settings.drop_bad_rows)
+    if sheet.clock is not None:
+        time, notes = sheet.clock(*(table.numbers(k) for k in sheet.counters))
+        return time, table, notes
+    if at is None:
+        return None, table, ()
+    label = sheet.labels[at]
+    dated = label is not None and label.unit == "date"
+    factor = si_factor(label.unit, "time") if label else 1.0
+    cells = (in_seconds(table, at) if dated else table).numbers(at)
+    epoch = len(cells) > 0 and cells[0] * factor > EPOCH_S
+    return (cells - (cells[0] if epoch else 0.0)) * factor, table, ()
+
+
+def _timed(table: Table, time: FloatArray | None) -> Table:
+    if time is None:
+        return table
+    return replace(table, names=(*table.names, _TIME), columns=(*table.columns, time))
+
+
+def _trimmed(
+    table: Table, time: FloatArray | None, chosen: Mapping[str, tuple[int, ...]]
+) -> tuple[Table, tuple[str, ...]]:
+    """Cut the rows that a slower channel does not fill, and the zeros with which it starts."""
+    wanted = {k for columns in chosen.values() for k in columns}
+    values = np.stack([table.numbers(k) for k in sorted(wanted)], axis=1)
+    filled = np.flatnonzero(np.isfinite(values).any(axis=1))
+    live = np.flatnonzero(np.isfinite(values).any(axis=1) & (values != 0.0).any(axis=1))
+    if not len(live):
+        return _timed(table, time), ()
+    cut = slice(int(live[0]), int(filled[-1]) + 1)
+    notes = (f"{cut.start} rows of zeros at the start left out",) if cut.start else ()
+    shorter = replace(table, columns=tuple(column[cut] for column in table.columns))
+    return _timed(shorter, None if time is None else time[cut]), notes
+
+
+def _channels(sheet: Sheet, chosen: Mapping[str, tuple[int, ...]], temp: int | None) -> dict[str, Any]:
+    keys: dict[str, Any] = {}
+    for channel, columns in (*chosen.items(), *(() if temp is None else (("temp", (temp,)),))):
+        label = sheet.labels[columns[0]]
+        if label is not None:
+            keys[f"{channel}_unit"] = label.unit
+            if label.gain != 1.0:
+                keys[f"{channel}_scale"] = Scale(gain=label.gain)
+        if channel != "temp":
+            keys[channel] = columns
+    return keys
+
+
+def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
+    """Return how a sheet was read and what of it was left out."""
+    notes = []
+    if lines := sum(bool(line.strip()) for line in sheet.preamble):
+        notes.append(f"lines before the header skipped: {lines}")
+    if sheet.unit_row:
+        notes.append("units from the row under the header")
+    free = next((name for name, x in zip(sheet.names, sheet.labels, strict=True) if x and x.channel == "free"), None)
+    if free:
+        notes.append(f"{free!r} left out: gravity is removed in it")
+    for channel, what in (("gyro", "turn rate"), ("accel", "acceleration"), ("mag", "magnetic field")):
+        held = zip(sheet.names, sheet.labels, strict=True)
+        bare = next((name for name, x in held if x and x.channel == channel and not x.unit), None)
+        if bare and channel not in triples:
+            notes.append(f"{bare!r} left out: it has no unit of {'an' if what[0] == 'a' else 'a'} {what}")
+    return tuple(notes)
+
+
+# ---- any table that states all it needs
+
+
+def is_labelled(path: Path, head: bytes) -> bool:
+    """Tell whether a text states a unit for a gyroscope or an accelerometer, and for its time where it has one."""
+    if b"\0" in head or not head or path.suffix.lower() in (".md", ".rst", ".pdf", ".html", ".json", ".toml", ".xml"):
+        return False
+    sheet = sheet_of(path, head if len(head) < 8192 else head[: head.rfind(b"\n") + 1])
+    if sheet is None or not any(sheet.names):
+        return False
+    sheet = labelled(sheet)
+    clocks = [label for label in sheet.labels if label and label.channel == "time"]
+    held = triples_of(sheet, ("gyro", "accel", "free"))
+    bare = {label.channel for label in sheet.labels if label and not label.unit and label.channel in ("gyro", "accel")}
+    return bool(held) and bare <= held.keys() and (not clocks or any(clock.unit for clock in clocks))
+
+
+def read_labelled(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a table whose names or unit row state every unit."""
+    return read_sheet(labelled(open_sheet(path)), settings)

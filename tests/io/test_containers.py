@@ -1,0 +1,435 @@
+"""XDF, ROS bags, PX4 ULog, NilsPod and Mobilise-D: example files with the figures of their SOURCE.md, and small ones."""
+
+import logging
+import struct
+import sys
+
+import numpy as np
+import pytest
+
+import undrift
+from testkit.data import data_path
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.formats import detect, read_counted, read_record
+from undrift.io.inspect import describe
+
+COUNTS = ColumnMap(time="time_s", time_unit="s", gyro=(0, 1, 2), gyro_unit="count")
+
+
+def sensor(name):
+    return ReadSettings(sensor=name)
+
+
+def median_size(record):
+    return float(np.median(np.linalg.norm(record.accel, axis=1)))
+
+
+# ---- XDF
+
+
+def test_an_xdf_stream_is_read_by_a_map_and_the_treatment_of_its_clock_is_said():
+    read = read_counted(data_path("makers", "xdf", "minimal.xdf"), COUNTS)
+    assert (len(read.record), read.record.time[0], read.record.time[-1]) == (9, 5.0, pytest.approx(5.8))
+    assert read.record.sample_rate_hz == pytest.approx(10.0)
+    assert read.notes == (
+        "stream SendDataC: clocks synchronised, time stamps as recorded (not de-jittered); stated rate 10 Hz",
+    )
+
+
+def test_an_xdf_clock_that_was_reset_keeps_its_rate_and_shows_the_gap():
+    record = read_record(data_path("makers", "xdf", "clock_resets.xdf"), COUNTS)
+    assert (len(record), record.sample_rate_hz) == (27815, pytest.approx(92.93, abs=0.01))
+    assert np.diff(record.time).max() > 100.0
+
+
+def test_an_xdf_stream_without_samples_or_numbers_is_named_as_such():
+    path = data_path("makers", "xdf", "empty_streams.xdf")
+    with pytest.raises(InputError, match=r"got no samples in 'Empty data stream: test stream 0 counter'; name another"):
+        read_record(path, settings=sensor("Empty data stream: test stream 0 counter"))
+    with pytest.raises(InputError, match=r"wanted a stream of readings, got text in 'ctrl'; name another"):
+        read_record(path, settings=sensor("ctrl"))
+    with pytest.raises(
+        InputError, match=r"wanted stream 'none', got a file with Data stream: test stream 0 counter; name"
+    ):
+        read_record(path, settings=sensor("none"))
+
+
+def test_an_xdf_stream_without_labels_and_units_asks_for_a_map():
+    path = data_path("makers", "xdf", "minimal.xdf")
+    with pytest.raises(
+        InputError, match=r"labelled as accelerometer or gyroscope with units, got 0, 1, 2; name them in a map"
+    ):
+        read_record(path)
+    found = describe(path)
+    assert (found.kind, found.format, found.findings[0].values["missing"]) == ("table", "xdf", "columns")
+
+
+def chunk(tag, content):
+    return b"\x04" + struct.pack("<IH", len(content) + 2, tag) + content
+
+
+def xdf(path, streams, rows=20):
+    """Write streams of (name, [(label, type, unit)], first time)."""
+    out = b"XDF:" + chunk(1, b"<?xml version='1.0'?><info><version>1.0</version></info>")
+    for k, (name, channels, start) in enumerate(streams, start=1):
+        desc = "".join(f"<channel><label>{a}</label><type>{b}</type><unit>{c}</unit></channel>" for a, b, c in channels)
+        info = (
+            f"<info><name>{name}</name><type>IMU</type><channel_count>{len(channels)}</channel_count><nominal_srate>100"
+            f"</nominal_srate><channel_format>double64</channel_format><desc><channels>{desc}</channels></desc></info>"
+        )
+        out += chunk(2, struct.pack("<I", k) + info.encode())
+        samples = [
+            b"\x08"
+            + struct.pack("<d", start + n / 100)
+            + struct.pack(f"<{len(channels)}d", *(n + np.arange(len(channels))))
+            for n in range(rows)
+        ]
+        out += chunk(3, struct.pack("<I", k) + b"\x04" + struct.pack("<I", rows) + b"".join(samples))
+        out += chunk(6, struct.pack("<I", k) + b"<info></info>")
+    path.write_bytes(out)
+    return path
+
+
+IMU = [(f"acc_{a}", "ACC", "m/s^2") for a in "xyz"] + [(f"gyr_{a}", "GYRO", "deg/s") for a in "xyz"]
+
+
+def test_an_xdf_stream_with_labels_and_units_needs_no_map(tmp_path):
+    path = xdf(tmp_path / "a.xdf", [("Shimmer", [*IMU, ("temp", "Temperature", "celsius")], 500.0)])
+    record = read_record(path)
+    assert (record.accel_unit, record.gyro_unit, record.device) == ("m/s2", "dps", "Shimmer")
+    assert (record.time[0], record.sample_rate_hz) == (500.0, pytest.approx(100.0))
+    assert (record.accel[2].tolist(), record.gyro[2].tolist(), record.temp_c[2]) == ([2, 3, 4], [5, 6, 7], 8)
+    named = ColumnMap(time="time_s", time_unit="s", accel=tuple(f"acc_{a}" for a in "xyz"), accel_unit="g")
+    assert read_record(path, named).accel_unit == "g"  # a map overrules
+
+
+def test_xdf_streams_are_told_apart_by_name_and_number(tmp_path):
+    path = xdf(tmp_path / "a.xdf", [("IMU", IMU, 1.6e9), ("IMU", IMU, 1.6e9), ("Slow", IMU[:3], 0.0)])
+    assert describe(path).columns == ("IMU#1", "IMU#2", "Slow")
+    read = read_counted(path, settings=sensor("IMU#2"))
+    assert read.record.time[0] == 0.0
+    assert read.notes[0] == "time 0 is 1600000000.000 s of the file's clock (Unix time)"
+    assert read_record(path, settings=sensor("Slow")).gyro is None
+
+
+@pytest.mark.parametrize("unit", ["furlong", ""])
+def test_an_xdf_unit_that_is_none_is_not_guessed(tmp_path, unit):
+    path = xdf(tmp_path / "a.xdf", [("IMU", [(label, kind, unit) for label, kind, _ in IMU], 0.0)])
+    with pytest.raises(InputError, match=r"with units, got acc_x"):
+        read_record(path)
+
+
+# ---- ROS: figures of makers/ros_bag_imu/SOURCE.md
+
+BAGS = ("test2.bag", "derived_ros2/test2_imu_only.db3", "derived_ros2/test2_imu_only.mcap")
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_a_ros_bag_reads_its_imu_by_header_stamp(name):
+    path = data_path("makers", "ros_bag_imu", *name.split("/"))
+    read = read_counted(path)
+    record = read.record
+    assert (detect(path), len(record), record.device) == ("ros", 3061, "base_link")
+    assert np.diff(record.time) == pytest.approx(0.02, abs=1e-6)
+    assert median_size(record) == pytest.approx(9.820, abs=0.0005)
+    assert record.accel[0] == pytest.approx((-0.594, 0.157, 9.704), abs=0.0005)
+    assert (record.gyro_unit, record.accel_unit, record.temp_c) == ("rad/s", "m/s2", None)
+    assert (
+        read.notes[0]
+        == "topic /imu/data, frame base_link, time by header.stamp, units as ROS defines them (rad/s, m/s2)"
+    )
+
+
+def bag(folder, topics, *, start=1_700_000_000):
+    """Write a ROS 2 bag of (topic, message type, fields of each message)."""
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    with Writer(folder, version=8) as writer:
+        for topic, kind, messages in topics:
+            connection = writer.add_connection(topic, f"sensor_msgs/msg/{kind}", typestore=store)
+            for k, fields in enumerate(messages):
+                stamp = types["builtin_interfaces/msg/Time"](sec=start + k // 10, nanosec=100_000_000 * (k % 10))
+                header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="imu_link")
+                message = types[f"sensor_msgs/msg/{kind}"](header=header, **fields)
+                writer.write(connection, k, store.serialize_cdr(message, connection.msgtype))
+    return folder
+
+
+def imu_messages(count=20, *, gyro=0.0, accel=0.0):
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE).types
+    vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    return [
+        {
+            "orientation": turn,
+            "orientation_covariance": np.zeros(9),
+            "angular_velocity": vector(x=0.1 * k, y=0.0, z=0.0),
+            "angular_velocity_covariance": np.full(9, gyro),
+            "linear_acceleration": vector(x=0.0, y=0.0, z=9.81),
+            "linear_acceleration_covariance": np.full(9, accel),
+        }
+        for k in range(count)
+    ]
+
+
+def test_the_folder_of_a_ros_2_bag_reads_with_the_temperature_beside_its_imu(tmp_path):
+    temps = [{"temperature": 20.0 + k, "variance": 0.0} for k in range(11)]
+    path = bag(tmp_path / "walk", [("/imu/data", "Imu", imu_messages()), ("/imu/temp", "Temperature", temps)])
+    read = read_counted(path)
+    assert read.record.temp_c[[0, 5, 10, 19]] == pytest.approx([20, 25, 30, 30])
+    assert read.record.gyro[3] == pytest.approx((0.3, 0, 0))
+    assert read.record.time[[0, 19]] == pytest.approx([0, 1.9], abs=1e-9)
+    assert read.notes[1:] == ("time 0 is 1700000000.000000 s of the stamps", "temperature of /imu/temp, interpolated")
+
+
+def test_a_covariance_of_minus_one_means_that_the_channel_is_absent(tmp_path):
+    topics = [("/a", "Imu", imu_messages(gyro=-1.0)), ("/b", "Imu", imu_messages(gyro=-1.0, accel=-1.0))]
+    path = bag(tmp_path / "walk", topics)
+    read = read_counted(path, settings=sensor("/a"))
+    assert (read.record.gyro, read.record.accel[0, 2]) == (None, 9.81)
+    assert "gyro left out: its covariance marks it as not available (-1)" in read.notes
+    with pytest.raises(InputError, match=r"wanted readings in /b, got none \(covariance -1\); name another topic"):
+        read_record(path, settings=sensor("/b"))
+    with pytest.raises(InputError, match=r"wanted the name of one topic, got a file with /a, /b; name one of them"):
+        read_record(path)
+
+
+def test_a_bag_without_imu_messages_holds_no_recording(tmp_path):
+    path = bag(tmp_path / "walk", [("/t", "Temperature", [{"temperature": 20.0, "variance": 0.0}])])
+    with pytest.raises(FileFormatError, match=r"wanted a topic with readings, got none; the file holds no recording"):
+        read_record(path)
+
+
+# ---- PX4: figures of makers/px4_ulog/SOURCE.md
+
+LOG = ("makers", "px4_ulog", "sample_log_small.ulg")
+
+
+def test_sensor_combined_is_corrected_already_and_says_so():
+    read = read_counted(data_path(*LOG), settings=sensor("sensor_combined"))
+    record = read.record
+    assert (len(record), record.state, record.frame) == (1298, "corrected", "b")
+    slow = read_record(data_path(*LOG), settings=sensor("0"))  # the gyroscope that sensor_selection names
+    np.testing.assert_allclose(record.temp_c, np.interp(record.time, slow.time, slow.temp_c), atol=1e-5)
+    assert read.notes[-1] == "temperature of sensor_gyro 0, which the autopilot chose, interpolated"
+    assert (len(record) - 1) / record.duration_s == pytest.approx(199.7, abs=0.05)
+    assert (record.time[0], record.time[-1]) == pytest.approx((20.33, 26.82), abs=0.005)
+    assert median_size(record) == pytest.approx(9.62, abs=0.005)
+    assert np.median(record.accel[:, 2]) < -9.0  # forward-right-down
+    assert (
+        "already corrected by the autopilot (board rotation, CAL_ parameters): state corrected, frame b" in read.notes
+    )
+
+
+@pytest.mark.parametrize(("number", "size", "temp_c"), [("0", 9.758, 40.0), ("1", 9.922, 28.3), ("2", 9.836, 29.6)])
+def test_each_imu_of_a_ulog_has_its_own_readings_and_temperature(number, size, temp_c):
+    record = read_record(data_path(*LOG), settings=sensor(number))
+    assert (len(record), record.state, record.gyro_unit, record.accel_unit) == (6, "raw", "rad/s", "m/s2")
+    assert record.sample_rate_hz == pytest.approx(1.0, abs=0.001)
+    assert median_size(record) == pytest.approx(size, abs=0.0005)
+    assert float(np.median(record.temp_c)) == pytest.approx(temp_c, abs=0.25)  # it drifts 0.3 K in the log
+
+
+def test_a_ulog_of_several_imus_lists_them():
+    path = data_path(*LOG)
+    with pytest.raises(
+        InputError, match=r"wanted the name of one sensor, got a file with sensor_combined, 0, 1, 2; name"
+    ):
+        read_record(path)
+    assert describe(path).columns == ("sensor_combined", "0", "1", "2")
+
+
+def ulog(path, topics):
+    """Write a log of (topic, instance, fields, rows); the first field is the time stamp, us."""
+
+    def message(kind, body):
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    for name in dict.fromkeys(name for name, *_ in topics):
+        fields = next(fields for other, _, fields, _ in topics if other == name)
+        typed = ";".join(f"{'uint64_t' if f.startswith('timestamp') else 'float'} {f}" for f in fields)
+        out += message("F", f"{name}:{typed};".encode())
+    for k, (name, instance, _, _) in enumerate(topics):
+        out += message("A", struct.pack("<BH", instance, k) + name.encode())
+    for k, (_, _, fields, rows) in enumerate(topics):
+        layout = "<H" + "".join("Q" if f.startswith("timestamp") else "f" for f in fields)
+        out += b"".join(message("D", struct.pack(layout, k, *row)) for row in rows)
+    path.write_bytes(out)
+    return path
+
+
+def test_an_accelerometer_with_other_stamps_is_interpolated_and_that_is_said(tmp_path):
+    fields = ["timestamp", "timestamp_sample", "x", "y", "z"]
+    gyro = [(1000 * k + 9, 1000 * k, 0.1, 0.2, 0.3) for k in range(10)]
+    accel = [(1000 * k + 500, 1000 * k + 500, k, 0.0, -9.8) for k in range(10)]
+    path = ulog(tmp_path / "a.ulg", [("sensor_gyro", 0, fields, gyro), ("sensor_accel", 0, fields, accel)])
+    read = read_counted(path)
+    assert read.record.time[:3] == pytest.approx([0, 0.001, 0.002])
+    assert read.record.accel[1:4, 0] == pytest.approx([0.5, 1.5, 2.5])
+    assert read.record.gyro[0] == pytest.approx((0.1, 0.2, 0.3))
+    assert read.record.temp_c is None
+    assert "accel interpolated onto the gyroscope's time stamps" in read.notes
+    alone = read_counted(ulog(tmp_path / "b.ulg", [("sensor_accel", 3, fields, accel)]))
+    assert (alone.record.gyro, alone.record.accel[2, 0], len(alone.notes)) == (None, 2.0, 2)
+
+
+def test_a_log_that_lost_its_end_is_read_as_far_as_it_is_whole_when_that_is_asked_for(tmp_path):
+    content = data_path(*LOG).read_bytes()
+    (tmp_path / "a.ulg").write_bytes(content[: len(content) // 2])
+    with pytest.raises(
+        FileFormatError, match=r"the last message is cut; drop_bad_rows = true in a map reads what is whole"
+    ):
+        read_record(tmp_path / "a.ulg", settings=sensor("sensor_combined"))
+    settings = ReadSettings(sensor="sensor_combined", drop_bad_rows=True)
+    assert 500 < len(read_record(tmp_path / "a.ulg", settings=settings)) < 800
+    broken = bytearray(content)
+    broken[500_000:500_400] = b"\xff" * 400
+    (tmp_path / "b.ulg").write_bytes(broken)
+    with pytest.raises(FileFormatError, match=r"wanted a sound ULog file, got a damaged or cut one"):
+        read_record(tmp_path / "b.ulg", settings=sensor("sensor_combined"))
+
+
+# ---- NilsPod: figures of makers/nilspod_bin/SOURCE.md and ferraris_nilspod
+
+
+def test_a_nilspod_reads_in_the_units_of_its_factory():
+    read = read_counted(data_path("makers", "nilspod_bin", "NilsPodX-6F13_20210109_162824.bin"))
+    record = read.record
+    assert (len(record), record.sample_rate_hz, record.device) == (635, pytest.approx(102.4), "NilsPod 6f13")
+    assert (median_size(record), np.median(record.accel[:, 2])) == pytest.approx((10.186, 10.18), abs=0.005)
+    assert record.gyro.mean(axis=0) == pytest.approx((-0.22, -0.06, 0.60), abs=0.005)
+    assert (record.gyro_unit, record.accel_unit) == ("dps", "m/s2")
+    assert record.temp_c.mean() == pytest.approx(24.34, abs=0.005)
+    assert "factory scale applied, no user calibration" in read.notes[0]
+
+
+def test_an_older_nilspod_reads_as_its_export_does():
+    record = read_record(data_path("ferraris_nilspod", "example_calibration.bin"))
+    export = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
+    assert (len(record), record.device) == (10_376, "NilsPod 03f5")
+    np.testing.assert_allclose(record.gyro, export[:, 1:4], atol=1e-6)
+    np.testing.assert_allclose(record.accel, export[:, 4:7], atol=1e-6)
+
+
+def test_random_bytes_are_no_nilspod(tmp_path):
+    for seed in range(200):
+        (tmp_path / "a.bin").write_bytes(b"\x34\x20\0" + np.random.default_rng(seed).bytes(400))
+        assert detect(tmp_path / "a.bin") == "binary"
+
+
+# ---- Mobilise-D: figures of makers/mobilised_mat/SOURCE.md
+
+
+@pytest.mark.parametrize("name", ["data_lab_HA001.mat", "data_lab_missing_sensor_HA001.mat"])
+def test_a_mobilised_sensor_is_chosen_by_the_end_of_its_path(name):
+    path = data_path("makers", "mobilised_mat", name)
+    read = read_counted(path, settings=sensor("Test5.Trial1.LowerBack"))
+    record = read.record
+    assert (detect(path), len(record), record.device) == ("mobilised", 1246, "TimeMeasure1.Test5.Trial1.LowerBack")
+    assert (record.accel_unit, record.gyro_unit, record.sample_rate_hz) == ("g", "dps", pytest.approx(100.0, abs=0.01))
+    assert median_size(record) == pytest.approx(0.981, abs=0.0005)
+    assert np.median(np.linalg.norm(record.gyro, axis=1)) == pytest.approx(19, abs=0.5)
+    assert read.notes[0] == "time 0 is 1607605064.733 s of the file's clock (Unix time)"
+
+
+def test_a_mobilised_file_lists_its_sensors_and_one_that_is_missing_is_not_among_them():
+    whole, lacking = (
+        data_path("makers", "mobilised_mat", n) for n in ("data_lab_HA001.mat", "data_lab_missing_sensor_HA001.mat")
+    )
+    assert describe(whole).columns[-1] == "TimeMeasure1.Test11.Trial1.LowerBack"
+    with pytest.raises(
+        InputError, match=r"wanted sensor 'Test11.Trial1.LowerBack', got a file with TimeMeasure1.Test5.Trial1"
+    ):
+        read_record(lacking, settings=sensor("Test11.Trial1.LowerBack"))
+    assert detect(data_path("makers", "mobilised_mat", "infoForAlgo.mat")) == "mat"
+
+
+def mobilised(path, **unit):
+    from scipy.io import savemat
+
+    trial = {"SU": {"LowerBack": unit}, "SU_INDIP": {"Wrist": {"Acc": np.ones((30, 3)), "Fs": {"Acc": 100.0}}}}
+    savemat(path, {"data": {"TimeMeasure1": {"Test1": {"Trial1": trial}}}})
+    return path
+
+
+def test_a_mobilised_sensor_of_two_rates_is_refused(tmp_path):
+    three = np.ones((30, 3))
+    path = mobilised(tmp_path / "a.mat", Acc=three, Gyr=three, Fs={"Acc": 100.0, "Gyr": 50.0})
+    with pytest.raises(
+        FileFormatError, match=r"wanted Acc, Gyr and Timestamp of .* at one rate, got rates \[50.0, 100.0\] Hz"
+    ):
+        read_record(path, settings=sensor("TimeMeasure1.Test1.Trial1.LowerBack"))
+    record = read_record(path, settings=sensor("TimeMeasure1.Test1.Trial1.SU_INDIP.Wrist"))
+    assert (len(record), record.gyro, record.sample_rate_hz) == (30, None, pytest.approx(100.0))
+
+
+# ---- all of them
+
+SAMPLES = {
+    "makers/xdf/minimal.xdf": None,
+    "makers/ros_bag_imu/test2.bag": None,
+    "makers/ros_bag_imu/derived_ros2/test2_imu_only.db3": None,
+    "makers/ros_bag_imu/derived_ros2/test2_imu_only.mcap": None,
+    "makers/px4_ulog/sample_log_small.ulg": "sensor_combined",
+    "makers/nilspod_bin/NilsPodX-6F13_20210109_162824.bin": None,
+    "makers/mobilised_mat/data_lab_missing_sensor_HA001.mat": "Test5.Trial1.LowerBack",
+}
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_cut_or_overwritten_container_ends_in_one_line(tmp_path, name):
+    path = data_path(*name.split("/"))
+    whole, copy = path.read_bytes(), tmp_path / path.name
+    noise = np.random.default_rng(2).bytes(len(whole))
+    for content in (
+        whole[: len(whole) // 3],
+        whole[: int(0.9 * len(whole))],
+        whole[:80] + noise[80:],
+        whole[:12] + noise,
+    ):
+        copy.write_bytes(content)
+        with pytest.raises(InputError, match=r"^\S+: .*wanted .*, got .*; ") as caught:
+            read_record(copy, settings=sensor(SAMPLES[name]))
+        assert "\n" not in str(caught.value)
+    copy.write_bytes(whole[: int(0.9 * len(whole))])
+    with pytest.raises(FileFormatError):
+        read_record(copy, settings=sensor(SAMPLES[name]))
+
+
+def test_an_xdf_that_is_damaged_inside_is_not_read_in_part(tmp_path):
+    content = bytearray(data_path("makers", "xdf", "clock_resets.xdf").read_bytes())
+    at = content.index(b"<info>", 200)
+    content[at : at + 4] = b"\0\1\2\3"
+    (tmp_path / "a.xdf").write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"wanted a sound XDF file, got a damaged"):
+        read_record(tmp_path / "a.xdf")
+
+
+@pytest.mark.parametrize(
+    ("name", "library", "extra"),
+    [
+        ("makers/xdf/minimal.xdf", "pyxdf", "io"),
+        ("makers/ros_bag_imu/test2.bag", "rosbags.typesys", "io"),
+        ("makers/px4_ulog/sample_log_small.ulg", "pyulog", "io"),
+        ("makers/nilspod_bin/NilsPodX-6F13_20210109_162824.bin", "nilspodlib", "nilspod"),
+    ],
+)
+def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch, name, library, extra):
+    monkeypatch.setitem(sys.modules, library, None)
+    words = rf"wanted {library.split('.')[0]} to read it, got no such library; run pip install 'undrift\[{extra}\]'"
+    with pytest.raises(InputError, match=words):
+        undrift.read_record(data_path(*name.split("/")))
+
+
+def test_the_log_of_the_xdf_library_is_left_as_it_was(caplog):
+
+    read_record(data_path("makers", "xdf", "minimal.xdf"), COUNTS)
+    assert caplog.records == []
+    assert logging.getLogger("pyxdf").propagate
+    assert logging.getLogger("pyxdf").handlers == []

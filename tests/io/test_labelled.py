@@ -1,0 +1,421 @@
+"""Tables that state their units themselves: preambles, unit rows, units in names, several sensors, and what is refused."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from testkit.data import data_path
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ColumnMap, ReadSettings, TempFile
+from undrift.io.formats import detect, iter_record, read_counted, read_record
+from undrift.io.inspect import describe
+from undrift.io.labelled import Label, label_of, open_sheet, split_unit
+from undrift.io.session import read_column_map
+
+
+def put(tmp_path, text, name="t.csv"):
+    (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    return tmp_path / name
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "label"),
+    [
+        ("A_X [mg]", "", Label("", "accel", "x", "mg")),
+        ("G_Z [dps]", "", Label("", "gyro", "z", "dps")),
+        ("M_Y [mG]", "", Label("", "mag", "y", "mgauss")),
+        ("accX[g]", "", Label("", "accel", "x", "g")),
+        ("gyroY[mdps]", "", Label("", "gyro", "y", "dps", 1e-3)),
+        ("gyro_z", "deg/s", Label("", "gyro", "z", "dps")),
+        ("Gyroscope x (rad/s)", "", Label("", "gyro", "x", "rad/s")),
+        ("Beschleunigung y (m/s²)", "", Label("", "accel", "y", "m/s2")),
+        ("Shimmer_40AC_Accel_WR_X_CAL", "m/(s^2)", Label("Shimmer 40AC WR", "accel", "x", "m/s2")),
+        ("xsens_gyro_x (deg/s)", "", Label("xsens", "gyro", "x", "dps")),
+        ("ACC X (G)", "", Label("", "accel", "x", "g")),
+        ("Pelvis Accel Sensor X,mG", "", Label("Pelvis", "accel", "x", "mg")),
+        ("X [T]", "", Label("", "mag", "x", "t")),
+        ("field x (nT)", "", Label("", "mag", "x", "ut", 1e-3)),
+        ("Linear Acceleration x (m/s^2)", "", Label("", "free", "x", "m/s2")),
+        ("acc_x_g", "", Label("", "accel", "x", "g")),
+        ("gFx", "g", Label("", "accel", "x", "g")),
+        ("Temperature (°C)", "", Label("", "temp", "", "degc")),
+        ("time[ms]", "", Label("", "time", "", "ms")),
+        ("acc_x", "", Label("", "accel", "x")),
+        ("mag_x [count]", "", Label("", "mag", "x")),
+        ("acc_x (rad/s)", "", None),
+        ("xsens_gyro_x (m/s^2)", "", None),
+        ("pos_x (m)", "", None),
+        ("Absolute acceleration (m/s^2)", "", None),
+        ("Mat[1][1]", "", None),
+    ],
+)
+def test_a_column_is_what_its_name_and_unit_say(name, unit, label):
+    assert label_of(name, unit) == label
+
+
+def test_a_name_is_split_from_its_unit_and_an_index_is_no_unit():
+    assert split_unit("A_X [mg]") == ("A_X", "mg")
+    assert split_unit("Acc (m/(s^2))") == ("Acc", "m/(s^2)")
+    assert split_unit("Rot[0]") == ("Rot[0]", "")
+
+
+FLAVOURS = [(",", "."), ("\t", "."), (";", "."), ("\t", ","), (";", ",")]
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), FLAVOURS)
+def test_phyphox_reads_in_every_flavour_of_its_export(tmp_path, delimiter, decimal):
+    names = ["Time (s)", *(f"Acceleration {x} (m/s^2)" for x in "xyz"), "Absolute acceleration (m/s^2)"]
+    rows = [[f"{k}.5000000E-2", "-1.5E-1", "2.5E-2", "9.805E0", "9.806E0"] for k in range(9)]
+    lines = [delimiter.join(f'"{name}"' for name in names)]
+    lines += [delimiter.join(cell.replace(".", decimal) for cell in row) for row in rows]
+    path = put(tmp_path, "\n".join(lines) + "\n")
+    assert detect(path) == "labelled"
+    record = read_record(path)
+    np.testing.assert_allclose(record.accel, [[-0.15, 0.025, 9.805]] * 9)
+    np.testing.assert_allclose(record.time, 0.005 + 0.01 * np.arange(9))
+    assert (record.accel_unit, record.gyro) == ("m/s2", None)
+
+
+ST_ROWS = [
+    (f"{1000 + 10 * k}", "-748", "608", "12", "35", "-70", "140", "500", "-20", "4", "1013.2", "24.5") for k in range(5)
+]
+ST_NAMES = "time[ms],acc_x[mg],acc_y[mg],acc_z[mg]," + (
+    "gyro_x[mdps],gyro_y[mdps],gyro_z[mdps],mag_x[mG],mag_y[mG],mag_z[mG],press[mBar],temp[\xb0C]"
+)
+
+
+def test_an_st_log_in_latin_1_with_a_cut_header_loses_no_row(tmp_path):
+    rows = [",".join((*row, "40")) for row in ST_ROWS]
+    cut = f"log of a board\n{ST_NAMES},hum[{rows[0]}\n".encode("latin-1")
+    path = put(tmp_path, cut + "\n".join(rows[1:]).encode() + b"\n")
+    read = read_counted(path)
+    # the cut lost the name's closing bracket and unit; the row is whole: 40077830-like first cell is time
+    assert len(read.record) == 5
+    np.testing.assert_allclose(read.record.accel, [[-748, 608, 12]] * 5)
+    np.testing.assert_allclose(read.record.gyro, [[0.035, -0.07, 0.14]] * 5)
+    np.testing.assert_allclose(read.record.mag_ut, [[50.0, -2.0, 0.4]] * 5)
+    np.testing.assert_allclose(read.record.temp_c, 24.5)
+    assert (read.record.accel_unit, read.record.gyro_unit) == ("mg", "dps")
+    assert read.notes == ("lines before the header skipped: 1",)
+
+
+def test_blanks_around_tabs_and_a_trailing_tab_read(tmp_path):
+    path = put(tmp_path, "BOARD (CHIP)\n\nA_X [mg] \t A_Y [mg] \t A_Z [mg] \t\n" + "1 \t -2.5 \t 998 \t\n" * 4, "u.txt")
+    record = read_record(path, settings=ReadSettings(sample_rate_hz=26.0))
+    np.testing.assert_allclose(record.accel, [[1.0, -2.5, 998.0]] * 4)
+
+
+def test_a_preamble_is_skipped_and_a_unit_row_is_used_and_both_are_stated(tmp_path):
+    text = "Device: 17\nStart: 12:00\n\nt,wx,wy,wz,ax,ay,az,T\ns,deg/s,deg/s,deg/s,g,g,g,degC\n"
+    path = put(tmp_path, text + "".join(f"{k / 50:.2f},1,2,3,0,0,1,25\n" for k in range(200)))
+    read = read_counted(path)
+    assert (read.record.gyro_unit, read.record.accel_unit, read.record.sample_rate_hz) == (
+        "dps",
+        "g",
+        pytest.approx(50.0),
+    )
+    np.testing.assert_allclose(read.record.temp_c, 25.0)
+    assert read.notes == ("lines before the header skipped: 2", "units from the row under the header")
+    found = describe(path)
+    assert (found.kind, found.rows) == ("recording", 200)
+    assert [item.text for item in found.findings[:2]] == list(read.notes)
+    assert not any("header" in problem for problem in found.problems)
+
+
+def test_own_names_behind_a_preamble_read_without_a_map(tmp_path):
+    path = put(
+        tmp_path, "# a comment\n# another\ntime_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0.0,1,2,3\n0.1,1,2,3\n0.2,1,2,3\n"
+    )
+    assert read_record(path).gyro.tolist() == [[1.0, 2.0, 3.0]] * 3
+
+
+def test_a_clock_since_1970_starts_at_zero(tmp_path):
+    rows = "".join(f"{1700000000000 + 20 * k},0,0,1\n" for k in range(4))
+    record = read_record(put(tmp_path, f"time (ms),ax (g),ay (g),az (g)\n{rows}"))
+    np.testing.assert_allclose(record.time, [0.0, 0.02, 0.04, 0.06], atol=1e-9)
+
+
+def test_a_unit_that_no_name_states_is_not_supplied(tmp_path):
+    path = put(tmp_path, "time (s),ax,ay,az\n0,0,0,9.8\n1,0,0,9.8\n")
+    assert detect(path) == "csv"
+    with pytest.raises(InputError, match="wanted names such as gyro_x_dps"):
+        read_record(path)
+    found = describe(path)
+    assert 'accel = "m/s2" }  # proposed: accel by the median |a| 9.8' in found.example[1]
+
+
+@pytest.mark.parametrize(
+    ("size", "unit"), [("0.99", "g"), ("9.79", "m/s2"), ("1003", "mg"), ("16384", "count"), ("0.02", "?")]
+)
+def test_units_are_proposed_from_the_size_of_gravity_and_say_so(tmp_path, size, unit):
+    found = describe(put(tmp_path, "ax,ay,az,gx,gy,gz\n" + f"0,0,{size},1,2,3\n" * 9))
+    assert f'accel = "{unit}"' in found.example[1]
+    assert (f"accel by the median |a| {float(size):.4g}" in found.example[1]) == (unit != "?")
+    assert ('gyro = "count"' in found.example[1]) == (unit == "count")
+
+
+def test_gravity_tells_the_accelerometer_of_a_table_without_names(tmp_path):
+    found = describe(put(tmp_path, "0.1,0.2,-0.1,0.2,9.7,0.9\n0.1,0.1,-0.1,0.2,9.7,0.8\n" * 9))
+    assert found.example[0] == "columns = { accel = [3, 4, 5], gyro = [0, 1, 2] }"
+    assert found.example[1].startswith(
+        'units = { accel = "m/s2", gyro = "?" }  # proposed: accel by the median |a| 9.7'
+    )
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "xsens_gyro_x,xsens_gyro_y,xsens_gyro_z",
+        "mag_x [T],mag_y [T],mag_z [T]",
+        "X (uT),Y (uT),Z (uT)",
+        "vel_x,vel_y,vel_z",
+    ],
+)
+def test_what_is_no_accelerometer_is_never_proposed_as_one(tmp_path, header):
+    found = describe(put(tmp_path, f"time (s),{header}\n" + "0,1,2,3\n1,1,2,3\n2,1,2,4\n"))
+    assert "accel" not in "".join(found.example[:1]) or found.example[0].count('"ax"') == 1
+    assert found.kind == "table"
+
+
+def test_a_magnetometer_alone_is_called_one(tmp_path):
+    found = describe(put(tmp_path, "time (s),X [T],Y [T],Z [T]\n" + "0,1,2,3\n1,1,2,3\n2,1,2,4\n"))
+    assert "a magnetometer's table" in found.summary
+
+
+def test_several_sensors_in_one_table_ask_for_one_and_share_no_channel(tmp_path):
+    names = [
+        f"{place}_{kind}_{x} ({unit})"
+        for place in ("left", "right")
+        for kind, unit in (("acc", "g"), ("gyr", "dps"))
+        for x in "xyz"
+    ]
+    path = put(
+        tmp_path, ",".join(["t (s)", *names]) + "\n" + "".join(f"{k},0,0,1,5,5,5,0,1,0,7,7,7\n" for k in range(4))
+    )
+    with pytest.raises(InputError, match="the file holds left, right: name one"):
+        read_record(path)
+    right = read_record(path, settings=ReadSettings(sensor="right"))
+    assert (right.accel[0].tolist(), right.gyro[0].tolist(), right.device) == (
+        [0.0, 1.0, 0.0],
+        [7.0, 7.0, 7.0],
+        "right",
+    )
+
+
+def test_gaps_and_rates_are_checked_as_in_any_table(tmp_path):
+    path = put(tmp_path, "time (s),ax (g),ay (g),az (g)\n0.00,0,0,1\n0.01,,0,1\n0.02,0,0,1\n0.03,0,0,1\n")
+    with pytest.raises(InputError, match=r"column 'ax .g.': wanted a number in every row, got 1 empty or NaN cells"):
+        read_record(path)
+    kept = read_record(path, settings=ReadSettings(gaps="keep"))
+    assert np.isnan(kept.accel[1, 0])
+    with pytest.raises(InputError, match="wanted 50 Hz as stated, got 100 Hz"):
+        read_record(path, settings=ReadSettings(gaps="keep", sample_rate_hz=50.0))
+
+
+def test_a_text_without_rows_of_numbers_is_no_sheet(tmp_path):
+    with pytest.raises(FileFormatError, match="wanted a header line over rows of numbers, got none; check the export"):
+        open_sheet(put(tmp_path, "a,b\nc,d\n"))
+
+
+def test_the_published_labels_hold_on_the_real_unit_row():
+    sheet = open_sheet(data_path("makers", "shimmer_consensys", "read_test_data.csv"))
+    assert sheet.unit_row
+    assert (sheet.units[1], sheet.units[-2], sheet.layout.delimiter) == ("m/(s^2)", "Degrees Celsius", ";")
+
+
+def test_a_unit_row_over_a_table_that_lacks_units_is_passed_over_by_the_proposed_map(tmp_path):
+    path = put(tmp_path, "t,ax,ay,az\n,m/s^2,,\n" + "".join(f"{k / 50},0,0,9.8\n" for k in range(9)))
+    found = describe(path)
+    assert "drop_bad_rows = true  # the row of units" in found.example
+
+
+# ---- what is proposed for a table that states too little
+
+PROPOSED = [  # public recording, units, and why; the units are those of its SOURCE.md
+    ("multipos_mpu9150/imu0.log.gz", {"accel": "m/s2", "gyro": "rad/s"}, "gyro by the largest rate 5.268"),
+    ("multipos_xsens/xsens_gyro.txt.gz", {"time": "s", "gyro": "count"}, "gyro by whole numbers up to 4.855e+04"),
+    ("multipos_xsens/xsens_acc.txt.gz", {"time": "s", "accel": "count"}, "accel by the median |a| 5.745e+04"),
+    (
+        "ferraris_nilspod/example_ferraris_session.csv",
+        {"gyro": "dps", "accel": "m/s2"},
+        "gyro by the largest rate 895.3",
+    ),
+    ("ferraris_nilspod/annotated_session.csv", {"gyro": "count", "accel": "count"}, "accel by the median |a| 2060"),
+    (
+        "thermal_bmi270_two_point/BMI_270_cold_test.csv.gz",
+        {"temp": "degC", "accel": "?", "gyro": "?"},
+        "temp by the median 13.06",
+    ),
+    (
+        "thermal_mpu6050_warmup/Tempdata01-02-14.csv.gz",
+        {"time": "ms", "gyro": "count", "accel": "count", "temp": "degC"},
+        "time by the median step 17",
+    ),
+    (
+        "wearable_formats/skdh_ax6_data.npz",
+        {"time": "s", "gyro": "dps", "accel": "g", "temp": "degC"},
+        "time by the median step 0.0102",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "units", "why"), PROPOSED, ids=[name for name, *_ in PROPOSED])
+def test_units_of_the_public_recordings_are_proposed_with_the_figure_that_suggests_them(name, units, why):
+    line = describe(data_path(*name.split("/"))).example[1]
+    assert tomllib.loads(line)["units"] == units
+    assert why in line.partition("  # proposed: ")[2]
+
+
+def test_a_file_of_a_gyroscope_is_never_proposed_as_an_accelerometer(tmp_path):
+    rows = "".join(f"{k / 100} 0 0.2 9.8\n" for k in range(9))
+    assert describe(put(tmp_path, rows, "xsens_gyro.txt")).example[0] == "columns = { time = 0, gyro = [1, 2, 3] }"
+    assert describe(put(tmp_path, rows, "xsens_acc.txt")).example[0] == "columns = { time = 0, accel = [1, 2, 3] }"
+    named = put(tmp_path, "t,x,y,z\n" + rows.replace(" ", ","), "xsens_gyro.csv")
+    assert describe(named).example[0] == 'columns = { time = "t", gyro = ["x", "y", "z"] }'
+
+
+def test_neither_a_counter_nor_a_slow_gyroscope_gets_a_unit(tmp_path):
+    rows = "".join(f"{k},0.01,0.{k % 7}2,9.8,{k % 5}.5,0.25,3\n" for k in range(300))
+    example = describe(put(tmp_path, f"time,ax,ay,az,gx,gy,gz\n{rows}")).example
+    assert tomllib.loads(example[1])["units"] == {"time": "?", "gyro": "?", "accel": "m/s2"}
+
+
+def test_the_sample_rate_of_a_line_before_the_header_or_of_an_array_is_proposed(tmp_path):
+    example = describe(data_path("static_mpu6050", "example_data_tinit_calc.csv.gz")).example
+    assert 'sample_rate_hz = 100  # by the line "Fs,100"' in example
+    np.savez(tmp_path / "a.npz", acc=np.ones((9, 3)), fs=np.array([102.4]))
+    assert "sample_rate_hz = 102.4  # by fs" in describe(tmp_path / "a.npz").example
+
+
+def test_lines_before_the_rows_may_be_empty_or_text(tmp_path):
+    rows = "".join(f"{k},0,0,9.8\n" for k in range(99))
+    empty = describe(put(tmp_path, f"\n\nn,ax,ay,az\n{rows}"))
+    assert (empty.format, empty.columns, empty.example[-1]) == ("csv", ("n", "ax", "ay", "az"), "skip_rows = 2")
+    text = describe(put(tmp_path, "# a logger\n# of a laboratory\n# end\n" + rows.replace(",", "\t")))
+    assert (text.format, text.example[-1]) == ("csv", "skip_rows = 3")
+
+
+@pytest.mark.parametrize("row", ["(s),(g),(g),(g)", "[s],[g],[g],[g]"])
+def test_units_in_brackets_under_the_names_are_read(tmp_path, row):
+    record = read_record(put(tmp_path, f"time,ax,ay,az\n{row}\n" + "0,0,0,1\n0.5,0,0,1\n"))
+    assert (record.accel_unit, record.duration_s) == ("g", 0.5)
+
+
+def test_a_phone_log_of_androsensor_is_no_force_plate(tmp_path):
+    names = [
+        f"{kind} {x} ({unit})" for kind, unit in (("ACCELEROMETER", "m/s²"), ("GYROSCOPE", "rad/s")) for x in "XYZ"
+    ]
+    path = put(tmp_path, ";".join([*names, "Time since start in ms "]) + "\n" + "0;0;9.8;0;0;1;10\n0;0;9.8;0;0;1;20\n")
+    record = read_record(path)
+    assert (record.accel_unit, record.gyro_unit, record.sample_rate_hz) == ("m/s2", "rad/s", pytest.approx(100.0))
+
+
+# ---- dates
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ["2026-01-31 23:59:59.990", "2026-02-01 00:00:00.000", "2026-02-01 00:00:00.010"],
+        ["2026-01-31T23:59:59.990Z", "2026-02-01T00:00:00.000Z", "2026-02-01T00:00:00.010Z"],
+        ["2026/1/31 23:59:59:990", "2026/2/1 00:00:00:000", "2026/2/1 00:00:00:010"],
+        ["2026-01-31 23:59:59.990+01:00", "2026-02-01 00:00:00.000+01:00", "2026-02-01 00:00:00.010+01:00"],
+    ],
+)
+def test_dates_are_seconds_from_the_first(tmp_path, stamps):
+    rows = "".join(f"{stamp},0,0,1\n" for stamp in stamps)
+    stated = read_record(put(tmp_path, f"timestamp,ax (g),ay (g),az (g)\n{rows}"))
+    np.testing.assert_allclose(stated.time, [0.0, 0.01, 0.02], atol=1e-9)
+    bare = put(tmp_path, f"when,ax,ay,az\n{rows}", "bare.csv")
+    columns = ColumnMap(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
+    np.testing.assert_allclose(read_record(bare, columns).time, [0.0, 0.01, 0.02], atol=1e-9)
+    assert np.concatenate([part.time for part in iter_record(bare, columns, rows=2)]).tolist() == stated.time.tolist()
+
+
+def test_dates_of_a_table_without_names_are_proposed_and_read(tmp_path):
+    rows = "".join(f"2014-05-07 16:29:{30 + k // 100}.{k % 100:02d}0,0.1,0.2,0.97\n" for k in range(250))
+    path = put(tmp_path, rows)
+    example = describe(path).example
+    assert example[0] == "columns = { time = 0, accel = [1, 2, 3] }"
+    assert tomllib.loads(example[1])["units"] == {"time": "date", "accel": "g"}
+    put(tmp_path, "\n".join(example), "map.toml")
+    record = read_record(path, read_column_map(tmp_path / "map.toml"))
+    assert (len(record), record.sample_rate_hz) == (250, pytest.approx(100.0))
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        ("31/01/2026 12:00:01", "wanted dates such as 2026-01-31"),
+        ("2026-13-31 12:00:01", r"wanted dates, got none .*onth"),
+    ],
+)
+def test_other_dates_are_refused(tmp_path, cell, words):
+    path = put(tmp_path, f"when,ax,ay,az\n2026-01-31 12:00:00,0,0,1\n{cell},0,0,1\n")
+    columns = ColumnMap(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
+    with pytest.raises(FileFormatError, match=f"column 'when': {words}"):
+        read_record(path, columns)
+
+
+def test_a_thermometer_may_log_dates(tmp_path):
+    put(tmp_path, "when,T\n2026-01-31 12:00:00,20.0\n2026-01-31 12:00:10,21.0\n", "thermometer.csv")
+    path = put(tmp_path, "time (s),ax (g),ay (g),az (g)\n0,0,0,1\n5,0,0,1\n10,0,0,1\n")
+    thermometer = TempFile(path=tmp_path / "thermometer.csv", time="when", temp="T", time_unit="date")
+    assert read_record(path, settings=ReadSettings(temp_file=thermometer)).temp_c.tolist() == [20.0, 20.5, 21.0]
+
+
+def test_a_table_that_states_one_unit_of_two_is_not_read_by_halves(tmp_path):
+    rows = "".join(f"{k / 100},0,0,9.8,1,2,3\n" for k in range(4))
+    path = put(tmp_path, f"time (s),ax,ay,az,gx (dps),gy (dps),gz (dps)\n{rows}")
+    assert detect(path) == "csv"
+    assert tomllib.loads(describe(path).example[1])["units"] == {"time": "s", "gyro": "dps", "accel": "m/s2"}
+
+
+def test_what_a_maker_s_reader_leaves_out_for_want_of_a_unit_is_said(tmp_path):
+    names = ["S_Timestamp_CAL", *(f"S_Accel_LN_{x}_CAL" for x in "XYZ"), *(f"S_Gyro_{x}_CAL" for x in "XYZ")]
+    units = ["ms", *["m/(s^2)"] * 3, "", "", ""]
+    rows = "".join(f"{10 * k},0,0,9.8,1,2,3\n" for k in range(4))
+    path = put(tmp_path, f"sep=,\n{','.join(names)}\n{','.join(units)}\n{rows}")
+    read = read_counted(path)
+    assert (detect(path), read.record.gyro) == ("shimmer", None)
+    assert "'S_Gyro_X_CAL' left out: it has no unit of a turn rate" in read.notes
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+@pytest.mark.parametrize("header", ["time,ax,ay,az,gx,gy,gz", ""])
+def test_a_decimal_comma_is_seen_and_stands_in_the_proposed_map(tmp_path, delimiter, header):
+    rows = "".join(f"{k / 100:.2f},0.12,0.21,9.79,{40.5 * np.sin(k)},1.5,2.5\n" for k in range(99))
+    text = "".join([header, "\n"][: 2 * bool(header)]).replace(",", delimiter) + rows.replace(",", delimiter).replace(
+        ".", ","
+    )
+    example = describe(put(tmp_path, text)).example
+    assert 'decimal = ","' in example
+    assert tomllib.loads(example[1])["units"] == {"time": "s", "gyro": "dps", "accel": "m/s2"}
+    put(tmp_path, "\n".join(example), "map.toml")
+    record = read_record(tmp_path / "t.csv", read_column_map(tmp_path / "map.toml"))
+    assert (record.accel[0].tolist(), record.sample_rate_hz) == ([0.12, 0.21, 9.79], pytest.approx(100.0))
+
+
+@pytest.mark.parametrize(("row", "temp"), [("20.{k},5,-3,16384,1,2,-3", 0), ("5,-3,16384,1,2,-3,20.{k}", 6)])
+def test_a_thermometer_without_a_name_is_the_column_that_fits_one(tmp_path, row, temp):
+    found = describe(put(tmp_path, "".join(row.format(k=k % 7) + "\n" for k in range(20))))
+    start = 1 - temp // 6
+    accel, gyro = ([start + k for k in three] for three in ((0, 1, 2), (3, 4, 5)))
+    assert tomllib.loads(found.example[0])["columns"] == {"temp": temp, "accel": accel, "gyro": gyro}
+    assert tomllib.loads(found.example[1])["units"] == {"temp": "degC", "accel": "count", "gyro": "count"}
+
+
+def test_blanks_and_dates_are_a_table_and_no_prose(tmp_path):
+    rows = "".join(f"2026-01-31T12:00:00.{k:02d} 0.1 0.2 9.79\n" for k in range(20))
+    found = describe(put(tmp_path, f"time ax ay az\n{rows}"))
+    assert (found.format, tomllib.loads(found.example[1])["units"]) == ("csv", {"time": "date", "accel": "m/s2"})
+
+
+def test_a_damaged_row_that_is_no_utf_8_is_named_in_one_line(tmp_path, capfd):
+    rows = b"".join(b"%d,0,0,1\n" % k for k in range(9)) + b"9,\x9a\xff,0,1,7,7\n"
+    path = put(tmp_path, b"time (s),ax (g),ay (g),az (g)\n" + rows + b"10,0,0,1\n" * 300)
+    columns = ColumnMap(time="time (s)", time_unit="s", accel=("ax (g)", "ay (g)", "az (g)"), accel_unit="g")
+    with pytest.raises(FileFormatError, match="wanted 4 columns in every row, got 6 in data row 10"):
+        read_record(path, columns)
+    assert capfd.readouterr().err == ""

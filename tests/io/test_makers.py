@@ -1,0 +1,522 @@
+"""Makers' text exports: the real files with the figures of their SOURCE.md; formats without one, by their documents."""
+
+import json
+
+import numpy as np
+import pytest
+
+from testkit.data import data_path
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.formats import detect, read_counted, read_markers, read_record, read_reference
+from undrift.io.inspect import describe
+
+
+def maker(*parts):
+    return data_path("makers", *parts)
+
+
+def size(values):
+    return float(np.median(np.linalg.norm(values, axis=1)))
+
+
+def lost(record):
+    steps = np.diff(record.time)
+    return int(np.rint(steps / steps.min() - 1).sum())
+
+
+# ---- the real files
+
+# SOURCE.md has 1.088 g for sensor 11 with the zeros of its start, and 0.954 to 1.004 g for the eight sensors of Discover
+# folder, file, settings, format, rows, Hz, |a| and unit, gyro unit, device
+RATE = {"sample_rate_hz": 100.0}
+XSENS, DELSYS, STM = "xsens_mtmanager", "delsys_trigno", "stm_mems_logs"
+READ = [
+    (XSENS, "skin_data_xsens.txt", {}, "xsens", 953, 50.0, (9.764, "m/s2"), "rad/s", ""),
+    (XSENS, "MT46_01-000_00B42D4D.txt", {}, "xsens", 5, 100.0, (9.802, "m/s2"), "rad/s", "00B42D4D"),
+    (XSENS, "MT_01200454_000-000_00B40DE4.txt", RATE, "xsens", 4, 100.0, (9.979, "m/s2"), "rad/s", "00B40DE4"),
+    (XSENS, "MT2022_ACC_GYRO_ROT_EULER_TAB_00B42D4F.txt", RATE, "xsens", 5, 100.0, (9.990, "m/s2"), "rad/s", "00B42D4F"),
+    ("shimmer_consensys", "read_test_data.csv", {"sensor": "LN"}, "shimmer", 86, None, (10.11, "m/s2"), "dps", "LN"),
+    ("shimmer_consensys", "read_test_data.csv", {"sensor": "wr"}, "shimmer", 86, None, (9.44, "m/s2"), "dps", "WR"),
+    (DELSYS, "truncated_trigno_sample.csv", {"sensor": "10"}, "trigno", 281, 148.148, (1.066, "g"), "dps", "Mini sensor 10"),
+    (DELSYS, "truncated_trigno_sample.csv", {"sensor": "11"}, "trigno", 281, 148.148, (1.089, "g"), "dps", "Mini sensor 11"),
+    (DELSYS, "discover164_basic_first12rows.csv", {"sensor": "EMG 02"}, "trigno_discover", 12, 74.0741, (0.979, "g"), None,
+     "EMG 02 04284 (55240)"),
+    (STM, "lsm6dsox_door_open1.csv", {}, "labelled", 137, None, (1.001, "g"), "dps", ""),
+    (STM, "unico_acc_only_driving.txt", {"sample_rate_hz": 26.0}, "labelled", 1000, 26.0, (996.2, "mg"), None, ""),
+    (STM, "lsm6dsv16x_door_open1.txt", {"sample_rate_hz": 30.0}, "labelled", 183, 30.0, None, "dps", ""),
+    ("apdm_csv", "apdm_format7.csv", {"sensor": "Lumbar"}, "apdm7", 3, 128.0, (10.29, "m/s2"), "rad/s", "Lumbar"),
+    ("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv", RATE, "mobgap", 1246, 100.0, (0.9816, "g"), "dps", ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("folder", "file", "settings", "kind", "rows", "rate", "accel", "gyro", "device"), READ, ids=lambda x: str(x)[:40]
+)
+def test_an_export_reads_with_its_published_figures(folder, file, settings, kind, rows, rate, accel, gyro, device):
+    path = maker(folder, file)
+    assert detect(path) == kind
+    record = read_record(path, settings=ReadSettings(**settings))
+    assert (len(record), record.device) == (rows, device)
+    if rate is not None:
+        assert record.sample_rate_hz == pytest.approx(rate, rel=1e-5)
+    if accel is None:
+        assert record.accel is None
+    else:
+        assert record.accel_unit == accel[1]
+        assert size(record.accel) == pytest.approx(accel[0], abs=0.5 * 10.0 ** -len(str(accel[0]).split(".")[1]))
+    assert (record.gyro is None) == (gyro is None)
+    if gyro is not None:
+        assert record.gyro_unit == gyro
+
+
+def test_mt_manager_rates_are_radians_and_its_field_is_left_out_aloud():
+    read = read_counted(maker("xsens_mtmanager", "skin_data_xsens.txt"))
+    poses = read_reference(maker("xsens_mtmanager", "skin_data_xsens.txt"))
+    turned = 2.0 * np.linalg.norm(np.diff(poses.q_nb, axis=0), axis=1) * 50.0  # rad/s of small steps
+    measured = np.linalg.norm(read.record.gyro[1:], axis=1)
+    assert np.polyfit(measured, turned, 1)[0] == pytest.approx(0.92, abs=0.1)  # SOURCE.md: 0.86 to 0.98
+    assert read.record.mag_ut is None
+    assert read.notes == (
+        "units by the manual of Xsens, not in the file: gyro rad/s, accel m/s2",
+        "lines before the header skipped: 4",
+        "'Mag_X' left out: it has no unit of a magnetic field",
+    )
+
+
+def test_lost_packets_stay_gaps_in_time():
+    poses = read_reference(maker("xsens_mtmanager", "MT_012005D6-000_sit_to_stand-000_00B421ED.txt"))
+    assert len(poses) == 1459
+    assert poses.sample_rate_hz == pytest.approx(40.0)
+    steps, counts = np.unique(np.rint(np.diff(poses.time) * 40.0), return_counts=True)
+    assert dict(zip(steps, counts, strict=True)) == {1.0: 1394, 2.0: 61, 3.0: 2, 4.0: 1}
+    assert "68 of 1527 packets lost by PacketCounter" in poses.name
+    femur = read_reference(maker("xsens_dot", "LFemur_20210820_202113_831.csv"))
+    assert (len(femur), lost(femur)) == (195, 157)
+    assert np.median(np.diff(femur.time)) == pytest.approx(0.033334)  # twice the 60 Hz of the header
+    pelvis = read_reference(maker("xsens_dot", "Pelvis_20210820_202113_836.csv"))
+    assert (len(pelvis), lost(pelvis), pelvis.valid.all()) == (382, 0, True)
+    assert pelvis.sample_rate_hz == pytest.approx(59.999, abs=0.001)
+    assert pelvis.time[0] - femur.time[0] == pytest.approx(-0.016667)  # one clock for both sensors
+    assert "157 of 352 packets lost" in describe(maker("xsens_dot", "LFemur_20210820_202113_831.csv")).summary
+
+
+def test_a_packet_counter_that_overflows_goes_on(tmp_path):
+    rows = "".join(f"{(65534 + k) % 65536:05d}\t0\t0\t9.8\t0.1\t0\t0\n" for k in (0, 1, 2, 3, 6))
+    head = "// Update Rate: 100.0Hz\nPacketCounter\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z\n"
+    (tmp_path / "m.txt").write_text(head + rows)
+    read = read_counted(tmp_path / "m.txt")
+    np.testing.assert_allclose(read.record.time, [0.0, 0.01, 0.02, 0.03, 0.06])
+    assert read.notes[1] == "2 of 7 packets lost by PacketCounter, seen as gaps in time"
+
+
+@pytest.mark.parametrize("delimiter", [";", ",", " "])
+def test_mt_manager_reads_with_each_delimiter_and_missing_cells_are_gaps(tmp_path, delimiter):
+    names = ["PacketCounter", "SampleTimeFine", *(f"{kind}_{x}" for kind in ("Acc", "Gyr") for x in "XYZ")]
+    rows = [[f"{51400 + k}", "NaN", "NaN" if k == 0 else "0.1", "0.2", "9.8", "0.01", "0.02", "0.03"] for k in range(4)]
+    lines = ["// General information: ", "// Update Rate: 100.0Hz", *(delimiter.join(row) for row in (names, *rows))]
+    (tmp_path / "m.txt").write_text("\r\n".join(lines) + "\r\n")
+    with pytest.raises(InputError, match="column 'Acc_X': wanted a number in every row, got 1 empty or NaN cells"):
+        read_record(tmp_path / "m.txt")
+    record = read_record(tmp_path / "m.txt", settings=ReadSettings(gaps="keep"))
+    assert np.isnan(record.accel[:, 0]).tolist() == [True, False, False, False]
+    np.testing.assert_allclose(record.gyro, [[0.01, 0.02, 0.03]] * 4)
+
+
+DOT = "sep=,\nDeviceTag:,Left\nOutputRate:,60Hz\n© Xsens\n\n"
+
+
+def test_a_dot_recording_with_sensors_has_metres_and_degrees_and_its_clock_overflows(tmp_path):
+    start = (1 << 32) - 16667
+    rows = "".join(f"{k},{(start + 16667 * k) % (1 << 32)},0,0,9.81,0,90,0\n" for k in range(4))
+    path = tmp_path / "dot.csv"
+    path.write_text(f"{DOT}PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z\n{rows}")
+    read = read_counted(path)
+    assert (read.record.accel_unit, read.record.gyro_unit, read.record.device) == ("m/s2", "dps", "Left")
+    np.testing.assert_allclose(np.diff(read.record.time), 0.016667)
+    assert read.notes[0] == "units by the manual of Movella DOT, not in the file: gyro dps, accel m/s2"
+
+
+def test_free_acceleration_is_no_accelerometer():
+    for name in ("LFemur_20210820_202113_831.csv", "Pelvis_20210820_202113_836.csv"):
+        with pytest.raises(FileFormatError, match=r"got 'FreeAcc_X', in which gravity is removed; record or export"):
+            read_record(maker("xsens_dot", name))
+    with pytest.raises(FileFormatError, match=r"got 'Linear Acceleration x \(m/s\^2\)', in which gravity is removed"):
+        read_record(maker("phyphox_csv", "Raw_Data.csv"))
+    found = describe(maker("phyphox_csv", "Raw_Data.csv"))
+    assert (found.kind, "gravity is removed" in found.summary) == ("table", True)
+    with pytest.raises(FileFormatError, match="wanted Acc_X or Gyr_X columns, got orientations only; read the file as"):
+        read_record(maker("xsens_mtmanager", "MT_012005D6-000_sit_to_stand-000_00B421ED.txt"))
+
+
+@pytest.mark.parametrize(
+    ("path", "missing", "words"),
+    [
+        (("shimmer_consensys", "read_test_data.csv"), "sensor", "the file holds LN, WR: name one"),
+        (("delsys_trigno", "truncated_trigno_sample.csv"), "sensor", "Mini sensor 10, Mini sensor 11"),
+        (("delsys_trigno", "discover164_basic_first12rows.csv"), "sensor", "EMG 01 04498 (54717), EMG 02"),
+        (("apdm_csv", "apdm_format7.csv"), "sensor", "Lumbar, Right Ankle, Left Ankle, Left Foot, Chest, Right Foot"),
+        (("stm_mems_logs", "unico_acc_only_driving.txt"), "sample_rate_hz", "wanted the sample rate"),
+        (("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv"), "sample_rate_hz", "--sample-rate-hz"),
+        (("xsens_mtmanager", "MT_01200454_000-000_00B40DE4.txt"), "sample_rate_hz", "wanted the sample rate"),
+    ],
+)
+def test_what_a_file_leaves_open_is_asked_in_one_line(path, missing, words):
+    with pytest.raises(InputError) as caught:
+        read_record(maker(*path))
+    assert words in str(caught.value)
+    assert caught.value.numbers["missing"] == missing
+    found = describe(maker(*path))
+    assert found.kind == "table"
+    assert found.findings[0].values["missing"] == missing
+    assert words in found.summary
+
+
+def test_a_sensor_that_is_not_in_the_file_is_refused_with_the_names():
+    with pytest.raises(InputError, match=r"wanted the name of one sensor, got 'XX'; the file holds LN, WR: name one"):
+        read_record(maker("shimmer_consensys", "read_test_data.csv"), settings=ReadSettings(sensor="XX"))
+
+
+def test_shimmer_stamps_that_repeat_are_counted_and_the_two_accelerometers_are_never_merged():
+    low, wide = (
+        read_counted(maker("shimmer_consensys", "read_test_data.csv"), settings=ReadSettings(sensor=name))
+        for name in ("LN", "WR")
+    )
+    assert low.repaired_rows == wide.repaired_rows == 4
+    np.testing.assert_allclose(np.median(low.record.accel, axis=0), [-1.42, 10.00, 0.53], atol=0.03)
+    np.testing.assert_allclose(np.median(wide.record.accel, axis=0), [-3.93, 8.43, -1.62], atol=0.03)
+    assert np.median(low.record.temp_c) == pytest.approx(33.4, abs=0.1)
+    assert low.record.mag_ut is None
+    assert "'Shimmer_40AC_Mag_X_CAL' left out: it has no unit of a magnetic field" in low.notes
+
+
+def test_trigno_starts_without_its_zeros_and_ends_where_the_slow_channel_ends():
+    read = read_counted(maker("delsys_trigno", "truncated_trigno_sample.csv"), settings=ReadSettings(sensor="10"))
+    assert "16 rows of zeros at the start left out" in read.notes
+    assert len(read.record) + 16 == 297
+    assert (read.record.accel[0] != 0.0).all()
+    assert read.record.time[0] == pytest.approx(16 * 0.00675)
+
+
+def test_apdm_format_7_counts_microseconds():
+    record = read_record(maker("apdm_csv", "apdm_format7.csv"), settings=ReadSettings(sensor="Right Ankle"))
+    np.testing.assert_allclose(record.time, np.arange(3) / 128.0, atol=2e-6)
+    np.testing.assert_allclose(record.accel[0], [-9.900204, -0.310068, -1.379437])
+    np.testing.assert_allclose(record.mag_ut[0], [-55.311745, -1.506394, 16.641132])
+    assert record.gyro_unit == "rad/s"
+
+
+def test_st_logs_keep_the_unit_of_their_header():
+    door = read_record(maker("stm_mems_logs", "lsm6dsox_door_open1.csv"))
+    np.testing.assert_allclose(door.gyro[0], [-19.04, -1.89, 1.12])
+    np.testing.assert_allclose(door.accel[0], [1.0, -0.022, -0.06])
+    assert np.median(np.diff(door.time)) == pytest.approx(0.02)
+    turn = read_record(maker("stm_mems_logs", "lsm6dsv16x_door_open1.txt"), settings=ReadSettings(sample_rate_hz=30.0))
+    np.testing.assert_allclose(turn.gyro[0], [-58.8875, -6.29125, -6.64125])
+
+
+# ---- BIDS-motion
+
+
+def test_bids_positions_are_markers():
+    path = maker("bids_motion", "emg_Multimodal", "sub-01", "motion", "sub-01_task-pullstand_tracksys-mocap_motion.tsv")
+    markers = read_markers(path, up="z")
+    assert (markers.labels, len(markers), markers.sample_rate_hz) == (("sacrum", "head"), 256, pytest.approx(256.0))
+    np.testing.assert_allclose(1e3 * markers.points.mean(axis=0).ravel(), [100, 105, 110, 115, 120, 125], atol=2.0)
+    with pytest.raises(InputError, match="wanted the axis that points up, got none; the file does not say"):
+        read_markers(path)
+    with pytest.raises(FileFormatError, match="got positions, not readings of a sensor"):
+        read_record(path)
+
+
+def bids(folder, rows, channels, settings):
+    base = folder / "sub-1_task-walk_tracksys-imu_"
+    (folder / f"{base.name}motion.tsv").write_text(rows)
+    (folder / f"{base.name}channels.tsv").write_text(channels)
+    if settings is not None:
+        (folder / f"{base.name}motion.json").write_text(json.dumps(settings))
+    return folder / f"{base.name}motion.tsv"
+
+
+CHANNELS = "name\tcomponent\ttype\ttracked_point\tunits\n" + "".join(
+    f"{point}_{kind}_{axis}\t{axis}\t{kind}\t{point}\t{unit}\n"
+    for point in ("Pelvis", "Foot")
+    for kind, unit in (("ACCEL", "m/s^2"), ("GYRO", "rad/s"), ("MAGN", "T"))
+    for axis in "xyz"
+)
+ROW = "0\t0\t9.8\t0.1\t0\t0\t2e-5\t0\t4e-5\t9.8\t0\t0\t0.2\tn/a\t0\t0\t0\t5e-5\n"
+
+
+def test_a_bids_motion_recording_reads_one_tracked_point(tmp_path):
+    path = bids(tmp_path, ROW * 20, CHANNELS, {"SamplingFrequency": 199.906})
+    record = read_record(path, settings=ReadSettings(sensor="pelvis"))
+    assert (len(record), record.device, record.accel_unit, record.gyro_unit) == (20, "Pelvis", "m/s2", "rad/s")
+    assert record.sample_rate_hz == pytest.approx(199.906)
+    np.testing.assert_allclose(record.mag_ut[0], [20.0, 0.0, 40.0])
+    foot = read_record(path, settings=ReadSettings(sensor="Foot", gaps="keep"))
+    assert np.isnan(foot.gyro[:, 1]).all()
+    with pytest.raises(InputError, match="the file holds Pelvis, Foot: name one"):
+        read_record(path)
+
+
+def test_bids_tables_without_their_sidecars_are_refused(tmp_path):
+    path = bids(tmp_path, ROW, CHANNELS, None)
+    with pytest.raises(FileFormatError, match=r"wanted sub-1_task-walk_tracksys-imu_motion.json beside it, got none"):
+        read_record(path)
+    path = bids(tmp_path, ROW, CHANNELS, {"Rate": 1})
+    with pytest.raises(FileFormatError, match="wanted SamplingFrequency in Hz, got none; add it"):
+        read_record(path)
+    path = bids(tmp_path, "1\t2\n", CHANNELS, {"SamplingFrequency": 100})
+    with pytest.raises(
+        FileFormatError, match=r"wanted 18 columns as in sub-1_task-walk_tracksys-imu_channels.tsv, got 2"
+    ):
+        read_record(path)
+    place = "name\tcomponent\ttype\ttracked_point\tunits\n" + "".join(f"{x}\t{x}\tPOS\thead\tmm\n" for x in "xyz")
+    path = bids(tmp_path, "1\t2\t3\n", place, {"SamplingFrequency": 100})
+    with pytest.raises(InputError, match=r"motion\.tsv: time: wanted two samples or more, got 1"):
+        read_markers(path, up="z")
+    channels = CHANNELS.replace("ACCEL", "ANGACC").replace("GYRO", "VEL")
+    path = bids(tmp_path, ROW, channels, {"SamplingFrequency": 100})
+    with pytest.raises(FileFormatError, match=r"wanted POS channels x, y, z and SamplingFrequency, got none"):
+        read_markers(path, up="z")
+
+
+# ---- formats without a file that may be shared, by their documents
+
+SENSORS = ("Pelvis Accel Sensor {} (mG)", "Noraxon MyoMotion-Segments-Pelvis-Gyroscope-{} (deg/s)")
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), [(";", ","), (",", ".")])
+def test_noraxon_reads_with_both_delimiters_and_the_decimal_comma(tmp_path, delimiter, decimal):
+    names = [
+        "time",
+        "Activity",
+        "Marker",
+        *(SENSORS[0].format(x) for x in "XYZ"),
+        *(SENSORS[1].format(x) for x in "xyz"),
+    ]
+    names.append("Noraxon MyoMotion-Segments-Pelvis-Acceleration-x (mG)")
+    row = ["rest", "", "12.5", "-3.25", "998.5", "0.5", "-0.25", "1.5", "7.5"]
+    rows = [[f"{k / 200:.3f}", *row] for k in range(5)]
+    lines = ["Type,Noraxon", "Name,x", "", delimiter.join(names)]
+    lines += [delimiter.join(cell.replace(".", decimal) for cell in cells) for cells in rows]
+    (tmp_path / "n.csv").write_text("\n".join(lines) + "\n")
+    assert detect(tmp_path / "n.csv") == "noraxon"
+    read = read_counted(tmp_path / "n.csv")
+    np.testing.assert_allclose(read.record.accel[0], [12.5, -3.25, 998.5])
+    np.testing.assert_allclose(read.record.gyro[0], [0.5, -0.25, 1.5])
+    assert (read.record.accel_unit, read.record.gyro_unit) == ("mg", "dps")
+    assert read.record.sample_rate_hz == pytest.approx(200.0)
+    assert "units by the manual of Noraxon, not in the file: time s" in read.notes
+
+
+def test_noraxon_with_several_sensors_asks_for_one(tmp_path):
+    names = [f'"{place} Accel Sensor {x},mG"' for place in ("Pelvis", "Foot LT") for x in "XYZ"]
+    (tmp_path / "n.csv").write_text(f"time,{','.join(names)}\n" + "0.00,1,2,990,4,5,980\n0.01,1,2,990,4,5,980\n")
+    with pytest.raises(InputError, match="the file holds Pelvis, Foot LT: name one"):
+        read_record(tmp_path / "n.csv")
+    record = read_record(tmp_path / "n.csv", settings=ReadSettings(sensor="Foot LT"))
+    assert (record.accel[0].tolist(), record.accel_unit) == ([4.0, 5.0, 980.0], "mg")
+
+
+def test_noraxon_names_one_side_before_and_behind_the_segment(tmp_path):
+    names = [f"RT Hand Accel Sensor {x} (mG)" for x in "XYZ"]
+    names += [
+        f"Noraxon MyoMotion-Segments-{place}-Gyroscope-{x} (deg/s)" for place in ("Hand RT", "Foot LT") for x in "xyz"
+    ]
+    (tmp_path / "n.csv").write_text(f"time,{','.join(names)}\n" + "0,1,2,990,4,5,6,7,8,9\n0.1,1,2,990,4,5,6,7,8,9\n")
+    record = read_record(tmp_path / "n.csv", settings=ReadSettings(sensor="Hand RT"))
+    assert (record.accel[0].tolist(), record.gyro[0].tolist()) == ([1.0, 2.0, 990.0], [4.0, 5.0, 6.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "unit"),
+    [
+        ("TotalAcceleration.csv", "9.8,0.1,0.2", "m/s2"),
+        ("AccelerometerUncalibrated.csv", "0.99,0.1,0.2", "g"),
+        ("AccelerometerUncalibrated.csv", "9.7,0.1,0.2", "m/s2"),
+    ],
+)
+def test_sensor_logger_turns_its_columns_and_states_the_unit(tmp_path, name, row, unit):
+    rows = "".join(f"{1700000000000000000 + 10000000 * k},{0.01 * k:.2f},{row}\n" for k in range(4))
+    (tmp_path / name).write_text(f"time,seconds_elapsed,z,y,x\n{rows}")
+    read = read_counted(tmp_path / name)
+    z, y, x = map(float, row.split(","))
+    assert (read.record.accel[0].tolist(), read.record.accel_unit) == ([x, y, z], unit)
+    assert read.record.sample_rate_hz == pytest.approx(100.0)
+    assert ("iOS writes this file in g" in read.notes[0]) == (unit == "g")
+
+
+def test_sensor_logger_s_accelerometer_has_no_gravity_and_its_gyroscope_reads(tmp_path):
+    rows = "".join(f"{k},{0.01 * k:.2f},1,2,3\n" for k in range(4))
+    for name in ("Accelerometer.csv", "Gyroscope.csv", "Gravity.csv"):
+        (tmp_path / name).write_text(f"time,seconds_elapsed,z,y,x\n{rows}")
+    with pytest.raises(FileFormatError, match="got 'Linear acceleration z', in which gravity is removed"):
+        read_record(tmp_path / "Accelerometer.csv")
+    with pytest.raises(
+        FileFormatError, match="wanted gyroscope or accelerometer columns x, y, z with a unit, got 'time'"
+    ):
+        read_record(tmp_path / "Gravity.csv")
+    record = read_record(tmp_path / "Gyroscope.csv")
+    assert (record.gyro[0].tolist(), record.gyro_unit, record.accel) == ([3.0, 2.0, 1.0], "rad/s", None)
+
+
+def test_a_mobgap_table_in_metres_is_not_taken_for_g(tmp_path):
+    head = "samples,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z\n"
+    (tmp_path / "m.csv").write_text(head + "0,9.8,0,0,1,2,3\n1,9.8,0,0,1,2,3\n")
+    with pytest.raises(
+        InputError, match=r"wanted accelerations in g \(median near 1\), got a median of 9.8; give the units"
+    ):
+        read_record(tmp_path / "m.csv", settings=ReadSettings(sample_rate_hz=100.0))
+
+
+def test_two_rates_in_one_trigno_sensor_are_refused(tmp_path):
+    kinds = (("ACC", "g", "1.0e+002"), ("GYRO", "deg/s", "2.0e+002"))
+    label = "Label: S 1: {}.{} Sampling frequency: {} Number of points: 9 start: 0 Unit: {} Domain Unit: s"
+    lines = [label.format(kind, axis, rate, unit) for kind, unit, rate in kinds for axis in "XYZ"]
+    header = ",".join(f'X[s],"S 1: {kind}.{axis}"' for kind, _, _ in kinds for axis in "XYZ")
+    rows = "".join(",".join([f"{0.01 * k:.2f},1"] * 6) + "\n" for k in range(4))
+    (tmp_path / "t.csv").write_text("\n".join([*lines, header]) + "\n" + rows)
+    with pytest.raises(InputError, match="wanted one sample rate in one sensor, got 100 Hz, 200 Hz; export them apart"):
+        read_record(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("d.csv", "Application:, Trigno Discover\n1,2,3\n4,5,6\n", "wanted lines of sensors, modes, signals and rates"),
+        ("a.csv", "Format=7,1,,,L\n" + "x,y,z,t\n" * 9, "wanted a header line over rows of numbers, got none"),
+        (
+            "b.csv",
+            "Format=7,1,,,L\nTime,X,Y,Z\n1,2,3,4\n5,6,7,8\n",
+            "wanted three header lines of APDM format 7, got fewer",
+        ),
+        (
+            "x.csv",
+            "sep=,\nPacketCounter,Acc_X,Acc_Y,Acc_Z\n1,2,3,4\n2,2,3,4\n",
+            "wanted the columns PacketCounter and Sample",
+        ),
+    ],
+)
+def test_damaged_headers_are_named(tmp_path, name, content, words):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(FileFormatError, match=words):
+        read_record(tmp_path / name)
+
+
+# ---- a log of set-points
+
+LOG = "boot v2\n" + "".join(f"BIN_DATA: {k}, {-10.1 + k}, 21652, 0.13, -0.2, 0.5\n" for k in range(6))
+
+
+def test_a_log_of_set_points_reads_through_a_map_by_position(tmp_path):
+    (tmp_path / "s.log").write_text(LOG)
+    assert detect(tmp_path / "s.log") == "set_points"
+    columns = ColumnMap(gyro=(3, 4, 5), gyro_unit="dps", temp=1, temp_unit="degC", sample_rate_hz=1.0)
+    read = read_counted(tmp_path / "s.log", columns)
+    np.testing.assert_allclose(read.record.temp_c, -10.1 + np.arange(6))
+    np.testing.assert_allclose(read.record.gyro, [[0.13, -0.2, 0.5]] * 6)
+    assert read.notes == ("1 lines without readings skipped",)
+    with pytest.raises(
+        InputError, match=r"wanted a map of its 6 columns by position \(from 0, after the colon\), got none"
+    ):
+        read_record(tmp_path / "s.log")
+    assert "6 columns by position" in describe(tmp_path / "s.log").summary
+
+
+# ---- damage
+
+
+@pytest.mark.parametrize("folder", sorted({row[0] for row in READ} | {"xsens_dot", "phyphox_csv", "opensim_sto_mot"}))
+def test_a_file_cut_or_spoilt_anywhere_is_read_or_refused_in_one_line(tmp_path, folder):
+    rng, refusals = np.random.default_rng(3), []
+    for path in sorted(maker(folder).iterdir()):
+        if path.suffix == ".mat" or path.name == "SOURCE.md":
+            continue
+        content = path.read_bytes()[:6000]
+        for at in rng.integers(10, len(content), 6):
+            spoilt = content[:at] + (
+                bytes(rng.integers(1, 256, 3, dtype=np.uint8)) + content[at + 3 :] if at % 2 else b""
+            )
+            (tmp_path / f"a{path.suffix}").write_bytes(spoilt)
+            try:
+                assert describe(tmp_path / f"a{path.suffix}").summary
+            except InputError as error:
+                refusals.append(str(error))
+    assert not any("\n" in refusal for refusal in refusals)
+
+
+# ---- clocks and folders
+
+
+def test_an_mt_export_without_a_rate_takes_its_fine_clock_of_10_khz(tmp_path):
+    rows = "".join(f"{k:05d};{(4294967290 + 100 * k) % 2**32};0;0;9.8;0.1;0;0\n" for k in range(4))
+    head = "//  MT Manager version: 2022.2\nPacketCounter;SampleTimeFine;Acc_X;Acc_Y;Acc_Z;Gyr_X;Gyr_Y;Gyr_Z\n"
+    (tmp_path / "m.txt").write_text(head + rows)
+    read = read_counted(tmp_path / "m.txt")
+    np.testing.assert_allclose(read.record.time, [0.0, 0.01, 0.02, 0.03])
+    assert read.notes[1] == "time from SampleTimeFine, 10 kHz by the manual of Xsens"
+    stated = read_counted(tmp_path / "m.txt", settings=ReadSettings(sample_rate_hz=50.0))
+    np.testing.assert_allclose(stated.record.time, [0.0, 0.02, 0.04, 0.06])
+
+
+def sensor_logger(rows):
+    return "time,seconds_elapsed,z,y,x\n" + "".join(f"{10**18 + k},{t},{z},0,{x}\n" for k, (t, z, x) in enumerate(rows))
+
+
+def phone(folder, accel="TotalAcceleration.csv", shift=0.005):
+    (folder / "Gyroscope.csv").write_text(sensor_logger([(k / 100, 0.1, 0.0) for k in range(9)]))
+    (folder / accel).write_text(sensor_logger([(k / 100 + shift, 9.8, k) for k in range(9)]))
+    return folder
+
+
+def test_the_folder_of_a_phone_is_one_recording(tmp_path):
+    read = read_counted(phone(tmp_path))
+    assert detect(tmp_path) == "phone"
+    np.testing.assert_allclose(read.record.time, np.arange(1, 9) / 100)  # the first stamp precedes the accelerometer's
+    np.testing.assert_allclose(read.record.accel[:, 0], np.arange(8) + 0.5)  # half a step between its samples
+    assert (read.record.gyro[0].tolist(), read.record.gyro_unit, read.record.accel_unit) == (
+        [0.0, 0.0, 0.1],
+        "rad/s",
+        "m/s2",
+    )
+    assert read.notes[-1] == "TotalAcceleration.csv interpolated onto the time stamps of Gyroscope.csv"
+
+
+def test_phyphox_in_a_folder_reads_as_well(tmp_path):
+    for name, kind, unit in (("Gyroscope", "Gyroscope", "rad/s"), ("Accelerometer", "Acceleration", "m/s^2")):
+        head = ",".join(['"Time (s)"', *(f'"{kind} {x} ({unit})"' for x in "xyz")])
+        (tmp_path / f"{name}.csv").write_text(head + "\n" + "".join(f"{k / 50},0,0,{k}\n" for k in range(6)))
+    record = read_record(tmp_path)
+    assert record.gyro.tolist() == record.accel.tolist()
+    assert record.sample_rate_hz == pytest.approx(50.0)
+
+
+def test_acceleration_without_gravity_in_the_folder_of_a_phone_is_left_out_aloud(tmp_path):
+    read = read_counted(phone(tmp_path, accel="Accelerometer.csv"))
+    assert (len(read.record), read.record.accel) == (9, None)
+    assert read.notes[-1].startswith("Accelerometer.csv: wanted accelerometer readings with gravity")
+
+
+def test_files_of_a_phone_that_do_not_belong_together_are_refused(tmp_path):
+    with pytest.raises(
+        FileFormatError, match=r"wanted Gyroscope.csv and TotalAcceleration.csv of the same time, got two times"
+    ):
+        read_record(phone(tmp_path, shift=60.0))
+    (tmp_path / "Gyroscope.csv").write_text((tmp_path / "TotalAcceleration.csv").read_text())
+    (tmp_path / "TotalAcceleration.csv").write_text("t (s),wx (rad/s),wy (rad/s),wz (rad/s)\n0,0,0,1\n1,0,0,1\n")
+    with pytest.raises(
+        FileFormatError, match=r"wanted a gyroscope in Gyroscope.csv and an accelerometer in Total.*, got others"
+    ):
+        read_record(tmp_path)
+
+
+def test_the_map_of_set_points_is_proposed_line_by_line(tmp_path):
+    (tmp_path / "s.txt").write_text("".join(f"BIN_DATA: {k}, -10.1, 21652, 0.13, 0.2, 0.{k}\n" for k in range(5)))
+    example = describe(tmp_path / "s.txt").example
+    assert example == (
+        "columns = { temp = 1, gyro = [3, 4, 5] }",
+        'units = { temp = "?", gyro = "?" }',
+        "sample_rate_hz = ?",
+    )
+    assert describe(maker("xdf", "minimal.xdf")).example[0] == 'columns = { time = "time_s", gyro = [0, 1, 2] }'

@@ -1,0 +1,181 @@
+"""Poses and markers in text: OpenSim and Xsens on their real files, QTM by its documented layout."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from testkit.data import data_path
+from undrift.errors import FileFormatError, InputError
+from undrift.frames import rotate
+from undrift.io.columns import ReadSettings
+from undrift.io.formats import detect, read_markers, read_record, read_reference
+from undrift.io.inspect import describe
+from undrift.io.reference import ReferenceMap
+
+STO = ("makers", "opensim_sto_mot", "myComplexTasksTrial_orientations.sto")
+IMUS = "pelvis_imu, tibia_r_imu, femur_r_imu, tibia_l_imu, femur_l_imu, calcn_l_imu, calcn_r_imu"
+
+
+def put(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    return tmp_path / name
+
+
+# ---- OpenSim
+
+
+def test_one_sensor_of_an_opensense_table_is_a_reference():
+    path = data_path(*STO)
+    poses = read_reference(path, labels=["femur_r_imu"])
+    assert (len(poses), poses.sample_rate_hz, poses.name) == (6, pytest.approx(100.0), f"{path.name} femur_r_imu")
+    np.testing.assert_allclose(
+        poses.q_nb[0], [0.5452838971693046, 0.6582951337533763, 0.3496155891730705, 0.3835126180083864]
+    )
+    np.testing.assert_allclose(poses.time, 0.01 * np.arange(6))
+    found = describe(path)
+    assert (found.kind, found.columns, found.rows) == ("reference", tuple(IMUS.split(", ")), 6)
+    assert "of each of 7 bodies" in found.summary
+
+
+def test_a_laboratory_with_y_up_is_turned_level():
+    path = data_path(*STO)
+    z_up, y_up = (read_reference(path, labels=["pelvis_imu"], up=up) for up in ("z", "y"))
+    np.testing.assert_allclose(
+        rotate(y_up.q_nb, np.eye(3)[0]), rotate(z_up.q_nb, np.eye(3)[0])[:, [0, 2, 1]] * [1, -1, 1]
+    )
+
+
+def test_an_opensense_table_wants_the_name_of_one_sensor():
+    with pytest.raises(InputError, match=rf"wanted the name of one body, got none; the file holds {IMUS}: name one"):
+        read_reference(data_path(*STO))
+    with pytest.raises(InputError, match="wanted the name of one body, got 'torso'"):
+        read_reference(data_path(*STO), labels=["torso"])
+    with pytest.raises(InputError, match="wanted the name of one body, got a, b; name one"):
+        read_reference(data_path(*STO), labels=["a", "b"])
+    with pytest.raises(FileFormatError, match="wanted a recording, got orientations; read them as a reference"):
+        read_record(data_path(*STO))
+
+
+@pytest.mark.parametrize("name", ["std_subject01_walk1_ik.mot", "gait10dof18musc_ik_CRLF_line_ending.mot"])
+def test_coordinates_of_a_model_are_named_for_what_they_are(name):
+    path = data_path("makers", "opensim_sto_mot", name)
+    with pytest.raises(FileFormatError, match="got an OpenSim table of coordinates or forces of a model"):
+        read_record(path)
+    assert describe(path).kind == "text"
+    assert "undrift validate is the .sto file of orientations" in describe(path).summary
+
+
+HEAD = "DataRate=100\nDataType=Quaternion\nversion=3\nendheader\n"
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("Frame\ta\n0\t1,0,0,0\n1\t1,0,0,0\n", "wanted 'time' and sensor names after endheader, got b'Frame"),
+        ("time\ta\n0\t1,0,0,0\n", "wanted two frames or more, got 1; the file is cut"),
+        ("time\ta\n", "wanted two frames or more, got 0; the file is cut"),
+        ("time\ta\n0\t1,1,1,1\n1\t1,1,1,1\n", "wanted unit quaternions, got length 2; check the export"),
+        ("time\ta\n1\t1,0,0,0\n0\t1,0,0,0\n", "wanted strictly increasing seconds"),
+    ],
+)
+def test_damaged_opensense_tables_are_named(tmp_path, rows, words):
+    with pytest.raises(InputError, match=words):
+        read_reference(put(tmp_path, "a.sto", HEAD + rows))
+
+
+# ---- QTM
+
+
+def qtm(names, rows, *, key="MARKER_NAMES", columns="", rate="200"):
+    kinds = "NO_OF_MARKERS" if key == "MARKER_NAMES" else "NO_OF_BODIES"
+    head = f"NO_OF_FRAMES\t{len(rows)}\nNO_OF_CAMERAS\t8\n{kinds}\t{len(names)}\nFREQUENCY\t{rate}\n"
+    head += (
+        "DESCRIPTION -- \nTIME_STAMP\t2026-01-19, 10:19:43.755\t2063631.96\nTIME_STAMP\t2026-01-20\nDATA_INCLUDED\t3D\n"
+    )
+    lines = (
+        [f"{key}\t" + "\t".join(names)] + ([columns] if columns else []) + ["\t".join(map(str, row)) for row in rows]
+    )
+    return head + "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("numbered", [False, True])
+def test_qtm_trajectories_are_markers_in_metres(tmp_path, numbered):
+    points = np.round(np.random.default_rng(1).normal(800.0, 100.0, (5, 2, 3)), 3)
+    points[2, 1] = 0.0
+    rows = [[*([k + 1, k / 200] if numbered else []), *frame.ravel()] for k, frame in enumerate(points)]
+    columns = "Frame\tTime\tA X\tA Y\tA Z\tB X\tB Y\tB Z\t" if numbered else ""
+    path = put(tmp_path, "m.tsv", qtm(("A", "B"), rows, columns=columns))
+    assert detect(path) == "qtm_markers"
+    markers = read_markers(path, up="z")
+    assert (markers.labels, markers.sample_rate_hz) == (("A", "B"), pytest.approx(200.0))
+    np.testing.assert_allclose(markers.points[:2], 1e-3 * points[:2])
+    assert np.isnan(markers.points[2, 1]).all()
+    with pytest.raises(InputError, match="wanted the axis that points up, got none; QTM does not say"):
+        read_markers(path)
+    with pytest.raises(FileFormatError, match="got marker trajectories; read them as a reference"):
+        read_record(path)
+
+
+@pytest.mark.parametrize(("gap", "numbered"), [(True, False), (False, False), (True, True)])
+def test_qtm_bodies_are_poses_from_a_matrix_column_by_column(tmp_path, gap, numbered):
+    turn = Rotation.random(6, random_state=2)
+    rows = []
+    for k, matrix in enumerate(turn.as_matrix()):
+        mine = [100.0 * k, 200.0, 300.0, 1, 2, 3, 0.5, *np.round(matrix.T.ravel(), 9)]
+        lost = [0.0] * 6 + [-1] + [0.0] * 9
+        rows.append(
+            [*([k + 1, k / 100] if numbered else []), *lost, *([""] if gap else []), *(mine if k != 3 else lost)]
+        )
+    each = "\t".join(["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{j}]" for j in range(9))])
+    columns = f"Frame\tTime\t{each}\t\t{each}" if numbered else ""
+    path = put(tmp_path, "b.tsv", qtm(("Belt", "Case"), rows, key="BODY_NAMES", columns=columns, rate="100"))
+    poses = read_reference(path, labels=["Case"])
+    assert (len(poses), poses.sample_rate_hz, poses.name) == (6, pytest.approx(100.0), "b.tsv Case")
+    assert poses.valid.tolist() == [True, True, True, False, True, True]
+    seen = poses.valid
+    assert (Rotation.from_quat(poses.q_nb[seen], scalar_first=True) * turn[seen].inv()).magnitude().max() < 1e-7
+    np.testing.assert_allclose(poses.position[5], [0.5, 0.2, 0.3])
+    with pytest.raises(InputError, match="the file holds Belt, Case: name one"):
+        read_reference(path)
+    with pytest.raises(FileFormatError, match=r"wanted rotation matrices Rot\[0..8\], got none; export 6D data"):
+        read_reference(path, labels=["Belt"])
+    assert detect(path) == "qtm_bodies"
+
+
+def test_damaged_qtm_files_are_named(tmp_path):
+    with pytest.raises(FileFormatError, match="wanted MARKER_NAMES and FREQUENCY in Hz in the header, got none"):
+        read_markers(put(tmp_path, "a.tsv", qtm(("A",), [[1, 2, 3]] * 3, rate="EXT")), up="z")
+    with pytest.raises(FileFormatError, match="wanted 3 columns for each of 2 names, got 3 in all; check the export"):
+        read_markers(put(tmp_path, "a.tsv", qtm(("A", "B"), [[1, 2, 3]] * 3)), up="z")
+    path = put(tmp_path, "a.tsv", qtm(("A", "B"), [[1, 2, 3, 4, 5, 6]] * 3))
+    assert describe(path).kind == "markers"
+    assert len(read_markers(put(tmp_path, "a.tsv", qtm(("A", "A"), [[1, 2, 3, 4, 5, 6]] * 3)), up="y").labels) == 2
+
+
+# ---- Xsens
+
+
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [
+        ("skin_data_xsens.txt", [-0.06, -0.03, 9.75]),  # SOURCE.md, quaternion
+        ("MT46_01-000_00B42D4D.txt", [0.09, 0.0, 9.81]),
+        ("MT2022_ACC_GYRO_ROT_EULER_TAB_00B42D4F.txt", [-0.03, -0.1, 9.99]),  # roll, pitch, yaw
+        ("MT_01200454_000-000_00B40DE4.txt", [0.34, -1.35, 9.89]),  # matrix, in motion
+    ],
+)
+def test_gravity_points_up_through_the_orientations_of_xsens(name, level):
+    path = data_path("makers", "xsens_mtmanager", name)
+    poses = read_reference(path, ReferenceMap(sample_rate_hz=100.0))
+    record = read_record(path, settings=ReadSettings(sample_rate_hz=100.0))
+    np.testing.assert_allclose(rotate(poses.q_nb, record.accel).mean(axis=0), level, atol=0.006)
+
+
+def test_xsens_orientations_without_a_rate_or_without_angles_are_refused(tmp_path):
+    with pytest.raises(InputError, match="wanted the sample rate, got a file without it; give sample_rate_hz in a map"):
+        read_reference(data_path("makers", "xsens_mtmanager", "MT_01200454_000-000_00B40DE4.txt"))
+    text = (
+        "// Update Rate: 100.0Hz\nPacketCounter\tAcc_X\tAcc_Y\tAcc_Z\n" + "1\t0\t0\t9.8\n2\t0\t0\t9.8\n3\t0\t0\t9.8\n"
+    )
+    with pytest.raises(FileFormatError, match="wanted Quat, Mat or Roll, Pitch, Yaw columns, got none"):
+        read_reference(put(tmp_path, "m.txt", text))
