@@ -32,7 +32,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.model import AdcModel, Calibration, Provenance, Verdict
 from undrift.plugins import load_named, names_in
-from undrift.record import Record, Reference, Session
+from undrift.record import FACES, Record, Reference, Session
 from undrift.sync import LagSettings
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 
@@ -172,6 +172,8 @@ def calibrate(
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
+    if session.gravity_source == "standard" and of_accel.fit is not None:
+        other_temperatures += (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),)
     found = each_once((*other_temperatures, *seen.findings, *of_accel.findings, *of_gyro.findings, *unused))
     if of_accel.fit is None and of_gyro.fit is None:
         reasons = "; ".join(item.text for item in found)
@@ -188,7 +190,8 @@ def calibrate(
         accel=None if of_accel.fit is None else of_accel.fit.model,
         adc=adc,
         verdict=verdict.also(Verdict.of(*limits_of(of_accel, of_gyro, seen.mean_temperature(), thermal=thermal))),
-        provenance=_provenance(session, settings, of_accel.method, of_gyro.method, mode),
+        provenance=_provenance(session, seen, of_accel.method, of_gyro.method, mode),
+        file_map=session.file_map,
     )
 
 
@@ -311,15 +314,24 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
         yield finding("session.unknown_temperature", "info")
 
 
-def _provenance(session: Session, settings: CalibrateSettings, accel: str, gyro: str, mode: Mode | None) -> Provenance:
+def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: Mode | None) -> Provenance:
     from importlib.metadata import version
 
+    settings, turns = seen.settings, seen.session.turns
+    if gyro == "known-rotation" and not turns:
+        turns = seen.full_turns()
     names = ("window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg")
     numbers = ((name, getattr(settings, name)) for name in names)
     shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(
         inputs=session.inputs,
-        settings=(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown),
+        settings=(
+            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown),
+            ("gravity", session.gravity_source),
+            ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
+            ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),
+            ("turns", f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none"),
+        ),
         versions=tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )

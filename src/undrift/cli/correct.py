@@ -76,6 +76,7 @@ def correct(
     model = read_calibration(calibration)
     targets = _targets(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
+    opening = opening.like(model, calibration)
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
@@ -205,7 +206,7 @@ def _correct_one(
 ) -> tuple["CorrectorState", Remarks]:
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
-    from undrift.io.formats import iter_record, write_record
+    from undrift.io.formats import write_record
     from undrift.io.parquet import ParquetWriter
 
     stream, notes = corrector(), dict[str, None]()
@@ -213,11 +214,7 @@ def _correct_one(
     beyond: tuple[Beyond, ...] = ()
     whole = not part.name.endswith(".parquet")
     with nullcontext() if whole else ParquetWriter(part) as writer:
-        for read in (
-            (opening.read(record),)
-            if whole
-            else read_ahead(iter_record(record, opening.columns(), settings=opening.settings()))
-        ):
+        for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
             chunk, left_out = calibrated_part(read, model)
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough

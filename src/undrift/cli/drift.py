@@ -101,6 +101,7 @@ def drift(
     check_output(report, endings=(".html",), reads=(*read, calibration))
     check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
+    opening = opening if model is None or calibration is None else opening.like(model, calibration)
     fit = _fit(sessions, opening, model, settings)
     if figure is not None:
         if fit.gyro_summary is None:
@@ -162,20 +163,21 @@ def _range(text: str) -> tuple[float, float]:
 def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
     """Read a session; a recording by itself is a session of one."""
     from undrift.files import sha256_of
-    from undrift.io.formats import detect, read_record
+    from undrift.io.formats import detect
     from undrift.io.session import read_session
     from undrift.record import Session
     from undrift.units import STANDARD_GRAVITY
 
     if detect(path) == "session":
         return read_session(path)
-    record = read_record(path, opening.columns(), settings=opening.settings())
+    record = opening.record(path)
     return Session(
         kind="thermal",
         serial=record.device,
         gravity_m_s2=STANDARD_GRAVITY if model is None else model.gravity_m_s2,
         records=(record,),
         inputs=((path.name, sha256_of(path)),) if path.is_file() else (),
+        file_map=opening.file_map(),
     )
 
 

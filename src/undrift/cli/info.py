@@ -179,7 +179,6 @@ def _show_folder(path: Path, *, json: bool) -> None:
 
 def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[list[float]], str]:
     """Return [start_s, stop_s] of every still phase, and why there is none."""
-    from undrift.io.formats import read_record
     from undrift.io.session import read_session
 
     records, stills, reason = tuple["Record", ...](), tuple["Still", ...](), ""
@@ -188,7 +187,7 @@ def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[li
         records, stills = session.records, session.stills
         stills = stills or tuple(s for k, record in enumerate(records) for s in _search(record, k)[0])
     elif found.kind == "recording":
-        records = (read_record(file, opening.columns(), settings=opening.settings()),)
+        records = (opening.record(file),)
         stills, reason = _search(records[0])
     clocks = [record.time for record in records]
     return [[float(clocks[s.recording][k]) for k in (s.start, s.stop - 1)] for s in stills], reason

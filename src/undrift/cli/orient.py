@@ -67,11 +67,12 @@ def orient(
     from undrift.orientation import orient as find
 
     check_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
+    held = None if calibration is None else read_calibration(calibration)
+    opening = opening if held is None or calibration is None else opening.like(held, calibration)
     readings, model, notes = opening.read(record), None, tuple[str, ...]()
-    if calibration is None:
+    if held is None:
         check_physical(readings, record)
     else:
-        held = read_calibration(calibration)
         done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
         beyond = (one.text for one in find_beyond(done.record, held) if one.text)
         readings, model, notes = done.record, held.accel, (*done.warnings, *beyond, *done.notes)

@@ -27,6 +27,7 @@ from undrift.cli.common import (
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
+    from undrift.model import Calibration
     from undrift.record import Record, Reference
     from undrift.report.validation import Method
     from undrift.validation.agreement import Validation
@@ -98,6 +99,7 @@ def validate(
     opening : Opening
         How to read foreign recordings.
     """
+    from undrift.io.store import read_calibration
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
@@ -122,9 +124,17 @@ def validate(
         lag=LagSettings(longest_lag_s=max_lag_s),
     )
     with waiting("reading, aligning and integrating"):
+        model = None if calibration is None else read_calibration(calibration)
+        opening = opening if model is None or calibration is None else opening.like(model, calibration)
         pairs = optics.pairs(records, opening, command="validate")
         result, method = _judged(
-            pairs, records, optics.reference, calibration, settings, leave_one_out, fit=calibrate_from is not None
+            pairs,
+            records,
+            optics.reference,
+            (calibration, model),
+            settings,
+            leave_one_out,
+            fit=calibrate_from is not None,
         )
     source = calibration.name if calibration else calibrate_from
     asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
@@ -204,7 +214,7 @@ def _judged(
     pairs: list[tuple["Record", "Reference"]],
     paths: tuple[Path, ...],
     references: tuple[Path, ...],
-    calibration: Path | None,
+    read: "tuple[Path | None, Calibration | None]",
     settings: "TrialSettings",
     leave_one_out: bool,
     *,
@@ -212,18 +222,18 @@ def _judged(
 ) -> tuple["Validation", "Method"]:
     """Return the validation, and how it was made: by the calibration that was read or fitted to all recordings, or none."""
     from undrift.calibration.calibrate import calibrate_to_references
-    from undrift.io.store import read_calibration
     from undrift.model import Verdict
     from undrift.report.validation import Method
     from undrift.validation.agreement import validate_leave_one_out, validate_trials
 
+    calibration, model = read
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
     if calibration is None and not fit:
         for readings, path in zip(records, paths, strict=True):
             check_physical(readings, path)
             check_gravity(readings, path)
     fitted = calibrate_to_references(records, held, adc=settings.adc, lag_settings=settings.lag) if fit else None
-    model = fitted if calibration is None else read_calibration(calibration)
+    model = fitted if model is None else model
     result = (
         validate_leave_one_out(pairs, settings=settings, names=names)
         if leave_one_out
