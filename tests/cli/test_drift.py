@@ -75,7 +75,7 @@ def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell
         "Gyroscope scale over temperature not observable",
     ):
         assert answer.out.count(said) == 1, said
-    assert f"undrift correct RECORD --calibration {tmp_path / 'mpu.json'}" in answer.out
+    assert f"--calibration {tmp_path / 'mpu.json'}" in answer.out
     assert len(answer.out.splitlines()) < 50  # three findings take up to three lines each
     corrected = tmp_path / "corrected.parquet"
     undrift.good(

@@ -32,7 +32,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.model import AdcModel, Calibration, Provenance, Verdict
 from undrift.plugins import load_named, names_in
-from undrift.record import FACES, Record, Reference, Session
+from undrift.record import FACES, Record, Reference, Session, Turn
 from undrift.sync import LagSettings
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 
@@ -166,8 +166,7 @@ def calibrate(
             "recording"
         )
     session, other_temperatures = at_one_temperature(in_one_unit(session))
-    adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
-    seen = observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
+    adc, seen = _observed(session, settings)
     of_accel = _calibrate_accel(seen, accel, mode)
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
@@ -195,6 +194,23 @@ def calibrate(
     )
 
 
+def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
+    """Return the converter's rounding, and what the session shows without it."""
+    adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
+    return adc, observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
+
+
+def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session, tuple[Turn, ...]]:
+    """Return a bare session with what was found in it stated, and its steady turns, whose rate only the rig knows.
+
+    Faces are stated where they are what the accelerometers would be calibrated by.
+    """
+    seen = _observed(in_one_unit(session), settings)[1]
+    stills = seen.stills if seen.mostly_faces else tuple(replace(still, face=None) for still in seen.stills)
+    turns = seen.session.turns or seen.full_turns()
+    return replace(session, stills=stills, turns=turns), () if turns else seen.plateaus()
+
+
 def each_once(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings, those that differ in their triad alone as one with both triads."""
     alike: dict[tuple[str, str, str], list[Finding]] = {}
@@ -217,8 +233,7 @@ def _calibrate_accel(seen: Observed, method: str | None, mode: Mode | None) -> O
         return _as_asked("accelerometer", method, find_fit(method, "accel")(seen, mode, None))
     missing = missing_faces([s.face for s in seen.faced if s.face is not None])
     faces = not missing or (not seen.found and len(missing) == 1)
-    free = len(seen.stills) - len(seen.faced)
-    if faces and (not seen.found or free <= 0.1 * len(seen.stills)):
+    if faces and (not seen.found or seen.mostly_faces):
         return calibrate_faces(seen, mode)
     rests = len(seen.stills)
     if rests < _LEAST_POSES:
@@ -266,7 +281,7 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
     elif any(t.angle is not None for t in turns) or seen.full_turns():
         outcome = calibrate_turns(seen, mode, accel)
     else:
-        plateaus = seen.plateaus()
+        plateaus = len(seen.plateaus())
         if len(seen.stills) >= _LEAST_POSES:
             # Slow moves between poses are steady too; on a rate table without its rates the poses fail, for any reason.
             try:

@@ -282,6 +282,7 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
 
 _FULL_TURN = 2.0 * np.pi  # rad
 _NEAR_FULL = 0.1  # a turn this near a whole number, relative, counts as whole
+_FREE = 0.1  # largest share of free poses among rests on faces
 _SAME_POSE = 0.26  # of gravity: 15 deg
 _FEW = 9  # stills: with fewer, pauses that were too short are reported
 
@@ -445,9 +446,15 @@ class Observed:
         found = finding("session.turns_found", "info", angle_deg=angle_deg, count=len(turns), turns=shown)
         return replace(self, session=replace(self.session, turns=turns), findings=(*self.findings, found))
 
-    def plateaus(self) -> int:
-        """Return how many steady turns the recordings hold."""
-        return sum(len(search.plateaus) for _, search in self._turns())
+    @property
+    def mostly_faces(self) -> bool:
+        """True where rests lie on all six faces and few of them elsewhere."""
+        free = len(self.stills) - len(self.faced)
+        return {still.face for still in self.faced} == set(FACES) and free <= _FREE * len(self.stills)
+
+    def plateaus(self) -> tuple[Turn, ...]:
+        """Return the steady turns that the recordings hold."""
+        return tuple(turn for _, search in self._turns() for turn in search.plateaus)
 
     def _turns(self) -> Iterator[tuple[Record, TurnSearch]]:
         for number, record in enumerate(self.session.records):

@@ -19,6 +19,7 @@ ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove w
 COMMANDS = {  # one line of 80 columns each
     "info": "What a recording, session, calibration, reference or device holds.",
     "calibrate": "Fit what a session allows, with verdict and findings.",
+    "session": "Write a session.toml of what bare recordings hold; --json.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Initial tilt and strapdown: orientation, inclination, pitch.",

@@ -87,6 +87,11 @@ class Opening:
 
         return read_file_map(self.column_map, **self._options())
 
+    def words(self) -> list[object]:
+        """Return the options as they were given."""
+        held = {"map": self.column_map, "sample-rate-hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
+        return [word for name, value in held.items() if value is not None for word in (f"--{name}", value)]
+
     def _options(self) -> dict[str, Any]:
         return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
 
@@ -206,7 +211,11 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
             f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
             "or state the recordings in its session.toml"
         )
-    given: dict[str, object] = {"--map": opening.column_map, "--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
+    given: dict[str, object] = {
+        "--map": opening.column_map,
+        "--gravity-m-s2": place.gravity_m_s2,
+        "--height-m": place.height_m,
+    }
     given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "--gaps": opening.gaps}
     used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
     if used:

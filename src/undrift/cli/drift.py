@@ -13,7 +13,9 @@ from undrift.cli.common import (
     OptionalOutput,
     check_output,
     progress,
+    recording_of,
     say,
+    say_next,
     show_table,
     show_verdict,
     write_json,
@@ -102,7 +104,7 @@ def drift(
     check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
     opening = opening if model is None or calibration is None else opening.like(model, calibration)
-    fit = _fit(sessions, opening, model, settings)
+    fit, seen = _fit(sessions, opening, model, settings)
     if figure is not None:
         if fit.gyro_summary is None:
             raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
@@ -118,14 +120,16 @@ def drift(
         show_verdict(fit.verdict, details=details)
         if model is not None:
             say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
-        _say_next(fit, output, (figure, report))
+        _say_next(fit, output, (figure, report), (recording_of(sessions), seen))
     return 1 if fit.calibration.verdict.status == "bad" else 0
 
 
 def _fit(
     sessions: tuple[Path, ...], opening: Opening, model: "Calibration | None", settings: "DriftSettings"
-) -> "DriftFit":
-    """Read the sessions and fit their tables, with a bar."""
+) -> "tuple[DriftFit, tuple[float, float] | None]":
+    """Read the sessions and fit their tables, with a bar; return the fit and the temperatures of the first recording, degC."""
+    import numpy as np
+
     from undrift.drift.fit import fit_drift
     from undrift.drift.sessions import check_once, one_power_on
     from undrift.io.formats import detect
@@ -138,7 +142,9 @@ def _fit(
             held.append((_read(path, opening, model), detect(path) == "session"))
         check_once([session for session, _ in held])
         bare = [session for session, stated in held if not stated]
-        return fit_drift(
+        temps = held[0][0].records[0].temp_c
+        seen = None if temps is None else (float(np.nanmin(temps)), float(np.nanmax(temps)))
+        fit = fit_drift(
             [
                 *(session for session, stated in held if stated),
                 *one_power_on(bare),
@@ -147,6 +153,7 @@ def _fit(
             settings=settings,
             progress=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
         )
+        return fit, seen
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -198,11 +205,24 @@ def _show(fit: "DriftFit") -> None:
         say(f"thermometer lag removed: {drift.lag_s:.3g} s")
 
 
-def _say_next(fit: "DriftFit", output: Path | None, written: tuple[Path | None, ...]) -> None:
+def _say_next(
+    fit: "DriftFit",
+    output: Path | None,
+    written: tuple[Path | None, ...],
+    first: tuple[Path | None, tuple[float, float] | None],
+) -> None:
+    """Say what was written, and how the first recording, with its temperatures, is corrected by it."""
+    recording, temp_c = first
     say(*(f"Wrote {path}" for path in written if path is not None))
     if output is None:
         say("No tables were written: add -o calibration.json to keep them")
         return
     static = None if fit.calibration.drift is None else fit.calibration.drift.static
-    aged = " --power-on-s SECONDS" if static is not None and static.warm_up is not None else ""
-    say(f"Wrote {output}. Next: undrift correct RECORD --calibration {output}{aged} -o corrected.parquet")
+    aged = ["--power-on-s", "0"] if static is not None and static.warm_up is not None else []  # as it was recorded
+    outside = (
+        static is not None and temp_c is not None and (temp_c[0] < static.temp_c[0] or temp_c[1] > static.temp_c[-1])
+    )
+    held = ["--policy", "hold"] if outside else []
+    say(f"Wrote {output}")
+    if recording is not None:
+        say_next("correct", recording, "--calibration", output, *aged, *held, "-o", "corrected.parquet")

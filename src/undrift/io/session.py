@@ -415,8 +415,7 @@ def write_session(session: Session, folder: str | Path) -> None:
             lines += ["", "[[recording]]", f'file = "{name}"']
         pieces: list[Still | Turn] = [*session.stills, *session.turns]
         for piece in pieces:
-            kind = "turn" if isinstance(piece, Turn) else "still"
-            lines += ["", f"[[{kind}]]", *_keys(piece, session.records[piece.recording].time)]
+            lines += ["", *piece_lines(piece, session.records[piece.recording].time)]
         (folder / NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(
@@ -504,8 +503,8 @@ def _samples(entry: PieceEntry, clocks: list[Clock]) -> dict[str, Any]:
     return {"start": int(start), "stop": int(stop), "recording": entry.recording, "temp_c": entry.temp_c}
 
 
-def _keys(piece: Still | Turn, time: FloatArray) -> list[str]:
-    """Return the lines of a piece."""
+def piece_lines(piece: Still | Turn, time: FloatArray) -> list[str]:
+    """Return the lines of a [[still]] or [[turn]]."""
     stop = time[piece.stop] if piece.stop < len(time) else time[-1] + np.median(np.diff(time))
     held: dict[str, Any] = {"recording": piece.recording, "start_s": float(time[piece.start]), "stop_s": float(stop)}
     held["temp_c"] = None if piece.temp_c is None else float(piece.temp_c)
@@ -515,4 +514,5 @@ def _keys(piece: Still | Turn, time: FloatArray) -> list[str]:
             held[key] = None if value is None else float(value / RADIAN_PER_DEGREE)
     else:
         held["face"] = piece.face
-    return [f"{key} = {json.dumps(value)}" for key, value in held.items() if value is not None]
+    head = "[[turn]]" if isinstance(piece, Turn) else "[[still]]"
+    return [head, *(f"{key} = {json.dumps(value)}" for key, value in held.items() if value is not None)]
