@@ -284,7 +284,7 @@ def test_another_device_is_refused(undrift, soaks, tmp_path):
 def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks, tmp_path):
     session = soaks / "session"
     for words, message in (
-        ((), "wanted a session or recording, or more, got none"),
+        ((), "parameter SESSIONS requires an argument. Say undrift drift --help."),
         ((session, "--range-c", "20"), "wanted LOW:HIGH in degC, got '20'"),
         ((session, "--range-c", "70:20"), "wanted LOW below HIGH in degC, got '70:20'"),
         ((session, "--step-c", "0"), "wanted more than 0 degC, got 0"),

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
     Details,
+    Files,
     Flag,
     Json,
     Opening,
@@ -26,9 +27,7 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    files: tuple[Path, ...],
-    /,
-    *,
+    *files: Files,
     place: Place = Place(),
     opening: Opening = Opening(),
     turn_deg: float | None = None,
@@ -120,7 +119,7 @@ def calibrate(
         write_page(report, title=title, lead=_heading(made), sections=sections, verdict=made.verdict)
     code = 1 if made.verdict.status == "bad" else 0
     if json:
-        write_json(calibration_json(made))
+        write_json(calibration_json(made), "calibrate")
         return code
     _show(made)
     show_verdict(made.verdict, details=details)

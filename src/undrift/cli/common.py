@@ -9,7 +9,9 @@ import json
 import math
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
+from undrift import __version__
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     from undrift.sim.device.model import DeviceModel
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
+Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
 Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
 Details: TypeAlias = Annotated[
     bool, Parameter(show_default=False, help="Show every finding, not only the first three.")
@@ -454,6 +458,46 @@ def progress() -> "Progress":
     return Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal)
 
 
+SAID_EVERY_S = 8.0  # where stderr is not a terminal
+
+
+class Steps:
+    """Shows how far a long command is: a bar on a terminal; elsewhere a line on stderr every 8 s, with the time left."""
+
+    def __init__(self, command: str) -> None:
+        self._command, self._what, self._share = command, "reading", 0.0
+        self._bar, self._stop = progress(), threading.Event()
+        self._task = self._bar.add_task(self._what, total=1.0)
+        self._began_s = time.monotonic()
+        self._teller = threading.Thread(target=self._tell, daemon=True)
+
+    def __enter__(self) -> "Steps":
+        self._bar.start()
+        if not sys.stderr.isatty():
+            self._teller.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._bar.stop()
+
+    def __call__(self, what: str, share: float) -> None:
+        """Take what is being done, and the share of the whole that is done, 0 to 1."""
+        self._what, self._share = what, share
+        self._bar.update(self._task, description=what, completed=share)
+
+    def part(self, start: float, stop: float) -> Callable[[str, float], None]:
+        """Return how a part of the command, from one share of the whole to another, says how far it is."""
+        return lambda what, share: self(what, start + share * (stop - start))
+
+    def _tell(self) -> None:
+        while not self._stop.wait(SAID_EVERY_S):
+            passed_s, share = time.monotonic() - self._began_s, self._share
+            left = f"about {passed_s * (1.0 - share) / share:.0f} s left" if share > 0.0 else "time left not known yet"
+            sys.stderr.write(f"undrift {self._command}: {self._what}, {passed_s:.0f} s so far, {left}\n")
+            sys.stderr.flush()
+
+
 def waiting(what: str) -> AbstractContextManager[object]:
     """Return a context that shows on a terminal's stderr what is being done."""
     from rich.console import Console
@@ -483,9 +527,31 @@ def show_table(title: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) 
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
 
 
-def write_json(value: object) -> None:
-    """Write one JSON object to stdout; NaN is written as null."""
-    sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
+ENVELOPE = ("kind", "format", "version", "verdict", "findings", "result", "error")  # of every answer in JSON
+
+
+KINDS = {  # of answers, where it is not the command's name
+    **dict.fromkeys(("calibrate", "drift"), "undrift.calibration"),
+    "correct": "undrift.correction",
+    "orient": "undrift.orientation",
+    "validate": "undrift.validation",
+    "simulate": "undrift.simulation",
+    "session new": "undrift.session",
+}
+
+
+def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str, str] | None = None) -> None:
+    """Write one JSON object to stdout: the envelope, and the command's own values, which stand in ``result`` too.
+
+    A command's own kind, format, verdict and findings are those of the envelope; NaN is written as null.
+    """
+    kind = KINDS.get(command, "undrift." + (command.replace(" ", "_") or "call"))
+    verdict = value.get("verdict")
+    findings = value.get("findings", verdict.get("findings", ()) if isinstance(verdict, Mapping) else ())
+    own = {key: item for key, item in value.items() if key not in ENVELOPE}
+    head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
+    rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
+    sys.stdout.write(json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def save_json(path: Path, value: object) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undrift.cli.common import (
+    Files,
     Json,
     Opening,
     Output,
@@ -39,7 +40,7 @@ MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 
 
 
 def correct(
-    *records: Path,
+    *records: Files,
     calibration: Path,
     output: Output,
     policy: Policy = "raise",
@@ -71,8 +72,6 @@ def correct(
     from undrift.correction.stream import Corrector
     from undrift.io.store import read_calibration
 
-    if not records:
-        raise InputError("correct: wanted one recording or more, got none; name them before --calibration")
     model = read_calibration(calibration)
     targets = _targets(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
@@ -89,7 +88,7 @@ def correct(
         raise
     if json:
         rows = [_row(*result) for result in results]
-        write_json({"calibration": str(calibration), "recordings": rows})
+        write_json({"calibration": str(calibration), "recordings": rows}, "correct")
         return 0
     for record, target, state, remarks in results:
         say(

@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from undrift.cli.common import (
     Details,
+    Files,
     Flag,
     Json,
     Opening,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def drift(
-    *sessions: Path,
+    *sessions: Files,
     calibration: Path | None = None,
     output: OptionalOutput = None,
     report: Path | None = None,
@@ -87,8 +88,6 @@ def drift(
     from undrift.report.drift import draw_offsets, write_drift_report
     from undrift.report.figures import PICTURES, save_figure
 
-    if not sessions:
-        raise InputError("drift: wanted a session or recording, or more, got none; name them first")
     if not 0.0 < step_c < float("inf"):
         raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
     settings = DriftSettings(
@@ -114,7 +113,7 @@ def drift(
     if output is not None:
         write_calibration(fit.calibration, output)
     if json:
-        write_json(calibration_json(fit.calibration))
+        write_json(calibration_json(fit.calibration), "drift")
     else:
         _show(fit)
         show_verdict(fit.verdict, details=details)

@@ -76,7 +76,8 @@ def info(
                 "no_still_because": reason,
                 "effects": effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]},
                 "verdict": None if verdict is None else verdict_json(verdict),
-            }
+            },
+            "info",
         )
         return 0
     _show(found, stills, reason, opening)
@@ -95,15 +96,8 @@ def _write_map(found: "Description", path: Path, opening: Opening, units: dict[s
     write_whole(path, text)
     complete = '"?"' not in text
     if json:
-        write_json(
-            {
-                "kind": found.kind,
-                "format": found.format,
-                "output": str(path),
-                "map": text.splitlines(),
-                "complete": complete,
-            }
-        )
+        made = {"kind": found.kind, "format": found.format, "output": str(path)}
+        write_json(made | {"map": text.splitlines(), "complete": complete}, "info")
         return 0
     say(f"Wrote {path}", *(f"  {line}" for line in text.splitlines()))
     if complete:
@@ -209,7 +203,7 @@ def _show_folder(path: Path, *, json: bool) -> None:
         rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": []}
         problems = [text for _, kind, text in found if kind == "damaged"]
         files = [{"name": name, "kind": kind, "summary": text} for name, kind, text in found]
-        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files})
+        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files}, "info")
         return
     lines = [f"  {name}: {kind}, {text}" for name, kind, text in found]
     say(f"{path}: folder, {summary}", *lines, "  name one of them to see more")

@@ -90,7 +90,8 @@ def noise(
                 for key, of in (("adev", "adev"), ("units", "unit"))
             }
             | {key: getattr(found, key) for key in ("taus_s", "duration_s", "confidence")}
-            | {"verdict": verdict_json(found.verdict), "notes": notes}
+            | {"verdict": verdict_json(found.verdict), "notes": notes},
+            "noise",
         )
         return 0
     for what, triad, axes in (("gyroscopes", "gyro", found.gyro), ("accelerometers", "accel", found.accel)):

@@ -88,7 +88,7 @@ def orient(
         "pitch_deg": _span(found.pitch),
     }
     if json:
-        write_json(made | {"recording": str(record), "output": str(output), "notes": notes})
+        write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0
     alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
     share = alone if model is None else "scatter and calibration"

@@ -1,10 +1,9 @@
 """``undrift session new``: a session.toml of bare recordings, with what was found in them, ready to edit."""
 
-from pathlib import Path
-
 from cyclopts import App, Parameter
 
 from undrift.cli.common import (
+    Files,
     Json,
     Opening,
     Output,
@@ -16,6 +15,7 @@ from undrift.cli.common import (
     waiting,
     write_json,
 )
+from undrift.cli.examples import examples
 from undrift.errors import InputError
 
 session = App(
@@ -24,14 +24,13 @@ session = App(
     help_format="plaintext",
     default_parameter=Parameter(negative=()),
     result_action="return_value",
+    help_epilogue=examples("session"),
 )
 
 
-@session.command
+@session.command(help_epilogue=examples("session new"))
 def new(
-    files: tuple[Path, ...],
-    /,
-    *,
+    *files: Files,
     output: Output,
     place: Place = Place(),
     opening: Opening = Opening(),
@@ -74,9 +73,8 @@ def new(
     counts = {"stills": len(found.stills), "turns": len(found.turns), "steady_turns": len(steady)}
     if json:
         gravity = {"gravity_m_s2": found.gravity_m_s2, "gravity_source": found.gravity_source}
-        write_json(
-            {"output": str(output / NAME), "recordings": len(found.records), "faces": faces, **counts, **gravity}
-        )
+        made = {"output": str(output / NAME), "recordings": len(found.records), "faces": faces}
+        write_json(made | counts | gravity, "session new")
         return 0
     say(
         f"Wrote {output / NAME}",

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
+    Files,
     Flag,
     Json,
     Opening,
@@ -13,6 +14,7 @@ from undrift.cli.common import (
     OptionalOutput,
     Policy,
     Side,
+    Steps,
     check_folder,
     check_gravity,
     check_output,
@@ -21,12 +23,13 @@ from undrift.cli.common import (
     save_json,
     say,
     show_table,
-    waiting,
     write_json,
 )
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from undrift.model import Calibration
     from undrift.record import Record, Reference
     from undrift.report.validation import Method
@@ -42,11 +45,12 @@ SHOWN = {
     "end_inclination_deg": "end incl.",
     "lag_ms": "lag ms",
 }
+ALL_FITTED = 0.25  # share of the time of leave-one-out that the fit to all recordings takes
 SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
 
 
 def validate(
-    *records: Path,
+    *records: Files,
     optics: Optics = Optics(),
     calibration: Path | None = None,
     calibrate_from: Literal["reference"] | None = None,
@@ -99,12 +103,10 @@ def validate(
     opening : Opening
         How to read foreign recordings.
     """
-    from undrift.io.store import read_calibration
+    from undrift.io.store import findings_json, read_calibration
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
-    if not records:
-        raise InputError("validate: wanted one recording or more, got none; name them first")
     if leave_one_out and calibrate_from is None:
         raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
     if calibrate_from is not None and calibration is not None:
@@ -123,17 +125,18 @@ def validate(
         policy=policy,
         lag=LagSettings(longest_lag_s=max_lag_s),
     )
-    with waiting("reading, aligning and integrating"):
+    with Steps("validate") as shown:
         model = None if calibration is None else read_calibration(calibration)
         opening = opening if model is None or calibration is None else opening.like(model, calibration)
         pairs = optics.pairs(records, opening, command="validate")
+        shown("aligning and integrating", 0.02)
         result, method = _judged(
             pairs,
             records,
             optics.reference,
             (calibration, model),
             settings,
-            leave_one_out,
+            shown.part(ALL_FITTED, 1.0) if leave_one_out else None,
             fit=calibrate_from is not None,
         )
     source = calibration.name if calibration else calibrate_from
@@ -141,7 +144,8 @@ def validate(
     made = _validation_json(result) | asked
     _write(output, report, result, made, method)
     if json:
-        write_json(made)
+        noted = [item for trial in result.trials for item in findings_json(trial.findings)]
+        write_json(made | {"findings": noted}, "validate")
         return 0
     _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
     say(
@@ -216,7 +220,7 @@ def _judged(
     references: tuple[Path, ...],
     read: "tuple[Path | None, Calibration | None]",
     settings: "TrialSettings",
-    leave_one_out: bool,
+    leave_one_out: "Callable[[str, float], None] | None",
     *,
     fit: bool,
 ) -> tuple["Validation", "Method"]:
@@ -235,8 +239,8 @@ def _judged(
     fitted = calibrate_to_references(records, held, adc=settings.adc, lag_settings=settings.lag) if fit else None
     model = fitted if model is None else model
     result = (
-        validate_leave_one_out(pairs, settings=settings, names=names)
-        if leave_one_out
+        validate_leave_one_out(pairs, settings=settings, names=names, progress=leave_one_out)
+        if leave_one_out is not None
         else validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
     )
     for trial in result.trials:

@@ -20,7 +20,7 @@ from undrift.errors import InputError
 from undrift.io.formats import read_record
 from undrift.io.inspect import Description
 from undrift.io.session import KeptEntry, piece_lines
-from undrift.record import FileMap, Record, Session, Turn
+from undrift.record import FileMap, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 _WINDOW_S = 0.2
@@ -159,7 +159,8 @@ def session_text(
     for number in range(len(session.records)):
         own = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
         lines += ["", "[[recording]]", f"file = {_toml(own[0] if width == 1 else own)}", *_map_lines(file_map)]
-    for piece in (*session.stills, *session.turns):
+    pieces: list[Still | Turn] = [*session.stills, *session.turns]
+    for piece in pieces:
         lines += ["", *piece_lines(piece, session.records[piece.recording].time)]
     for turn in steady:
         own = piece_lines(turn, session.records[turn.recording].time)
