@@ -374,7 +374,7 @@ class Session:
     file_map : FileMap or None
         How its files are read, where one map serves all of them; None where they need none.
     gravity_source : str
-        "stated", "latitude and height" (WGS 84), or "standard": 9.80665 m/s2 assumed.
+        "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
 
     Examples
     --------

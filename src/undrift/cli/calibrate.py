@@ -116,19 +116,26 @@ def calibrate(
         write_calibration(made, output)
     if report is not None:
         title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
-        write_page(report, title=title, lead=_heading(made), sections=sections, verdict=made.verdict)
+        write_page(
+            report, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict
+        )
     code = 1 if made.verdict.status == "bad" else 0
     if json:
         write_json(calibration_json(made), "calibrate")
         return code
     _show(made)
     show_verdict(made.verdict, details=details)
+    _say_next(files, output, report)
+    return code
+
+
+def _say_next(files: tuple[Path, ...], output: Path | None, report: Path | None) -> None:
+    """Say what was written, and how a recording is corrected by it."""
     say(*(f"Wrote {path}" for path in (report, output) if path is not None))
     if output is None:
         say("Nothing was written. To keep it, repeat the command with -o calibration.json")
     elif (recording := recording_of(files)) is not None:
         say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
-    return code
 
 
 def _heading(calibration: "Calibration") -> str:

@@ -81,9 +81,11 @@ class Opening:
     gaps: Literal["raise", "keep"] | None = None
     kept: Annotated["Kept | None", Parameter(parse=False)] = None
 
-    def like(self, model: "Calibration", path: Path) -> "Opening":
+    def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
         """Return how to read the recordings of a calibrated device: by the map that its calibration keeps."""
-        return self if model.file_map is None else replace(self, kept=Kept(path, model.file_map))
+        if model is None or path is None or model.file_map is None:
+            return self
+        return replace(self, kept=Kept(path, model.file_map))
 
     def file_map(self) -> "FileMap | None":
         """Return the map with the options over it; None where neither states anything."""
@@ -547,11 +549,18 @@ def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str,
     """
     kind = KINDS.get(command, "undrift." + (command.replace(" ", "_") or "call"))
     verdict = value.get("verdict")
-    findings = value.get("findings", verdict.get("findings", ()) if isinstance(verdict, Mapping) else ())
+    findings = value.get("findings", verdict.get("findings") if isinstance(verdict, Mapping) else _of_parts(value))
     own = {key: item for key, item in value.items() if key not in ENVELOPE}
     head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
     rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
     sys.stdout.write(json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def _of_parts(value: Mapping[str, object]) -> list[object]:
+    """Return the findings of the parts of an answer: of its trials, or tasks."""
+    lists = [held for held in value.values() if isinstance(held, list)]
+    parts = [part for held in lists for part in held if isinstance(part, Mapping)]
+    return [item for part in parts for item in part.get("findings", ())]
 
 
 def save_json(path: Path, value: object) -> None:

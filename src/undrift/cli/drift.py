@@ -102,8 +102,7 @@ def drift(
     check_output(report, endings=(".html",), reads=(*read, calibration))
     check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
-    opening = opening if model is None or calibration is None else opening.like(model, calibration)
-    fit, seen = _fit(sessions, opening, model, settings)
+    fit, seen = _fit(sessions, opening.like(model, calibration), model, settings)
     if figure is not None:
         if fit.gyro_summary is None:
             raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")

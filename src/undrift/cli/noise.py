@@ -65,8 +65,7 @@ def noise(
     check_output(figure, endings=PICTURES, reads=(record, calibration))
     with waiting("reading and fitting"):
         model = None if calibration is None else read_calibration(calibration)
-        opening = opening if model is None or calibration is None else opening.like(model, calibration)
-        readings, notes = opening.read(record), tuple[str, ...]()
+        readings, notes = opening.like(model, calibration).read(record), tuple[str, ...]()
         began = readings.time[0]
         if start_s is not None or stop_s is not None:
             readings = _between(readings, start_s, stop_s)

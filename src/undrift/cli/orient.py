@@ -68,8 +68,7 @@ def orient(
 
     check_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
     held = None if calibration is None else read_calibration(calibration)
-    opening = opening if held is None or calibration is None else opening.like(held, calibration)
-    readings, model, notes = opening.read(record), None, tuple[str, ...]()
+    readings, model, notes = opening.like(held, calibration).read(record), None, tuple[str, ...]()
     if held is None:
         check_physical(readings, record)
     else:

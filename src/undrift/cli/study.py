@@ -78,7 +78,6 @@ def study(
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
     """
-    from undrift.io.store import findings_json
     from undrift.report.study import write_study_report
     from undrift.study.outcome import forecast, judge_study
     from undrift.study.real import read_real
@@ -118,8 +117,7 @@ def study(
     save_json(output / "summary.json", summary)
     write_study_report(outcome, output / "report.html")
     if json:
-        noted = [item for task in outcome.tasks for item in findings_json(task.findings)]
-        write_json(summary | {"findings": noted}, "study")
+        write_json(summary, "study")
     else:
         _show(outcome, output)
     return 0

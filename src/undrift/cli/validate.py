@@ -103,7 +103,7 @@ def validate(
     opening : Opening
         How to read foreign recordings.
     """
-    from undrift.io.store import findings_json, read_calibration
+    from undrift.io.store import read_calibration
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
@@ -127,25 +127,16 @@ def validate(
     )
     with Steps("validate") as shown:
         model = None if calibration is None else read_calibration(calibration)
-        opening = opening if model is None or calibration is None else opening.like(model, calibration)
-        pairs = optics.pairs(records, opening, command="validate")
+        pairs = optics.pairs(records, opening.like(model, calibration), command="validate")
         shown("aligning and integrating", 0.02)
-        result, method = _judged(
-            pairs,
-            records,
-            optics.reference,
-            (calibration, model),
-            settings,
-            shown.part(ALL_FITTED, 1.0) if leave_one_out else None,
-            fit=calibrate_from is not None,
-        )
+        paths, progress = (records, optics.reference), shown.part(ALL_FITTED, 1.0) if leave_one_out else None
+        result, method = _judged(pairs, paths, (calibration, model), settings, progress, fit=bool(calibrate_from))
     source = calibration.name if calibration else calibrate_from
     asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     made = _validation_json(result) | asked
     _write(output, report, result, made, method)
     if json:
-        noted = [item for trial in result.trials for item in findings_json(trial.findings)]
-        write_json(made | {"findings": noted}, "validate")
+        write_json(made, "validate")
         return 0
     _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
     say(
@@ -216,8 +207,7 @@ def _check_scale(trial: "Trial") -> None:
 
 def _judged(
     pairs: list[tuple["Record", "Reference"]],
-    paths: tuple[Path, ...],
-    references: tuple[Path, ...],
+    named: tuple[tuple[Path, ...], tuple[Path, ...]],
     read: "tuple[Path | None, Calibration | None]",
     settings: "TrialSettings",
     leave_one_out: "Callable[[str, float], None] | None",
@@ -230,7 +220,7 @@ def _judged(
     from undrift.report.validation import Method
     from undrift.validation.agreement import validate_leave_one_out, validate_trials
 
-    calibration, model = read
+    (paths, references), (calibration, model) = named, read
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
     if calibration is None and not fit:
         for readings, path in zip(records, paths, strict=True):

@@ -45,7 +45,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
 # ---- column maps
 
-_OF_ONE_FILE = {"file"}  # a key that no other recording of the device shares
+_OF_ONE_FILE = ("file",)  # a key that no other recording of the device shares
 NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"}  # what undrift's own names may need
 
 
@@ -185,9 +185,9 @@ def read_file_map(path: str | Path | None = None, **choices: Any) -> FileMap | N
     return file_map_of(KeptEntry.model_validate(held)) if held else None
 
 
-def file_map_of(entry: KeptEntry) -> FileMap:
+def file_map_of(entry: KeptEntry, *, without: Sequence[str] = ()) -> FileMap:
     """Return the keys that a map states as a value."""
-    held = entry.model_dump(mode="json", exclude_unset=True, exclude=_OF_ONE_FILE)
+    held = entry.model_dump(mode="json", exclude_unset=True, exclude=set(without))
     return FileMap(json.dumps(held, ensure_ascii=False))
 
 
@@ -211,7 +211,7 @@ def map_and_settings(file_map: FileMap, **choices: Any) -> tuple[ColumnMap | Non
 
 def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
     """Return the map that all recordings share; None where they differ or need none."""
-    held = [file_map_of(entry) for entry in entries]
+    held = [file_map_of(entry, without=_OF_ONE_FILE) for entry in entries]
     return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
 
 
