@@ -55,7 +55,9 @@ class Undrift:
     def refused(self, *words) -> str:
         """Return the one line of a call that must be refused."""
         answer = self(*words)
-        assert (answer.code, answer.out) == (2, ""), answer
+        if "--json" in words:
+            assert answer.err == f"undrift: {answer.json()['error']['text']}\n"
+        assert (answer.code, "" if "--json" in words else answer.out) == (2, ""), answer
         assert answer.err.startswith("undrift: ")
         assert answer.err.endswith("\n")
         assert answer.err.count("\n") == 1, answer.err

@@ -270,8 +270,8 @@ def _hints(found: "Description") -> list[str]:
         return []
     rate = " and --sample-rate-hz" if "sample_rate_hz = ?" in found.example else ""
     return [
-        f"a map with the lines below may be needed: --write-map map.toml{rate} writes it; check the units, then give it with "
-        "--map map.toml",
+        f"write the lines below into map.toml (--write-map map.toml{rate} does so, with what the readings show), put what is true "
+        "where it says ?, and give it with --map map.toml",
         *found.example,
     ]
 
