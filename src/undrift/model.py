@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, most_consequential_first
-from undrift.record import Axis
+from undrift.record import Axis, FileMap
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
 Status = Literal["good", "marginal", "bad"]
@@ -350,6 +350,8 @@ class Calibration:
         What it is worth.
     provenance : Provenance
         Where it came from.
+    file_map : FileMap or None
+        How the recordings of the device are read, where they needed a map.
 
     Examples
     --------
@@ -370,6 +372,7 @@ class Calibration:
     noise: NoiseModel | None = None
     verdict: Verdict = Verdict()
     provenance: Provenance = Provenance()
+    file_map: FileMap | None = None
 
     def __repr__(self) -> str:
         where = "unknown temperature" if np.isnan(self.reference_temp_c) else f"{self.reference_temp_c:.1f} degC"

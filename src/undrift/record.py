@@ -270,6 +270,7 @@ def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quan
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]
 Kind = Literal["calibration", "thermal", "static"]
+GravitySource = Literal["stated", "latitude and height", "standard"]
 FACES: tuple[Face, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -343,6 +344,13 @@ class Turn:
         _check_range(self.start, self.stop, "turn")
 
 
+@dataclass(frozen=True, slots=True)
+class FileMap:
+    """How the files of a device are read: the keys of a map, as docs/files.md has them."""
+
+    text: str  # One JSON object
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
     """The recordings of one device and what was done to it.
@@ -363,6 +371,10 @@ class Session:
         Likewise.
     inputs : tuple of (str, str)
         File name and sha256 of every file that was read.
+    file_map : FileMap or None
+        How its files are read, where one map serves all of them; None where they need none.
+    gravity_source : str
+        "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
 
     Examples
     --------
@@ -381,6 +393,8 @@ class Session:
     stills: tuple[Still, ...] = ()
     turns: tuple[Turn, ...] = ()
     inputs: tuple[tuple[str, str], ...] = ()
+    file_map: FileMap | None = None
+    gravity_source: GravitySource = "stated"
 
     def __post_init__(self) -> None:
         if not self.records:

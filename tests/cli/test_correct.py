@@ -158,7 +158,9 @@ def test_what_correct_refuses(undrift, bench, tmp_path):
         assert contents(tmp_path) == before
         return line
 
-    assert "wanted one recording or more" in refused(*calibration, "-o", tmp_path / "o.csv")
+    assert "parameter RECORDS requires an argument. Say undrift correct --help." in refused(
+        *calibration, "-o", tmp_path / "o.csv"
+    )
     assert "--calibration" in refused(tmp_path / "x.csv", "-o", tmp_path / "o.csv")
     assert "--output" in refused(tmp_path / "x.csv", *calibration)
     assert "got a corrected record" in refused(bench / "corrected.parquet", *calibration, "-o", tmp_path / "o.csv")

@@ -75,7 +75,7 @@ def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell
         "Gyroscope scale over temperature not observable",
     ):
         assert answer.out.count(said) == 1, said
-    assert f"undrift correct RECORD --calibration {tmp_path / 'mpu.json'}" in answer.out
+    assert f"--calibration {tmp_path / 'mpu.json'}" in answer.out
     assert len(answer.out.splitlines()) < 50  # three findings take up to three lines each
     corrected = tmp_path / "corrected.parquet"
     undrift.good(
@@ -284,7 +284,7 @@ def test_another_device_is_refused(undrift, soaks, tmp_path):
 def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks, tmp_path):
     session = soaks / "session"
     for words, message in (
-        ((), "wanted a session or recording, or more, got none"),
+        ((), "parameter SESSIONS requires an argument. Say undrift drift --help."),
         ((session, "--range-c", "20"), "wanted LOW:HIGH in degC, got '20'"),
         ((session, "--range-c", "70:20"), "wanted LOW below HIGH in degC, got '70:20'"),
         ((session, "--step-c", "0"), "wanted more than 0 degC, got 0"),

@@ -87,9 +87,9 @@ def test_a_worn_sensor_has_no_still_phase_and_the_reason_is_said_once(undrift, t
 
 def test_what_a_file_needs_is_said_in_words_of_the_command_line_and_then_it_reads(undrift):
     apdm, ximu = data_path("wearable_formats", "opensim_apdm_imuData01.csv.gz"), data_path("wearable_formats", "ximu")
-    assert "undrift info FILE --sensor Static" in undrift.good("info", apdm).out
+    assert f"Next: undrift info {apdm} --sensor Static\n" in undrift.good("info", apdm).out
     assert undrift.good("info", apdm, "--sensor", "Upper", "--json").json()["rows"] == 1024
-    assert "undrift info FILE --sample-rate-hz 256" in undrift.good("info", ximu).out
+    assert f"Next: undrift info {ximu} --sample-rate-hz 256\n" in undrift.good("info", ximu).out
     assert undrift.good("info", ximu, "--sample-rate-hz", 256, "--json").json()["rows"] == 12626
     squat = data_path("c3d", "squat.c3d.gz")
     assert "which axis points up" in undrift.good("info", squat).out

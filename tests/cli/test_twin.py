@@ -27,7 +27,7 @@ def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: p
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "twin: wanted one recording or more, got none"),
+        ([], "parameter RECORDS requires an argument. Say undrift twin --help."),
         (["missing.parquet", "--reference", "missing.csv"], "missing.parquet: wanted a file, got nothing of that name"),
     ],
 )

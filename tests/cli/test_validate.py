@@ -285,7 +285,7 @@ def test_what_validate_refuses(undrift, bench, tmp_path):
         assert contents(tmp_path) == before
         return line
 
-    assert "wanted one recording or more, got none" in refused()
+    assert "parameter RECORDS requires an argument. Say undrift validate --help." in refused()
     assert "got 0 for 1" in refused(trial)
     assert "got 1 for 2" in refused(trial, trial, *reference)
     assert "--leave-one-out wants --calibrate-from reference" in refused(trial, *reference, "--leave-one-out")

@@ -1,6 +1,7 @@
 """The command line called in process, and what a folder holds: shared by the tests of commands."""
 
 import json
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import DriftTables, StaticDrift
 from undrift.record import Record
+
+PROGRESS = re.compile(r"^undrift \w+: .+, \d+ s so far, .+\n", re.MULTILINE)  # of a slow machine
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Undrift:
         self.capsys.readouterr()
         code = run([str(word) for word in words])
         out, err = self.capsys.readouterr()
-        return Answer(code, out, err)
+        return Answer(code, out, PROGRESS.sub("", err))
 
     def good(self, *words) -> Answer:
         """Return the answer to a call that must succeed without a word on stderr."""
@@ -52,7 +55,9 @@ class Undrift:
     def refused(self, *words) -> str:
         """Return the one line of a call that must be refused."""
         answer = self(*words)
-        assert (answer.code, answer.out) == (2, ""), answer
+        if "--json" in words:
+            assert answer.err == f"undrift: {answer.json()['error']['text']}\n"
+        assert (answer.code, "" if "--json" in words else answer.out) == (2, ""), answer
         assert answer.err.startswith("undrift: ")
         assert answer.err.endswith("\n")
         assert answer.err.count("\n") == 1, answer.err

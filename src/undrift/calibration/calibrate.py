@@ -32,7 +32,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.model import AdcModel, Calibration, Provenance, Verdict
 from undrift.plugins import load_named, names_in
-from undrift.record import Record, Reference, Session
+from undrift.record import FACES, Record, Reference, Session, Turn
 from undrift.sync import LagSettings
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 
@@ -166,12 +166,13 @@ def calibrate(
             "recording"
         )
     session, other_temperatures = at_one_temperature(in_one_unit(session))
-    adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
-    seen = observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
+    adc, seen = _observed(session, settings)
     of_accel = _calibrate_accel(seen, accel, mode)
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
+    if session.gravity_source == "standard" and of_accel.fit is not None:
+        other_temperatures += (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),)
     found = each_once((*other_temperatures, *seen.findings, *of_accel.findings, *of_gyro.findings, *unused))
     if of_accel.fit is None and of_gyro.fit is None:
         reasons = "; ".join(item.text for item in found)
@@ -188,8 +189,26 @@ def calibrate(
         accel=None if of_accel.fit is None else of_accel.fit.model,
         adc=adc,
         verdict=verdict.also(Verdict.of(*limits_of(of_accel, of_gyro, seen.mean_temperature(), thermal=thermal))),
-        provenance=_provenance(session, settings, of_accel.method, of_gyro.method, mode),
+        provenance=_provenance(session, seen, of_accel.method, of_gyro.method, mode),
+        file_map=session.file_map,
     )
+
+
+def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
+    """Return the converter's rounding, and what the session shows without it."""
+    adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
+    return adc, observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
+
+
+def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session, tuple[Turn, ...]]:
+    """Return a bare session with what was found in it stated, and its steady turns, whose rate only the rig knows.
+
+    Faces are stated where they are what the accelerometers would be calibrated by.
+    """
+    seen = _observed(in_one_unit(session), settings)[1]
+    stills = seen.stills if seen.mostly_faces else tuple(replace(still, face=None) for still in seen.stills)
+    turns = seen.session.turns or seen.full_turns()
+    return replace(session, stills=stills, turns=turns), () if turns else seen.plateaus()
 
 
 def each_once(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -214,8 +233,7 @@ def _calibrate_accel(seen: Observed, method: str | None, mode: Mode | None) -> O
         return _as_asked("accelerometer", method, find_fit(method, "accel")(seen, mode, None))
     missing = missing_faces([s.face for s in seen.faced if s.face is not None])
     faces = not missing or (not seen.found and len(missing) == 1)
-    free = len(seen.stills) - len(seen.faced)
-    if faces and (not seen.found or free <= 0.1 * len(seen.stills)):
+    if faces and (not seen.found or seen.mostly_faces):
         return calibrate_faces(seen, mode)
     rests = len(seen.stills)
     if rests < _LEAST_POSES:
@@ -263,7 +281,7 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
     elif any(t.angle is not None for t in turns) or seen.full_turns():
         outcome = calibrate_turns(seen, mode, accel)
     else:
-        plateaus = seen.plateaus()
+        plateaus = len(seen.plateaus())
         if len(seen.stills) >= _LEAST_POSES:
             # Slow moves between poses are steady too; on a rate table without its rates the poses fail, for any reason.
             try:
@@ -311,15 +329,24 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
         yield finding("session.unknown_temperature", "info")
 
 
-def _provenance(session: Session, settings: CalibrateSettings, accel: str, gyro: str, mode: Mode | None) -> Provenance:
+def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: Mode | None) -> Provenance:
     from importlib.metadata import version
 
+    settings, turns = seen.settings, seen.session.turns
+    if gyro == "known-rotation" and not turns:
+        turns = seen.full_turns()
     names = ("window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg")
     numbers = ((name, getattr(settings, name)) for name in names)
     shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(
         inputs=session.inputs,
-        settings=(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown),
+        settings=(
+            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown),
+            ("gravity", session.gravity_source),
+            ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
+            ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),
+            ("turns", f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none"),
+        ),
         versions=tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )

@@ -29,6 +29,7 @@ from undrift.segments import (
     find_turns,
     sample_count,
     sliding_moments,
+    sphere_of,
     still_means,
 )
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -281,6 +282,8 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
 
 _FULL_TURN = 2.0 * np.pi  # rad
 _NEAR_FULL = 0.1  # a turn this near a whole number, relative, counts as whole
+_FREE = 0.1  # largest share of free poses among rests on faces
+_SAME_POSE = 0.26  # of gravity: 15 deg
 _FEW = 9  # stills: with fewer, pauses that were too short are reported
 
 
@@ -304,6 +307,8 @@ class CalibrateSettings:
         For the Earth's rate on a rate table, deg; None leaves it out.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
+    turn_angle_deg : float or None
+        Angle of the turns between rests of a session that states none, deg; None takes three full turns, where there are.
     scale_tolerance : float
         How far a scale factor may be from the one the unit states, relative; physical units only.
     remove_offset : bool
@@ -325,12 +330,15 @@ class CalibrateSettings:
     spline_cutoff_hz: float | None = None
     latitude_deg: float | None = None
     angle_uncertainty_deg: float = 1.0
+    turn_angle_deg: float | None = None
     scale_tolerance: float = 0.25
     remove_offset: bool = True
     identify_adc: bool = True
 
     def __post_init__(self) -> None:
-        latitude, cutoff = self.latitude_deg, self.spline_cutoff_hz
+        latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
+        if angle is not None and not 0.0 < angle < np.inf:
+            raise InputError(f"calibrate: wanted turn_angle_deg above 0, got {angle:g}; 360 for full turns")
         if latitude is not None and not -90.0 <= latitude <= 90.0:
             raise InputError(f"calibrate: wanted latitude_deg from -90 to 90, got {latitude:g}; south is negative")
         if not self.window_s > 0.0 or self.polynomial_degree < 0 or not self.settle_s >= 0.0:
@@ -396,9 +404,57 @@ class Observed:
         one_each = len(full) == 3 and {t.axis for t in full} == {"x", "y", "z"}
         return tuple(full) if one_each else ()
 
-    def plateaus(self) -> int:
-        """Return how many steady turns the recordings hold."""
-        return sum(len(search.plateaus) for _, search in self._turns())
+    def turns_of(self, angle: float) -> tuple[Turn, ...]:
+        """Return the turns between rests by a known angle, rad; their sign and axis as the gyroscope reads them.
+
+        In physical units their angle is near the known one; in counts a full turn brings the device back to its pose.
+        """
+        turned: list[tuple[Turn, float]] = []
+        tolerance, whole = self.settings.scale_tolerance, abs(angle / _FULL_TURN - round(angle / _FULL_TURN)) < 1e-6
+        for record, search in self._turns():
+            physical = is_physical(record.gyro_unit)
+            factor = si_factor(record.gyro_unit, "rate") if physical else 1.0
+            for turn, read in zip(search.rotations, search.rotation_angle, strict=True):
+                along = float(read[np.argmax(np.abs(read))]) * factor
+                near = abs(abs(along) - angle) < tolerance * angle if physical else whole and self._returns(turn)
+                if turn.axis is not None and near:
+                    turned.append((replace(turn, angle=float(np.copysign(angle, along))), abs(along)))
+        most = max((size for _, size in turned), default=0.0)
+        return tuple(turn for turn, size in turned if size * (1.0 + tolerance) > most * (1.0 - tolerance))
+
+    def _returns(self, turn: Turn) -> bool:
+        """Tell whether gravity reads the same before a turn and after it, within about 15 deg."""
+        accel = self.session.records[turn.recording].accel
+        own = [s for s in self.stills if s.recording == turn.recording]
+        if accel is None or len(own) < 5:
+            return False
+        before, after = (s for s in own if turn.start == s.stop or turn.stop == s.start)
+        moved = np.diff(still_means(accel, (before, after)), axis=0)
+        return bool(np.linalg.norm(moved) < _SAME_POSE * sphere_of(still_means(accel, own))[1])
+
+    def with_turns(self) -> "Observed":
+        """Return it with its turns by the known angle, where they are found about x, y and z; else the finding that says so."""
+        angle_deg = self.settings.turn_angle_deg
+        if angle_deg is None or self.session.turns:
+            return self
+        turns = self.turns_of(angle_deg * RADIAN_PER_DEGREE)
+        lacking = tuple(axis for axis in ("x", "y", "z") if axis not in {turn.axis for turn in turns})
+        if lacking:
+            missing = finding("session.turns_missing", "warn", angle_deg=angle_deg, axes=lacking, count=len(turns))
+            return replace(self, findings=(*self.findings, missing))
+        shown = tuple(f"{turn.axis} {'+' if (turn.angle or 0.0) > 0.0 else '-'}" for turn in turns)
+        found = finding("session.turns_found", "info", angle_deg=angle_deg, count=len(turns), turns=shown)
+        return replace(self, session=replace(self.session, turns=turns), findings=(*self.findings, found))
+
+    @property
+    def mostly_faces(self) -> bool:
+        """True where rests lie on all six faces and few of them elsewhere."""
+        free = len(self.stills) - len(self.faced)
+        return {still.face for still in self.faced} == set(FACES) and free <= _FREE * len(self.stills)
+
+    def plateaus(self) -> tuple[Turn, ...]:
+        """Return the steady turns that the recordings hold."""
+        return tuple(turn for _, search in self._turns() for turn in search.plateaus)
 
     def _turns(self) -> Iterator[tuple[Record, TurnSearch]]:
         for number, record in enumerate(self.session.records):
@@ -426,7 +482,8 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
         if own and record.accel is not None and is_physical(record.accel_unit):
             check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
     found += check_stills(session, stills, stated=bool(session.stills))
-    return Observed(session=session, settings=settings, stills=stills, found=not session.stills, findings=tuple(found))
+    seen = Observed(session=session, settings=settings, stills=stills, found=not session.stills, findings=tuple(found))
+    return seen.with_turns()
 
 
 def in_one_unit(session: Session) -> Session:

@@ -10,7 +10,7 @@ offset is its own mean at rest plus a change to motion that all recordings share
 rest alone.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -429,18 +429,20 @@ def leave_one_out(
     settings: ReferenceSettings = ReferenceSettings(),
     adc: AdcModel | None = None,
     lag_settings: LagSettings = LagSettings(),
+    progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
-    """Fit each recording's model to all others of the device, and evaluate it there."""
+    """Fit each recording's model to all others of the device, and evaluate it there; progress takes what is done, and 0 to 1."""
     if len(records) < 2:
         raise InputError(
             f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
         )
     prepared = prepare_all(records, references, settings, adc, lag_settings)
-    unit = records[0].gyro_unit
-    return tuple(
-        _held_out(i, prepared[i], _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit), settings)
-        for i in range(len(prepared))
-    )
+    unit, held = records[0].gyro_unit, list[HeldOut]()
+    for i in range(len(prepared)):
+        progress(f"fit without recording {i + 1} of {len(prepared)}", i / len(prepared))
+        fit = _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit)
+        held.append(_held_out(i, prepared[i], fit, settings))
+    return tuple(held)
 
 
 def prepare_all(

@@ -10,15 +10,21 @@ import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from undrift import __version__
+from undrift.cli.examples import examples
 from undrift.errors import InputError, RigError, UndriftError
+
+if TYPE_CHECKING:
+    from cyclopts import App
 
 INTERRUPTED = 130
 ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
 COMMANDS = {  # one line of 80 columns each
     "info": "What a recording, session, calibration, reference or device holds.",
     "calibrate": "Fit what a session allows, with verdict and findings.",
+    "session": "Write a session.toml of what bare recordings hold; --json.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Initial tilt and strapdown: orientation, inclination, pitch.",
@@ -31,6 +37,7 @@ COMMANDS = {  # one line of 80 columns each
     "study": "Find the calibration protocol that is enough for a task.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
+GROUPS = ("session", "rig")  # of commands
 EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
     "drift": {"--page": "--report", "--range": "--range-c", "--step": "--step-c"},
     "rig": {"--hands": "--operator"},
@@ -57,57 +64,74 @@ def run(arguments: Sequence[str]) -> int:
         if list(arguments) in ([], ["--help"], ["-h"]):
             sys.stdout.write(_help())
             return 0
-        if list(arguments) == ["--version"]:
+        if list(arguments) in (["--version"], ["-V"]):
             sys.stdout.write(__version__ + "\n")
             return 0
         code = app(_standard(arguments))
-    except RigError as error:
-        return complain(str(error), code=3)
     except UndriftError as error:
-        return complain(str(error), code=2)
+        return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
     except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
         with suppress(OSError):
             sys.stdout.close()
         return 0
     except OSError as error:
         text = f"{error.filename or 'file'}: {error.strerror or error}; check the path and its permissions"
-        return complain(text, code=2)
-    except KeyboardInterrupt:
-        return complain("stopped; nothing was left half written", code=INTERRUPTED)
+        return _refuse(arguments, error, text, code=2)
+    except KeyboardInterrupt as error:
+        return _refuse(arguments, error, "stopped; nothing was left half written", code=INTERRUPTED)
     except Exception as error:
         if os.environ.get("UNDRIFT_TRACEBACK") == "1":
             raise
-        return complain(
-            f"internal error: {type(error).__name__}: {error}; please report it with the command (UNDRIFT_TRACEBACK=1 shows "
-            "where)",
-            code=2,
-        )
+        text = f"internal error: {type(error).__name__}: {error}; please report it with the command"
+        return _refuse(arguments, error, f"{text} (UNDRIFT_TRACEBACK=1 shows where)", code=2)
     return code if isinstance(code, int) else 0
 
 
-def app(arguments: Sequence[str]) -> object:
-    """Call the command that the arguments name."""
-    from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+def command_line() -> "App":
+    """Return the commands, each imported when it is called."""
+    from cyclopts import App, Parameter
 
     called = App(
         name="undrift",
         help=ABOUT,
         version=__version__,
+        version_flags=["--version", "-V"],
         help_format="plaintext",
         result_action="return_value",
         suppress_keyboard_interrupt=False,
         default_parameter=Parameter(negative=()),
     )
     for place, (name, text) in enumerate(COMMANDS.items()):
-        called.command(f"undrift.cli.{name}:{name}", name=name, help=text, sort_key=place)
+        end = {} if name in GROUPS else {"help_epilogue": examples(name)}
+        called.command(f"undrift.cli.{name}:{name}", name=name, help=text, sort_key=place, **end)
+    called.register_install_completion_command(add_to_startup=False)  # the shell's own start file stays as it is
+    return called
+
+
+def app(arguments: Sequence[str]) -> object:
+    """Call the command that the arguments name."""
+    from cyclopts import CycloptsError, UnusedCliTokensError
+
     try:
-        return called(arguments, exit_on_error=False, print_error=False)
+        return command_line()(arguments, exit_on_error=False, print_error=False)
     except CycloptsError as error:
         command = " ".join(("undrift", *(error.command_chain or ())))
         if isinstance(error, UnusedCliTokensError):
             unused = " ".join(error.unused_tokens or ())
             raise InputError(f"wanted fewer words, got also {unused}; say {command} --help") from error
         raise InputError(f"{str(error).strip().splitlines()[0]} Say {command} --help.") from error
+
+
+def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:
+    """Complain on stderr; with --json the envelope with the error stands on stdout too."""
+    if "--json" in arguments:
+        from undrift.cli.common import write_json
+
+        words = [word for word in arguments[:2] if word.isidentifier()]
+        command = " ".join(words if words[:1] in ([group] for group in GROUPS) else words[:1])
+        with suppress(BrokenPipeError):
+            write_json({}, command, error={"kind": type(error).__name__, "text": " ".join(text.split())})
+    return complain(text, code=code)
 
 
 def complain(message: str, *, code: int) -> int:
@@ -117,9 +141,10 @@ def complain(message: str, *, code: int) -> int:
 
 
 def _help() -> str:
-    rows = [*COMMANDS.items(), ("--version", "Show the version.")]
+    rows = [*COMMANDS.items(), ("--version", "Show the version; -V does too.")]
     lines = "\n".join(f"  {name:11}{text}" for name, text in rows)
-    return f"Usage: undrift COMMAND\n\n{ABOUT}\n\n{lines}\n\nundrift COMMAND --help explains its options.\n"
+    end = "undrift COMMAND --help explains its options.\nundrift --install-completion completes them in your shell."
+    return f"Usage: undrift COMMAND\n\n{ABOUT}\n\n{lines}\n\n{end}\n\n{examples('')}\n"
 
 
 def _standard(arguments: Sequence[str]) -> list[str]:

@@ -1,15 +1,21 @@
-"""``undrift calibrate``: fit what a session allows."""
+"""``undrift calibrate``: fit what a session, or bare recordings, allow."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
     Details,
+    Files,
     Flag,
     Json,
+    Opening,
     OptionalOutput,
+    Place,
     check_output,
+    recording_of,
     say,
+    say_next,
+    session_of,
     show_table,
     show_verdict,
     waiting,
@@ -21,9 +27,10 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    session: Path,
-    /,
-    *,
+    *files: Files,
+    place: Place = Place(),
+    opening: Opening = Opening(),
+    turn_deg: float | None = None,
     output: OptionalOutput = None,
     report: Path | None = None,
     accel: Literal["six-face", "multi-position"] | None = None,
@@ -33,7 +40,6 @@ def calibrate(
     adc: Literal["auto", "none"] = "auto",
     window_s: float = 6.0,
     settle_s: float = 0.3,
-    latitude_deg: float | None = None,
     angle_uncertainty_deg: float = 1.0,
     scale_tolerance: float = 0.25,
     polynomial_degree: int = 1,
@@ -41,12 +47,18 @@ def calibrate(
     details: Details = False,
     json: Json = False,
 ) -> int:
-    """Fit what a session allows, with verdict and findings.
+    """Fit what a session, or bare recordings, allow, with verdict and findings.
 
     Parameters
     ----------
-    session : Path
-        Folder with session.toml, or that file.
+    files : Path
+        One folder with session.toml, or one or several recordings of one device: rests, faces and turns are found in them.
+    place : Place
+        Local gravity, and the device.
+    opening : Opening
+        How to read foreign recordings.
+    turn_deg : float or None
+        Angle of the turns between rests in bare recordings, deg, one or more about each axis: 360 for full turns.
     output : Path or None
         calibration.json to write.
     report : Path or None
@@ -65,8 +77,6 @@ def calibrate(
         Longest stretch of each face that is averaged, s.
     settle_s : float
         Start of each dwell at a known rate that is left out, s.
-    latitude_deg : float or None
-        Removes the Earth's rotation from a rate table that stands level there.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
     scale_tolerance : float
@@ -83,17 +93,17 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.io.session import read_session
     from undrift.io.store import calibration_json, write_calibration
     from undrift.report.page import calibration_sections, write_page
 
-    check_output(output, endings=(".json",))  # no recording ends so
+    check_output(output, endings=(".json",), reads=(*files, opening.column_map))
     check_output(report, endings=(".html",))
     settings = CalibrateSettings(
         window_s=window_s,
         settle_s=settle_s,
-        latitude_deg=latitude_deg,
+        latitude_deg=place.latitude_deg,
         angle_uncertainty_deg=angle_uncertainty_deg,
+        turn_angle_deg=turn_deg,
         scale_tolerance=scale_tolerance,
         polynomial_degree=polynomial_degree,
         spline_cutoff_hz=spline_cutoff_hz,
@@ -101,36 +111,53 @@ def calibrate(
         identify_adc=adc == "auto",
     )
     with waiting("reading and fitting"):
-        made = fit(read_session(session), accel=accel, gyro=gyro, mode=mode, settings=settings)
+        made = fit(session_of(files, place, opening), accel=accel, gyro=gyro, mode=mode, settings=settings)
     if output is not None:
         write_calibration(made, output)
     if report is not None:
         title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
-        write_page(report, title=title, lead=_heading(made), sections=sections, verdict=made.verdict)
+        write_page(
+            report, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict
+        )
     code = 1 if made.verdict.status == "bad" else 0
     if json:
-        write_json(calibration_json(made))
+        write_json(calibration_json(made), "calibrate")
         return code
     _show(made)
     show_verdict(made.verdict, details=details)
-    nothing = f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json"
-    kept = f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet"
-    say(*([] if report is None else [f"Wrote {report}"]), nothing if output is None else kept)
+    _say_next(files, output, report)
     return code
+
+
+def _say_next(files: tuple[Path, ...], output: Path | None, report: Path | None) -> None:
+    """Say what was written, and how a recording is corrected by it."""
+    say(*(f"Wrote {path}" for path in (report, output) if path is not None))
+    if output is None:
+        say("Nothing was written. To keep it, repeat the command with -o calibration.json")
+    elif (recording := recording_of(files)) is not None:
+        say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
 
 
 def _heading(calibration: "Calibration") -> str:
     known = calibration.reference_temp_c == calibration.reference_temp_c  # not NaN
     where = f" at {calibration.reference_temp_c:.1f} degC" if known else ""
     device = calibration.device or "device without a serial number"
-    return f"{device}{where}, gravity {calibration.gravity_m_s2:.5f} m/s2"
+    source = dict(calibration.provenance.settings).get("gravity", "stated")
+    how = {"standard": "standard, assumed", "latitude and height": "by latitude and height"}.get(source, source)
+    return f"{device}{where}, gravity {calibration.gravity_m_s2:.5f} m/s2 ({how})"
+
+
+def _pieces(calibration: "Calibration") -> str:
+    """Return what was found and used: still phases, faces, turns."""
+    held = dict(calibration.provenance.settings)
+    return f"still phases: {held['stills']}; faces: {held['faces']}; turns: {held['turns']}"
 
 
 def _show(calibration: "Calibration") -> None:
     """Show matrices, offsets and ADC steps."""
     from undrift.report.page import triad_heads, triad_notes, triad_rows
 
-    say(_heading(calibration))
+    say(_heading(calibration), _pieces(calibration))
     for name, triad in (("accelerometers", calibration.accel), ("gyroscopes", calibration.gyro)):
         if triad is None:
             say(f"{name}: not calibrated")

@@ -7,15 +7,19 @@ progress go to stderr. Nothing here imports numpy or rich before a command runs:
 
 import json
 import math
+import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
+from undrift import __version__
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,10 +30,11 @@ if TYPE_CHECKING:
 
     from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.model import Calibration, Verdict
-    from undrift.record import Record, Reference
+    from undrift.record import FileMap, Kind, Record, Reference, Session
     from undrift.sim.device.model import DeviceModel
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
+Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
 Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
 Details: TypeAlias = Annotated[
     bool, Parameter(show_default=False, help="Show every finding, not only the first three.")
@@ -43,6 +48,14 @@ Policy: TypeAlias = Literal["raise", "hold", "nan"]
 # ---- Recordings
 
 
+@dataclass(frozen=True)
+class Kept:
+    """The map that a calibration keeps of its device."""
+
+    path: Path  # Of the calibration
+    file_map: "FileMap"
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Opening:
@@ -51,20 +64,83 @@ class Opening:
     Parameters
     ----------
     column_map : Path or None
-        TOML file with columns, units and what else a foreign table needs: the keys of a [[recording]] in session.toml.
-        With undrift's own column names only sample_rate_hz, gaps, repair_time or drop_bad_rows, without columns.
+        TOML file with columns, units and what else a foreign table needs: undrift info FILE --write-map writes it. With
+        undrift's own column names only sample_rate_hz, gaps, repair_time or drop_bad_rows, without columns. Overrules the map
+        that a calibration keeps.
     sample_rate_hz : float or None
-        Samples per second, for a file without time.
+        Samples per second, for a file without time; overrules the map.
     sensor : str or None
         Which sensor, stream or topic, in a file of several.
     gaps : str or None
         "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
     """
 
-    column_map: Annotated[Path | None, Parameter(name="--map")] = None
+    column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
     sample_rate_hz: float | None = None
     sensor: str | None = None
     gaps: Literal["raise", "keep"] | None = None
+    kept: Annotated["Kept | None", Parameter(parse=False)] = None
+
+    def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
+        """Return how to read the recordings of a calibrated device: by the map that its calibration keeps."""
+        if model is None or path is None or model.file_map is None:
+            return self
+        return replace(self, kept=Kept(path, model.file_map))
+
+    def file_map(self) -> "FileMap | None":
+        """Return the map with the options over it; None where neither states anything."""
+        from undrift.io.session import read_file_map
+
+        return read_file_map(self.column_map, **self._options())
+
+    def words(self) -> list[object]:
+        """Return the options as they were given."""
+        held = {"map": self.column_map, "sample-rate-hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
+        return [word for name, value in held.items() if value is not None for word in (f"--{name}", value)]
+
+    def _options(self) -> dict[str, Any]:
+        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
+
+    def _how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
+        """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
+        if self.kept is None or self.column_map is not None:
+            return self.columns(), self.settings()
+        from undrift.io.inspect import needs_map
+        from undrift.io.session import entry_of, map_and_settings
+
+        if entry_of(self.kept.file_map).columns is not None and not needs_map(path):
+            return self.columns(), self.settings()
+        return map_and_settings(self.kept.file_map, **self._options())
+
+    @contextmanager
+    def _fitting(self, path: Path) -> Iterator[None]:
+        """Name file and calibration where a file does not fit the map that the calibration keeps."""
+        try:
+            yield
+        except InputError as error:
+            if self.kept is None or self.column_map is not None:
+                raise
+            text = str(error).removeprefix(f"{path}: ")
+            raise InputError(
+                f"{path}: does not fit the map that {self.kept.path} keeps of its device: {text}; name its own map with --map",
+                **error.numbers,
+            ) from error
+
+    def record(self, path: Path) -> "Record":
+        """Read one file, or folder of a device."""
+        from undrift.io.formats import read_record
+
+        with self._fitting(path):
+            columns, settings = self._how(path)
+            return read_record(path, columns, settings=settings)
+
+    def chunks(self, path: Path) -> "Iterator[Record]":
+        """Read one file in chunks."""
+        from undrift.io.formats import iter_record
+
+        with self._fitting(path):
+            columns, settings = self._how(path)
+            yield from iter_record(path, columns, settings=settings)
 
     def columns(self) -> "ColumnMap | None":
         """Return the column map; None where none was named, or where it names no columns."""
@@ -72,7 +148,7 @@ class Opening:
 
         if self.column_map is None or read_map_settings(self.column_map) is not None:
             return None
-        return read_column_map(self.column_map)
+        return read_column_map(self.column_map, sample_rate_hz=self.sample_rate_hz)
 
     def settings(self) -> "ReadSettings":
         """Return rate, sensor and gaps; options overrule a map without columns."""
@@ -90,17 +166,97 @@ class Opening:
 
     def read(self, path: Path) -> "Record":
         """Read a recording; a session folder gives its only recording."""
-        from undrift.io.formats import detect, read_record
+        from undrift.io.formats import detect
         from undrift.io.session import read_session
 
         if detect(path) != "session":
-            return read_record(path, self.columns(), settings=self.settings())
+            return self.record(path)
         records = read_session(path).records
         if len(records) > 1:
             raise InputError(
                 f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"
             )
         return records[0]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where bare recordings were made, and of which device; a session.toml states both by itself.
+
+    Parameters
+    ----------
+    gravity_m_s2 : float or None
+        Local gravity of bare recordings, m/s2; standard gravity is assumed, and reported, where nothing is given.
+    latitude_deg : float or None
+        With --height-m: local gravity of bare recordings by WGS 84. Of a session: removes the Earth's rotation from a rate
+        table that stands level there.
+    height_m : float or None
+        Height above the ellipsoid of bare recordings, m.
+    serial : str
+        Serial number of the device, for bare recordings.
+    """
+
+    gravity_m_s2: float | None = None
+    latitude_deg: float | None = None
+    height_m: float | None = None
+    serial: str = ""
+
+
+def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind: "Kind" = "calibration") -> "Session":
+    """Read a session folder, or make a session of bare recordings."""
+    from undrift.io.session import NAME, read_session, session_from_files
+
+    stated = [file for file in files if (file / NAME).is_file() or file.name == NAME]
+    if not stated:
+        bare = [file for file in files if file.is_dir() and not _is_recording(file)]
+        if bare:  # says what a folder must hold
+            read_session(bare[0])
+        return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
+    if len(files) > 1:
+        raise InputError(
+            f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
+            "or state the recordings in its session.toml"
+        )
+    given: dict[str, object] = {
+        "--map": opening.column_map,
+        "--gravity-m-s2": place.gravity_m_s2,
+        "--height-m": place.height_m,
+    }
+    given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "--gaps": opening.gaps}
+    used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
+    if used:
+        raise InputError(
+            f"{stated[0]}: wanted none of {', '.join(used)} beside a session, got {len(used)}; its session.toml states them"
+        )
+    return read_session(stated[0])
+
+
+def _is_recording(folder: Path) -> bool:
+    """Tell whether a folder is a recording of a device that records into one."""
+    from undrift.io.formats import format_of
+
+    try:
+        return format_of(folder)[1].record is not None
+    except InputError:
+        return False
+
+
+def recording_of(files: tuple[Path, ...]) -> Path | None:
+    """Return a recording to name in the next command: a bare one, or the first of a session; None where it has two files."""
+    from undrift.files import read_toml
+    from undrift.io.session import NAME, SessionFile
+
+    folder = files[0] if files[0].is_dir() else files[0].parent
+    if not (folder / NAME).is_file() or files[0].name not in (NAME, folder.name):
+        return files[0]
+    first = read_toml(folder / NAME, SessionFile).recording[0].file
+    return folder / first if isinstance(first, str) else None
+
+
+def say_next(*words: object) -> None:
+    """Print the command to type next, as it works in this folder."""
+    say("Next: undrift " + shlex.join(map(str, words)))
 
 
 def check_physical(record: "Record", path: Path) -> None:
@@ -306,6 +462,46 @@ def progress() -> "Progress":
     return Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal)
 
 
+SAID_EVERY_S = 8.0  # where stderr is not a terminal
+
+
+class Steps:
+    """Shows how far a long command is: a bar on a terminal; elsewhere a line on stderr every 8 s, with the time left."""
+
+    def __init__(self, command: str) -> None:
+        self._command, self._what, self._share = command, "reading", 0.0
+        self._bar, self._stop = progress(), threading.Event()
+        self._task = self._bar.add_task(self._what, total=1.0)
+        self._began_s = time.monotonic()
+        self._teller = threading.Thread(target=self._tell, daemon=True)
+
+    def __enter__(self) -> "Steps":
+        self._bar.start()
+        if not sys.stderr.isatty():
+            self._teller.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._bar.stop()
+
+    def __call__(self, what: str, share: float) -> None:
+        """Take what is being done, and the share of the whole that is done, 0 to 1."""
+        self._what, self._share = what, share
+        self._bar.update(self._task, description=what, completed=share)
+
+    def part(self, start: float, stop: float) -> Callable[[str, float], None]:
+        """Return how a part of the command, from one share of the whole to another, says how far it is."""
+        return lambda what, share: self(what, start + share * (stop - start))
+
+    def _tell(self) -> None:
+        while not self._stop.wait(SAID_EVERY_S):
+            passed_s, share = time.monotonic() - self._began_s, self._share
+            left = f"about {passed_s * (1.0 - share) / share:.0f} s left" if share > 0.0 else "time left not known yet"
+            sys.stderr.write(f"undrift {self._command}: {self._what}, {passed_s:.0f} s so far, {left}\n")
+            sys.stderr.flush()
+
+
 def waiting(what: str) -> AbstractContextManager[object]:
     """Return a context that shows on a terminal's stderr what is being done."""
     from rich.console import Console
@@ -335,9 +531,38 @@ def show_table(title: str, heads: Iterable[str], rows: Iterable[Iterable[str]]) 
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
 
 
-def write_json(value: object) -> None:
-    """Write one JSON object to stdout; NaN is written as null."""
-    sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
+ENVELOPE = ("kind", "format", "version", "verdict", "findings", "result", "error")  # of every answer in JSON
+
+
+KINDS = {  # of answers, where it is not the command's name
+    **dict.fromkeys(("calibrate", "drift"), "undrift.calibration"),
+    "correct": "undrift.correction",
+    "orient": "undrift.orientation",
+    "validate": "undrift.validation",
+    "simulate": "undrift.simulation",
+    "session new": "undrift.session",
+}
+
+
+def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str, str] | None = None) -> None:
+    """Write one JSON object to stdout: the envelope, and the command's own values, which stand in ``result`` too.
+
+    A command's own kind, format, verdict and findings are those of the envelope; NaN is written as null.
+    """
+    kind = KINDS.get(command, "undrift." + (command.replace(" ", "_") or "call"))
+    verdict = value.get("verdict")
+    findings = value.get("findings", verdict.get("findings") if isinstance(verdict, Mapping) else _of_parts(value))
+    own = {key: item for key, item in value.items() if key not in ENVELOPE}
+    head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
+    rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
+    sys.stdout.write(json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def _of_parts(value: Mapping[str, object]) -> list[object]:
+    """Return the findings of the parts of an answer: of its trials, or tasks."""
+    lists = [held for held in value.values() if isinstance(held, list)]
+    parts = [part for held in lists for part in held if isinstance(part, Mapping)]
+    return [item for part in parts for item in part.get("findings", ())]
 
 
 def save_json(path: Path, value: object) -> None:

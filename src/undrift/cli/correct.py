@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undrift.cli.common import (
+    Files,
     Json,
     Opening,
     Output,
@@ -39,7 +40,7 @@ MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 
 
 
 def correct(
-    *records: Path,
+    *records: Files,
     calibration: Path,
     output: Output,
     policy: Policy = "raise",
@@ -71,11 +72,10 @@ def correct(
     from undrift.correction.stream import Corrector
     from undrift.io.store import read_calibration
 
-    if not records:
-        raise InputError("correct: wanted one recording or more, got none; name them before --calibration")
     model = read_calibration(calibration)
     targets = _targets(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
+    opening = opening.like(model, calibration)
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
@@ -88,7 +88,7 @@ def correct(
         raise
     if json:
         rows = [_row(*result) for result in results]
-        write_json({"calibration": str(calibration), "recordings": rows})
+        write_json({"calibration": str(calibration), "recordings": rows}, "correct")
         return 0
     for record, target, state, remarks in results:
         say(
@@ -205,7 +205,7 @@ def _correct_one(
 ) -> tuple["CorrectorState", Remarks]:
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
-    from undrift.io.formats import iter_record, write_record
+    from undrift.io.formats import write_record
     from undrift.io.parquet import ParquetWriter
 
     stream, notes = corrector(), dict[str, None]()
@@ -213,11 +213,7 @@ def _correct_one(
     beyond: tuple[Beyond, ...] = ()
     whole = not part.name.endswith(".parquet")
     with nullcontext() if whole else ParquetWriter(part) as writer:
-        for read in (
-            (opening.read(record),)
-            if whole
-            else read_ahead(iter_record(record, opening.columns(), settings=opening.settings()))
-        ):
+        for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
             chunk, left_out = calibrated_part(read, model)
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough

@@ -72,7 +72,7 @@ def demo(*, out: Path = Path("demo"), quick: Flag = False, json: Flag = False) -
     }
     save_json(out / "summary.json", summary)
     if json:
-        write_json(summary)
+        write_json(summary, "demo")
     else:
         _tell(out, trials, checks)
     return 0 if all(check.passed for check in checks) else 1

@@ -7,13 +7,16 @@ from cyclopts import Parameter
 
 from undrift.cli.common import (
     Details,
+    Files,
     Flag,
     Json,
     Opening,
     OptionalOutput,
     check_output,
     progress,
+    recording_of,
     say,
+    say_next,
     show_table,
     show_verdict,
     write_json,
@@ -27,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def drift(
-    *sessions: Path,
+    *sessions: Files,
     calibration: Path | None = None,
     output: OptionalOutput = None,
     report: Path | None = None,
@@ -85,8 +88,6 @@ def drift(
     from undrift.report.drift import draw_offsets, write_drift_report
     from undrift.report.figures import PICTURES, save_figure
 
-    if not sessions:
-        raise InputError("drift: wanted a session or recording, or more, got none; name them first")
     if not 0.0 < step_c < float("inf"):
         raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
     settings = DriftSettings(
@@ -101,7 +102,7 @@ def drift(
     check_output(report, endings=(".html",), reads=(*read, calibration))
     check_output(figure, endings=PICTURES, reads=(*read, calibration))
     model = None if calibration is None else read_calibration(calibration)
-    fit = _fit(sessions, opening, model, settings)
+    fit, seen = _fit(sessions, opening.like(model, calibration), model, settings)
     if figure is not None:
         if fit.gyro_summary is None:
             raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out --figure")
@@ -111,20 +112,22 @@ def drift(
     if output is not None:
         write_calibration(fit.calibration, output)
     if json:
-        write_json(calibration_json(fit.calibration))
+        write_json(calibration_json(fit.calibration), "drift")
     else:
         _show(fit)
         show_verdict(fit.verdict, details=details)
         if model is not None:
             say(f"calibration given: {calibration}, with {len(verdict_before(model).reasons)} findings of its own")
-        _say_next(fit, output, (figure, report))
+        _say_next(fit, output, (figure, report), (recording_of(sessions), seen))
     return 1 if fit.calibration.verdict.status == "bad" else 0
 
 
 def _fit(
     sessions: tuple[Path, ...], opening: Opening, model: "Calibration | None", settings: "DriftSettings"
-) -> "DriftFit":
-    """Read the sessions and fit their tables, with a bar."""
+) -> "tuple[DriftFit, tuple[float, float] | None]":
+    """Read the sessions and fit their tables, with a bar; return the fit and the temperatures of the first recording, degC."""
+    import numpy as np
+
     from undrift.drift.fit import fit_drift
     from undrift.drift.sessions import check_once, one_power_on
     from undrift.io.formats import detect
@@ -137,7 +140,9 @@ def _fit(
             held.append((_read(path, opening, model), detect(path) == "session"))
         check_once([session for session, _ in held])
         bare = [session for session, stated in held if not stated]
-        return fit_drift(
+        temps = held[0][0].records[0].temp_c
+        seen = None if temps is None else (float(np.nanmin(temps)), float(np.nanmax(temps)))
+        fit = fit_drift(
             [
                 *(session for session, stated in held if stated),
                 *one_power_on(bare),
@@ -146,6 +151,7 @@ def _fit(
             settings=settings,
             progress=lambda what, share: shown.update(task, description=what, completed=0.4 + 0.6 * share),
         )
+        return fit, seen
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -162,20 +168,21 @@ def _range(text: str) -> tuple[float, float]:
 def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
     """Read a session; a recording by itself is a session of one."""
     from undrift.files import sha256_of
-    from undrift.io.formats import detect, read_record
+    from undrift.io.formats import detect
     from undrift.io.session import read_session
     from undrift.record import Session
     from undrift.units import STANDARD_GRAVITY
 
     if detect(path) == "session":
         return read_session(path)
-    record = read_record(path, opening.columns(), settings=opening.settings())
+    record = opening.record(path)
     return Session(
         kind="thermal",
         serial=record.device,
         gravity_m_s2=STANDARD_GRAVITY if model is None else model.gravity_m_s2,
         records=(record,),
         inputs=((path.name, sha256_of(path)),) if path.is_file() else (),
+        file_map=opening.file_map(),
     )
 
 
@@ -196,11 +203,24 @@ def _show(fit: "DriftFit") -> None:
         say(f"thermometer lag removed: {drift.lag_s:.3g} s")
 
 
-def _say_next(fit: "DriftFit", output: Path | None, written: tuple[Path | None, ...]) -> None:
+def _say_next(
+    fit: "DriftFit",
+    output: Path | None,
+    written: tuple[Path | None, ...],
+    first: tuple[Path | None, tuple[float, float] | None],
+) -> None:
+    """Say what was written, and how the first recording, with its temperatures, is corrected by it."""
+    recording, temp_c = first
     say(*(f"Wrote {path}" for path in written if path is not None))
     if output is None:
         say("No tables were written: add -o calibration.json to keep them")
         return
     static = None if fit.calibration.drift is None else fit.calibration.drift.static
-    aged = " --power-on-s SECONDS" if static is not None and static.warm_up is not None else ""
-    say(f"Wrote {output}. Next: undrift correct RECORD --calibration {output}{aged} -o corrected.parquet")
+    aged = ["--power-on-s", "0"] if static is not None and static.warm_up is not None else []  # as it was recorded
+    outside = (
+        static is not None and temp_c is not None and (temp_c[0] < static.temp_c[0] or temp_c[1] > static.temp_c[-1])
+    )
+    held = ["--policy", "hold"] if outside else []
+    say(f"Wrote {output}")
+    if recording is not None:
+        say_next("correct", recording, "--calibration", output, *aged, *held, "-o", "corrected.parquet")

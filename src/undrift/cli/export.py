@@ -68,7 +68,8 @@ def export(
                 "findings": findings_json(made.findings),
                 **made.figures,
                 "verdict": verdict_json(model.verdict),
-            }
+            },
+            "export",
         )
     else:
         _show_builds(made.figures)

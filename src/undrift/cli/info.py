@@ -1,12 +1,11 @@
 """``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
-import shlex
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Details, Json, Opening, Up, say, show_verdict, write_json
+from undrift.cli.common import Details, Json, Opening, Up, check_output, say, say_next, show_verdict, write_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -16,6 +15,8 @@ if TYPE_CHECKING:
     from undrift.model import Calibration, DriftTables
     from undrift.record import Record, Still
 
+POSES = 9  # still phases of a recording that may calibrate a device
+
 
 def info(
     file: Path,
@@ -23,6 +24,9 @@ def info(
     *,
     opening: Opening = Opening(),
     reference_up: Up = None,
+    write_map: Path | None = None,
+    gyro_unit: str | None = None,
+    accel_unit: str | None = None,
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -36,6 +40,12 @@ def info(
         How to read a foreign recording.
     reference_up : str or None
         Laboratory axis that points up, for markers in TRC or C3D.
+    write_map : Path or None
+        Map to write for a table with foreign columns, each unit with its reason: .toml.
+    gyro_unit : str or None
+        With --write-map: unit of the gyroscopes where nothing shows it: rad/s, dps, count or v.
+    accel_unit : str or None
+        With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
     """
     from undrift.io.inspect import describe
     from undrift.io.store import findings_json, read_calibration, verdict_json
@@ -43,7 +53,10 @@ def info(
     if _is_plain_folder(file):
         _show_folder(file, json=json)
         return 0
+    check_output(write_map, endings=(".toml",), reads=(file, opening.column_map))
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
+    if write_map is not None:
+        return _write_map(found, write_map, opening, {"gyro": gyro_unit, "accel": accel_unit}, json=json)
     stills, reason = _stills(file, found, opening)
     effects = _effects(file) if found.kind == "device" else {}
     calibration = read_calibration(file) if found.kind == "calibration" else None
@@ -63,13 +76,34 @@ def info(
                 "no_still_because": reason,
                 "effects": effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]},
                 "verdict": None if verdict is None else verdict_json(verdict),
-            }
+            },
+            "info",
         )
         return 0
-    _show(found, stills, reason)
+    _show(found, stills, reason, opening)
     say(*(f"  {part}: {', '.join(texts)}" for part, texts in effects.items()))
     if calibration is not None:
         show_verdict(calibration.verdict, details=details)
+    return 0
+
+
+def _write_map(found: "Description", path: Path, opening: Opening, units: dict[str, str | None], *, json: bool) -> int:
+    """Write the map that a table seems to need, each unit with its reason."""
+    from undrift.files import write_whole
+    from undrift.io.proposal import map_of
+
+    text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=units)
+    write_whole(path, text)
+    complete = '"?"' not in text
+    if json:
+        made = {"kind": found.kind, "format": found.format, "output": str(path)}
+        write_json(made | {"map": text.splitlines(), "complete": complete}, "info")
+        return 0
+    say(f"Wrote {path}", *(f"  {line}" for line in text.splitlines()))
+    if complete:
+        say_next("info", found.path, "--map", path)
+    else:
+        say(f"put the true unit where {path} has ?, or repeat with --gyro-unit or --accel-unit")
     return 0
 
 
@@ -169,7 +203,7 @@ def _show_folder(path: Path, *, json: bool) -> None:
         rest = {"columns": [], "units": {}, "gaps": 0, "temp_c": None, "stills": []}
         problems = [text for _, kind, text in found if kind == "damaged"]
         files = [{"name": name, "kind": kind, "summary": text} for name, kind, text in found]
-        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files})
+        write_json(head | rest | {"problems": problems, "findings": [], "summary": summary, "files": files}, "info")
         return
     lines = [f"  {name}: {kind}, {text}" for name, kind, text in found]
     say(f"{path}: folder, {summary}", *lines, "  name one of them to see more")
@@ -180,7 +214,6 @@ def _show_folder(path: Path, *, json: bool) -> None:
 
 def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[list[float]], str]:
     """Return [start_s, stop_s] of every still phase, and why there is none."""
-    from undrift.io.formats import read_record
     from undrift.io.session import read_session
 
     records, stills, reason = tuple["Record", ...](), tuple["Still", ...](), ""
@@ -189,7 +222,7 @@ def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[li
         records, stills = session.records, session.stills
         stills = stills or tuple(s for k, record in enumerate(records) for s in _search(record, k)[0])
     elif found.kind == "recording":
-        records = (read_record(file, opening.columns(), settings=opening.settings()),)
+        records = (opening.record(file),)
         stills, reason = _search(records[0])
     clocks = [record.time for record in records]
     return [[float(clocks[s.recording][k]) for k in (s.start, s.stop - 1)] for s in stills], reason
@@ -207,7 +240,7 @@ def _search(record: "Record", recording: int = 0) -> "tuple[tuple[Still, ...], s
     return search.stills, search.reason
 
 
-def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
+def _show(found: "Description", stills: list[list[float]], reason: str, opening: Opening) -> None:
     summary = found.summary.partition(", for example")[0] if found.example else found.summary
     lines = [summary, *(f"{name}: {unit}" for name, unit in found.units)]
     if found.kind in ("recording", "session"):
@@ -228,22 +261,36 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
     lines += [f"problem: {problem}" for problem in found.problems if problem != found.summary]
     lines += _hints(found)
     say(f"{found.path}: {found.kind} ({found.format})", *(f"  {line}" for line in lines))
+    if words := _next(found, len(stills), opening):
+        say_next(*words)
 
 
 def _hints(found: "Description") -> list[str]:
-    """Return what to type next, in the words of the command line."""
+    """Return the map that a table may need, and what to do with it."""
+    if not found.example:
+        return []
+    rate = " and --sample-rate-hz" if "sample_rate_hz = ?" in found.example else ""
+    return [
+        f"write the lines below into map.toml (--write-map map.toml{rate} does so, with what the readings show), put what is true "
+        "where it says ?, and give it with --map map.toml",
+        *found.example,
+    ]
+
+
+def _next(found: "Description", stills: int, opening: Opening) -> list[object]:
+    """Return the command to type next; none where nothing follows from what is known."""
     if found.example:
-        return [
-            "write the lines below into map.toml, put what is true where it says ?, and say: undrift info FILE --map map.toml",
-            *found.example,
-        ]
+        ready = "sample_rate_hz = ?" not in found.example
+        return ["info", found.path, "--write-map", "map.toml"] if ready else []
     missing = next((item.values.get("missing") for item in found.findings if item.code == "recording.not_read"), "")
     if missing == "sensor":
-        return [f"say: undrift info FILE --sensor {shlex.quote(found.columns[0])}"]
-    if missing == "sample_rate_hz":
-        return [f"say: undrift info FILE --sample-rate-hz {'256' if found.format == 'ximu' else 'HZ'}"]
+        return ["info", found.path, "--sensor", found.columns[0]]
+    if missing == "sample_rate_hz" and found.format == "ximu":
+        return ["info", found.path, "--sample-rate-hz", "256"]
     if found.kind == "markers" and any(item.code == "recording.up_axis" for item in found.findings):
-        return [
-            "say: undrift info FILE --reference-up y, and undrift validate RECORD --reference FILE --reference-up y"
-        ]
+        return ["info", found.path, "--reference-up", "y"]
+    if found.kind == "session" and found.summary.startswith("calibration"):
+        return ["calibrate", found.path, "-o", "calibration.json"]
+    if found.kind == "recording" and stills >= POSES:
+        return ["calibrate", found.path, *opening.words(), "-o", "calibration.json"]
     return []

@@ -64,15 +64,15 @@ def noise(
 
     check_output(figure, endings=PICTURES, reads=(record, calibration))
     with waiting("reading and fitting"):
-        readings, notes = opening.read(record), tuple[str, ...]()
+        model = None if calibration is None else read_calibration(calibration)
+        readings, notes = opening.like(model, calibration).read(record), tuple[str, ...]()
         began = readings.time[0]
         if start_s is not None or stop_s is not None:
             readings = _between(readings, start_s, stop_s)
-        if calibration is not None:
+        if model is not None:
             from undrift.correction.correct import correct_checked
 
             since = None if power_on_s is None else float(power_on_s + readings.time[0] - began)
-            model = read_calibration(calibration)
             readings, left_out = calibrated_part(readings, model)
             done = correct_checked(readings, model, power_on_s=since)
             readings, notes = done.record, (*left_out, *done.warnings, *done.notes)
@@ -89,7 +89,8 @@ def noise(
                 for key, of in (("adev", "adev"), ("units", "unit"))
             }
             | {key: getattr(found, key) for key in ("taus_s", "duration_s", "confidence")}
-            | {"verdict": verdict_json(found.verdict), "notes": notes}
+            | {"verdict": verdict_json(found.verdict), "notes": notes},
+            "noise",
         )
         return 0
     for what, triad, axes in (("gyroscopes", "gyro", found.gyro), ("accelerometers", "accel", found.accel)):

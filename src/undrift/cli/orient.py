@@ -67,11 +67,11 @@ def orient(
     from undrift.orientation import orient as find
 
     check_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
-    readings, model, notes = opening.read(record), None, tuple[str, ...]()
-    if calibration is None:
+    held = None if calibration is None else read_calibration(calibration)
+    readings, model, notes = opening.like(held, calibration).read(record), None, tuple[str, ...]()
+    if held is None:
         check_physical(readings, record)
     else:
-        held = read_calibration(calibration)
         done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
         beyond = (one.text for one in find_beyond(done.record, held) if one.text)
         readings, model, notes = done.record, held.accel, (*done.warnings, *beyond, *done.notes)
@@ -87,7 +87,7 @@ def orient(
         "pitch_deg": _span(found.pitch),
     }
     if json:
-        write_json(made | {"recording": str(record), "output": str(output), "notes": notes})
+        write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0
     alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
     share = alone if model is None else "scatter and calibration"

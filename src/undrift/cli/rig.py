@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import App, Parameter
 
 from undrift.cli.common import Json, Output, device_at, say, show_verdict, write_json
+from undrift.cli.examples import examples
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -24,11 +25,12 @@ rig = App(
     help_format="plaintext",
     default_parameter=Parameter(negative=()),
     result_action="return_value",
+    help_epilogue=examples("rig"),
 )
 LONGEST_SILENCE_S = 60.0  # of a check, s of the host; then it hangs, and the guard stops the table
 
 
-@rig.command
+@rig.command(help_epilogue=examples("rig run"))
 def run(
     protocol: Path,
     /,
@@ -122,7 +124,7 @@ def run(
     return 0
 
 
-@rig.command
+@rig.command(help_epilogue=examples("rig emulate"))
 def emulate(
     *,
     device: str = "",
@@ -189,7 +191,7 @@ def emulate(
         addresses = {"rig": bench.rig_address, "device": bench.device_address, "chamber": bench.chamber_address}
         addresses["operator"] = bench.hands_address
         if json:
-            write_json({**addresses, "hands": bench.hands_address})  # its name in earlier releases
+            write_json({**addresses, "hands": bench.hands_address}, "rig emulate")  # its name in earlier releases
         else:
             sys.stdout.write("".join(f"--{name} '{address}'\n" for name, address in addresses.items()))
         sys.stdout.flush()
@@ -197,7 +199,7 @@ def emulate(
     return 0
 
 
-@rig.command
+@rig.command(help_epilogue=examples("rig stop"))
 def stop(*, rig: str, json: Json = False) -> int:
     """Stop the table and switch its motor off, whoever drives it.
 
@@ -211,13 +213,13 @@ def stop(*, rig: str, json: Json = False) -> int:
     mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
     stop_rig(rig)
     if json:
-        write_json({"rig": rig, "stopped": True, "motor_on": False})
+        write_json({"rig": rig, "stopped": True, "motor_on": False}, "rig stop")
     else:
         say(f"{rig}: at rest, motor off")
     return 0
 
 
-@rig.command
+@rig.command(help_epilogue=examples("rig status"))
 def status(*, rig: str, json: Json = False) -> int:
     """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed.
 
@@ -233,14 +235,16 @@ def status(*, rig: str, json: Json = False) -> int:
     if json:
         made = {"rig": rig, "identity": found.identity, "moving": found.moving, "motor_on": found.motor_on}
         error_deg = found.following_error / RADIAN_PER_DEGREE
-        write_json(made | {"angle_deg": angle_deg, "following_error_deg": error_deg, "fault": found.fault})
+        write_json(
+            made | {"angle_deg": angle_deg, "following_error_deg": error_deg, "fault": found.fault}, "rig status"
+        )
         return 0
     words = f"{'moves' if found.moving else 'at rest'}, motor {'on' if found.motor_on else 'off'}"
     say(f"{found.identity}: {words}, at {angle_deg:.3f} deg, {found.fault or 'no fault'}")
     return 0
 
 
-@rig.command
+@rig.command(help_epilogue=examples("rig check"))
 def check(
     *,
     rig: str,
@@ -414,7 +418,7 @@ def _result(result: "RunResult", folder: Path, json: bool) -> None:
             for piece in turns
         ]
         made = {"folder": str(folder), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
-        write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows})
+        write_json(made | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows}, "rig run")
         return
     off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / RADIAN_PER_DEGREE
     say(
@@ -450,7 +454,8 @@ def _show_check(found: "RigCheck", rig: str, settings: "CheckSettings", json: bo
                 "gains": {name: each and asdict(each) for name, each in sets.items()},
                 "verdict": verdict,
                 "findings": verdict["findings"],
-            }
+            },
+            "rig check",
         )
         return
     say(

@@ -121,7 +121,7 @@ def simulate(
     if save_device is not None:
         write_device(model, save_device)
     if json:
-        write_json({"motion": motion, "output": str(output), **made})
+        write_json({"motion": motion, "output": str(output), **made}, "simulate")
         return 0
     say(*lines)
     if simulated is not None:

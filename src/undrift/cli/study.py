@@ -117,7 +117,7 @@ def study(
     save_json(output / "summary.json", summary)
     write_study_report(outcome, output / "report.html")
     if json:
-        write_json(summary)
+        write_json(summary, "study")
     else:
         _show(outcome, output)
     return 0

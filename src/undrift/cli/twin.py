@@ -1,11 +1,9 @@
 """``undrift twin``: the device model fitted to a real device, and its errors on recordings held out."""
 
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Json, Opening, Optics, OptionalOutput, say, show_table, waiting, write_json
-from undrift.errors import InputError
+from undrift.cli.common import Files, Json, Opening, Optics, OptionalOutput, Steps, say, show_table, write_json
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -13,9 +11,11 @@ if TYPE_CHECKING:
     from undrift.twin.fit import Twin
     from undrift.twin.heldout import Ending, HeldOutTrial, Part
 
+HELD_OUT, END_ERRORS = (0.34, 0.55), (0.55, 0.85)  # shares of the time, of three recordings of two minutes
+
 
 def twin(
-    *records: Path,
+    *records: Files,
     optics: Optics = Optics(),
     gravity_m_s2: float = STANDARD_GRAVITY,
     seed: int = 0,
@@ -49,28 +49,29 @@ def twin(
     from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
     from undrift.twin.heldout import compare_held_out, contributions, device_of, end_errors
 
-    if not records:
-        raise InputError("twin: wanted one recording or more, got none; name them first")
     settings = TwinSettings(gravity_m_s2=gravity_m_s2)
     rng = np.random.default_rng(seed)
     held: tuple[HeldOutTrial, ...] = ()
     endings: tuple[Ending, ...] = ()
     parts: tuple[Part, ...] = ()
-    with waiting("reading, fitting and simulating"):
+    with Steps("twin") as shown:
         pairs = optics.pairs(records, opening, command="twin")
         names = [record.name.split(".")[0] for record in records]
+        shown("aligning", 0.01)
         prepared = prepare_twin([p[0] for p in pairs], [p[1] for p in pairs], settings=settings, names=names)
+        shown("fitting", 0.13)
         fitted = fit_prepared(prepared, settings=settings)
         if len(records) > 1:
-            held = compare_held_out(prepared, rng=rng)
-            endings = end_errors(prepared, rng=rng)
+            held = compare_held_out(prepared, rng=rng, progress=shown.part(*HELD_OUT))
+            endings = end_errors(prepared, rng=rng, progress=shown.part(*END_ERRORS))
+            shown("contributions", END_ERRORS[1])
             parts = contributions(prepared, 0, rng=rng)
     if output is not None:
         record = prepared.records[0]
         device = device_of(fitted, sample_rate_hz=record.sample_rate_hz, serial=record.device)
         write_device(device, output)
     if json:
-        write_json(_twin_json(fitted, held, endings, parts))
+        write_json(_twin_json(fitted, held, endings, parts), "twin")
     else:
         _show(fitted, names, held, endings, parts)
         if output is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from undrift.cli.common import (
+    Files,
     Flag,
     Json,
     Opening,
@@ -13,6 +14,7 @@ from undrift.cli.common import (
     OptionalOutput,
     Policy,
     Side,
+    Steps,
     check_folder,
     check_gravity,
     check_output,
@@ -21,12 +23,14 @@ from undrift.cli.common import (
     save_json,
     say,
     show_table,
-    waiting,
     write_json,
 )
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from undrift.model import Calibration
     from undrift.record import Record, Reference
     from undrift.report.validation import Method
     from undrift.validation.agreement import Validation
@@ -41,11 +45,12 @@ SHOWN = {
     "end_inclination_deg": "end incl.",
     "lag_ms": "lag ms",
 }
+ALL_FITTED = 0.25  # share of the time of leave-one-out that the fit to all recordings takes
 SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
 
 
 def validate(
-    *records: Path,
+    *records: Files,
     optics: Optics = Optics(),
     calibration: Path | None = None,
     calibrate_from: Literal["reference"] | None = None,
@@ -98,11 +103,10 @@ def validate(
     opening : Opening
         How to read foreign recordings.
     """
+    from undrift.io.store import read_calibration
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
-    if not records:
-        raise InputError("validate: wanted one recording or more, got none; name them first")
     if leave_one_out and calibrate_from is None:
         raise InputError("validate: --leave-one-out wants --calibrate-from reference; say both, or neither")
     if calibrate_from is not None and calibration is not None:
@@ -121,17 +125,18 @@ def validate(
         policy=policy,
         lag=LagSettings(longest_lag_s=max_lag_s),
     )
-    with waiting("reading, aligning and integrating"):
-        pairs = optics.pairs(records, opening, command="validate")
-        result, method = _judged(
-            pairs, records, optics.reference, calibration, settings, leave_one_out, fit=calibrate_from is not None
-        )
+    with Steps("validate") as shown:
+        model = None if calibration is None else read_calibration(calibration)
+        pairs = optics.pairs(records, opening.like(model, calibration), command="validate")
+        shown("aligning and integrating", 0.02)
+        paths, progress = (records, optics.reference), shown.part(ALL_FITTED, 1.0) if leave_one_out else None
+        result, method = _judged(pairs, paths, (calibration, model), settings, progress, fit=bool(calibrate_from))
     source = calibration.name if calibration else calibrate_from
     asked = {"calibration": source, "offset": chosen, "adc": adc, "leave_one_out": leave_one_out}
     made = _validation_json(result) | asked
     _write(output, report, result, made, method)
     if json:
-        write_json(made)
+        write_json(made, "validate")
         return 0
     _show(result, chosen, in_sample=calibrate_from is not None and not leave_one_out)
     say(
@@ -202,31 +207,30 @@ def _check_scale(trial: "Trial") -> None:
 
 def _judged(
     pairs: list[tuple["Record", "Reference"]],
-    paths: tuple[Path, ...],
-    references: tuple[Path, ...],
-    calibration: Path | None,
+    named: tuple[tuple[Path, ...], tuple[Path, ...]],
+    read: "tuple[Path | None, Calibration | None]",
     settings: "TrialSettings",
-    leave_one_out: bool,
+    leave_one_out: "Callable[[str, float], None] | None",
     *,
     fit: bool,
 ) -> tuple["Validation", "Method"]:
     """Return the validation, and how it was made: by the calibration that was read or fitted to all recordings, or none."""
     from undrift.calibration.calibrate import calibrate_to_references
-    from undrift.io.store import read_calibration
     from undrift.model import Verdict
     from undrift.report.validation import Method
     from undrift.validation.agreement import validate_leave_one_out, validate_trials
 
+    (paths, references), (calibration, model) = named, read
     records, held, names = [pair[0] for pair in pairs], [pair[1] for pair in pairs], [name_of(path) for path in paths]
     if calibration is None and not fit:
         for readings, path in zip(records, paths, strict=True):
             check_physical(readings, path)
             check_gravity(readings, path)
     fitted = calibrate_to_references(records, held, adc=settings.adc, lag_settings=settings.lag) if fit else None
-    model = fitted if calibration is None else read_calibration(calibration)
+    model = fitted if model is None else model
     result = (
-        validate_leave_one_out(pairs, settings=settings, names=names)
-        if leave_one_out
+        validate_leave_one_out(pairs, settings=settings, names=names, progress=leave_one_out)
+        if leave_one_out is not None
         else validate_trials(pairs, calibrations=(model,), settings=settings, names=names)
     )
     for trial in result.trials:

@@ -80,6 +80,7 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
         gravity_m_s2=first.gravity_m_s2,
         gyro=nominal_triad(unit, "rate"),
         verdict=Verdict(status="marginal", findings=(finding("calibration.nominal", "warn"),)),
+        file_map=first.file_map,
     )
 
 

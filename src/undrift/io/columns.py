@@ -232,7 +232,7 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
             more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
                 f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}; undrift info FILE "
-                "proposes a map of them, to be given with --map"
+                "proposes a map of them, --write-map map.toml writes it; give it with --map"
             )
         temps = [(f"temp_{suffix}", unit) for unit, suffix in TEMP_SUFFIX.items() if f"temp_{suffix}" in names]
         if len(temps) > 1:

@@ -412,6 +412,7 @@ def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:
 # ---- describe
 
 _MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
+_TABLES = ("npz", "mat", "parquet", "csv", "text")  # what a map makes a recording of
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -540,6 +541,22 @@ def mean_rate_hz(*records: Record) -> float:
     return sum(len(record) - 1 for record in records) / sum(record.duration_s for record in records)
 
 
+def needs_map(path: str | Path) -> bool:
+    """Tell whether a file is a table that only a map can read: neither undrift's own names nor a format that states its units."""
+    path = Path(path)
+    name, _ = format_of(path)
+    if name not in _TABLES:
+        return False
+    return name == "text" or not is_native(_table_names(path, name, sniff(path) if name == "csv" else None)[0])
+
+
+def _table_names(path: Path, name: str, text: Text | None) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
+    """Return the names of a table, and its arrays where it holds arrays."""
+    arrays = npz_arrays(path) if name == "npz" else mat_arrays(path) if name == "mat" else ()
+    names = text.names if text else parquet_names(path) if name == "parquet" else tuple(key for key, _ in arrays)
+    return names, arrays
+
+
 def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     """Return the description of a file that cannot be read without more settings, None where it can."""
     if name == "ximu" and settings.sample_rate_hz is None:
@@ -549,11 +566,10 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
         held = apdm_sensors(path)
         what = f"APDM sensors {', '.join(held)}; needs the name of one of them as sensor"
         return _not_read(path, name, held, what, missing="sensor") if len(held) > 1 else None
-    if name not in ("npz", "mat", "parquet", "csv"):
+    if name not in _TABLES or name == "text":
         return None
     text = sniff(path) if name == "csv" else None
-    arrays = npz_arrays(path) if name == "npz" else mat_arrays(path) if name == "mat" else ()
-    names = text.names if text else parquet_names(path) if name == "parquet" else tuple(key for key, _ in arrays)
+    names, arrays = _table_names(path, name, text)
     if native_reference(names) is not None:
         return _reference(path, name)
     if is_native(names):

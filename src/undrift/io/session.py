@@ -26,7 +26,7 @@ temp_file = { file = "thermometer.csv", time = "t", temp = "T", time_unit = "s",
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -41,13 +41,14 @@ from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, s
 from undrift.io.columns import ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
-from undrift.record import Axis, Face, Kind, Record, Session, Still, Turn
-from undrift.units import RADIAN_PER_DEGREE, gravity_at
+from undrift.record import Axis, Face, FileMap, GravitySource, Kind, Record, Session, Still, Turn
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
 # ---- column maps
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "temp_file"}  # for undrift's own names
+_OF_ONE_FILE = ("file", "temp_file")  # keys that no other recording of the device shares
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
 
@@ -148,9 +149,10 @@ class MapEntry(Entry):
         return tuple(ColumnMap(**{key: _columns(key, value) for key, value in table}, **shared) for table in tables)
 
 
-def read_column_map(path: str | Path) -> ColumnMap:
-    """Read a column map from a TOML file."""
-    maps = read_toml(path, MapEntry).maps()
+def read_column_map(path: str | Path, *, sample_rate_hz: float | None = None) -> ColumnMap:
+    """Read a column map from a TOML file; a rate that is given overrules its own."""
+    held = read_toml(path, MapEntry)
+    maps = (held if sample_rate_hz is None else held.model_copy(update={"sample_rate_hz": sample_rate_hz})).maps()
     if len(maps) != 1:
         raise InputError(f"{path}: wanted one table of columns, got {len(maps)}; add columns = {{ ... }}")
     return maps[0]
@@ -200,6 +202,54 @@ def _scale(entry: LinearEntry | None, channel: str) -> Scale | None:
     return Scale(gain=values[0], offset=values[1])
 
 
+# ---- a map as a value: of a file of TOML with the choices of a call, as a session and a calibration keep it
+
+
+class KeptEntry(MapEntry):
+    """A map, and which sensor of a file of several it is for."""
+
+    sensor: str | None = None  # Which sensor, in a file of several (APDM)
+
+
+def read_file_map(path: str | Path | None = None, **choices: Any) -> FileMap | None:
+    """Return the map of a TOML file with the choices of a call over it; None where there is neither."""
+    held = {} if path is None else read_toml(path, MapEntry).model_dump(exclude_unset=True)
+    if path is not None and held.get("temp_file"):  # beside the map, wherever the recordings are
+        held["temp_file"]["file"] = str((Path(path).parent / held["temp_file"]["file"]).resolve())
+    held |= {key: value for key, value in choices.items() if value is not None}
+    return file_map_of(KeptEntry.model_validate(held)) if held else None
+
+
+def file_map_of(entry: KeptEntry, *, without: Sequence[str] = ()) -> FileMap:
+    """Return the keys that a map states as a value."""
+    held = entry.model_dump(mode="json", exclude_unset=True, exclude=set(without))
+    return FileMap(json.dumps(held, ensure_ascii=False))
+
+
+def entry_of(file_map: FileMap | None) -> KeptEntry:
+    """Return the keys of a map, checked."""
+    return KeptEntry() if file_map is None else KeptEntry.model_validate_json(file_map.text)
+
+
+def map_and_settings(file_map: FileMap, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
+    """Return how one file is read by a map, with the choices of a call over it; no columns where the map has none."""
+    entry = entry_of(file_map)
+    entry = entry.model_copy(update={key: value for key, value in choices.items() if value is not None})
+    maps = entry.maps()
+    if len(maps) > 1:
+        raise InputError(
+            f"wanted {len(maps)} files side by side, got one; give a map of it, or state them together in session.toml"
+        )
+    settings = replace(_settings(entry, Path()), sensor=entry.sensor)
+    return maps[0] if maps else None, replace(settings, repair_time=False, drop_bad_rows=False) if maps else settings
+
+
+def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
+    """Return the map that all recordings share; None where they differ or need none."""
+    held = [file_map_of(entry, without=_OF_ONE_FILE) for entry in entries]
+    return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
+
+
 # ---- session
 
 NAME = "session.toml"
@@ -218,11 +268,10 @@ class HeadEntry(Entry):
     height_m: Finite | None = None
 
 
-class RecordingEntry(MapEntry):
+class RecordingEntry(KeptEntry):
     """[[recording]]: these keys and those of a map."""
 
     file: str | list[str]  # Beside session.toml; several files are joined side by side
-    sensor: str | None = None  # Which sensor, in a file of several (APDM)
 
 
 class PieceEntry(Entry):
@@ -315,7 +364,52 @@ def read_session(folder: str | Path) -> Session:
             stills=tuple(stills),
             turns=tuple(turns),
             inputs=tuple(inputs),
+            file_map=shared_map(held.recording),
+            gravity_source="stated" if held.session.gravity_m_s2 is not None else "latitude and height",
         )
+
+
+def session_from_files(
+    files: Sequence[str | Path],
+    file_map: FileMap | None = None,
+    *,
+    kind: Kind = "calibration",
+    serial: str = "",
+    gravity_m_s2: float | None = None,
+    latitude_deg: float | None = None,
+    height_m: float | None = None,
+) -> Session:
+    """Return a session of bare recordings: nothing is stated in them, standard gravity is assumed where none is.
+
+    With a map of several tables of columns, as many files side by side make one recording.
+    """
+    entry = entry_of(file_map)
+    width = max(1, len(entry.columns)) if isinstance(entry.columns, list) else 1
+    if not files or len(files) % width:
+        wanted = "one recording or more" if width == 1 else f"{width} files for each recording, as the map has tables"
+        raise InputError(f"session: wanted {wanted}, got {len(files)}; name them")
+    records, inputs = [], []
+    for start in range(0, len(files), width):
+        names = [str(file) for file in files[start : start + width]]
+        records.append(_read_recording(Path(), names, RecordingEntry(file=names, **dict(_given(entry)))))
+        inputs += [(Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()]
+    head = HeadEntry(kind=kind, serial=serial, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg, height_m=height_m)
+    source: GravitySource = "stated" if gravity_m_s2 is not None else "latitude and height"
+    assumed = (gravity_m_s2, latitude_deg, height_m) == (None, None, None)
+    return Session(
+        kind=kind,
+        serial=serial or records[0].device,
+        gravity_m_s2=STANDARD_GRAVITY if assumed else _gravity(head),
+        records=tuple(records),
+        inputs=tuple(inputs),
+        file_map=shared_map([entry]),
+        gravity_source="standard" if assumed else source,
+    )
+
+
+def _given(entry: KeptEntry) -> Iterator[tuple[str, Any]]:
+    """Yield the keys that a map states, and their values."""
+    return ((key, getattr(entry, key)) for key in entry.model_fields_set)
 
 
 @contextmanager
@@ -355,8 +449,7 @@ def write_session(session: Session, folder: str | Path) -> None:
             lines += ["", "[[recording]]", f'file = "{name}"']
         pieces: list[Still | Turn] = [*session.stills, *session.turns]
         for piece in pieces:
-            kind = "turn" if isinstance(piece, Turn) else "still"
-            lines += ["", f"[[{kind}]]", *_keys(piece, session.records[piece.recording].time)]
+            lines += ["", *piece_lines(piece, session.records[piece.recording].time)]
         (folder / NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(
@@ -444,8 +537,8 @@ def _samples(entry: PieceEntry, clocks: list[Clock]) -> dict[str, Any]:
     return {"start": int(start), "stop": int(stop), "recording": entry.recording, "temp_c": entry.temp_c}
 
 
-def _keys(piece: Still | Turn, time: FloatArray) -> list[str]:
-    """Return the lines of a piece."""
+def piece_lines(piece: Still | Turn, time: FloatArray) -> list[str]:
+    """Return the lines of a [[still]] or [[turn]]."""
     stop = time[piece.stop] if piece.stop < len(time) else time[-1] + np.median(np.diff(time))
     held: dict[str, Any] = {"recording": piece.recording, "start_s": float(time[piece.start]), "stop_s": float(stop)}
     held["temp_c"] = None if piece.temp_c is None else float(piece.temp_c)
@@ -455,4 +548,5 @@ def _keys(piece: Still | Turn, time: FloatArray) -> list[str]:
             held[key] = None if value is None else float(value / RADIAN_PER_DEGREE)
     else:
         held["face"] = piece.face
-    return [f"{key} = {json.dumps(value)}" for key, value in held.items() if value is not None]
+    head = "[[turn]]" if isinstance(piece, Turn) else "[[still]]"
+    return [head, *(f"{key} = {json.dumps(value)}" for key, value in held.items() if value is not None)]

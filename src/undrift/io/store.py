@@ -19,6 +19,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import write_whole
 from undrift.findings import Finding, Level, catalogue, finding
+from undrift.io.session import KeptEntry, file_map_of
 from undrift.model import (
     AdcModel,
     Calibration,
@@ -38,6 +39,12 @@ from undrift.model import (
 Value = TypeVar("Value")
 KIND = "undrift.calibration"
 FORMAT = 1
+ANSWER_KEYS = (
+    "version",
+    "findings",
+    "result",
+    "error",
+)  # what ``undrift calibrate --json`` says beside the calibration
 
 
 def _finite(x: float) -> float:
@@ -193,6 +200,7 @@ class CalibrationFile(BaseModel, strict=True, extra="forbid", frozen=True):
     noise: NoiseFile | None
     verdict: VerdictFile
     provenance: ProvenanceFile
+    file_map: KeptEntry | None = None  # How the recordings of the device are read
 
 
 # ---- reading and writing
@@ -278,6 +286,7 @@ def read_calibration(path: Path | str) -> Calibration:
         raise FileFormatError(
             f"{path}: wanted format {FORMAT}, got {version!r}; read it with the undrift that wrote it"
         )
+    content = {key: value for key, value in content.items() if key not in ANSWER_KEYS}
     try:
         return _value(CalibrationFile.model_validate(content))
     except ValidationError as error:
@@ -308,6 +317,7 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
             "versions": _by_name(p.versions, "versions"),
             "time": p.created,
         },
+        **({} if calibration.file_map is None else {"file_map": json.loads(calibration.file_map.text)}),
     }
 
 
@@ -449,4 +459,5 @@ def _value(file: CalibrationFile) -> Calibration:
             versions=tuple(p.versions.items()),
             created=p.time,
         ),
+        file_map=None if file.file_map is None else file_map_of(file.file_map),
     )

@@ -20,7 +20,7 @@ as squares; the rest of the difference is unexplained: poses that err more in mo
 give, and effects of the device that the model lacks, which these recordings cannot separate.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -173,11 +173,16 @@ def hold_out(prepared: Prepared, number: int, *, twin: Twin | None = None) -> He
 
 
 def compare_held_out(
-    prepared: Prepared, *, rng: np.random.Generator, lengths_s: Sequence[float] = LENGTHS_S
+    prepared: Prepared,
+    *,
+    rng: np.random.Generator,
+    lengths_s: Sequence[float] = LENGTHS_S,
+    progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOutTrial, ...]:
-    """Hold every recording out in turn and compare the twin of the others with it."""
+    """Hold every recording out in turn and compare the twin of the others with it; progress takes what is done, and 0 to 1."""
     found = []
     for number in range(len(prepared.records)):
+        progress(f"held out: recording {number + 1} of {len(prepared.records)}", number / len(prepared.records))
         held = hold_out(prepared, number)
         real, simulated = held.corrected(held.match.gyro, held.offset), held.simulated(held.device, rng)
         for length in lengths_s:
@@ -263,10 +268,17 @@ class Ending:
         return bool(inside[0]), bool(inside[1])
 
 
-def end_errors(prepared: Prepared, *, rng: np.random.Generator, draws: int = 60) -> tuple[Ending, ...]:
+def end_errors(
+    prepared: Prepared,
+    *,
+    rng: np.random.Generator,
+    draws: int = 60,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> tuple[Ending, ...]:
     """Compare simulated and real end errors of every recording, each against the twin of the others."""
     found: list[Ending] = []
     for number in range(len(prepared.records)):
+        progress(f"end errors: recording {number + 1} of {len(prepared.records)}", number / len(prepared.records))
         held = hold_out(prepared, number)
         simulated = _simulated(held, rng, draws)
         for k, row in enumerate(ROWS):

@@ -17,7 +17,7 @@ References
 .. [3] J. M. Bland, D. G. Altman, "Measuring agreement in method comparison studies", 1999.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from typing import Literal
@@ -244,12 +244,16 @@ def validate_trials(
     return summed(trials)
 
 
+_FITS = 0.8  # share of the time of leave-one-out that its fits take
+
+
 def validate_leave_one_out(
     pairs: Sequence[Pair],
     *,
     settings: TrialSettings = TRIAL_SETTINGS,
     fit_settings: ReferenceSettings = REFERENCE_SETTINGS,
     names: Sequence[str] = (),
+    progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Validation:
     """Compare recordings of one device, each by a gyroscope fit to the others' references.
 
@@ -265,6 +269,8 @@ def validate_leave_one_out(
         Of the fit.
     names : sequence of str
         What to call each; empty for the references' names.
+    progress : callable
+        Called with what is being done and the share that is done, 0 to 1.
 
     Returns
     -------
@@ -279,7 +285,15 @@ def validate_leave_one_out(
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     _check_different(records)
     adc = device_adc(records) if settings.adc == "auto" else None
-    held = leave_one_out(records, references, settings=fit_settings, adc=adc, lag_settings=settings.lag)
+    held = leave_one_out(
+        records,
+        references,
+        settings=fit_settings,
+        adc=adc,
+        lag_settings=settings.lag,
+        progress=lambda what, share: progress(what, _FITS * share),
+    )
+    progress("integrating each recording by the fit to the others", _FITS)
     calibrations = [
         Calibration(
             device=record.device,

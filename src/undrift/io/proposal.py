@@ -1,0 +1,187 @@
+"""What a person may check and edit: the map that a foreign file seems to need, and a session.toml of what was found in one.
+
+The unit of gyroscopes that no name states follows from gravity, whose direction g turns in the sensor as dg/dt = -w x g: over
+0.2 s the readings, taken as rad/s or as deg/s, turn the mean of the first accelerations into the last, or they do not. A
+reader guesses nothing; the map states what was proposed, and why.
+"""
+
+import json
+import os
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.io.formats import read_record
+from undrift.io.inspect import Description
+from undrift.io.session import KeptEntry, piece_lines
+from undrift.record import FileMap, Record, Session, Still, Turn
+from undrift.units import RADIAN_PER_DEGREE, si_factor
+
+_WINDOW_S = 0.2
+_MOVED = (10.0 * RADIAN_PER_DEGREE, 90.0 * RADIAN_PER_DEGREE)  # of gravity in a window: the device turned
+_LEAST_WINDOWS = 20
+_STEPS = {"s": (4e-4, 0.2), "ms": (0.4, 200.0), "us": (400.0, 2e5), "ns": (4e5, 2e8)}  # of time at 5 to 2500 Hz
+_TRIAL = {"time": "s", "gyro": "count", "accel": "count"}  # the readings as they are
+_CLEARLY = 0.5  # the right unit misses gravity by less than this share of what the other does
+
+
+def map_of(
+    found: Description, *, sample_rate_hz: float | None = None, units: Mapping[str, str | None] | None = None
+) -> str:
+    """Return the text of the map that a description proposes, each unit with its reason; "?" where nothing shows it."""
+    if not found.example:
+        raise InputError(
+            f"{found.path}: wanted a table that needs a map, got {found.kind} ({found.format}): {found.summary}; leave out "
+            "--write-map"
+        )
+    lines = [line for line in found.example if not line.startswith(("units", "sample_rate_hz = ?"))]
+    if "sample_rate_hz = ?" in found.example:
+        if sample_rate_hz is None:
+            raise InputError(
+                f"{found.path}: wanted the sample rate of a table without time, got none; add --sample-rate-hz"
+            )
+        lines.append(f"sample_rate_hz = {sample_rate_hz:g}")
+    stated = next(line for line in found.example if line.startswith("units"))
+    proposed, given = tomllib.loads(stated)["units"], {k: u for k, u in (units or {}).items() if u is not None}
+    why = {key: _why(key, unit, stated) for key, unit in proposed.items()}
+    proposed |= {key: unit for key, unit in given.items() if key in proposed}
+    why |= dict.fromkeys(given, "as given")
+    for key, (unit, reason) in _shown(found, lines, proposed).items():
+        proposed[key], why[key] = unit, reason
+    text = [f"# How {Path(found.path).name} is read; the keys are in docs/files.md. Check each unit."]
+    text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
+    shown = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
+    return "\n".join([*text, lines[0], f"units = {{ {shown} }}", *lines[1:]]) + "\n"
+
+
+def _why(key: str, unit: str, line: str) -> str:
+    """Return where a proposed unit comes from: the name of its column, or the size of the readings."""
+    comment = line.partition("#")[2].strip()
+    if unit == "?":
+        return "which no name and no reading shows: put what is true"
+    return comment if f"{key} " in f"{comment.partition('proposed')[0]} " and comment else "by the name of its column"
+
+
+def _shown(found: Description, lines: Sequence[str], units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return units that the readings show, and why: of time by its step, of gyroscopes by gravity."""
+    open_ = {key for key in ("time", "gyro") if units.get(key) == "?"}
+    if not open_:
+        return {}
+    keys = KeptEntry.model_validate(tomllib.loads("\n".join(lines)) | {"units": _TRIAL})
+    columns = replace(keys.maps()[0], temp=None, mag=None, gaps="keep")
+    try:
+        record = read_record(found.path, columns)
+    except InputError:  # the map will say what is wrong when it is used
+        return {}
+    shown = {}
+    if "time" in open_:
+        step = float(np.median(np.diff(record.time)))
+        unit = next((unit for unit, (low, high) in _STEPS.items() if low <= step < high), None)
+        if unit is None:
+            return {}
+        factor = si_factor(unit, "time")
+        shown["time"] = (unit, f"proposed: the median step of {step:.4g} makes {1.0 / (step * factor):.4g} Hz")
+        record = replace(record, time=record.time * factor)
+    if "gyro" in open_ and (turned := gyro_unit_of(record)) is not None:
+        unit, moves, miss_deg, other_deg = turned
+        other = "dps" if unit == "rad/s" else "rad/s"
+        shown["gyro"] = (
+            unit,
+            f"proposed: it turns gravity as the accelerometers read it, to {miss_deg:.1f} deg (median of {moves} moves of "
+            f"{_WINDOW_S:g} s); {other} misses it by {other_deg:.1f} deg",
+        )
+    return shown
+
+
+def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
+    """Return rad/s or dps, the moves that show it, and by how much either misses gravity, deg; None where nothing shows it."""
+    size = max(4, round(_WINDOW_S * record.sample_rate_hz))
+    count = len(record) // size
+    if record.gyro is None or record.accel is None or count < _LEAST_WINDOWS:
+        return None
+    gyro, accel = (values[: count * size].reshape(count, size, 3) for values in (record.gyro, record.accel))
+    part = max(1, size // 4)
+    first, last = (_unit(accel[:, cut].mean(axis=1)) for cut in (slice(None, part), slice(-part, None)))
+    moved = np.arccos(np.clip((first * last).sum(axis=1), -1.0, 1.0))
+    usable = (moved > _MOVED[0]) & (moved < _MOVED[1])
+    if usable.sum() < _LEAST_WINDOWS:
+        return None
+    turned = (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - part) / record.sample_rate_hz
+    misses = {}
+    for unit, factor in (("rad/s", 1.0), ("dps", RADIAN_PER_DEGREE)):
+        expected = _rotated(first[usable], -factor * turned)
+        apart = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
+        misses[unit] = float(np.nanmedian(apart)) / RADIAN_PER_DEGREE
+    best, other = sorted(misses, key=lambda unit: misses[unit])
+    if not misses[best] < _CLEARLY * misses[other]:
+        return None
+    return best, int(usable.sum()), misses[best], misses[other]
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _rotated(vectors: FloatArray, by: FloatArray) -> FloatArray:
+    """Return vectors (N, 3) turned by rotation vectors (N, 3), by Rodrigues' formula."""
+    angle = np.linalg.norm(by, axis=1, keepdims=True)
+    axis = by / np.maximum(angle, np.finfo(float).tiny)
+    along = (axis * vectors).sum(axis=1, keepdims=True)
+    turned = vectors * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle) + axis * along * (1.0 - np.cos(angle))
+    return np.asarray(turned)
+
+
+# ---- session.toml of bare recordings
+
+
+def session_text(
+    session: Session, files: Sequence[Path], folder: Path, *, file_map: FileMap | None, steady: Sequence[Turn] = ()
+) -> str:
+    """Return the session.toml of bare recordings for a folder; steady turns, whose rate is not known, stand as comments."""
+    width = len(files) // len(session.records)
+    assumed = (
+        "   # assumed: standard gravity; state yours, or latitude_deg and height_m"
+        if session.gravity_source == "standard"
+        else ""
+    )
+    lines = ["# Made by undrift session new from what was found; edit what is not so.", "[session]"]
+    lines += [
+        f'kind = "{session.kind}"',
+        f"serial = {_toml(session.serial)}",
+        f"gravity_m_s2 = {session.gravity_m_s2!r}{assumed}",
+    ]
+    for number in range(len(session.records)):
+        own = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
+        lines += ["", "[[recording]]", f"file = {_toml(own[0] if width == 1 else own)}", *_map_lines(file_map)]
+    pieces: list[Still | Turn] = [*session.stills, *session.turns]
+    for piece in pieces:
+        lines += ["", *piece_lines(piece, session.records[piece.recording].time)]
+    for turn in steady:
+        own = piece_lines(turn, session.records[turn.recording].time)
+        lines += [
+            "",
+            "# a steady turn: state its achieved rate and take the marks away",
+            *(f"# {line}" for line in own),
+        ]
+        lines.append("# turn_rate_dps = ?")
+    return "\n".join(lines) + "\n"
+
+
+def _map_lines(file_map: FileMap | None) -> Iterator[str]:
+    held = {} if file_map is None else json.loads(file_map.text)
+    return (f"{key} = {_toml(value)}" for key, value in held.items())
+
+
+def _toml(value: Any) -> str:
+    """Return a value of JSON as TOML on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items() if item is not None) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

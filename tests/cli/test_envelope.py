@@ -1,0 +1,193 @@
+"""Every answer in JSON has one envelope; examples in every --help; completion; progress where stderr is no terminal."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+import time
+
+import pytest
+
+from testkit.command_line import at_rest
+from testkit.data import data_path, show
+from undrift import __version__
+from undrift.cli import app as program
+from undrift.cli import common
+from undrift.cli.common import ENVELOPE, Steps
+from undrift.cli.examples import EXAMPLES
+from undrift.io.formats import write_record
+from undrift.io.session import read_session
+
+NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
+STUDY = "undrift.study"
+GOOD = {  # a call of each command, and the kind of its answer
+    "info": ("info {bench}/trial.parquet", "recording"),
+    "calibrate": ("calibrate {bench}/session", "undrift.calibration"),
+    "session new": ("session new {here}/bare.parquet -o {here}/made", "undrift.session"),
+    "drift": ("drift {warm} --map {here}/warm.toml", "undrift.calibration"),
+    "correct": (
+        "correct {bench}/trial.parquet --calibration {bench}/calibration.json -o {here}/c.csv",
+        "undrift.correction",
+    ),
+    "orient": ("orient {bench}/corrected.parquet -o {here}/o.csv", "undrift.orientation"),
+    "validate": ("validate {bench}/corrected.parquet --reference {bench}/reference.parquet", "undrift.validation"),
+    "export": ("export {bench}/calibration.json --target ros -o {here}/c.yaml", "undrift.export"),
+    "noise": ("noise {here}/rest.csv", "undrift.noise"),
+    "simulate": ("simulate sit_to_stand --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
+}
+ELSEWHERE = {
+    "twin",
+    "study",
+    "demo",
+    "rig run",
+    "rig emulate",
+    "rig stop",
+    "rig status",
+    "rig check",
+}  # long, or on sockets
+BAD = {  # a call that is refused, and the kind that a good answer would have
+    **{name: (f"{name} nowhere.csv", f"undrift.{name}") for name in ("info", "noise")},
+    **{name: (f"{name} nowhere.csv", "undrift.calibration") for name in ("calibrate", "drift")},
+    "session new": ("session new nowhere.csv -o {here}/made", "undrift.session"),
+    "correct": ("correct a.csv --calibration nowhere.json -o {here}/c.csv", "undrift.correction"),
+    "orient": ("orient nowhere.csv -o {here}/o.csv", "undrift.orientation"),
+    "validate": ("validate nowhere.csv --reference nowhere.csv", "undrift.validation"),
+    "twin": ("twin nowhere.csv --reference nowhere.csv", "undrift.twin"),
+    "export": ("export nowhere.json --target ros -o {here}/c.yaml", "undrift.export"),
+    "simulate": ("simulate nowhere --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
+    "rig run": ("rig run nowhere.toml --rig manual: --device tcp://127.0.0.1:9 -o {here}/run", "undrift.rig_run"),
+    "rig emulate": ("rig emulate --device gold", "undrift.rig_emulate"),
+    "rig stop": (f"rig stop --rig '{NOBODY}'", "undrift.rig_stop"),
+    "rig status": (f"rig status --rig '{NOBODY}'", "undrift.rig_status"),
+    "rig check": ("rig check --rig manual:", "undrift.rig_check"),
+    "study": ("study --preset note --quick --seed -1", STUDY),
+    "demo": ("demo --out {here}", "undrift.demo"),
+}
+LEAVES = [name for name in EXAMPLES if name and name not in program.GROUPS]
+WARM = (
+    'columns = { time = "Time", gyro = ["Gx", "Gy", "Gz"], temp = "dTemp" }\n'
+    'units = { time = "ms", gyro = "dps", temp = "degC" }\n'
+    "scale = { gyro = { gain = 0.06097560976 }, temp = { gain = 0.00294117647, offset = 36.53 } }\n"
+)
+
+
+@pytest.fixture
+def words(bench, tmp_path):
+    """The words of a call."""
+    (tmp_path / "warm.toml").write_text(WARM)
+    at_rest(tmp_path, "rest.csv")
+    write_record(read_session(bench / "session").records[0], tmp_path / "bare.parquet")
+    names = {"bench": bench, "here": tmp_path, "warm": data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")}
+    return lambda text: [*shlex.split(text.format(**names)), "--json"]
+
+
+def test_every_command_is_in_the_tables_of_this_file():
+    assert {*GOOD, *ELSEWHERE} == set(LEAVES) == set(BAD)
+    assert {name.split()[0] for name in EXAMPLES if name} == set(program.COMMANDS)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_good_answer_has_the_envelope_and_its_own_values_twice(undrift, words, name):
+    call, kind = GOOD[name]
+    answer = undrift(*words(call))
+    assert answer.code in (0, 1), answer.err
+    told = answer.json()
+    assert told.keys() >= set(ENVELOPE)
+    assert (told["kind"], told["version"], told["error"]) == (kind, __version__, None)
+    assert told["format"] == ("parquet" if name == "info" else 1)
+    assert told["verdict"] is None or told["verdict"]["status"] in ("good", "marginal", "bad")
+    assert all({"code", "level", "text"} <= item.keys() for item in told["findings"])
+    if told["verdict"] is not None and name != "export":  # of the calibration there, not of what was written
+        assert told["findings"] == told["verdict"]["findings"]
+    assert told["result"] == {key: value for key, value in told.items() if key not in ENVELOPE}
+    assert told["result"]
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_refused_call_says_so_in_the_envelope_too_and_keeps_its_exit_code(undrift, words, name):
+    call, kind = BAD[name]
+    answer = undrift(*words(call))
+    code = 3 if name in ("rig stop", "rig status") else 2
+    assert answer.code == code, answer
+    told = answer.json()
+    assert tuple(told) == ENVELOPE
+    assert (told["kind"], told["format"], told["version"], told["result"]) == (kind, 1, __version__, None)
+    assert (told["verdict"], told["findings"]) == (None, [])
+    assert told["error"]["kind"].endswith(("Error", "Timeout"))
+    assert answer.err == f"undrift: {told['error']['text']}\n"
+
+
+def test_a_call_of_no_command_has_an_envelope_as_well(undrift):
+    told = undrift("bogus", "--json").json()
+    assert (told["kind"], told["error"]["kind"]) == ("undrift.bogus", "InputError")
+    assert undrift("--json").json()["kind"] == "undrift.call"
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_help_ends_with_examples_that_parse(undrift, name):
+    shown = undrift.good(*name.split(), "--help").out
+    end = shown[shown.index("Examples:") :].splitlines()[1:]
+    assert [line.strip() for line in end if line.strip()] == list(EXAMPLES[name])
+    assert 2 <= len(EXAMPLES[name]) <= 3
+    for line in EXAMPLES[name]:
+        assert len(line) <= 78, "it would be wrapped"
+        tokens = shlex.split(line)[1:]
+        assert tokens[: len(name.split())] == name.split()
+        program.command_line().parse_args(tokens, exit_on_error=False, print_error=False)
+
+
+@pytest.mark.parametrize("name", LEAVES)
+def test_the_usage_line_names_what_is_required(undrift, name):
+    shown = undrift.good(*name.split(), "--help").out
+    usage = shown.splitlines()[0]
+    required = re.findall(r"^│ \*  (--[\w-]+|[A-Z-]+)", shown, re.M)
+    show(usage, required)
+    for option in required:
+        assert option in usage
+    if name in ("calibrate", "session new", "correct", "validate", "twin", "drift"):
+        assert usage.endswith("S...")
+
+
+def test_the_version_has_a_short_option_and_completion_knows_every_command(undrift, tmp_path, monkeypatch):
+    assert undrift.good("-V").out == undrift.good("--version").out == f"{__version__}\n"
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for shell in ("bash", "zsh", "fish"):
+        undrift.good("--install-completion", "--shell", shell, "-o", tmp_path / shell)
+        script = (tmp_path / shell).read_text()
+        assert all(name in script for name in program.COMMANDS)
+        assert "turn-deg" in script
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bash", "fish", "zsh"]  # no start file is touched
+    assert subprocess.run(["bash", "-n", tmp_path / "bash"], check=False).returncode == 0
+
+
+def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(common, "SAID_EVERY_S", 0.05)
+    with Steps("twin") as shown:
+        time.sleep(0.08)
+        shown.part(0.5, 1.0)("held out: recording 2 of 4", 0.5)
+        time.sleep(0.08)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "undrift twin: reading, 0 s so far, time left not known yet"
+    assert lines[-1] == "undrift twin: held out: recording 2 of 4, 0 s so far, about 0 s left"
+    time.sleep(0.1)
+    assert capsys.readouterr().err == ""  # nothing more once it ends
+
+
+def test_a_piped_leave_one_out_tells_how_far_it_is(tmp_path):
+    files = [
+        data_path("broad", f"{name}_B.hdf5")
+        for name in ("02_undisturbed_slow_rotation", "07_undisturbed_fast_rotation")
+    ]
+    words = ["validate", *map(str, files), "--calibrate-from", "reference", "--leave-one-out", "--json"]
+    code = f"from undrift.cli import common, app; common.SAID_EVERY_S = 0.5; app.main({words!r})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["kind"] == "undrift.validation"
+    lines = done.stderr.splitlines()
+    show("lines", lines)
+    assert all(
+        re.fullmatch(r"undrift validate: .+, \d+ s so far, (about \d+ s left|time left not known yet)", line)
+        for line in lines
+    )
+    assert any("fit without recording 2 of 2" in line for line in lines)
