@@ -10,9 +10,10 @@ import pytest
 from testkit.axis_lag import find_axis_lag
 from testkit.data import data_path, show
 from testkit.findings import only
+from undrift.calibration.calibrate import calibrate
 from undrift.calibration.rate_table import dwell_means, fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable
-from undrift.record import Record, Turn
+from undrift.record import Record, Session, Turn
 from undrift.segments import runs
 
 RUNS = ("giro_test_filt", "giro_test_non_filt")
@@ -28,8 +29,8 @@ def clock_lag(run, sensor="bno"):
     return find_axis_lag(record, d["t_jig"], np.radians(d["top_angle_deg"].astype(float))).seconds
 
 
-def measured(run, sensor):
-    """Mean readings at the rates the table achieved, on the sensor's clock."""
+def turned(run, sensor):
+    """The sensor's readings, and the turns at the rates the table achieved, on the sensor's clock."""
     d = np.load(data_path("ratetable_jig", f"{run}.npz"))
     record = Record(time=d["t_imu"], gyro=d[f"gyro_{sensor}_dps"], gyro_unit="dps")
     time, angle = d["t_jig"], np.radians(d["top_angle_deg"].astype(float))
@@ -45,7 +46,29 @@ def measured(run, sensor):
         begin, end = np.searchsorted(record.time, (start + lag, stop + lag))
         # the table's angle runs down while the sensor's y axis reads up
         turns.append(Turn(start=int(begin), stop=int(end), axis="y", turn_rate=-float(achieved)))
+    return record, tuple(turns)
+
+
+def measured(run, sensor):
+    """Mean readings at the rates the table achieved, on the sensor's clock."""
+    record, turns = turned(run, sensor)
     return dwell_means([record], turns)
+
+
+@pytest.mark.parametrize(("sensor", "status"), [("bno", "marginal"), ("lsm", "bad")])
+@pytest.mark.parametrize("run", RUNS)
+def test_one_axis_is_calibrated_and_a_scale_that_cannot_be_the_stated_one_is_a_bad_verdict(run, sensor, status):
+    record, turns = turned(run, sensor)
+    session = Session(kind="calibration", serial="jig", gravity_m_s2=9.81, records=(record,), turns=turns)
+    made = calibrate(session)
+    scale = made.gyro.scale_factor * np.pi / 180.0
+    show(f"{run} {sensor} scale x, y, z", np.round(scale, 3), "1, 1.004 or 0.85, 1")
+    assert made.verdict.status == status
+    np.testing.assert_allclose(made.gyro.forward_matrix[[0, 2], [0, 2]] * np.pi / 180.0, 1.0, atol=1e-9)
+    if sensor == "lsm":
+        off = only(made.verdict.findings, "gyro.scale_factor")
+        assert (off.level, off.values["axis"]) == ("fail", "y")
+        assert -15.5 < off.values["off_percent"] < -14.0
 
 
 @pytest.mark.parametrize("run", RUNS)
