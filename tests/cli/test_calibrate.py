@@ -105,7 +105,13 @@ def test_eleven_still_recordings_are_one_session_and_the_verdict_says_what_was_n
     assert "11 recordings" in undrift.good("info", session).out
     told = undrift.good("calibrate", session, "--json").json()
     assert told["verdict"]["status"] == "marginal"
-    assert any("cross-axis terms were not observable" in reason for reason in told["verdict"]["reasons"])
+    prior = "Prior used for the accelerometer's cross-axis terms xy and xz: the poses do not show them: 0 +- 1 %"
+    assert any(reason.startswith(prior) for reason in told["verdict"]["reasons"])
+    wide = undrift.good("calibrate", session, "--cross-axis-prior", "0.015", "--json").json()
+    at = told["accel"]["parameters"].index("m_xy")
+    sigma = [np.sqrt(answer["accel"]["covariance"][at][at]) for answer in (told, wide)]
+    assert sigma[1] / sigma[0] == pytest.approx(1.5, rel=0.03)
+    assert "wanted cross_axis_prior above 0" in undrift.refused("calibrate", session, "--cross-axis-prior", "-1")
     np.testing.assert_allclose(
         np.array(told["accel"]["offset"]) / 16.384, [58.0, -6.0, -123.0], atol=2.0
     )  # mg, SOURCE.md
@@ -138,9 +144,10 @@ def test_the_bench_is_calibrated_by_every_way_that_it_allows(undrift, bench, tmp
     assert turned["gyro"]["offset"] != told["gyro"]["offset"]
 
 
-def test_a_way_that_the_session_does_not_allow_is_refused_in_one_line(undrift, bench):
+def test_a_way_that_the_session_does_not_allow_is_refused_and_poor_ones_are_fitted(undrift, bench):
     assert "wanted" in undrift.refused("calibrate", bench / "session", "--gyro", "known-rotation")
-    assert "wanted" in undrift.refused("calibrate", bench / "session", "--accel", "multi-position")
+    ways = (["--accel", "multi-position"], ["--gyro", "multi-position"])  # nine poses on the faces: with the prior
+    assert all(undrift.good("calibrate", bench / "session", *way).out for way in ways)
 
 
 def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, monkeypatch):

@@ -136,31 +136,33 @@ _SMOOTH_S = 0.1
 
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
     """Compare every stated turn with one that is steady, or from rest to rest."""
-    shares: dict[str, list[tuple[float, int]]] = {"turn.stop": [], "turn.unsteady": [], "turn.cut": []}
+    shares: dict[str, list[tuple[float, int]]] = {"stop": [], "spread": [], "edge": []}
     for k, turn in enumerate(session.turns):
         rate = np.abs(_smooth_rate(session, stills, turn, settle_s))
         if not len(rate):
             continue
         level = float(np.quantile(rate, 0.9))
         if turn.angle is not None:
-            shares["turn.cut"].append((float(rate[[0, -1]].max()) / level, k))
+            shares["edge"].append((float(rate[[0, -1]].max()) / level, k))
             continue
         stopped, least = rate < _STOPPED * level, _STOP_S * session.records[turn.recording].sample_rate_hz
         stops = sum(stop - start for start, stop in runs(stopped) if stop - start >= least)
-        shares["turn.stop"].append((float(stops) / len(rate), k))
-        shares["turn.unsteady"].append((float(rate[~stopped].std() / rate[~stopped].mean()), k))
-    for (code, found), name, limits in zip(
-        shares.items(),
-        ("stop_percent", "spread_percent", "edge_percent"),
-        (_STOP_LIMITS, _SPREAD_LIMITS, _CUT_LIMITS),
-        strict=True,
-    ):
-        over = [one for one in found if one[0] > limits[0]]
+        shares["stop"].append((float(stops) / len(rate), k))
+        shares["spread"].append((float(rate[~stopped].std() / rate[~stopped].mean()), k))
+    limits = {"stop": _STOP_LIMITS, "spread": _SPREAD_LIMITS, "edge": _CUT_LIMITS}
+    for kind, found in shares.items():
+        over = [one for one in found if one[0] > limits[kind][0]]
         if over:
             share, k = max(over)
             named = piece_name(session, session.turns[k], k, what="turn")
-            shown = {name: 100.0 * share, "limit_percent": 100.0 * limits[0]}
-            yield finding(code, level_of(share, limits), turn=named, turns=len(over), **shown)
+            shown = {f"{kind}_percent": 100.0 * share, "limit_percent": 100.0 * limits[kind][0]}
+            yield finding(
+                {"stop": "turn.stop", "spread": "turn.unsteady", "edge": "turn.cut"}[kind],
+                level_of(share, limits[kind]),
+                turn=named,
+                turns=len(over),
+                **shown,
+            )
 
 
 def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:
