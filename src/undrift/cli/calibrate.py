@@ -39,6 +39,7 @@ def calibrate(
     polynomial_degree: int = 1,
     spline_cutoff_hz: float | None = None,
     cross_axis_prior: float = 0.01,
+    clock: Literal["file", "regular"] | None = None,
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -78,6 +79,8 @@ def calibrate(
         Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    clock : str or None
+        "regular" fits a rate and an offset to the time stamps of every recording; as session.toml states by default.
 
     Returns
     -------
@@ -105,7 +108,7 @@ def calibrate(
         cross_axis_prior=cross_axis_prior,
     )
     with waiting("reading and fitting"):
-        made = fit(read_session(session), accel=accel, gyro=gyro, mode=mode, settings=settings)
+        made = fit(read_session(session, clock=clock), accel=accel, gyro=gyro, mode=mode, settings=settings)
     if output is not None:
         write_calibration(made, output)
     if report is not None:

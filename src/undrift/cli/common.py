@@ -52,19 +52,23 @@ class Opening:
     ----------
     column_map : Path or None
         TOML file with columns, units and what else a foreign table needs: the keys of a [[recording]] in session.toml.
-        With undrift's own column names only sample_rate_hz, gaps, repair_time or drop_bad_rows, without columns.
+        With undrift's own column names only sample_rate_hz, gaps, clock, repair_time or drop_bad_rows, without columns.
     sample_rate_hz : float or None
         Samples per second, for a file without time.
     sensor : str or None
         Which sensor, in a file of several (APDM).
     gaps : str or None
         "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
+    clock : str or None
+        "regular" fits a rate and an offset to time stamps of a host, and marks what is missing; "file" takes them as they are;
+        overrules the map.
     """
 
     column_map: Annotated[Path | None, Parameter(name="--map")] = None
     sample_rate_hz: float | None = None
     sensor: str | None = None
     gaps: Literal["raise", "keep"] | None = None
+    clock: Literal["file", "regular"] | None = None
 
     def columns(self) -> "ColumnMap | None":
         """Return the column map; None where none was named, or where it names no columns."""
@@ -85,6 +89,7 @@ class Opening:
             sample_rate_hz=self.sample_rate_hz or held.sample_rate_hz,
             sensor=self.sensor,
             gaps=self.gaps or held.gaps,
+            clock=self.clock or held.clock,
         )
 
     def read(self, path: Path) -> "Record":
@@ -94,7 +99,7 @@ class Opening:
 
         if detect(path) != "session":
             return read_record(path, self.columns(), settings=self.settings())
-        records = read_session(path).records
+        records = read_session(path, clock=self.clock).records
         if len(records) > 1:
             raise InputError(
                 f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"

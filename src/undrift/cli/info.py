@@ -184,7 +184,7 @@ def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[li
 
     records, stills, reason = tuple["Record", ...](), tuple["Still", ...](), ""
     if found.kind == "session":
-        session = read_session(file)
+        session = read_session(file, clock=opening.clock)
         records, stills = session.records, session.stills
         stills = stills or tuple(s for k, record in enumerate(records) for s in _search(record, k)[0])
     elif found.kind == "recording":
@@ -223,7 +223,9 @@ def _show(found: "Description", stills: list[list[float]], reason: str) -> None:
         lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
     elif reason:
         lines.append(reason)
-    lines += [f"problem: {problem}" for problem in found.problems if problem != found.summary]
+    heads = ("note" if item.level == "info" else "problem" for item in found.findings)
+    shown = zip(heads, found.problems, strict=True)
+    lines += [f"{head}: {problem}" for head, problem in shown if problem != found.summary]
     lines += _hints(found)
     say(f"{found.path}: {found.kind} ({found.format})", *(f"  {line}" for line in lines))
 

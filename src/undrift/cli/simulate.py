@@ -1,7 +1,7 @@
 """``undrift simulate``: simulated sensor output for recorded poses, for a task, or for a thermal session."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from undrift.cli.common import (
     Flag,
@@ -49,6 +49,7 @@ def simulate(
     cutoff_hz: str | None = None,
     truth: Path | None = None,
     save_device: Path | None = None,
+    stamps: Literal["device", "host"] = "device",
     seed: int = 0,
     json: Json = False,
 ) -> int:
@@ -85,6 +86,9 @@ def simulate(
         .csv, which this command takes for a motion again.
     save_device : Path or None
         Write the device there, as device.json.
+    stamps : str
+        "host" writes the time at which a host would have received each sample, in bursts and with drop-outs: a task to try
+        --clock regular on.
     seed : int
         Seed of every random draw: the same seed gives the same file.
     """
@@ -95,6 +99,7 @@ def simulate(
     from undrift.record import Reference
     from undrift.sim.device.model import write_device
     from undrift.sim.device.simulate import simulate_device
+    from undrift.sim.host import stamp_on_host
 
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
@@ -102,7 +107,13 @@ def simulate(
     model = device_at(device, rng, draw=draw)
     if motion.startswith(THERMAL):
         kind = _thermal_kind(
-            motion, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
+            motion,
+            temp_c=temp_c,
+            markers=markers,
+            reference_up=reference_up,
+            cutoff_hz=cutoff_hz,
+            truth=truth,
+            stamps=None if stamps == "device" else stamps,
         )
         made, lines = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
     else:
@@ -111,7 +122,9 @@ def simulate(
                 motion, sample_rate_hz or 100.0, gravity_m_s2, labels_of(markers), reference_up, cutoff_hz, rng
             )
             simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
-        write_record(simulated.record, output)
+        write_record(
+            simulated.record if stamps == "device" else stamp_on_host(simulated.record, rng=rng).record, output
+        )
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
         cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}

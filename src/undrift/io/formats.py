@@ -19,6 +19,7 @@ from pathlib import Path
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes
 from undrift.io.arrays import mat_arrays, npz_arrays, open_hdf5, read_mat, read_npz
+from undrift.io.clock import regular
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
@@ -124,8 +125,8 @@ def _is_prose(path: Path, head: bytes) -> bool:
         return True
 
 
-_TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"})
-_ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps"})
+_TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock"})
+_ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps", "clock"})
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
@@ -283,7 +284,7 @@ def read_counted(
     path, settings = Path(path), settings or READ_SETTINGS
     name, entry = format_of(path)
     if columns is not None:
-        columns = replace(columns, gaps=settings.gaps or columns.gaps)
+        columns = replace(columns, gaps=settings.gaps or columns.gaps, clock=settings.clock or columns.clock)
         if "columns" not in entry.honours and (entry.record or name == "text"):  # a map makes a table of any text
             entry = FORMATS["csv"]
     if entry.record is None:
@@ -293,8 +294,12 @@ def read_counted(
             f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {name}; name the "
             "columns in the map, or leave these keys out"
         )
-    found = entry.record(path, columns, settings)
-    return found if isinstance(found, ReadResult) else ReadResult(record=found)
+    held = entry.record(path, columns, settings)
+    found = held if isinstance(held, ReadResult) else ReadResult(record=held)
+    if settings.clock == "regular" and "clock" not in entry.honours:  # a format with a clock of its own
+        record, clock = regular(found.record)
+        found = replace(found, record=record, clock=clock)
+    return found
 
 
 def iter_record(
@@ -303,7 +308,8 @@ def iter_record(
     """Read a recording in chunks. Parquet streams in constant memory; other formats are read whole and cut."""
     settings = settings or READ_SETTINGS
     chunks = format_of(path)[1].chunks
-    if chunks is not None:
+    fitted = (settings.clock or (columns.clock if columns is not None else "file")) == "regular"
+    if chunks is not None and not fitted:  # a clock is fitted to the whole
         columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
         yield from chunks(Path(path), columns, settings, rows)
         return
