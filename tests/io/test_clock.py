@@ -218,6 +218,6 @@ def test_a_record_is_put_on_its_regular_clock() -> None:
 
 def test_a_host_needs_a_recording_longer_than_its_intervals() -> None:
     with pytest.raises(
-        InputError, match=r"wanted intervals above 0 s and below half of the recording's 0\.1 s, got 0\.02 to 0\.07"
+        InputError, match=r"intervals above 0 s and below half of the recording's 0\.1 s, got 0\.02 to 0\.07"
     ):
         stamp_on_host(record(11), rng=np.random.default_rng(1))

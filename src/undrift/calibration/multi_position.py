@@ -104,7 +104,8 @@ def fit_norm(
     v = np.ascontiguousarray(scale * (reading - center))
     stated_raw = np.zeros_like(v) if variances is None else variances * scale**2
     free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
-    rounds, prior = 1 if variances is None and prior_sd is None else 6, np.zeros((0, 9))
+    rounds = 1 if variances is None and prior_sd is None else 6
+    prior: FloatArray = np.zeros((0, 9))
     found, p, variance = _settled(v, stated_raw, gravity, free, prior, rounds)
     if prior_sd is not None:
         for at in (_START, p):  # the solution itself may have run away along what nothing shows

@@ -2,9 +2,9 @@
 
     t_k = a + n_k / f + d_k        n_k number of the sample by the device's own clock, f its rate, d_k >= 0 the delay of its stamp
 
-Samples come in bursts: the stamps of one lie within a millisecond, and the next comes tens of milliseconds later. Packets come late,
-never early, so that a line below all stamps is the device's clock, up to the least delay. n_k counts the rows, and what was lost
-between them: by the device's counter where there is one, else where the stamps step up for good:
+Samples come in bursts: the stamps of one lie within milliseconds, and the next comes tens of milliseconds later. Packets come late,
+never early, so that a line below all stamps is the device's clock, up to the least delay. n_k counts the rows, and what was
+lost between them: by the device's counter where there is one, else where the stamps step up for good:
 
     step_k = min(d after k) - min(d up to k)        over as long as several bursts on either side; lost = round(step f)
 
@@ -80,8 +80,8 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
     lost = np.diff(number) - 1
     if lost.sum() > _LONGEST_LOSS * number[-1]:
         raise InputError(
-            f"clock: wanted a recording with most of its samples, got {int(lost.sum())} of {int(number[-1]) + 1} missing; check the "
-            "time column and the counter"
+            f"clock: wanted a recording with most of its samples, got {int(lost.sum())} of {int(number[-1]) + 1} missing; check "
+            "the time column and the counter"
         )
     return ClockFit(
         time=stamps[0] + start + step * number,
@@ -205,7 +205,7 @@ def unwrapped(counter: FloatArray) -> IntArray:
         raise InputError(
             f"counter: wanted a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells; repair the file"
         )
-    steps = np.diff(np.rint(counter).astype(np.int64))
+    steps: IntArray = np.diff(np.rint(counter).astype(np.int64))
     usual = int(np.median(steps))
     if usual < 1 or (steps == usual).mean() < 0.5:
         raise InputError(
@@ -221,7 +221,7 @@ def unwrapped(counter: FloatArray) -> IntArray:
     if len(wrong):
         row = int(wrong[0]) + 1
         raise InputError(
-            f"counter: wanted one that counts every sample up by {usual}, got {counter[row - 1]:g} then {counter[row]:g} in data row "
-            f"{row + 1}; name a counter of samples, or leave it out"
+            f"counter: wanted one that counts every sample up by {usual}, got {counter[row - 1]:g} then {counter[row]:g} in "
+            f"data row {row + 1}; name a counter of samples, or leave it out"
         )
     return np.concatenate(([0], np.cumsum(steps // usual)))

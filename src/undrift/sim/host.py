@@ -45,8 +45,8 @@ def stamp_on_host(record: Record, *, rng: np.random.Generator, settings: HostSet
     shortest, longest = settings.interval_s
     if not 0.0 < shortest <= longest < 0.5 * own[-1]:
         raise InputError(
-            f"host: wanted intervals above 0 s and below half of the recording's {own[-1]:.3g} s, got {shortest:g} to {longest:g} s; "
-            "simulate a longer motion"
+            f"host: wanted intervals above 0 s and below half of the recording's {own[-1]:.3g} s, got {shortest:g} to {longest:g} "
+            "s; simulate a longer motion"
         )
     sent = np.cumsum(rng.uniform(shortest, longest, int(own[-1] / shortest) + 2))
     sent = sent[: int(np.searchsorted(sent, own[-1])) + 1]
