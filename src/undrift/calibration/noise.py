@@ -37,9 +37,9 @@ from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
 #     MDEV^2  = mean D3(S)^2 / (2 m^2 tau^2)    every k
 #     TOTDEV^2 = mean D2(x*)^2 / (2 tau^2)      x* the phase continued by point reflection at both ends
 #
-# Where samples are missing, only terms whose samples are all there count: the mean runs over them, averaging times go up to those of
-# which two windows' worth of terms are left, the kind of noise comes from neighbouring whole averages, and the degrees of freedom
-# are those of a record without gaps with as many terms. Overlapping and plain ADEV and HDEV can do so.
+# Where samples are missing, only terms whose samples are all there count: the mean runs over them, averaging times go up to those
+# of which two windows' worth of terms are left, the kind of noise comes from neighbouring whole averages, and the degrees of
+# freedom are those of a record without gaps with as many terms. Overlapping and plain ADEV and HDEV can do so.
 #
 # The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom [1]_, which depend on the kind
 # of noise; the kind is found at each tau from the lag-1 autocorrelation of the averaged readings [2]_.
@@ -81,8 +81,8 @@ def allan_deviation(
     gap = np.isnan(y)
     if not able or (gap.any() and estimator not in _GAPPED):
         raise InputError(
-            f"allan_deviation: wanted readings (without gaps for mdev and totdev), a sample rate, a confidence within (0, 1) and one "
-            f"of {', '.join(get_args(Estimator))}, got {int(gap.sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
+            f"allan_deviation: wanted readings (without gaps for mdev and totdev), a sample rate, a confidence within (0, 1) and "
+            f"one of {', '.join(get_args(Estimator))}, got {int(gap.sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
             f"'{estimator}'; cut the record at its gaps, or use oadev"
         )
     if gap.any():
@@ -126,8 +126,8 @@ def _with_gaps(y: FloatArray, rate: float, taus: Taus, estimator: Estimator, con
         squares.append(float(np.mean(difference**2)) / (2.0 if order == 2 else 6.0))
     if not kept:
         raise InputError(
-            f"allan_deviation: wanted averaging times of which whole windows are left, got none between {int(gap.sum())} gaps; record "
-            "longer without gaps"
+            "allan_deviation: wanted averaging times of which whole windows are left, got none between "
+            f"{int(gap.sum())} gaps; record longer without gaps"
         )
     averages, noise = np.array(kept, np.int64), np.array(kinds, np.int64)
     deviation = np.sqrt(np.array(squares)) / averages

@@ -92,6 +92,8 @@ def simulate(
     seed : int
         Seed of every random draw: the same seed gives the same file.
     """
+    from dataclasses import replace
+
     import numpy as np
 
     from undrift.io.formats import write_record
@@ -122,9 +124,9 @@ def simulate(
                 motion, sample_rate_hz or 100.0, gravity_m_s2, labels_of(markers), reference_up, cutoff_hz, rng
             )
             simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
-        write_record(
-            simulated.record if stamps == "device" else stamp_on_host(simulated.record, rng=rng).record, output
-        )
+        if stamps == "host":
+            simulated = replace(simulated, record=stamp_on_host(simulated.record, rng=rng).record)
+        write_record(simulated.record, output)
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
         cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}

@@ -21,7 +21,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.record import Record
 
-LEAST_SAMPLES = 200  # for a rate
+LEAST_SAMPLES = 100  # for a rate
 _SEEN = 0.7  # of a sample: a smaller step is not called a loss
 _SURE = 1.5  # the same in the first round, whose rate is rough
 _BURSTS = 25  # of the longest usual step: samples on either side of a loss that show the least delay
@@ -104,7 +104,7 @@ def regular(record: Record) -> tuple[Record, ClockFit]:
 def _width(own: FloatArray) -> int:
     """Return how many samples hold several bursts, so that one of them came promptly."""
     steps = np.diff(own)
-    return int(np.clip(_BURSTS * np.quantile(steps, 0.98) / max(steps.mean(), 1e-12), 20, len(own) // 8))
+    return int(np.clip(_BURSTS * np.quantile(steps, 0.98) / max(steps.mean(), 1e-12), 10, len(own) // 8))
 
 
 def _rough_step(own: FloatArray, number: IntArray, width: int) -> float:
@@ -195,22 +195,25 @@ def host_stamps(stamps: FloatArray) -> HostStamps | None:
 
 # ---- counters
 
+_OFTEN = 0.05  # of the rows: a step that is this frequent is one sample, or a few where some are lost
 _WHOLE_BITS = 0.95  # of a power of two: the counter has that many bits, and lost samples at each wrap
 _DECIMAL = (100, 1000, 10_000, 100_000)
 
 
 def unwrapped(counter: FloatArray) -> IntArray:
-    """Return the number of each sample (N,) by a counter (N,) that goes up by the same number each sample, and may wrap."""
+    """Return the number of each sample (N,) by a counter (N,) that goes up by one number each sample, or its multiple, and may wrap."""
     if not np.isfinite(counter).all():
         raise InputError(
             f"counter: wanted a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells; repair the file"
         )
     steps: IntArray = np.diff(np.rint(counter).astype(np.int64))
-    usual = int(np.median(steps))
-    if usual < 1 or (steps == usual).mean() < 0.5:
+    sizes, times = np.unique(steps[steps > 0], return_counts=True)
+    often = sizes[times >= _OFTEN * len(steps)]
+    usual = int(np.gcd.reduce(often)) if len(often) else 0
+    if usual not in often:
         raise InputError(
-            "counter: wanted one that goes up by the same number in most rows, got "
-            f"{100.0 * float((steps == usual).mean()):.0f} % of steps of {usual}; name a counter of samples, or leave it out"
+            f"counter: wanted one that goes up with every sample, got {len(sizes)} different steps up, and "
+            f"{int((steps == 0).sum())} of none; name a counter of samples, or leave it out"
         )
     if (steps < 0).any():
         size = usual - int(steps.min())  # of a wrap at which no sample was lost

@@ -350,7 +350,7 @@ def describe(
     if name == "session":
         return _session(path, settings.clock)
     if name in ("json", "toml"):
-        return _settings(path, name)
+        return _settings(path, name, settings.clock)
     if entry.record is None and columns is None:
         return _reference(path, name) if entry.reference is not None else _unread(path, name, entry)
     needs = None if columns is not None else _needs(path, name, settings)
@@ -519,11 +519,11 @@ def _session(path: Path, clock: Clock | None = None) -> Description:
     )
 
 
-def _settings(path: Path, name: str) -> Description:
+def _settings(path: Path, name: str, clock: Clock | None) -> Description:
     kind = "settings"
     if name == "toml":
         if path.name == "session.toml":
-            return _session(path)
+            return _session(path, clock)
         try:
             summary = f"a column map of {', '.join(read_column_map(path).mapped())}"
         except InputError:
