@@ -7,7 +7,10 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
+from testkit.stepper_jig import turned
+from undrift.io.session import write_session
 from undrift.io.store import read_calibration
+from undrift.record import Session
 
 KEYS = {
     "kind",
@@ -252,3 +255,21 @@ def test_a_report_page_shows_matrices_and_verdict(undrift, bench, tmp_path):
 @pytest.mark.parametrize("word", ["session", "session/session.toml"])
 def test_a_session_is_named_by_its_folder_or_its_file(undrift, bench, word):
     assert undrift.good("calibrate", bench / word, "--json").json()["verdict"]["status"] == "good"
+
+
+@pytest.mark.parametrize(("sensor", "code"), [("bno", 0), ("lsm", 1)])
+def test_a_rate_table_about_one_axis_is_written_and_a_wrong_conversion_ends_with_one(undrift, tmp_path, sensor, code):
+    """Rimu_Test_Jig: the ST sensor was converted with 30.5 in place of 35 mdeg/s a code (SOURCE.md), the Bosch one well."""
+    record, turns = turned("giro_test_filt", sensor)
+    write_session(
+        Session(kind="calibration", serial="jig", gravity_m_s2=9.81, records=(record,), turns=turns), tmp_path / "s"
+    )
+    answer = undrift("calibrate", tmp_path / "s", "--details", "-o", tmp_path / "c.json")
+    assert answer.code == code
+    assert ("Implausible scale factor of gyroscope y" in answer.out) == bool(code)
+    assert "Gyroscope x, z: nominal scale kept" in answer.out
+    made = read_calibration(tmp_path / "c.json").gyro
+    off = made.forward_matrix[1, 1] * np.pi / 180.0 - 1.0
+    show(f"{sensor}: scale of y off by", f"{100 * off:.2f} %", "0.4 % or -15 %")
+    assert abs(off) > 0.1 if code else abs(off) < 0.005  # never the identity in silence
+    assert made.standard_uncertainty[0] / made.matrix[0, 0] == pytest.approx(0.03, rel=0.1)

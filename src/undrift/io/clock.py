@@ -201,7 +201,7 @@ _DECIMAL = (100, 1000, 10_000, 100_000)
 
 
 def unwrapped(counter: FloatArray) -> IntArray:
-    """Return the number of each sample (N,) by a counter (N,) that goes up by one number each sample, or its multiple, and may wrap."""
+    """Return the number of each sample (N,) by a counter (N,) that goes up by one number each sample and may wrap."""
     if not np.isfinite(counter).all():
         raise InputError(
             f"counter: wanted a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells; repair the file"
