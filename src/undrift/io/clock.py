@@ -206,7 +206,7 @@ def unwrapped(counter: FloatArray) -> IntArray:
         raise InputError(
             f"counter: wanted a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells; repair the file"
         )
-    steps: IntArray = np.diff(np.rint(counter).astype(np.int64))
+    steps: IntArray = np.asarray(np.rint(np.diff(counter)), np.int64)
     sizes, times = np.unique(steps[steps > 0], return_counts=True)
     often = sizes[times >= _OFTEN * len(steps)]
     usual = int(np.gcd.reduce(often)) if len(often) else 0
