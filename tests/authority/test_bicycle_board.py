@@ -37,10 +37,10 @@ def test_eleven_recordings_of_one_pose_each_are_one_session():
     length = np.linalg.norm((means - found.accel.offset) @ found.accel.matrix.T, axis=1)
     rms_mg = 1000.0 * float(np.sqrt(np.mean((length / STANDARD_GRAVITY - 1.0) ** 2)))
     scale = 16384.0 / STANDARD_GRAVITY / found.accel.scale_factor
-    show("bicycle board |a| rms after the fit, mg", f"{rms_mg:.2f}", 0.7)
+    show("bicycle board |a| rms after the fit, mg", f"{rms_mg:.2f}", "0.1; 0.65 without the term yz, SOURCE.md")
     show("bicycle board scale", np.round(1.0 / scale, 3), "1.000/0.996/0.972 within 0.003")
     show("bicycle board offset, mg", np.round(1000.0 * found.accel.offset / 16384.0, 0), "+58/-6/-123")
-    assert rms_mg <= 0.7
+    assert rms_mg <= 0.1
     np.testing.assert_allclose(1000.0 * found.accel.offset / 16384.0, [58.0, -6.0, -123.0], atol=2.0)
     assert 21.5 < found.reference_temp_c < 24.0
     assert found.verdict.status == "marginal"
