@@ -7,45 +7,35 @@ sensitivity (30.5 instead of 35 mdeg/s a code): the fit must find it, and call i
 import numpy as np
 import pytest
 
-from testkit.axis_lag import find_axis_lag
-from testkit.data import data_path, show
+from testkit.data import show
 from testkit.findings import only
+from testkit.stepper_jig import RUNS, clock_lag, turned
+from undrift.calibration.calibrate import calibrate
 from undrift.calibration.rate_table import dwell_means, fit_rate_axis, fit_rate_table
 from undrift.errors import Implausible, NotObservable
-from undrift.record import Record, Turn
-from undrift.segments import runs
-
-RUNS = ("giro_test_filt", "giro_test_non_filt")
-# The stepper swings for about a second after each ramp: that second is left out for the BNO. On the LSM vibration of 10-50 deg/s
-# runs through the whole dwell and the longest mean is the best one.
-GUARD_S = {"bno": 1.0, "lsm": 0.5}
-
-
-def clock_lag(run, sensor="bno"):
-    """Both sensors share a clock; the BNO has the cleaner readings."""
-    d = np.load(data_path("ratetable_jig", f"{run}.npz"))
-    record = Record(time=d["t_imu"], gyro=d[f"gyro_{sensor}_dps"], gyro_unit="dps")
-    return find_axis_lag(record, d["t_jig"], np.radians(d["top_angle_deg"].astype(float))).seconds
+from undrift.record import Session
 
 
 def measured(run, sensor):
     """Mean readings at the rates the table achieved, on the sensor's clock."""
-    d = np.load(data_path("ratetable_jig", f"{run}.npz"))
-    record = Record(time=d["t_imu"], gyro=d[f"gyro_{sensor}_dps"], gyro_unit="dps")
-    time, angle = d["t_jig"], np.radians(d["top_angle_deg"].astype(float))
-    lag = clock_lag(run)
-    rate = np.gradient(angle, time)
-    turns = []
-    for commanded in np.radians(d["cmd_top_speed_dps"].astype(float)):
-        steady = runs(np.abs(rate - commanded) < 0.01 * abs(commanded) + 0.01)
-        first, last = steady[np.argmax(steady[:, 1] - steady[:, 0])]
-        start, stop = time[first] + GUARD_S[sensor], time[last - 1] - GUARD_S[sensor]
-        inside = (time >= start) & (time < stop)
-        achieved = np.polyfit(time[inside], angle[inside], 1)[0]
-        begin, end = np.searchsorted(record.time, (start + lag, stop + lag))
-        # the table's angle runs down while the sensor's y axis reads up
-        turns.append(Turn(start=int(begin), stop=int(end), axis="y", turn_rate=-float(achieved)))
+    record, turns = turned(run, sensor)
     return dwell_means([record], turns)
+
+
+@pytest.mark.parametrize(("sensor", "status"), [("bno", "marginal"), ("lsm", "bad")])
+@pytest.mark.parametrize("run", RUNS)
+def test_one_axis_is_calibrated_and_a_scale_that_cannot_be_the_stated_one_is_a_bad_verdict(run, sensor, status):
+    record, turns = turned(run, sensor)
+    session = Session(kind="calibration", serial="jig", gravity_m_s2=9.81, records=(record,), turns=turns)
+    made = calibrate(session)
+    scale = made.gyro.scale_factor * np.pi / 180.0
+    show(f"{run} {sensor} scale x, y, z", np.round(scale, 3), "1, 1.004 or 0.85, 1")
+    assert made.verdict.status == status
+    np.testing.assert_allclose(made.gyro.forward_matrix[[0, 2], [0, 2]] * np.pi / 180.0, 1.0, atol=1e-9)
+    if sensor == "lsm":
+        off = only(made.verdict.findings, "gyro.scale_factor")
+        assert (off.level, off.values["axis"]) == ("fail", "y")
+        assert -15.5 < off.values["off_percent"] < -14.0
 
 
 @pytest.mark.parametrize("run", RUNS)

@@ -93,20 +93,23 @@ def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     assert steady.action.startswith("state the turn_rate_dps")
 
 
-def test_turns_about_one_axis_alone_are_named():
+def test_turns_about_one_axis_calibrate_it_and_say_what_the_others_lack():
     session = made("bench")
     about_x = replace(session, turns=tuple(t for t in session.turns if t.axis == "x"))
     found = calibrate(about_x)
-    assert found.gyro is None
+    assert found.gyro.method == "rate-table/affine"
+    own = DEVICE.gyro.forward_matrix[0, 0]
+    sigma = found.gyro.standard_uncertainty[:9].reshape(3, 3) @ np.abs(found.gyro.forward_matrix)
+    assert found.gyro.forward_matrix[0, 0] == pytest.approx(own, rel=5.0 * sigma[0, 0])
+    assert sigma[0, 0] < 1e-3
+    assert sigma[1, 1] == pytest.approx(0.2, rel=0.1)  # counts: nobody states a scale
     lacking = only(found.verdict.findings, "rate_table.axes_missing")
     assert (lacking.values["turned"], lacking.values["missing"]) == (("x",), ("y", "z"))
+    assert only(found.verdict.findings, "rate_table.nominal_kept").values["axes"] == ("y", "z")
     shown = only(found.verdict.findings, "rate_table.axis")
     assert shown.values["axis"] == "x"
-    own = DEVICE.gyro.forward_matrix[0, 0]
     assert shown.values["scale"] * 180.0 / np.pi == pytest.approx(own, rel=1e-2)
     assert not any("fit_rate_axis" in r or "=" in r for r in found.verdict.reasons)
-    with pytest.raises(NotObservable, match=r"gyroscope by rate-table: .* about x alone do not show"):
-        calibrate(about_x, gyro="rate-table")
 
 
 def test_turns_by_angles_without_accelerometer_readings_ask_for_those():

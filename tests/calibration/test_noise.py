@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.calibration.noise import fit_noise
+from undrift.calibration.noise import allan_deviation, fit_noise
 from undrift.errors import InputError
 from undrift.record import Record
 
@@ -101,17 +101,75 @@ def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
     ):
         fit_noise(Record(time=record.time, gyro=moved))
     holed = np.array(record.gyro)
-    holed[7, 1] = np.nan
-    with pytest.raises(InputError, match="got 1 rows of NaN"):
+    holed[40:] = np.nan
+    with pytest.raises(
+        InputError, match=r"wanted 64 gyro readings or more, got 40 beside 2960 gaps \(NaN\); record longer"
+    ):
         fit_noise(Record(time=record.time, gyro=holed))
     stuck = np.array(record.gyro)
     stuck[:, 2] = 4.0
     with pytest.raises(InputError, match="one value throughout in gyro z"):
         fit_noise(Record(time=record.time, gyro=stuck))
-    late = np.array(record.time)
-    late[2_000:] += 1.0
-    with pytest.raises(InputError, match="with 1 drop-outs"):
-        fit_noise(Record(time=late, gyro=record.gyro))
+    bursts = np.repeat(record.time[::5], 5)[: len(record)] + np.tile(np.arange(5) * 0.001, 600)
+    with pytest.raises(InputError, match=r"got 3000 with 599 drop-outs; record longer, or .* use --clock regular"):
+        fit_noise(Record(time=bursts, gyro=record.gyro))
+
+
+def with_gaps(record: Record, seed: int, *, nan: bool) -> Record:
+    """Take 30 stretches of 1 to 60 samples out: as drop-outs, or as readings that are NaN."""
+    rng, gone = np.random.default_rng(seed), np.zeros(len(record), bool)
+    for start in rng.integers(0, len(record) - 60, 30):
+        gone[start : start + rng.integers(1, 60)] = True
+    assert record.gyro is not None
+    if nan:
+        return Record(time=record.time, gyro=np.where(gone[:, None], np.nan, record.gyro))
+    return Record(time=record.time[~gone], gyro=record.gyro[~gone])
+
+
+@pytest.mark.parametrize("nan", [False, True])
+def test_a_record_with_gaps_gives_the_coefficients_within_their_uncertainty(nan: bool) -> None:
+    white, walk, inside, ratio = 0.005, 0.02, [], []
+    for seed in range(12):
+        whole = noisy(120_000, white, walk, seed)
+        full, fit = fit_noise(whole), fit_noise(with_gaps(whole, seed, nan=nan))
+        for axis, other in zip(fit.gyro, full.gyro, strict=True):
+            for name, true in (("angle_random_walk", white), ("rate_random_walk", walk)):
+                low, high = getattr(axis, name).interval
+                inside.append(low < true < high)
+                ratio.append(getattr(axis, name).value / getattr(other, name).value)
+        assert fit.taus_s[-1] < full.taus_s[-1]  # no window spans a gap
+    covered = float(np.mean(inside))
+    print(
+        f"  with gaps 95 % intervals of N and K cover {100 * covered:.1f} % of 72; against the whole record {np.std(ratio):.3f}"
+    )
+    assert covered >= 0.9  # 72 intervals: 2.6 % one sigma
+    np.testing.assert_allclose(ratio, 1.0, atol=0.3)  # K rests on fewer long windows: 7 % one sigma
+    gaps = next(f for f in fit.verdict.findings if f.code == "noise.gaps")
+    assert gaps.level == "info"
+    assert 20 <= int(gaps.values["gaps"]) <= 30  # some of the 30 overlap
+    assert 0.4 < float(gaps.values["missing_percent"]) < 1.0  # 30 of 30 samples on average
+    assert gaps.values["longest_s"] == fit.taus_s[-1]
+    assert fit.gyro_limits.shape == (2, len(fit.taus_s), 3)
+
+
+def test_a_record_without_gaps_gives_the_same_to_the_last_bit_as_one_array() -> None:
+    record = noisy(4_000, 0.005, 0.01, seed=9)
+    assert record.gyro is not None
+    fit = fit_noise(record)
+    for k, column in enumerate(record.gyro.T):
+        assert (allan_deviation(column, RATE).deviation == fit.gyro_adev[:, k]).all()
+    assert not [f for f in fit.verdict.findings if f.code == "noise.gaps"]
+
+
+def test_one_triad_may_have_more_gaps_than_the_other() -> None:
+    record = noisy(20_000, 0.005, 0.0, seed=2)
+    accel = np.array(record.gyro)
+    accel[::3_000] = np.nan
+    fit = fit_noise(Record(time=record.time, gyro=record.gyro, accel=accel))
+    assert fit.gyro_adev.shape == fit.accel_adev.shape == (len(fit.taus_s), 3)
+    assert fit.taus_s[-1] < 15.0  # of 30 s between the gaps, two windows and as many terms
+    assert fit.gyro[0].angle_random_walk.value == pytest.approx(0.005, rel=0.05)
+    assert fit.accel[0].angle_random_walk.value == pytest.approx(0.005, rel=0.05)
 
 
 def test_a_filtered_record_is_fitted_with_a_stated_departure() -> None:

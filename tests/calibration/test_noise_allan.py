@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.calibration.noise import allan_deviation
+from undrift.calibration.noise import Estimator, allan_deviation
 from undrift.errors import InputError
 
 
@@ -60,11 +60,47 @@ def test_grids_of_averaging_times() -> None:
 
 def test_what_cannot_be_averaged_is_refused() -> None:
     y = np.ones(100)
-    with pytest.raises(InputError, match=r"got 1 gaps"):
-        allan_deviation(np.append(y, np.nan), 1.0)
+    with pytest.raises(InputError, match=r"got 1 gaps.* 'mdev'; cut the record at its gaps, or use oadev"):
+        allan_deviation(np.append(y, np.nan), 1.0, estimator="mdev")
+    every_third = np.where(np.arange(100) % 2 == 0, y, np.nan)
+    with pytest.raises(
+        InputError, match="wanted averaging times of which whole windows are left, got none between 50 gaps"
+    ):
+        allan_deviation(every_third, 1.0)
     with pytest.raises(InputError, match="'sigma'"):
         allan_deviation(y, 1.0, estimator="sigma")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="wanted averaging times from 1 s to under 50 s, got 60 to 60 s"):
         allan_deviation(y, 1.0, taus=[60.0])
     with pytest.raises(InputError, match="wanted octave, decade, all"):
         allan_deviation(y, 1.0, taus="octaves")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("estimator", ["adev", "oadev", "hdev", "ohdev"])
+def test_terms_that_are_whole_are_those_of_the_pieces(estimator: Estimator) -> None:
+    rng = np.random.default_rng(11)
+    one, two = rng.normal(size=(2, 2000))
+    parts = [
+        allan_deviation(part - np.mean((one, two)), 1.0, taus=[1, 4, 16], estimator=estimator) for part in (one, two)
+    ]
+    # Pieces of 2000 with a gap that keeps whole averages in step: the means of the squares are those of both pieces.
+    joined = allan_deviation(np.concatenate((one, np.full(16, np.nan), two)), 1.0, taus=[1, 4, 16], estimator=estimator)
+    both = np.sqrt(np.mean([part.deviation**2 for part in parts], axis=0))
+    np.testing.assert_allclose(joined.deviation, both, rtol=1e-9)
+    assert (joined.lower < both).all()
+    assert (joined.upper > both).all()
+    assert (joined.edf > parts[0].edf).all()  # twice the terms
+    assert list(joined.noise) == [0, 0, 0]
+
+
+def test_limits_with_gaps_cover_the_true_deviation() -> None:
+    covered, true = [], 1.0 / np.sqrt([1.0, 8.0, 64.0])
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        y = rng.normal(size=4000)
+        for start in rng.integers(0, 3990, 12):
+            y[start : start + 10] = np.nan
+        found = allan_deviation(y, 1.0, taus=[1, 8, 64], confidence=0.9)
+        covered.append((found.lower < true) & (true < found.upper))
+    share = np.mean(covered, axis=0)
+    print(f"  with gaps 90 % limits at 1, 8, 64 s cover {np.round(100 * share, 1)} %")
+    np.testing.assert_allclose(share, 0.9, atol=0.07)  # 200 records: 2.1 % one sigma, and kinds taken wrong

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
-from undrift.calibration.rate_table import DwellMeans, axis_finding, fit_rate_axes, scale_verdict
-from undrift.errors import Implausible
+from undrift.calibration.rate_table import DwellMeans, axis_finding, fit_rate_axes, fit_turned_axes, scale_verdict
+from undrift.errors import Implausible, NotObservable
 
 DPS = np.pi / 180.0
 RATES = np.array([-300.0, -100.0, 100.0, 300.0])
@@ -61,11 +61,51 @@ def test_a_reversed_or_foreign_column_is_refused_in_any_unit(dwells, reads):
 def test_a_wrong_conversion_is_called_out_and_refused_where_a_tolerance_is_stated():
     (fit,) = fit_rate_axes(turned(0.853))
     verdict = scale_verdict(np.array([fit.scale_factor]), "dps", "y")
-    assert verdict.status == "marginal"
+    assert verdict.status == "bad"
     off = only(verdict.findings, "gyro.scale_factor")
-    assert (off.level, off.values["axis"]) == ("warn", "y")
+    assert (off.level, off.values["axis"]) == ("fail", "y")
+    assert scale_verdict(np.array([0.93]) / DPS, "dps", "y").status == "marginal"
     assert off.values["off_percent"] == pytest.approx(-14.7)
     with pytest.raises(Implausible, match=r"within 3 % of the stated sensitivity, got 0\.8530"):
         fit_rate_axes(turned(0.853), scale_tolerance=0.03)
     assert scale_verdict(np.array([1.03, 0.97, 1.0]) / DPS, "dps").status == "good"
     assert scale_verdict(np.array([12.0]), "count").status == "good"
+
+
+def test_one_axis_is_calibrated_and_the_others_keep_the_unit_s_scale_with_a_stated_uncertainty():
+    rng = np.random.default_rng(5)
+    one = turned(1.02)
+    one = replace(one, reading=one.reading + 0.01 * rng.normal(size=(4, 3)), noise=np.full((4, 3), 0.01))
+    fit = fit_turned_axes(one, cross_axis_prior=0.02)
+    share = fit.model.standard_uncertainty[:9].reshape(3, 3) @ np.abs(fit.model.forward_matrix)
+    np.testing.assert_allclose(fit.model.scale_factor * DPS, [1.0, 1.02, 1.0], atol=2e-4)  # 4 dwells, 0.01 of 300 deg/s
+    np.testing.assert_allclose(fit.model.offset, 0.3, atol=0.03)  # 0.01 deg/s, four dwells, 3 sigma and more
+    assert share[1, 1] < 1e-3
+    np.testing.assert_allclose(np.diag(share)[[0, 2]], 0.03, rtol=0.05)
+    cross = fit.model.standard_uncertainty.reshape(-1)[:9].reshape(3, 3)[[0, 2], [2, 0]] / DPS
+    np.testing.assert_allclose(cross, 0.02, rtol=0.05)
+    assert fit.verdict.status == "marginal"
+    kept = only(fit.verdict.findings, "rate_table.nominal_kept")
+    assert (kept.values["axes"], kept.values["scale_percent"], kept.values["cross_percent"]) == (("x", "z"), 3.0, 2.0)
+
+
+def test_counts_take_the_scale_of_the_turned_axes_for_the_others_within_a_fifth():
+    fit = fit_turned_axes(turned(16.4, unit="count"))
+    np.testing.assert_allclose(fit.model.scale_factor, 16.4 / DPS, rtol=1e-9)
+    kept = only(fit.verdict.findings, "rate_table.nominal_kept")
+    assert (kept.values["source"], kept.values["scale_percent"]) == ("that of the turned axes", 20.0)
+
+
+def test_a_dwell_at_one_rate_about_another_axis_is_left_out_of_the_fit():
+    x, y = turned(axis="x"), turned(1.5, axis="y")
+    both = replace(
+        x,
+        reading=np.vstack((x.reading, y.reading[:1])),
+        turn_rate=np.concatenate((x.turn_rate, y.turn_rate[:1])),
+        axis=("x",) * 4 + ("y",),
+        time=np.arange(5.0),
+    )
+    np.testing.assert_allclose(fit_turned_axes(both).model.offset, 0.3, rtol=1e-9)
+    still = replace(x, reading=x.reading[:1], turn_rate=x.turn_rate[:1], axis=("x",), time=np.zeros(1))
+    with pytest.raises(NotObservable, match="wanted dwells at two different rates about an axis, got one"):
+        fit_turned_axes(still)

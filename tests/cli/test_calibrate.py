@@ -7,7 +7,10 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
+from testkit.stepper_jig import turned
+from undrift.io.session import write_session
 from undrift.io.store import read_calibration
+from undrift.record import Session
 
 KEYS = {
     "kind",
@@ -105,7 +108,13 @@ def test_eleven_still_recordings_are_one_session_and_the_verdict_says_what_was_n
     assert "11 recordings" in undrift.good("info", session).out
     told = undrift.good("calibrate", session, "--json").json()
     assert told["verdict"]["status"] == "marginal"
-    assert any("cross-axis terms were not observable" in reason for reason in told["verdict"]["reasons"])
+    prior = "Prior used for the accelerometer's cross-axis terms xy and xz: the poses do not show them: 0 +- 1 %"
+    assert any(reason.startswith(prior) for reason in told["verdict"]["reasons"])
+    wide = undrift.good("calibrate", session, "--cross-axis-prior", "0.015", "--json").json()
+    at = told["accel"]["parameters"].index("m_xy")
+    sigma = [np.sqrt(answer["accel"]["covariance"][at][at]) for answer in (told, wide)]
+    assert sigma[1] / sigma[0] == pytest.approx(1.5, rel=0.03)
+    assert "wanted cross_axis_prior above 0" in undrift.refused("calibrate", session, "--cross-axis-prior", "-1")
     np.testing.assert_allclose(
         np.array(told["accel"]["offset"]) / 16.384, [58.0, -6.0, -123.0], atol=2.0
     )  # mg, SOURCE.md
@@ -138,9 +147,10 @@ def test_the_bench_is_calibrated_by_every_way_that_it_allows(undrift, bench, tmp
     assert turned["gyro"]["offset"] != told["gyro"]["offset"]
 
 
-def test_a_way_that_the_session_does_not_allow_is_refused_in_one_line(undrift, bench):
+def test_a_way_that_the_session_does_not_allow_is_refused_and_poor_ones_are_fitted(undrift, bench):
     assert "wanted" in undrift.refused("calibrate", bench / "session", "--gyro", "known-rotation")
-    assert "wanted" in undrift.refused("calibrate", bench / "session", "--accel", "multi-position")
+    ways = (["--accel", "multi-position"], ["--gyro", "multi-position"])  # nine poses on the faces: with the prior
+    assert all(undrift.good("calibrate", bench / "session", *way).out for way in ways)
 
 
 def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, monkeypatch):
@@ -245,3 +255,21 @@ def test_a_report_page_shows_matrices_and_verdict(undrift, bench, tmp_path):
 @pytest.mark.parametrize("word", ["session", "session/session.toml"])
 def test_a_session_is_named_by_its_folder_or_its_file(undrift, bench, word):
     assert undrift.good("calibrate", bench / word, "--json").json()["verdict"]["status"] == "good"
+
+
+@pytest.mark.parametrize(("sensor", "code"), [("bno", 0), ("lsm", 1)])
+def test_a_rate_table_about_one_axis_is_written_and_a_wrong_conversion_ends_with_one(undrift, tmp_path, sensor, code):
+    """Rimu_Test_Jig: the ST sensor was converted with 30.5 in place of 35 mdeg/s a code (SOURCE.md), the Bosch one well."""
+    record, turns = turned("giro_test_filt", sensor)
+    write_session(
+        Session(kind="calibration", serial="jig", gravity_m_s2=9.81, records=(record,), turns=turns), tmp_path / "s"
+    )
+    answer = undrift("calibrate", tmp_path / "s", "--details", "-o", tmp_path / "c.json")
+    assert answer.code == code
+    assert ("Implausible scale factor of gyroscope y" in answer.out) == bool(code)
+    assert "Gyroscope x, z: nominal scale kept" in answer.out
+    made = read_calibration(tmp_path / "c.json").gyro
+    off = made.forward_matrix[1, 1] * np.pi / 180.0 - 1.0
+    show(f"{sensor}: scale of y off by", f"{100 * off:.2f} %", "0.4 % or -15 %")
+    assert abs(off) > 0.1 if code else abs(off) < 0.005  # never the identity in silence
+    assert made.standard_uncertainty[0] / made.matrix[0, 0] == pytest.approx(0.03, rel=0.1)

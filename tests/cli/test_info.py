@@ -243,3 +243,32 @@ def test_what_an_export_leaves_open_is_asked_for_by_an_option_that_opens_it(undr
     told = undrift.good("info", path, *words, "--json").json()
     assert told["kind"] == "recording"
     assert [item["code"] for item in told["findings"]][:1] in (["recording.how_read"], ["recording.dropouts"], [])
+
+
+def test_stamps_of_a_host_are_named_with_the_option_that_mends_them(undrift, tmp_path):
+    words = ("simulate", "free", "--device", "mpu6050", "--stamps", "host", "-o", tmp_path / "host.csv")
+    samples = undrift.good(*words, "--json").json()["samples"]
+    said = undrift.good("info", tmp_path / "host.csv").out
+    assert "problem: Time stamps are the host's, not the device's: eight of ten steps are 1 to 43 ms" in said
+    assert "read it with --clock regular" in said
+    told = undrift.good("info", tmp_path / "host.csv", "--clock", "regular", "--json").json()
+    assert told["rows"] == samples
+    assert told["usual_rate_hz"] == pytest.approx(100.0, rel=1e-3)
+    assert "note: Regular clock of" in undrift.good("info", tmp_path / "host.csv", "--clock", "regular").out
+    (tmp_path / "map.toml").write_text('clock = "regular"\n')
+    by_map = undrift.good("info", tmp_path / "host.csv", "--map", tmp_path / "map.toml", "--json").json()
+    assert by_map["usual_rate_hz"] == told["usual_rate_hz"]
+    refused = ("simulate", "thermal_soak", "--device", "mpu6050", "--stamps", "host", "-o", tmp_path / "s")
+    assert "wanted none of --stamps, which a thermal session has no use for" in undrift.refused(*refused)
+
+
+def test_a_session_is_read_on_its_regular_clock(undrift, tmp_path):
+    undrift.good("simulate", "free", "--device", "mpu6050", "--stamps", "host", "-o", tmp_path / "host.csv")
+    head = '[session]\nkind = "calibration"\nserial = "A"\ngravity_m_s2 = 9.81\n'
+    (tmp_path / "session.toml").write_text(head + '[[recording]]\nfile = "host.csv"\n')
+    plain, fitted = (
+        undrift.good("info", tmp_path / "session.toml", *w, "--json").json() for w in ((), ("--clock", "regular"))
+    )
+    assert any("stamps are the host's" in problem for problem in plain["problems"])
+    assert not any("stamps are the host's" in problem for problem in fitted["problems"])
+    assert fitted["usual_rate_hz"] == pytest.approx(100.0, rel=1e-3)

@@ -5,6 +5,9 @@ import pytest
 
 from testkit.command_line import at_rest, contents
 from testkit.data import data_path, show
+from undrift.io.formats import write_record
+from undrift.record import Record
+from undrift.sim.host import stamp_on_host
 
 MAP = (
     'sample_rate_hz = 100\nskip_rows = 4\ncolumns = { gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"] }\n'
@@ -89,3 +92,20 @@ def test_what_noise_refuses(undrift, bench, tmp_path):
     assert "got 500 to inf s; name times on its own clock" in beyond
     assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "50", "--stop-s", "40")
     assert "wanted" in refused(tmp_path / "rest.csv", "--start-s", "nan")
+
+
+def test_a_recording_with_drop_outs_and_stamps_of_a_host_is_fitted_on_its_regular_clock(undrift, tmp_path):
+    rng = np.random.default_rng(6)
+    time, values = np.arange(24_000) / 100.0, 0.01 * rng.normal(size=(24_000, 3))
+    made = stamp_on_host(Record(time=time, gyro=values), rng=rng)
+    write_record(made.record, tmp_path / "host.csv")
+    refused = undrift.refused("noise", tmp_path / "host.csv")
+    assert "where a host stamped the samples use --clock regular" in refused
+    answer = undrift.good("noise", tmp_path / "host.csv", "--clock", "regular", "--details", "-o", tmp_path / "a.svg")
+    assert "gaps left out" in answer.out
+    told = undrift.good("noise", tmp_path / "host.csv", "--clock", "regular", "--json").json()
+    gaps = next(item for item in told["verdict"]["findings"] if item["code"] == "noise.gaps")
+    assert 5 < gaps["values"]["gaps"] < 60
+    assert told["taus_s"][-1] < 60.0  # a quarter of the 240 s without gaps
+    for axis in told["gyro"]:
+        assert axis["angle_random_walk"]["value"] == pytest.approx(0.001, rel=0.05)  # 0.01 rad/s at 100 Hz

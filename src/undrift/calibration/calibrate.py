@@ -22,12 +22,12 @@ import numpy as np
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces
 from undrift.calibration.known_rotation import calibrate_turns
-from undrift.calibration.multi_position import calibrate_moves, calibrate_poses, calibrate_scale_alone
+from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.six_face import calibrate_faces
-from undrift.errors import CalibrationError, InputError, NotObservable
+from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.model import AdcModel, Calibration, Provenance, Verdict
@@ -236,13 +236,19 @@ def _calibrate_accel(seen: Observed, method: str | None, mode: Mode | None) -> O
     if faces and (not seen.found or seen.mostly_faces):
         return calibrate_faces(seen, mode)
     rests = len(seen.stills)
-    if rests < _LEAST_POSES:
-        lacking = finding("session.too_few_poses", "warn", wanted=_LEAST_POSES, rests=rests, missing=missing)
+    lacking = finding("session.too_few_poses", "warn", wanted=_LEAST_POSES, rests=rests, missing=missing)
+    if rests < FEWEST_POSES:
         return Outcome(findings=(lacking,))
     try:
         return calibrate_poses(seen, mode)
-    except NotObservable as error:
-        return calibrate_faces(seen, mode) if faces else calibrate_scale_alone(seen, str(error))
+    except (NotObservable, PoorFit) as error:
+        if faces:
+            return calibrate_faces(seen, mode)
+        if rests < _LEAST_POSES:
+            return Outcome(findings=(lacking,))
+        if isinstance(error, PoorFit):
+            raise
+        return Outcome(findings=(finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error)),))
 
 
 def _calibrate_gyro(seen: Observed, method: str | None, mode: Mode | None, accel: Outcome) -> Outcome:
@@ -289,6 +295,8 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
             except CalibrationError:
                 if not plateaus:
                     raise
+            if plateaus and outcome.fit is not None and outcome.fit.verdict.status == "bad":
+                outcome = Outcome()  # the turns of a table whose rates are not stated, taken for moves
     if outcome.fit is not None:
         return outcome
     steady = (finding("rate_table.rates_not_stated", "warn", turns=plateaus),) if plateaus else outcome.findings

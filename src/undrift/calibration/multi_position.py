@@ -24,7 +24,7 @@ from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
-from undrift.model import AXES, Verdict, level_of
+from undrift.model import AXES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
 from undrift.segments import runs, sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
@@ -39,11 +39,16 @@ from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_fact
 # Levenberg-Marquardt on the normal equations with analytic Jacobian: with n the direction of M' (v - o'),
 # dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each pose weighs by the variance of its length, n^T M S_k M^T n + s2, S_k the
 # variances of the mean and s2 the excess (fit/least_squares.py): the profile likelihood over unknown directions.
+#
+# Poses on the faces alone do not show cross-axis terms. With a prior, each combination c of m'_xy, m'_xz, m'_yz that the poses do
+# not show gets one equation more, c . m' = 0 +- sd; what they show gets none, and a session that shows all is fitted as without.
 
 ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
 WEAKEST = 0.02  # rms change of length, in g, per unit of a parameter that still counts as seen; random poses show 0.25
+CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
 _START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+_SHARE = 0.3  # of a combination of parameters: a parameter with this part in it belongs to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,6 +65,8 @@ class NormFit:
     weakest: float
     unseen: tuple[str, ...]  # The parameters that take part in that weakest combination
     gravity: float  # m/s2
+    prior: FloatArray  # (R, 9), combinations of cross-axis terms that are known by the prior alone, unit length
+    prior_sd: float  # Standard deviation of each, 1; 0 without a prior
 
     @property
     def matrix(self) -> FloatArray:
@@ -84,7 +91,12 @@ class NormFit:
 
 
 def fit_norm(
-    reading: FloatArray, *, gravity: float, variances: FloatArray | None = None, cross_axis: bool = True
+    reading: FloatArray,
+    *,
+    gravity: float,
+    variances: FloatArray | None = None,
+    cross_axis: bool = True,
+    prior_sd: float | None = None,
 ) -> NormFit:
     """Solve the norm equations of readings (K, 3) with variances of the mean (K, 3); weights and excess settle together."""
     center, radius = sphere_of(reading)
@@ -92,21 +104,22 @@ def fit_norm(
     v = np.ascontiguousarray(scale * (reading - center))
     stated_raw = np.zeros_like(v) if variances is None else variances * scale**2
     free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
-    found, p, variance = True, _START, np.ones(len(v))
-    for _ in range(1 if variances is None else 6):
-        before = p
-        p, found = _descend(v, variance.min() / variance, p, gravity, free)
-        design, residuals = _linearised(v, p, gravity)
-        stated = (design[:, 6:] ** 2 * stated_raw).sum(axis=1)  # d length / d reading = M'^T n
-        variance = stated + excess_variance(residuals, stated, len(v) - len(free))
-        variance = np.maximum(variance, (1e-12 * gravity) ** 2)
-        if not found or float(np.abs(p - before).max()) < 1e-12 * gravity:
-            break
+    rounds = 1 if variances is None and prior_sd is None else 6
+    prior: FloatArray = np.zeros((0, 9))
+    found, p, variance = _settled(v, stated_raw, gravity, free, prior, rounds)
+    if prior_sd is not None:
+        for at in (_START, p):  # the solution itself may have run away along what nothing shows
+            prior = _unseen_cross_axis(_linearised(v, at, gravity)[0], gravity)
+            if len(prior):
+                found, p, variance = _settled(v, stated_raw, gravity, free, prior / prior_sd, rounds)
+                break
+    design, residuals = _linearised(v, p, gravity)
     size = np.array([gravity] * 6 + [1.0] * 3)
-    _, singular, right = np.linalg.svd(design[:, free] / size[free], full_matrices=False)
+    seen = _with(design[:, free], (np.sqrt(len(v)) * size * prior)[:, free])
+    _, singular, right = np.linalg.svd(seen / size[free], full_matrices=False)
     weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(len(v))), len(singular) - 1)
     share = np.linalg.norm(right[weak], axis=0)
-    weakest = float(singular[-1] / np.sqrt(len(v))) if len(v) >= len(free) else 0.0
+    weakest = float(singular[-1] / np.sqrt(len(v))) if len(seen) >= len(free) else 0.0
     if not found and weakest > WEAKEST:
         raise PoorFit(
             f"multi-position: wanted {len(v)} readings of length {gravity:g} m/s2, got none that a linear sensor could give; "
@@ -114,18 +127,58 @@ def fit_norm(
             poses=len(v),
         )
     covariance = np.zeros((9, 9))
-    covariance[np.ix_(free, free)] = _inverse(design[:, free] / np.sqrt(variance)[:, None])
+    weighted = design[:, free] / np.sqrt(variance)[:, None]
+    covariance[np.ix_(free, free)] = _inverse(_with(weighted, prior[:, free] / (prior_sd or 1.0)))
     return NormFit(
         center=center,
         scale=scale,
         p=p,
         covariance=covariance,
         residuals=residuals,
-        condition=scaled_condition(design[:, free])[1],
+        condition=scaled_condition(seen)[1],
         weakest=weakest,
-        unseen=tuple(NAMES[i] for i in free[share > 0.3 * share.max()]),
+        unseen=tuple(NAMES[i] for i in free[share > _SHARE * share.max()]),
         gravity=gravity,
+        prior=prior,
+        prior_sd=(prior_sd or 0.0) if len(prior) else 0.0,
     )
+
+
+def _with(design: FloatArray, prior: FloatArray) -> FloatArray:
+    return (
+        np.vstack((design, prior)) if len(prior) else design
+    )  # without a prior the memory stays, and so does rounding
+
+
+def _settled(
+    v: FloatArray, stated_raw: FloatArray, gravity: float, free: IntArray, prior: FloatArray, rounds: int
+) -> tuple[bool, FloatArray, FloatArray]:
+    """Return whether there is a minimum, p, and the variance of each length (K,); prior (R, 9) in standard deviations."""
+    found, p, variance = True, _START, np.ones(len(v))
+    for _ in range(rounds):
+        before, least = p, variance.min()
+        p, found = _descend(v, least / variance, p, gravity, free, prior * np.sqrt(least))
+        design, residuals = _linearised(v, p, gravity)
+        stated = (design[:, 6:] ** 2 * stated_raw).sum(axis=1)  # d length / d reading = M'^T n
+        variance = stated + excess_variance(residuals, stated, len(v) - len(free) + len(prior))
+        variance = np.maximum(variance, (1e-12 * gravity) ** 2)
+        if not found or float(np.abs(p - before).max()) < 1e-12 * gravity:
+            break
+    return found, p, variance
+
+
+def _unseen_cross_axis(design: FloatArray, gravity: float) -> FloatArray:
+    """Return the combinations of cross-axis terms (R, 9), unit length, that a design (K, 9) does not show."""
+    scaled = design / np.array([gravity] * 6 + [1.0] * 3)
+    values, vectors = np.linalg.eigh(scaled.T @ scaled / len(design))
+    weak = vectors[CROSS][:, values < WEAKEST**2]
+    if not weak.size:
+        return np.zeros((0, 9))
+    combined, part, _ = np.linalg.svd(weak, full_matrices=False)
+    rows = combined[:, part > _SHARE].T
+    prior = np.zeros((len(rows), 9))
+    prior[:, CROSS] = rows
+    return prior
 
 
 def _upper(p: FloatArray) -> FloatArray:
@@ -135,16 +188,21 @@ def _upper(p: FloatArray) -> FloatArray:
 
 
 def _descend(
-    v: FloatArray, weight: FloatArray, start: FloatArray, gravity: float, free: IntArray
+    v: FloatArray, weight: FloatArray, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
 ) -> tuple[FloatArray, bool]:
     """Return the minimum and whether there is one; the start again where the steps run away."""
+    known = prior[:, free]
     size = np.array([1.0] * 6 + [gravity] * 3)
 
     def equations(p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         design, residuals = _linearised(v, p, gravity)
         rows = design.T[free]
         weighted = rows * weight
-        return float(weight @ residuals**2), weighted @ rows.T, weighted @ residuals
+        cost, normal, gradient = float(weight @ residuals**2), weighted @ rows.T, weighted @ residuals
+        if not len(known):
+            return cost, normal, gradient
+        away = prior @ p
+        return cost + float(away @ away), normal + known.T @ known, gradient + known.T @ away
 
     p, damping = start, 1e-9
     cost, normal, gradient = equations(p)
@@ -190,6 +248,7 @@ TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are withi
 MG = STANDARD_GRAVITY * 1e-3
 RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
 UNCERTAIN_MG = (2.0, 20.0)
+FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
 
 
 def check_count(reading: FloatArray, parameters: int, *, known_noise: bool) -> None:
@@ -224,14 +283,14 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     rms_mg = float(np.sqrt(np.mean(fit.residuals**2))) / MG
     made = triad_fit(
         fit.residuals,
-        Verdict.of(*_judged(fit, rms_mg)),
+        Verdict.of(*_judged(fit, rms_mg, corrected)),
         method="multi-position",
         unit_in=unit,
         unit_out="m/s2",
         matrix=fit.matrix,
         offset=fit.offset,
         covariance=carry @ fit.covariance @ carry.T,
-        rank=int((np.diag(fit.covariance) > 0.0).sum()),
+        rank=int((np.diag(fit.covariance) > 0.0).sum()) - len(fit.prior),
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
     )
@@ -239,13 +298,25 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     return made
 
 
-def _judged(fit: NormFit, rms_mg: float) -> Iterator[Finding]:
+def _judged(fit: NormFit, rms_mg: float, corrected: FloatArray) -> Iterator[Finding]:
     sigma, wanted = fit.uncertainty / MG, UNCERTAIN_MG[0]
     off = finding("multi_position.residual", level_of(rms_mg, RESIDUAL_MG), rms_mg=rms_mg, wanted=RESIDUAL_MG[0])
     unsure = finding("multi_position.uncertainty", level_of(sigma, UNCERTAIN_MG), uncertainty_mg=sigma, wanted=wanted)
     yield from (item for item in (off, unsure) if item.level != "info")
     if not np.triu(fit.matrix, 1).any():
         yield finding("multi_position.cross_axis_fixed", "info")
+    if len(fit.prior):
+        part = np.linalg.norm(fit.prior, axis=0)
+        unseen = tuple(NAMES[i] for i in CROSS if part[i] > _SHARE)
+        after = 100.0 * np.sqrt(np.diag(fit.covariance)[[NAMES.index(name) for name in unseen]])
+        yield finding(
+            "multi_position.cross_axis_prior",
+            "warn",
+            terms=parameter_names(unseen),
+            prior_percent=100.0 * fit.prior_sd,
+            uncertainty_percent=after,
+            advice=_advice(corrected, unseen),
+        )
 
 
 def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
@@ -344,12 +415,15 @@ class MultiPositionSettings:
     rest_s: float | None = None
     rule: Rule = "coverage"  # coverage or published: how the threshold is chosen, and how poses and turns weigh
     cross_axis: bool = True  # False fits the accelerometer's scale and offset alone: for poses on the faces
+    # Standard deviation of a cross-axis term that the poses do not show, of the scale; None refuses such poses
+    cross_axis_prior: float | None = 0.01
     gyro: bool = True  # Fit the gyroscopes too, where the moves show them
 
     @classmethod
     def published(cls, rest_s: float = 50.0) -> "MultiPositionSettings":
         """Return the settings of the published demonstration."""
-        return cls(multiples=tuple(float(m) for m in range(2, 11)), rest_s=rest_s, rule="published")
+        multiples = tuple(float(m) for m in range(2, 11))
+        return cls(multiples=multiples, rest_s=rest_s, rule="published", cross_axis_prior=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -387,8 +461,12 @@ def fit_multi_position(
     gravity: float,
     stills: Sequence[Still] | None = None,
     settings: MultiPositionSettings = MultiPositionSettings(),
+    axes: TriadModel | None = None,
 ) -> MultiPositionFit:
-    """Calibrate from recordings of free poses and turns between them, all together; a recording may be a single pose."""
+    """Calibrate from recordings of free poses and turns between them, all together; a recording may be a single pose.
+
+    ``axes`` is an accelerometer's model from elsewhere, to which the gyroscopes are fitted where the poses do not show its axes.
+    """
     records = (recorded,) if isinstance(recorded, Record) else tuple(recorded)
     if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
         raise InputError(
@@ -399,8 +477,14 @@ def fit_multi_position(
     shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
     stated = {} if stills is None else {np.nan: tuple(stills)}
     tried = stated or {m: _stills(levels, m, shortest) for m in settings.multiples}
-    attempts = [_attempt(levels, chosen, m, gravity, settings, shortest) for m, chosen in tried.items()]
+    plain = replace(settings, cross_axis_prior=None)
+    attempts = [_attempt(levels, chosen, m, gravity, plain, shortest) for m, chosen in tried.items()]
     trial, used, reading, fit = _choose(attempts, settings)
+    if settings.cross_axis_prior is not None and settings.cross_axis and (fit is None or fit.weakest < WEAKEST):
+        known = [_attempt(levels, chosen, m, gravity, settings, shortest) for m, chosen in tried.items()]
+        better = _choose(known, settings)
+        if better[3] is not None and better[3].weakest >= WEAKEST:
+            attempts, (trial, used, reading, fit) = known, better
     if fit is None:
         check_count(reading, 9 if settings.cross_axis else 6, known_noise=True)
         raise PoorFit(
@@ -415,7 +499,8 @@ def fit_multi_position(
         cores = used if published or stills is not None else _cores(levels, used, shortest)
         rest_s = settings.rest_s if published else None
         try:
-            gyro = fit_gyro_between_stills(records, used, accel.model, cores=cores, equal=published, rest_s=rest_s)
+            model = axes if axes is not None and len(fit.prior) else accel.model
+            gyro = fit_gyro_between_stills(records, used, model, cores=cores, equal=published, rest_s=rest_s)
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
@@ -470,10 +555,14 @@ def _attempt(
             [levels[s.recording].values[s.start : s.start + shortest[s.recording]] for s in stills]
         )
     fit: NormFit | None = None
-    if len(stills) >= (9 if settings.cross_axis else 6) and np.ptp(reading, axis=0).any():
+    prior_sd = settings.cross_axis_prior
+    least = 6 if not settings.cross_axis else 9 if prior_sd is None else FEWEST_POSES
+    if len(stills) >= least and np.ptp(reading, axis=0).any():
         with suppress(PoorFit):
             weights = None if published else variances
-            fit = fit_norm(reading, gravity=gravity, variances=weights, cross_axis=settings.cross_axis)
+            fit = fit_norm(
+                reading, gravity=gravity, variances=weights, cross_axis=settings.cross_axis, prior_sd=prior_sd
+            )
     trial = ThresholdTrial(
         multiple=multiple,
         stills=len(stills),
@@ -521,10 +610,13 @@ def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attem
 # ---- from a session
 
 
-def _of_session(seen: Observed, settings: MultiPositionSettings = MultiPositionSettings()) -> MultiPositionFit:
-    session = seen.session
-    stills = session.stills or None
-    return fit_multi_position(session.records, gravity=session.gravity_m_s2, stills=stills, settings=settings)
+def _of_session(seen: Observed, axes: TriadFit | None = None) -> MultiPositionFit:
+    session, stills = seen.session, seen.session.stills or None
+    settings = MultiPositionSettings(cross_axis_prior=seen.settings.cross_axis_prior)
+    model = None if axes is None or axes.model.method.startswith("multi-position") else axes.model
+    return fit_multi_position(
+        session.records, gravity=session.gravity_m_s2, stills=stills, settings=settings, axes=model
+    )
 
 
 def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
@@ -535,25 +627,7 @@ def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = N
 def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to the moves between its poses; an entry of FITS."""
     try:
-        fit = _of_session(seen)
+        fit = _of_session(seen, accel)
     except NotObservable as error:
         return Outcome(findings=(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),))
     return Outcome(findings=fit.missing) if fit.gyro is None else Outcome(fit=fit.gyro, method="multi-position")
-
-
-def calibrate_scale_alone(seen: Observed, reason: str) -> Outcome:
-    """Fit scale and offset of an accelerometer whose poses do not show the cross-axis terms, for a reason."""
-    try:
-        fit = _of_session(seen, MultiPositionSettings(cross_axis=False, gyro=False)).accel
-    except (NotObservable, PoorFit) as error:
-        return Outcome(findings=(finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error)),))
-    # The finding below says the same, and why.
-    others = tuple(item for item in fit.verdict.findings if item.code != "multi_position.cross_axis_fixed")
-    return Outcome(
-        fit=replace(fit, verdict=replace(fit.verdict, findings=others)),
-        method="multi-position",
-        findings=(
-            finding("session.fit_failed", "warn", triad="accelerometer", reason=reason),
-            finding("multi_position.scale_alone", "warn"),
-        ),
-    )

@@ -37,6 +37,10 @@ from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
 #     MDEV^2  = mean D3(S)^2 / (2 m^2 tau^2)    every k
 #     TOTDEV^2 = mean D2(x*)^2 / (2 tau^2)      x* the phase continued by point reflection at both ends
 #
+# Where samples are missing, only terms whose samples are all there count: the mean runs over them, averaging times go up to those
+# of which two windows' worth of terms are left, the kind of noise comes from neighbouring whole averages, and the degrees of
+# freedom are those of a record without gaps with as many terms. Overlapping and plain ADEV and HDEV can do so.
+#
 # The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom [1]_, which depend on the kind
 # of noise; the kind is found at each tau from the lag-1 autocorrelation of the averaged readings [2]_.
 
@@ -44,6 +48,7 @@ Estimator = Literal["adev", "oadev", "mdev", "hdev", "ohdev", "totdev"]
 _SPAN = {"adev": 2, "oadev": 2, "mdev": 3, "hdev": 3, "ohdev": 3, "totdev": 1}  # samples needed, in units of m
 _ORDER = {"adev": 2, "oadev": 2, "mdev": 2, "hdev": 3, "ohdev": 3, "totdev": 2}
 _TOTAL_EDF = {0: (1.5, 0.0), -1: (1.16832, 0.222), -2: (0.9285, 0.358)}  # SP 1065 table 7: edf = b T / tau - c
+_LEAST_AVERAGES = 30  # of a length, to tell the kind of noise
 _STRIDES = 64  # overlaps finer than this carry no more information
 
 
@@ -73,12 +78,15 @@ def allan_deviation(
     """Return the Allan deviation of one channel (N,), or a relative of it."""
     y = frozen(x, (None,), "x")
     able = estimator in get_args(Estimator) and sample_rate_hz > 0.0 and 0.0 < confidence < 1.0
-    if not able or np.isnan(y).any():
+    gap = np.isnan(y)
+    if not able or (gap.any() and estimator not in _GAPPED):
         raise InputError(
-            f"allan_deviation: wanted readings without gaps, a sample rate, a confidence within (0, 1) and one of "
-            f"{', '.join(get_args(Estimator))}, got {int(np.isnan(y).sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
-            f"'{estimator}'; cut the record at its gaps"
+            f"allan_deviation: wanted readings (without gaps for mdev and totdev), a sample rate, a confidence within (0, 1) and "
+            f"one of {', '.join(get_args(Estimator))}, got {int(gap.sum())} gaps, {sample_rate_hz:g} Hz, {confidence:g} and "
+            f"'{estimator}'; cut the record at its gaps, or use oadev"
         )
+    if gap.any():
+        return _with_gaps(y, sample_rate_hz, taus, estimator, confidence)
     m = _averages(taus, len(y), sample_rate_hz, estimator)
     phase = np.concatenate(([0.0], np.cumsum(y - y.mean())))
     deviation = _deviations(phase, m, estimator)
@@ -87,6 +95,45 @@ def allan_deviation(
     lower, upper = _limits(deviation, edf, confidence)
     taus_s = m / sample_rate_hz
     return AllanDeviation(taus_s=taus_s, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
+
+
+_GAPPED = ("adev", "oadev", "hdev", "ohdev")
+
+
+def _with_gaps(y: FloatArray, rate: float, taus: Taus, estimator: Estimator, confidence: float) -> AllanDeviation:
+    """Return the deviation of readings (N,) with gaps, NaN, by the terms that are whole."""
+    gap, order, span = np.isnan(y), _ORDER[estimator], _SPAN[estimator]
+    centred = np.where(gap, 0.0, y - np.nanmean(y))
+    phase = np.concatenate(([0.0], np.cumsum(centred)))
+    lost = np.concatenate(([0], np.cumsum(gap)))
+    weights = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}[order]
+    kept, squares, phases, kinds, kind = list[int](), list[float](), list[int](), list[int](), 0
+    for m in _averages(taus, int((~gap).sum()), rate, estimator).tolist():
+        count = len(phase) - order * m
+        first = np.arange(0, count, m if estimator in ("adev", "hdev") else 1)
+        first = first[lost[first + order * m] == lost[first]]
+        whole = len(first) * (m if estimator in ("adev", "hdev") else 1)
+        if whole < span * m:
+            continue
+        difference = sum(weight * phase[first + k * m] for k, weight in enumerate(weights))
+        average = np.diff(phase[::m])
+        average[np.diff(lost[::m]) > 0] = np.nan
+        if np.isfinite(average).sum() >= _LEAST_AVERAGES:
+            kind = int(np.clip(_power(average), -2 if order == 2 else -4, 2))
+        kept.append(m)
+        kinds.append(kind)
+        phases.append(whole + order * m)
+        squares.append(float(np.mean(difference**2)) / (2.0 if order == 2 else 6.0))
+    if not kept:
+        raise InputError(
+            "allan_deviation: wanted averaging times of which whole windows are left, got none between "
+            f"{int(gap.sum())} gaps; record longer without gaps"
+        )
+    averages, noise = np.array(kept, np.int64), np.array(kinds, np.int64)
+    deviation = np.sqrt(np.array(squares)) / averages
+    edf = np.array([_edf(m, a, n, estimator) for m, a, n in zip(kept, kinds, phases, strict=True)])
+    lower, upper = _limits(deviation, edf, confidence)
+    return AllanDeviation(taus_s=averages / rate, deviation=deviation, lower=lower, upper=upper, edf=edf, noise=noise)
 
 
 def _averages(taus: Taus, count: int, rate: float, estimator: Estimator) -> IntArray:
@@ -139,7 +186,7 @@ def _kinds(phase: FloatArray, m: IntArray, order: int) -> IntArray:
     kinds, kind = [], 0
     for k in m:
         z = np.diff(phase[:: int(k)])
-        if len(z) >= 30:
+        if len(z) >= _LEAST_AVERAGES:
             kind = int(np.clip(_power(z), -2 if order == 2 else -4, 2))
         kinds.append(kind)
     return np.array(kinds, np.int64)
@@ -148,9 +195,12 @@ def _kinds(phase: FloatArray, m: IntArray, order: int) -> IntArray:
 def _power(z: FloatArray) -> int:
     differences = 0
     while True:
-        away = z - z.mean()
+        away, gap = z - (z.mean() if not np.isnan(z).any() else np.nanmean(z)), np.isnan(z)
+        away = np.where(gap, 0.0, away) if gap.any() else away
         square = float(away @ away)
         lag = float(away[1:] @ away[:-1]) / square if square > 0.0 else 0.0
+        if gap.any():  # pairs are fewer than averages
+            lag *= (len(z) - gap.sum()) / max(1, int((~gap[1:] & ~gap[:-1]).sum()))
         delta = lag / (1.0 + lag)
         if delta < 0.25 or differences == 3:
             return -2 * differences - round(2.0 * delta)
@@ -216,6 +266,7 @@ TERMS = {  # an accelerometer has other terms for the same slopes
 }
 SIGNIFICANT = 2.0  # standard deviations above zero
 SHORTEST = 64  # samples
+_MOST_DROP_OUTS = 0.1  # of the steps: a time with more of them is not even between drop-outs
 _MODEL_ERRORS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # of the variance at each tau, tried in turn
 
 
@@ -315,7 +366,8 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
     Parameters
     ----------
     record : Record
-        At rest throughout, without gaps.
+        At rest throughout. Drop-outs and gaps (NaN) are allowed: what spans one does not count, so that the longest averaging time
+        is that of the stretches between them.
     confidence : float
         Probability of the intervals, between 0 and 1.
 
@@ -327,7 +379,7 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
     Raises
     ------
     InputError
-        Gaps, drop-outs, fewer than 64 samples, a channel that never changes, or motion; says where.
+        Fewer than 64 samples, uneven time, a channel that never changes, or motion; says where.
 
     Examples
     --------
@@ -337,32 +389,54 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
     >>> print(f"{found.gyro[0].angle_random_walk.value:.4f}")  # 0.01 rad/s at 100 Hz: 0.001 rad/s/sqrt(Hz)
     0.0010
     """
-    rate = record.sample_rate_hz
-    if len(record) < SHORTEST or (np.diff(record.time) > 1.5 / rate).any():
-        raise InputError(
-            f"noise: wanted {SHORTEST} evenly spaced samples or more, got {len(record)} with "
-            f"{int((np.diff(record.time) > 1.5 / rate).sum())} drop-outs; cut out a stretch without drop-outs"
-        )
-    gyro, gyro_unit, gyro_curves, taus_s = _triad(record, "rate", confidence)
-    accel, accel_unit, accel_curves, accel_taus_s = _triad(record, "accel", confidence)
+    places = _places(record)
+    gyro, gyro_unit, gyro_curves, taus_s = _triad(record, "rate", confidence, places)
+    accel, accel_unit, accel_curves, accel_taus_s = _triad(record, "accel", confidence, places)
+    shared = min(len(taus_s), len(accel_taus_s))  # one triad may have more gaps than the other
+    gyro_curves, accel_curves, taus_s = gyro_curves[:, :shared], accel_curves[:, :shared], taus_s[:shared]
     return NoiseFit(
         gyro=gyro,
         accel=accel,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
-        taus_s=taus_s if gyro else accel_taus_s,
+        taus_s=taus_s,
         gyro_adev=gyro_curves[0],
         accel_adev=accel_curves[0],
         gyro_limits=gyro_curves[1:],
         accel_limits=accel_curves[1:],
         duration_s=record.duration_s,
         confidence=confidence,
-        verdict=Verdict.of(*_judged(gyro, accel, record.duration_s)),
+        verdict=Verdict.of(*_judged(gyro, accel, record.duration_s), *_gaps(record, places, taus_s)),
     )
 
 
+def _places(record: Record) -> IntArray | None:
+    """Return the place of each sample (N,) on an even clock; None where none is missing."""
+    steps = np.diff(record.time) * record.sample_rate_hz
+    over = steps > 1.5
+    if len(record) < SHORTEST or over.mean() > _MOST_DROP_OUTS:
+        raise InputError(
+            f"noise: wanted {SHORTEST} evenly spaced samples or more, got {len(record)} with {int(over.sum())} drop-outs; record "
+            "longer, or where a host stamped the samples use --clock regular"
+        )
+    if not over.any():
+        return None
+    return np.concatenate(([0], np.cumsum(np.where(over, np.maximum(np.rint(steps), 2.0), 1.0).astype(np.int64))))
+
+
+def _gaps(record: Record, places: IntArray | None, taus_s: FloatArray) -> Iterator[Finding]:
+    whole = np.ones(len(record), bool)
+    for values in (record.gyro, record.accel):
+        whole &= True if values is None else np.isfinite(values).all(axis=1)
+    seen = (np.arange(len(record)) if places is None else places)[whole]
+    lost, span = np.diff(seen) - 1, int(seen[-1] - seen[0]) + 1
+    if lost.any():
+        share = 100.0 * float(lost.sum()) / span
+        yield finding("noise.gaps", "info", gaps=(lost > 0).sum(), missing_percent=share, longest_s=taus_s[-1])
+
+
 def _triad(
-    record: Record, quantity: Quantity, confidence: float
+    record: Record, quantity: Quantity, confidence: float, places: IntArray | None
 ) -> tuple[tuple[AxisNoise, ...], str, FloatArray, FloatArray]:
     """Return the noise of each axis, its unit, deviations with lower and upper limits (3, M, axes), and averaging times (M,)."""
     what = "gyro" if quantity == "rate" else "accel"
@@ -370,24 +444,32 @@ def _triad(
     if values is None:
         taus_s = _averages("octave", len(record), record.sample_rate_hz, "oadev") / record.sample_rate_hz
         return (), SI_UNIT[quantity], np.empty((3, len(taus_s), 0)), taus_s
-    if np.isnan(values).any():
-        raise InputError(
-            f"noise: wanted {what} readings without gaps, got {int(np.isnan(values).any(axis=1).sum())} rows of NaN; "
-            "cut out a stretch without gaps"
-        )
     factor = si_factor(unit, quantity) if is_physical(unit) else None
-    _check_rest(values, record, what, quantity, factor)
+    whole = np.isfinite(values).all(axis=1)
+    if whole.sum() < SHORTEST:
+        raise InputError(
+            f"noise: wanted {SHORTEST} {what} readings or more, got {int(whole.sum())} beside {int((~whole).sum())} gaps (NaN); "
+            "record longer"
+        )
+    _check_rest(values[whole], record.time[whole], record.sample_rate_hz, quantity, factor)
     shown = unit if factor is None else SI_UNIT[quantity]
     scaled = values * (1.0 if factor is None else factor)
+    if places is not None or not whole.all():
+        places = np.arange(len(values)) if places is None else places
+        spread = np.full((int(places[-1]) + 1, 3), np.nan)
+        spread[places[whole]] = scaled[whole]
+        scaled = spread
     curves = [allan_deviation(column, record.sample_rate_hz, confidence=confidence) for column in scaled.T]
     axes = tuple(_axis(curve, axis, shown, record, confidence) for curve, axis in zip(curves, AXES, strict=True))
+    # The same gaps on all axes: the same averaging times.
     limits = np.stack([np.column_stack([getattr(c, k) for c in curves]) for k in ("deviation", "lower", "upper")])
     return axes, shown, limits, curves[0].taus_s
 
 
-def _check_rest(values: FloatArray, record: Record, what: str, quantity: Quantity, factor: float | None) -> None:
+def _check_rest(values: FloatArray, time: FloatArray, rate: float, quantity: Quantity, factor: float | None) -> None:
     """Raise where the spread within one-second windows is ten times the usual, or where a channel is stuck."""
-    width = min(max(16, round(record.sample_rate_hz)), len(values) // 4)
+    what = "gyro" if quantity == "rate" else "accel"
+    width = min(max(16, round(rate)), len(values) // 4)
     count, whole = len(values) // width, values.std(axis=0)
     if (whole == 0.0).any():
         raise InputError(
@@ -396,7 +478,7 @@ def _check_rest(values: FloatArray, record: Record, what: str, quantity: Quantit
     spread = values[: count * width].reshape(count, width, 3).std(axis=1)
     moved = np.flatnonzero((spread > 10.0 * np.maximum(np.median(spread, axis=0), whole * 1e-3)).any(axis=1))
     if len(moved):
-        at = float(record.time[int(moved[0]) * width])
+        at = float(time[int(moved[0]) * width])
         raise InputError(
             f"noise: wanted a device at rest, got {what} motion in {len(moved)} of {count} windows, first at {at:.6g} s; "
             "cut out a stretch at rest",
@@ -408,7 +490,7 @@ def _check_rest(values: FloatArray, record: Record, what: str, quantity: Quantit
         if motion > max(limit, 3.0 * noise):
             raise InputError(
                 f"noise: wanted a device at rest, got {what} readings that vary by {motion:.3g} {SI_UNIT[quantity]} within "
-                f"{width / record.sample_rate_hz:.2g} s, where a bench allows {limit:.2g}; lay the device down",
+                f"{width / rate:.2g} s, where a bench allows {limit:.2g}; lay the device down",
                 motion=motion,
             )
 

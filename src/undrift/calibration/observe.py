@@ -17,7 +17,7 @@ from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
 from undrift.fit.smooth import widening_of
-from undrift.model import Verdict
+from undrift.model import AXES, Verdict, level_of
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.segments import (
     BENCH_ACCEL_LIMIT,
@@ -27,6 +27,7 @@ from undrift.segments import (
     faces_of,
     find_still,
     find_turns,
+    runs,
     sample_count,
     sliding_moments,
     sphere_of,
@@ -113,6 +114,78 @@ def check_counted_once(session: Session) -> None:
                     f"shares {100.0 * shared / (stated[late].stop - stated[late].start):.0f} % of its samples with [[{what}]] "
                     f"{early + 1}; take one of the two out or correct its times"
                 )
+
+
+# ---- turns: steady where a rate is stated, from rest to rest where an angle is
+#
+# r is the reading of the turned axis less its offset, smoothed over 0.1 s; its level in a turn is the 90 % quantile of |r|.
+#
+#     stop     share of a dwell, settled, in stretches of 0.2 s or more with |r| below a fifth of its level: the table stood still
+#     spread   standard deviation of the rest of r, as a share of its mean
+#     cut      |r| at the start or end of a turn by an angle, as a share of its level: some of the angle is missing
+#
+# Each is a finding with the worst turn and how many there are. A turn near the noise is not judged: where its level is under eight
+# times what white noise, by the steps between neighbouring samples, leaves of r.
+
+_STOPPED, _STOP_S = 0.2, 0.2  # of the level, and s
+_STOP_LIMITS = (0.0, 0.05)  # of a dwell: warn above the first, fail above the second, for each of the three
+_SPREAD_LIMITS = (0.05, np.inf)
+_CUT_LIMITS = (0.2, 0.5)
+_NOISES = 8.0
+_SMOOTH_S = 0.1
+
+
+def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
+    """Compare every stated turn with one that is steady, or from rest to rest."""
+    shares: dict[str, list[tuple[float, int]]] = {"stop": [], "spread": [], "edge": []}
+    for k, turn in enumerate(session.turns):
+        rate = np.abs(_smooth_rate(session, stills, turn, settle_s))
+        if not len(rate):
+            continue
+        level = float(np.quantile(rate, 0.9))
+        if turn.angle is not None:
+            shares["edge"].append((float(rate[[0, -1]].max()) / level, k))
+            continue
+        stopped, least = rate < _STOPPED * level, _STOP_S * session.records[turn.recording].sample_rate_hz
+        stops = sum(stop - start for start, stop in runs(stopped) if stop - start >= least)
+        shares["stop"].append((float(stops) / len(rate), k))
+        shares["spread"].append((float(rate[~stopped].std() / rate[~stopped].mean()), k))
+    limits = {"stop": _STOP_LIMITS, "spread": _SPREAD_LIMITS, "edge": _CUT_LIMITS}
+    for kind, found in shares.items():
+        over = [one for one in found if one[0] > limits[kind][0]]
+        if over:
+            share, k = max(over)
+            named = piece_name(session, session.turns[k], k, what="turn")
+            shown = {f"{kind}_percent": 100.0 * share, "limit_percent": 100.0 * limits[kind][0]}
+            yield finding(
+                {"stop": "turn.stop", "spread": "turn.unsteady", "edge": "turn.cut"}[kind],
+                level_of(share, limits[kind]),
+                turn=named,
+                turns=len(over),
+                **shown,
+            )
+
+
+def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:
+    """Return r (N,) of a turn, raw unit; none where it has no axis, rate or reading, or is near the noise."""
+    record = session.records[turn.recording]
+    if record.gyro is None or turn.axis is None or not (turn.turn_rate or turn.angle):
+        return np.empty(0)
+    column = record.gyro[:, AXES.index(turn.axis)]
+    rests = [column[s.start : s.stop] for s in stills if s.recording == turn.recording]
+    alike = [t for t in session.turns if (t.recording, t.axis) == (turn.recording, turn.axis)]
+    rates = np.array([t.turn_rate or 0.0 for t in alike])
+    if not rests and not np.ptp(rates):
+        return np.empty(0)  # nothing shows the offset
+    means = np.array([np.nanmean(part) for part in rests or [column[t.start : t.stop] for t in alike]])
+    offset = float(means.mean() if rests else np.polynomial.Polynomial.fit(rates, means, 1)(0.0))
+    skip = 0 if turn.turn_rate is None else round(settle_s * record.sample_rate_hz)
+    width, part = max(1, round(_SMOOTH_S * record.sample_rate_hz)), column[turn.start + skip : turn.stop] - offset
+    if len(part) < 2 * width or np.isnan(part).any():
+        return np.empty(0)
+    rate = np.convolve(part, np.full(width, 1.0 / width), mode="valid")
+    noise = float(np.diff(part).std()) / np.sqrt(2.0 * width)
+    return rate if np.quantile(np.abs(rate), 0.9) > _NOISES * noise else np.empty(0)
 
 
 def piece_name(session: Session, piece: Still | Turn, number: int, *, what: str = "still", stated: bool = True) -> str:
@@ -315,6 +388,8 @@ class CalibrateSettings:
         Mode paper has no offset column: take the offset off first, as the note's order of steps does.
     identify_adc : bool
         Look for the step and rounding of the codes.
+    cross_axis_prior : float
+        Standard deviation of a cross-axis term that a session does not show, relative to the scale factor.
 
     Examples
     --------
@@ -334,6 +409,7 @@ class CalibrateSettings:
     scale_tolerance: float = 0.25
     remove_offset: bool = True
     identify_adc: bool = True
+    cross_axis_prior: float = 0.01
 
     def __post_init__(self) -> None:
         latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
@@ -349,6 +425,11 @@ class CalibrateSettings:
         if cutoff is not None and not cutoff > 0.0:
             raise InputError(
                 f"calibrate: wanted spline_cutoff_hz above 0 Hz, got {cutoff:g}; None leaves the filter out"
+            )
+        if not 0.0 < self.cross_axis_prior <= 0.2:
+            raise InputError(
+                f"calibrate: wanted cross_axis_prior above 0 and up to 0.2 of the scale factor, got {self.cross_axis_prior:g}; "
+                "0.01 is 1 %"
             )
 
 
@@ -482,6 +563,7 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
         if own and record.accel is not None and is_physical(record.accel_unit):
             check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
     found += check_stills(session, stills, stated=bool(session.stills))
+    found += check_turns(session, stills, settings.settle_s)
     seen = Observed(session=session, settings=settings, stills=stills, found=not session.stills, findings=tuple(found))
     return seen.with_turns()
 

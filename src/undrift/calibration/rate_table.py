@@ -21,6 +21,7 @@ from undrift.calibration.observe import Observed, Outcome, with_offset
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
+    ForwardFit,
     TriadFit,
     WalkFit,
     block_size,
@@ -263,6 +264,81 @@ def fit_rate_table(
     )
 
 
+# ---- turns about one or two axes: their columns of K are fitted, the others keep the nominal scale
+#
+#     s = K_t w_t + b          K_t the columns of the turned axes, with their covariance
+#     K_j = S e_j              S the unit's own scale, +- 3 %; of counts the mean scale of the turned axes, +- 20 %
+#
+# Cross-axis terms of the other columns are 0 +- the stated prior, of the scale.
+
+NOMINAL_SD = {
+    True: 0.03,
+    False: 0.2,
+}  # of a scale that was not measured: physical unit (trimmed in the factory), counts
+_MORE = 2  # dwells beyond the parameters of a sensor, for a scatter of their own
+
+
+def fit_turned_axes(
+    dwells: DwellMeans,
+    *,
+    latitude_deg: float | None = None,
+    scale_tolerance: float = 0.25,
+    cross_axis_prior: float = 0.01,
+) -> TriadFit:
+    """Fit the gyroscopes to turns about one or two axes; what these do not show keeps its nominal value, with its uncertainty."""
+    shown = fit_rate_axes(dwells, latitude_deg=latitude_deg, scale_tolerance=scale_tolerance)
+    axes = tuple(fit.axis for fit in shown)
+    turned = [AXES.index(axis) for axis in axes]
+    dwells = _only(dwells, [k for k, axis in enumerate(dwells.axis) if axis in axes])
+    rates = imposed_rates(dwells, latitude_deg)
+    design = np.column_stack((rates[:, turned], np.ones(len(rates))))
+    if not shown:
+        raise NotObservable(
+            "rate table: wanted dwells at two different rates about an axis, got one; record both signs"
+        )
+    theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
+    residuals = dwells.reading - design @ theta
+    inverse, spare = np.linalg.inv(design.T @ design), len(design) - design.shape[1]
+    variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0)
+    if spare > _MORE:
+        variance = np.fmax(variance, [student_variance(column, spare) for column in residuals.T])
+    physical = is_physical(dwells.unit)
+    nominal = 1.0 / si_factor(dwells.unit, "rate") if physical else float(np.mean([fit.scale_factor for fit in shown]))
+    forward, covariance = nominal * np.eye(3), np.zeros((12, 12))
+    forward[:, turned] = theta[:-1].T
+    for row in range(3):
+        places = [3 * row + axis for axis in turned] + [9 + row]
+        covariance[np.ix_(places, places)] = variance[row] * inverse
+        for axis in {0, 1, 2} - set(turned):
+            share = NOMINAL_SD[physical] if axis == row else cross_axis_prior
+            covariance[3 * row + axis, 3 * row + axis] = (nominal * share) ** 2
+    rank, condition = scaled_condition(design)
+    kept = [axis for k, axis in enumerate(AXES) if k not in turned]
+    prior = finding(
+        "rate_table.nominal_kept",
+        "warn",
+        axes=kept,
+        source="the unit's own" if physical else "that of the turned axes",
+        scale_percent=100.0 * NOMINAL_SD[physical],
+        cross_percent=100.0 * cross_axis_prior,
+    )
+    fit = triad_from_forward(
+        ForwardFit(
+            matrix=forward,
+            offset=theta[-1],
+            covariance=covariance,
+            residuals=residuals,
+            rank=3 * rank,
+            condition=condition,
+        ),
+        valid_range=(float(rates.min()), float(rates.max())),
+        method="rate-table/affine",
+        unit_in=dwells.unit,
+        unit_out="rad/s",
+    )
+    return replace(fit, verdict=Verdict.of(_axes_missing(axes), prior, *map(axis_finding, shown)))
+
+
 def fit_rate_axis(
     dwells: DwellMeans, *, latitude_deg: float | None = None, scale_tolerance: float = 0.25
 ) -> RateAxisFit:
@@ -335,7 +411,7 @@ def axis_finding(fit: RateAxisFit) -> Finding:
 
 
 def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Verdict:
-    """Return marginal where a scale factor (K,) is further from the unit's own than any datasheet allows, else good."""
+    """Return marginal where a scale factor (K,) is further from the unit's own than any datasheet allows, bad at twice that."""
     if not is_physical(unit):
         return Verdict()
     ratio = np.asarray(scale_factor) * si_factor(unit, "rate")
@@ -343,7 +419,8 @@ def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Ver
     off = float(ratio[worst] - 1.0)
     if abs(off) <= OWN_SCALE:
         return Verdict()
-    return Verdict.of(finding("gyro.scale_factor", "warn", axis=axes[worst], off_percent=100.0 * off))
+    level = level_of(abs(off), (OWN_SCALE, 2.0 * OWN_SCALE))
+    return Verdict.of(finding("gyro.scale_factor", level, axis=axes[worst], off_percent=100.0 * off))
 
 
 def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
@@ -598,10 +675,9 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     dwells = dwell_means(session.records, session.turns, settle_s=own.settle_s, cutoff_hz=own.spline_cutoff_hz)
     turned = tuple(sorted(set(dwells.axis)))
     if 0 < len(turned) < 3:
-        shown = fit_rate_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance)
-        off = (scale_verdict(np.array([fit.scale_factor]), dwells.unit, fit.axis) for fit in shown)
-        found = (*map(axis_finding, shown), *(f for verdict in off for f in verdict.findings))
-        return Outcome(findings=(_axes_missing(turned), *found))
+        prior = own.cross_axis_prior
+        part = fit_turned_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior)
+        return Outcome(fit=part, method="rate-table")
     rests = None if accel is None else _rest_means(seen, accel.model)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)

@@ -44,6 +44,7 @@ def calibrate(
     scale_tolerance: float = 0.25,
     polynomial_degree: int = 1,
     spline_cutoff_hz: float | None = None,
+    cross_axis_prior: float = 0.01,
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -85,6 +86,8 @@ def calibrate(
         Degree of the polynomial in time that filters each face before it is averaged.
     spline_cutoff_hz : float or None
         Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
+    cross_axis_prior : float
+        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
 
     Returns
     -------
@@ -109,6 +112,7 @@ def calibrate(
         spline_cutoff_hz=spline_cutoff_hz,
         remove_offset=not keep_offset,
         identify_adc=adc == "auto",
+        cross_axis_prior=cross_axis_prior,
     )
     with waiting("reading and fitting"):
         made = fit(session_of(files, place, opening), accel=accel, gyro=gyro, mode=mode, settings=settings)

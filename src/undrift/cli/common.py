@@ -65,20 +65,24 @@ class Opening:
     ----------
     column_map : Path or None
         TOML file with columns, units and what else a foreign table needs: undrift info FILE --write-map writes it. With
-        undrift's own column names only sample_rate_hz, gaps, repair_time or drop_bad_rows, without columns. Overrules the map
-        that a calibration keeps.
+        undrift's own column names only sample_rate_hz, gaps, clock, repair_time or drop_bad_rows, without columns. Overrules the
+        map that a calibration keeps.
     sample_rate_hz : float or None
         Samples per second, for a file without time; overrules the map.
     sensor : str or None
         Which sensor, stream or topic, in a file of several.
     gaps : str or None
         "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
+    clock : str or None
+        "regular" fits a rate and an offset to time stamps of a host, and marks what is missing; "file" takes them as they are;
+        overrules the map.
     """
 
     column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
     sample_rate_hz: float | None = None
     sensor: str | None = None
     gaps: Literal["raise", "keep"] | None = None
+    clock: Literal["file", "regular"] | None = None
     kept: Annotated["Kept | None", Parameter(parse=False)] = None
 
     def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
@@ -96,10 +100,11 @@ class Opening:
     def words(self) -> list[object]:
         """Return the options as they were given."""
         held = {"map": self.column_map, "sample-rate-hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
+        held["clock"] = self.clock
         return [word for name, value in held.items() if value is not None for word in (f"--{name}", value)]
 
     def _options(self) -> dict[str, Any]:
-        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
+        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps, "clock": self.clock}
 
     def _how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
@@ -162,6 +167,7 @@ class Opening:
             sensor=self.sensor,
             gaps=self.gaps or held.gaps,
             temp_file=None if self.column_map is None else read_temp_file(self.column_map),
+            clock=self.clock or held.clock,
         )
 
     def read(self, path: Path) -> "Record":
@@ -171,7 +177,7 @@ class Opening:
 
         if detect(path) != "session":
             return self.record(path)
-        records = read_session(path).records
+        records = read_session(path, clock=self.clock).records
         if len(records) > 1:
             raise InputError(
                 f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"
@@ -229,7 +235,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         raise InputError(
             f"{stated[0]}: wanted none of {', '.join(used)} beside a session, got {len(used)}; its session.toml states them"
         )
-    return read_session(stated[0])
+    return read_session(stated[0], clock=opening.clock)
 
 
 def _is_recording(folder: Path) -> bool:

@@ -218,7 +218,7 @@ def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[li
 
     records, stills, reason = tuple["Record", ...](), tuple["Still", ...](), ""
     if found.kind == "session":
-        session = read_session(file)
+        session = read_session(file, clock=opening.clock)
         records, stills = session.records, session.stills
         stills = stills or tuple(s for k, record in enumerate(records) for s in _search(record, k)[0])
     elif found.kind == "recording":
@@ -257,8 +257,13 @@ def _show(found: "Description", stills: list[list[float]], reason: str, opening:
         lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
     elif reason:
         lines.append(reason)
-    lines += [f"read: {item.text}" for item in found.findings if item.code == "recording.how_read"]
-    lines += [f"problem: {problem}" for problem in found.problems if problem != found.summary]
+    heads = {"recording.how_read": "read"}
+    shown = zip(found.findings, found.problems, strict=True)
+    lines += [
+        f"{heads.get(item.code, 'note' if item.level == 'info' else 'problem')}: {problem}"
+        for item, problem in shown
+        if problem != found.summary
+    ]
     lines += _hints(found)
     say(f"{found.path}: {found.kind} ({found.format})", *(f"  {line}" for line in lines))
     if words := _next(found, len(stills), opening):

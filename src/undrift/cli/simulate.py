@@ -1,7 +1,7 @@
 """``undrift simulate``: simulated sensor output for recorded poses, for a task, or for a thermal session."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from undrift.cli.common import (
     Flag,
@@ -49,6 +49,7 @@ def simulate(
     cutoff_hz: str | None = None,
     truth: Path | None = None,
     save_device: Path | None = None,
+    stamps: Literal["device", "host"] = "device",
     seed: int = 0,
     json: Json = False,
 ) -> int:
@@ -85,6 +86,9 @@ def simulate(
         .csv, which this command takes for a motion again.
     save_device : Path or None
         Write the device there, as device.json.
+    stamps : str
+        "host" writes the time at which a host would have received each sample, in bursts and with drop-outs: a task to try
+        --clock regular on.
     seed : int
         Seed of every random draw: the same seed gives the same file.
     """
@@ -102,7 +106,7 @@ def simulate(
     model = device_at(device, rng, draw=draw)
     if motion.startswith(THERMAL):
         kind = _thermal_kind(
-            motion, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
+            motion, stamps, temp_c=temp_c, markers=markers, reference_up=reference_up, cutoff_hz=cutoff_hz, truth=truth
         )
         made, lines = _thermal(kind, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
     else:
@@ -111,6 +115,7 @@ def simulate(
                 motion, sample_rate_hz or 100.0, gravity_m_s2, labels_of(markers), reference_up, cutoff_hz, rng
             )
             simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
+        simulated = simulated if stamps == "device" else _on_host(simulated, rng)
         write_record(simulated.record, output)
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
@@ -124,18 +129,26 @@ def simulate(
         write_json({"motion": motion, "output": str(output), **made}, "simulate")
         return 0
     say(*lines)
-    if simulated is not None:
-        _show(model, simulated, made)
+    _show(model, simulated, made)
     return 0
 
 
-def _thermal_kind(motion: str, **unused: object) -> "ThermalKind":
+def _on_host(simulated: "Simulated", rng: "np.random.Generator") -> "Simulated":
+    from dataclasses import replace
+
+    from undrift.sim.host import stamp_on_host
+
+    return replace(simulated, record=stamp_on_host(simulated.record, rng=rng).record)
+
+
+def _thermal_kind(motion: str, stamps: str, **unused: object) -> "ThermalKind":
     from undrift.sim.thermal import ThermalKind
 
     kind = next((k for k in get_args(ThermalKind) if motion == THERMAL + k), None)
     if kind is None:
         names = ", ".join(THERMAL + k for k in get_args(ThermalKind))
         raise InputError(f"motion: wanted one of {names}, got '{motion}'; name one")
+    unused["stamps"] = None if stamps == "device" else stamps
     given = [f"--{name.replace('_', '-')}" for name, value in unused.items() if value is not None]
     if given:
         raise InputError(
@@ -265,8 +278,10 @@ def _figures(made: "Simulated", model: "DeviceModel") -> dict[str, object]:
     return _held(model, record) | {"gaps": gaps, **sides}
 
 
-def _show(model: "DeviceModel", simulated: "Simulated", made: dict[str, Any]) -> None:
-    """Show the size of each effect, saturation and gaps."""
+def _show(model: "DeviceModel", simulated: "Simulated | None", made: dict[str, Any]) -> None:
+    """Show the size of each effect, saturation and gaps; nothing of a thermal session."""
+    if simulated is None:
+        return
     rows, lines = [], []
     for name, key, unit, factor in (
         ("gyroscope", "gyro_rad_s", "deg/s", RADIAN_PER_DEGREE),

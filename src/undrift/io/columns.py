@@ -16,12 +16,14 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import Frame
+from undrift.io.clock import ClockFit, fit_clock, unwrapped
 from undrift.record import Record, State, sample_rate_of
 from undrift.units import DEVICE_UNITS, LM335_K_PER_V, ZERO_CELSIUS_K, Quantity, canonical_unit, si_factor, temp_offset
 
 Column: TypeAlias = str | int
 Channel = Literal["time", "gyro", "accel", "temp", "mag"]
 Gaps = Literal["raise", "keep"]
+Clock = Literal["file", "regular"]
 Names: TypeAlias = tuple[str, ...] | list[str]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
@@ -112,9 +114,8 @@ class ColumnMap:
     accel: tuple[Column, ...] | None = None
     temp: Column | None = None  # Temperature column
     mag: tuple[Column, ...] | None = None  # Three columns x, y, z
-    time_unit: str = (
-        ""  # Units after the scale is applied; any spelling of :mod:`undrift.units`; "date": dates, year first
-    )
+    counter: Column | None = None  # The device's own counter of samples; may wrap. Used by a regular clock
+    time_unit: str = ""  # Units after the scale, any spelling of :mod:`undrift.units`; "date": dates, year first
     gyro_unit: str = ""
     accel_unit: str = ""
     temp_unit: str = ""
@@ -128,6 +129,7 @@ class ColumnMap:
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
     gaps: Gaps = "raise"  # "raise" refuses empty cells and NaN, "keep" keeps them as gaps
     repair_time: bool = False  # Leave out rows whose time does not go forward. They are counted
+    clock: Clock = "file"  # "file" takes the time column as it is, "regular" fits a rate and an offset to it
     frame: Frame = "s"  # "s" or "b"
     state: State = "raw"  # "raw" or "corrected"
     device: str = ""  # Serial number or name
@@ -148,6 +150,8 @@ class ColumnMap:
             raise InputError(f"sample_rate_hz: wanted Hz above 0, got {self.sample_rate_hz:g}")
         if self.gaps not in ("raise", "keep"):
             raise InputError(f"gaps: wanted 'raise' or 'keep', got {self.gaps!r}")
+        if self.clock not in ("file", "regular"):
+            raise InputError(f"clock: wanted 'file' or 'regular', got {self.clock!r}")
 
     def columns_of(self, channel: Channel) -> tuple[Column, ...]:
         """Return the columns of a channel, none where it is not mapped."""
@@ -163,8 +167,9 @@ class ColumnMap:
         return tuple(channel for channel in CHANNELS if self.columns_of(channel))
 
     def wanted(self) -> tuple[Column, ...]:
-        """Return the columns of all channels."""
-        return tuple(column for channel in CHANNELS for column in self.columns_of(channel))
+        """Return the columns of all channels, and the counter's."""
+        counter = () if self.counter is None else (self.counter,)
+        return (*(column for channel in CHANNELS for column in self.columns_of(channel)), *counter)
 
     def numeric(self) -> tuple[Column, ...]:
         """Return the columns of all channels that hold numbers: all but a time of dates."""
@@ -216,6 +221,7 @@ class ReadSettings:
     repair_time: bool = False
     drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
     temp_file: TempFile | None = None  # Takes the place of a temperature in the recording
+    clock: Clock | None = None  # "file" or "regular", overruling a map; None: as the map states, else the file's
 
 
 READ_SETTINGS = ReadSettings()
@@ -241,7 +247,8 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
             )
         held["temp"], held["temp_unit"] = temps[0] if temps else (None, "")
         rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
-        return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time)
+        clock = settings.clock or "file"
+        return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time, clock=clock)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
 
@@ -400,6 +407,7 @@ class ReadResult:
     dropped_rows: int = 0  # Rows that did not parse
     repaired_rows: int = 0  # Rows whose time did not go forward
     notes: tuple[str, ...] = ()  # How it was read: units of a manual, lines skipped, what was left out
+    clock: ClockFit | None = None  # Where a regular clock was fitted
 
 
 def build_record(table: Table, columns: ColumnMap) -> ReadResult:
@@ -409,10 +417,13 @@ def build_record(table: Table, columns: ColumnMap) -> ReadResult:
     if columns.time is not None and columns.unit_of("time") == "date":
         table = in_seconds(table, columns.time)
     time = _time(table, columns)
-    keep = _forward(table, time, columns)
+    fitted = columns.clock == "regular"
+    keep = _never_back(time, columns) if fitted else _forward(table, time, columns)
     values = {channel: _channel(table, columns, channel) for channel in columns.mapped() if channel != "time"}
     if keep is not None:
         time, values = time[keep], {channel: value[keep] for channel, value in values.items()}
+    clock = _regular(table, time, keep, columns) if fitted else None
+    time = time if clock is None else clock.time
     _check_rate(table, time, columns)
     temp = values.get("temp")
     record = Record(
@@ -428,7 +439,25 @@ def build_record(table: Table, columns: ColumnMap) -> ReadResult:
         device=columns.device,
     )
     repaired = 0 if keep is None else int((~keep).sum())
-    return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired)
+    return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired, clock=clock)
+
+
+def _never_back(time: FloatArray, columns: ColumnMap) -> BoolArray | None:
+    """Return the rows whose time does not go back, where a repair is asked for; equal stamps are a host's, and stay."""
+    keep = time >= np.maximum.accumulate(time)
+    return None if keep.all() or not columns.repair_time else keep
+
+
+def _regular(table: Table, time: FloatArray, keep: BoolArray | None, columns: ColumnMap) -> ClockFit | None:
+    """Fit a regular clock, by the device's counter where one is mapped; without a time column the counter shows the gaps."""
+    counter = None if columns.counter is None else table.numbers(columns.counter)
+    counter = counter if counter is None or keep is None else counter[keep]
+    try:
+        if columns.time is not None:
+            return fit_clock(time, counter)
+        return None if counter is None else fit_clock(unwrapped(counter) / (columns.sample_rate_hz or np.nan), counter)
+    except InputError as error:
+        raise type(error)(f"{table.source}: {error}", **error.numbers) from error
 
 
 def _channel(table: Table, columns: ColumnMap, channel: Channel) -> FloatArray:
@@ -541,7 +570,7 @@ def _forward(table: Table, time: FloatArray, columns: ColumnMap) -> BoolArray | 
     raise InputError(
         f"{table.source}: time column {columns.time!r}: wanted strictly increasing time, got {int((steps <= 0).sum())} steps back "
         f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); set repair_time = "
-        "true in a map (--map FILE) or its [[recording]] to drop such rows",
+        "true in a map (--map FILE) or its [[recording]] to drop such rows, or use --clock regular where a host stamped them",
         row=table.row(row),
     )
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes
 from undrift.io.arrays import mat_arrays, mat_names, npz_arrays, open_hdf5, read_mat, read_npz
+from undrift.io.clock import regular
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.containers import (
     is_gt3x,
@@ -178,8 +179,8 @@ def _is_prose(path: Path, head: bytes) -> bool:
     return not all(is_number(cell) or is_date(cell) for line in body for cell in line.split())
 
 
-_TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows"})
-_ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps"})
+_TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock"})
+_ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps", "clock"})
 _SET_POINT = _has(rb"^[ \t]*[A-Za-z_]\w*:[ \t]*[-+.\d]+[ \t]*,")
 _EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows"})
 _STREAMS = frozenset({"sensor", "gaps", "repair_time"})
@@ -414,7 +415,7 @@ def read_counted(
     path, settings = Path(path), settings or READ_SETTINGS
     name, entry = format_of(path)
     if columns is not None:
-        columns = replace(columns, gaps=settings.gaps or columns.gaps)
+        columns = replace(columns, gaps=settings.gaps or columns.gaps, clock=settings.clock or columns.clock)
         if "columns" not in entry.honours and (entry.record or name == "text"):  # a map makes a table of any text
             entry = FORMATS["csv"]
     if entry.record is None:
@@ -425,8 +426,11 @@ def read_counted(
             f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {name}; name the "
             "columns in the map, or leave these keys out"
         )
-    found = entry.record(path, columns, settings)
-    found = found if isinstance(found, ReadResult) else ReadResult(record=found)
+    held = entry.record(path, columns, settings)
+    found = held if isinstance(held, ReadResult) else ReadResult(record=held)
+    if settings.clock == "regular" and "clock" not in entry.honours:  # a format with a clock of its own
+        record, clock = regular(found.record)
+        found = replace(found, record=record, clock=clock)
     if settings.temp_file is None:
         return found
     note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
@@ -440,7 +444,8 @@ def iter_record(
     settings = settings or READ_SETTINGS
     chunks = format_of(path)[1].chunks
     dated = columns is not None and columns.time is not None and columns.unit_of("time") == "date"
-    if chunks is not None and settings.temp_file is None and not dated:
+    fitted = (settings.clock or (columns.clock if columns is not None else "file")) == "regular"  # to the whole
+    if chunks is not None and settings.temp_file is None and not dated and not fitted:
         columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
         yield from chunks(Path(path), columns, settings, rows)
         return

@@ -20,9 +20,11 @@ from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
 from undrift.io.arrays import Arrays, mat_arrays, npz_arrays
+from undrift.io.clock import ClockFit, host_stamps
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
+    Clock,
     Column,
     ColumnMap,
     ReadResult,
@@ -122,6 +124,17 @@ def _temperature(record: Record) -> Iterator[Finding]:
 
 
 def _sampling(time: FloatArray) -> Iterator[Finding]:
+    stamps = host_stamps(time)
+    if stamps is not None:
+        yield finding(
+            "recording.host_clock",
+            "warn",
+            low_ms=stamps.low_ms,
+            high_ms=stamps.high_ms,
+            jitter_ms=1e3 * stamps.fit.jitter_s,
+            **_clock_values(stamps.fit),
+        )
+        return
     steps = np.diff(time)
     low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
     if high - low > UNEVEN * middle:
@@ -137,6 +150,15 @@ def _sampling(time: FloatArray) -> Iterator[Finding]:
             step_ms=1e3 * middle,
             mean_rate_hz=(len(time) - 1) / (time[-1] - time[0]),
         )
+
+
+def _clock_values(fit: ClockFit) -> dict[str, Any]:
+    return {
+        "sample_rate_hz": fit.sample_rate_hz,
+        "gaps": fit.gaps,
+        "missing": fit.missing,
+        "longest_s": fit.longest_step_s,
+    }
 
 
 def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
@@ -457,9 +479,9 @@ def describe(
     if entry.markers is not None:
         return _markers(path, name, up)
     if name == "session":
-        return _session(path)
+        return _session(path, settings.clock)
     if name in ("json", "toml"):
-        return _settings(path, name)
+        return _settings(path, name, settings.clock)
     if entry.record is None and columns is None:
         return _reference(path, name) if entry.reference or entry.bodies else _unread(path, name, entry)
     needs = None if columns is not None else _needs(path, name, settings)
@@ -499,6 +521,10 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
     left_out += [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
     if read.repaired_rows:
         left_out.append(finding("recording.rows_repaired", "warn", count=read.repaired_rows))
+    if read.clock is not None:
+        by = "the device's counter" if read.clock.counted else "steps of the stamps"
+        found = {**_clock_values(read.clock), "jitter_ms": 1e3 * read.clock.jitter_s, "by": by}
+        left_out.append(finding("recording.clock_fitted", "info", **found))
     rate = f"{mean:.6g} Hz"
     if abs(mean / usual - 1.0) >= _REGULAR:
         rate = f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
@@ -654,8 +680,8 @@ def _of_clock(held: Reference | Markers) -> dict[str, Any]:
     return {"rows": len(held), "sample_rate_hz": held.sample_rate_hz, "duration_s": duration_s}
 
 
-def _session(path: Path) -> Description:
-    session = read_session(path)
+def _session(path: Path, clock: Clock | None = None) -> Description:
+    session = read_session(path, clock=clock)
     counts = ((session.records, "recording"), (session.stills, "still"), (session.turns, "turn"))
     held = ", ".join(f"{len(items)} {what}{'s' * (len(items) != 1)}" for items, what in counts)
     return Description(
@@ -672,11 +698,11 @@ def _session(path: Path) -> Description:
     )
 
 
-def _settings(path: Path, name: str) -> Description:
+def _settings(path: Path, name: str, clock: Clock | None) -> Description:
     kind = "settings"
     if name == "toml":
         if path.name == "session.toml":
-            return _session(path)
+            return _session(path, clock)
         try:
             summary = f"a column map of {', '.join(read_column_map(path).mapped())}"
         except InputError:

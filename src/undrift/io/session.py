@@ -23,6 +23,7 @@ temp_trim = { reads_c = 26.1, true_c = 25.0 }     # of an LM335, units.temp = "l
 delimiter = ","      # " " for any number of blanks          header = true     skip_rows = 0     decimal = "."
 gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
 temp_file = { file = "thermometer.csv", time = "t", temp = "T", time_unit = "s", temp_unit = "degC", shift_s = 0.0 }   # of its own
+clock = "file"       # or "regular" for stamps of a host; columns.counter names the device's own counter of samples
 """
 
 import json
@@ -38,7 +39,7 @@ from pydantic import Field
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, sha256_of
-from undrift.io.columns import ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
+from undrift.io.columns import Clock, ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
 from undrift.record import Axis, Face, FileMap, GravitySource, Kind, Record, Session, Still, Turn
@@ -47,7 +48,14 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 # ---- column maps
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "temp_file"}  # for undrift's own names
+NATIVE_KEYS = {
+    "sample_rate_hz",
+    "gaps",
+    "repair_time",
+    "drop_bad_rows",
+    "clock",
+    "temp_file",
+}  # for undrift's own names
 _OF_ONE_FILE = ("file", "temp_file")  # keys that no other recording of the device shares
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
@@ -60,6 +68,7 @@ class ColumnsEntry(Entry):
     accel: list[str | int] | str | None = None
     temp: str | int | None = None  # Temperature column
     mag: list[str | int] | str | None = None  # Columns x, y, z
+    counter: str | int | None = None  # The device's own counter of samples, for clock = "regular"
 
 
 class UnitsEntry(Entry):
@@ -125,6 +134,7 @@ class MapEntry(Entry):
     drop_bad_rows: bool = False  # Leave out rows that do not parse
     gaps: Gaps = "raise"  # "raise" or "keep"
     repair_time: bool = False  # Leave out rows whose time does not go forward
+    clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
     frame: Literal["s", "b"] = "s"  # "s" or "b"
     device: str = ""  # Serial number or name
     temp_file: TempFileEntry | None = None  # A thermometer in a file of its own
@@ -142,7 +152,9 @@ class MapEntry(Entry):
         tables = self.columns if isinstance(self.columns, list) else [] if self.columns is None else [self.columns]
         shared: dict[str, Any] = {f"{channel}_unit": unit for channel, unit in self.units}
         shared |= {f"{channel}_scale": _scale(entry, channel) for channel, entry in self.scale}
-        shared |= {key: getattr(self, key) for key in ("sample_rate_hz", "gaps", "repair_time", "frame", "device")}
+        shared |= {
+            key: getattr(self, key) for key in ("sample_rate_hz", "gaps", "repair_time", "clock", "frame", "device")
+        }
         shared["temp_trim"] = None if self.temp_trim is None else Trim(**dict(self.temp_trim))
         keys = ("delimiter", "header", "skip_rows", "decimal", "drop_bad_rows")
         shared["layout"] = TextLayout(**{key: getattr(self, key) for key in keys})
@@ -179,15 +191,19 @@ def read_map_settings(path: str | Path) -> ReadSettings | None:
 
 
 def _settings(entry: MapEntry, folder: Path) -> ReadSettings:
-    gaps = entry.gaps if "gaps" in entry.model_fields_set else None
-    held = {key: getattr(entry, key) for key in NATIVE_KEYS - {"gaps", "temp_file"}}
-    return ReadSettings(gaps=gaps, temp_file=entry.thermometer(folder), **held)
+    given: dict[str, Any] = {key: getattr(entry, key) for key in ("gaps", "clock") if key in entry.model_fields_set}
+    held = {key: getattr(entry, key) for key in NATIVE_KEYS - {"gaps", "clock", "temp_file"}}
+    return ReadSettings(temp_file=entry.thermometer(folder), **given, **held)
 
 
 def _columns(channel: str, value: Any) -> Any:
     """Return the column of time or temperature, and the columns of a triad as a tuple."""
     return (
-        tuple(value) if isinstance(value, list) else value if channel in ("time", "temp") or value is None else (value,)
+        tuple(value)
+        if isinstance(value, list)
+        else value
+        if channel in ("time", "temp", "counter") or value is None
+        else (value,)
     )
 
 
@@ -254,7 +270,7 @@ def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
 
 NAME = "session.toml"
 Celsius = Annotated[float, Field(ge=-273.15, allow_inf_nan=False)]
-Clock = tuple[FloatArray, float]  # times and their step, s
+Times = tuple[FloatArray, float]  # times and their step, s
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
@@ -306,13 +322,15 @@ class SessionFile(Entry):
     turn: list[TurnEntry] = Field(default_factory=list)
 
 
-def read_session(folder: str | Path) -> Session:
+def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     """Read a session from a folder with session.toml.
 
     Parameters
     ----------
     folder : str or Path
         The folder, or the session.toml in it.
+    clock : str or None
+        "file" or "regular": how the time of every recording is read, overruling session.toml.
 
     Returns
     -------
@@ -346,7 +364,7 @@ def read_session(folder: str | Path) -> Session:
     for number, entry in enumerate(held.recording):
         names = [entry.file] if isinstance(entry.file, str) else entry.file
         with _at(path, text, "recording", number):
-            records.append(_read_recording(path.parent, names, entry))
+            records.append(_read_recording(path.parent, names, entry, clock))
         inputs += [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
     clocks = [(record.time, float(np.median(np.diff(record.time)))) for record in records]
     for number, still in enumerate(held.still):
@@ -391,7 +409,7 @@ def session_from_files(
     records, inputs = [], []
     for start in range(0, len(files), width):
         names = [str(file) for file in files[start : start + width]]
-        records.append(_read_recording(Path(), names, RecordingEntry(file=names, **dict(_given(entry)))))
+        records.append(_read_recording(Path(), names, RecordingEntry(file=names, **dict(_given(entry))), None))
         inputs += [(Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()]
     head = HeadEntry(kind=kind, serial=serial, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg, height_m=height_m)
     source: GravitySource = "stated" if gravity_m_s2 is not None else "latitude and height"
@@ -457,7 +475,7 @@ def write_session(session: Session, folder: str | Path) -> None:
         ) from error
 
 
-def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Record:
+def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock: Clock | None) -> Record:
     maps: tuple[ColumnMap | None, ...] = entry.maps()
     if maps and len(maps) != len(names):
         raise InputError(
@@ -470,6 +488,7 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry) -> Re
             f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
         )
     settings = replace(_settings(entry, folder), sensor=entry.sensor)
+    settings = settings if clock is None else replace(settings, clock=clock)
     if maps:
         settings = replace(settings, repair_time=False, drop_bad_rows=False)
     records = tuple(
@@ -508,7 +527,7 @@ def _gravity(head: HeadEntry) -> float:
     raise InputError(f"wanted gravity_m_s2, or latitude_deg and height_m, got {got}; state local gravity once")
 
 
-def _turn(entry: TurnEntry, clocks: list[Clock]) -> Turn:
+def _turn(entry: TurnEntry, clocks: list[Times]) -> Turn:
     if entry.turn_rate_dps is not None and entry.angle_deg is not None:
         raise FileFormatError("wanted turn_rate_dps or angle_deg, got both; keep the one that was measured")
     if entry.angle_deg == 0.0:
@@ -521,7 +540,7 @@ def _turn(entry: TurnEntry, clocks: list[Clock]) -> Turn:
     )
 
 
-def _samples(entry: PieceEntry, clocks: list[Clock]) -> dict[str, Any]:
+def _samples(entry: PieceEntry, clocks: list[Times]) -> dict[str, Any]:
     """Return the samples [start, stop) of a stated span of time, and what else both kinds of piece have."""
     if not 0 <= entry.recording < len(clocks):
         raise FileFormatError(f"wanted recording 0 to {len(clocks) - 1}, got {entry.recording}")

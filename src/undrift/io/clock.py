@@ -1,0 +1,230 @@
+"""A regular clock for recordings whose time stamps are those of the host that received them.
+
+    t_k = a + n_k / f + d_k        n_k number of the sample by the device's own clock, f its rate, d_k >= 0 the delay of its stamp
+
+Samples come in bursts: the stamps of one lie within milliseconds, and the next comes tens of milliseconds later. Packets come late,
+never early, so that a line below all stamps is the device's clock, up to the least delay. n_k counts the rows, and what was
+lost between them: by the device's counter where there is one, else where the stamps step up for good:
+
+    step_k = min(d after k) - min(d up to k)        over as long as several bursts on either side; lost = round(step f)
+
+A rate comes from the least delays in a hundred stretches by a line of least absolute deviations; a step that is found is taken out
+and the rate is fitted again, until both settle. What is lost within a step of 0.7 samples or less is not seen.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
+from undrift.errors import InputError
+from undrift.record import Record
+
+LEAST_SAMPLES = 100  # for a rate
+_SEEN = 0.7  # of a sample: a smaller step is not called a loss
+_SURE = 1.5  # the same in the first round, whose rate is rough
+_BURSTS = 25  # of the longest usual step: samples on either side of a loss that show the least delay
+_STRETCHES = 100
+_ROUNDS, _SLOPES = 12, 3
+_LONGEST_LOSS = 0.5  # of the recording: more lost samples than this are no recording
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClockFit:
+    """A regular clock and what it leaves of the stamps."""
+
+    time: FloatArray  # (N,), s, strictly increasing: the promptest stamp of each sample
+    sample_rate_hz: float  # Of the device, by the host's clock
+    offset_s: float  # Time of the first sample, s
+    jitter_s: float  # 95 of 100 stamps come at most so much later than the promptest, s
+    largest_delay_s: float  # s
+    gaps: int  # Stretches where samples are missing
+    missing: int  # Samples in them
+    counted: bool  # True where a counter shows them
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest time from one sample to the next, s."""
+        return float(np.diff(self.time).max())
+
+
+def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit:
+    """Fit a regular clock to stamps (N,), s, which never go back, and to the device's counter (N,) where there is one."""
+    if len(stamps) < LEAST_SAMPLES:
+        raise InputError(
+            f"clock: wanted {LEAST_SAMPLES} samples or more for a regular clock, got {len(stamps)}; state sample_rate_hz without a "
+            "time column"
+        )
+    if (np.diff(stamps) < 0.0).any():
+        row = int(np.flatnonzero(np.diff(stamps) < 0.0)[0]) + 1
+        raise InputError(
+            f"clock: wanted stamps that never go back, got {stamps[row - 1]:.9g} s then {stamps[row]:.9g} s in data row {row + 1}; "
+            "set repair_time = true to drop such rows"
+        )
+    own = stamps - stamps[0]
+    number = np.arange(len(own)) if counter is None else unwrapped(counter)
+    width = _width(own)
+    step = _rough_step(own, number, width)
+    for count in range(_ROUNDS if counter is None else 0):
+        up, step = _steps_up(own, number, step, width)
+        found = _losses(own, up, step, _SEEN if count else _SURE)
+        gone = np.diff(number) - 1
+        over = (gone > 0) & (up < -_SEEN * step)  # too many were taken out there
+        found[over] = np.maximum(np.rint(up[over] / step).astype(np.int64), -gone[over])
+        number = number + np.concatenate(([0], np.cumsum(found)))
+        if count and not found.any():
+            break
+    step, start = _line(own, number, step, width)
+    delay = own - start - step * number
+    lost = np.diff(number) - 1
+    if lost.sum() > _LONGEST_LOSS * number[-1]:
+        raise InputError(
+            f"clock: wanted a recording with most of its samples, got {int(lost.sum())} of {int(number[-1]) + 1} missing; check "
+            "the time column and the counter"
+        )
+    return ClockFit(
+        time=stamps[0] + start + step * number,
+        sample_rate_hz=1.0 / step,
+        offset_s=float(stamps[0] + start),
+        jitter_s=float(np.quantile(delay, 0.95)),
+        largest_delay_s=float(delay.max()),
+        gaps=int((lost > 0).sum()),
+        missing=int(lost.sum()),
+        counted=counter is not None,
+    )
+
+
+def regular(record: Record) -> tuple[Record, ClockFit]:
+    """Return a record on its regular clock, and the fit."""
+    found = fit_clock(record.time)
+    return replace(record, time=found.time), found
+
+
+def _width(own: FloatArray) -> int:
+    """Return how many samples hold several bursts, so that one of them came promptly."""
+    steps = np.diff(own)
+    return int(np.clip(_BURSTS * np.quantile(steps, 0.98) / max(steps.mean(), 1e-12), 10, len(own) // 8))
+
+
+def _rough_step(own: FloatArray, number: IntArray, width: int) -> float:
+    """Return the median time per sample over some bursts: drop-outs touch few of them."""
+    return float(np.median((own[width:] - own[:-width]) / (number[width:] - number[:-width])))
+
+
+def _steps_up(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[FloatArray, float]:
+    """Return by how much the least delay of ``width`` samples is higher after each than up to it (N - 1,), s, and a better step.
+
+    Most samples have no loss near them: the median of all is what a wrong step makes of it.
+    """
+    up = np.zeros(len(own) - 1)
+    for _ in range(_SLOPES):
+        lowest = np.lib.stride_tricks.sliding_window_view(own - step * number, width).min(axis=1)
+        inner = lowest[width:] - lowest[:-width]
+        wrong = float(np.median(inner))
+        step += wrong / width
+    up[width - 1 : len(own) - width] = inner - wrong
+    return up, step
+
+
+def _line(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[float, float]:
+    """Return step and start, s, of the line through the least delays of up to a hundred stretches."""
+    edges = np.linspace(0, len(own), int(np.clip(len(own) // width, 4, _STRETCHES)) + 1).astype(np.int64)
+    start = 0.0
+    for _ in range(3):
+        delay = own - step * number
+        least = np.array([low + int(delay[low:high].argmin()) for low, high in pairwise(edges.tolist())])
+        at = number[least] - number[-1] / 2.0
+        design = np.column_stack((np.ones(len(at)), at))
+        line = np.linalg.lstsq(design, delay[least], rcond=None)[0]
+        for _ in range(30):  # least absolute deviations: a stretch without a prompt stamp does not count
+            away = np.abs(delay[least] - design @ line)
+            root = 1.0 / np.sqrt(np.maximum(away, max(float(np.median(away)) * 0.1, 1e-9)))
+            line = np.linalg.lstsq(design * root[:, None], delay[least] * root, rcond=None)[0]
+        step, start = step + float(line[1]), float(line[0] - line[1] * number[-1] / 2.0)
+    return step, start
+
+
+def _losses(own: FloatArray, up: FloatArray, step: float, least: float) -> IntArray:
+    """Return the samples lost between neighbours (N - 1,): where the least delay steps up and stays."""
+    lost = np.zeros(len(up), np.int64)
+    ends = np.flatnonzero(np.diff(np.concatenate(([False], up > least * step, [False])).astype(np.int8)))
+    for first, last in ends.reshape(-1, 2).tolist():
+        at = first + int(np.diff(own)[first:last].argmax())
+        lost[at] = round(float(up[at]) / step)  # further on, a second loss may add to it
+    return lost
+
+
+# ---- stamps of a host
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostStamps:
+    """What shows that time stamps are a host's."""
+
+    low_ms: float  # Nine of ten steps between stamps are longer
+    high_ms: float  # Nine of ten are shorter
+    fit: ClockFit
+
+
+_UNEVEN = (0.5, 1.5)  # of the mean step: one of ten steps beyond either
+_CATCHES_UP = 0.35  # variance of the time over many samples, over that of independent steps
+_SPAN = 64  # samples
+_NORMAL = 2.563  # standard deviations between the 10 % and 90 % quantiles of a normal distribution
+
+
+def host_stamps(stamps: FloatArray) -> HostStamps | None:
+    """Tell stamps of a host from a device's: they are uneven, and a late one is followed by a short step."""
+    if len(stamps) < LEAST_SAMPLES:
+        return None
+    steps = np.diff(stamps)
+    low, high = np.quantile(steps, (0.1, 0.9))
+    mean = _rough_step(stamps, np.arange(len(stamps)), _width(stamps))
+    if low > _UNEVEN[0] * mean and high < _UNEVEN[1] * mean:
+        return None
+    over = np.quantile(stamps[_SPAN:] - stamps[:-_SPAN], (0.1, 0.9))  # drop-outs lie beyond
+    apart = float(steps[steps <= np.quantile(steps, 0.99)].var())
+    if (float(np.ptp(over)) / _NORMAL) ** 2 > _CATCHES_UP * _SPAN * apart:
+        return None
+    try:
+        found = fit_clock(stamps)
+    except InputError:
+        return None
+    return HostStamps(low_ms=1e3 * float(low), high_ms=1e3 * float(high), fit=found)
+
+
+# ---- counters
+
+_OFTEN = 0.05  # of the rows: a step that is this frequent is one sample, or a few where some are lost
+_WHOLE_BITS = 0.95  # of a power of two: the counter has that many bits, and lost samples at each wrap
+_DECIMAL = (100, 1000, 10_000, 100_000)
+
+
+def unwrapped(counter: FloatArray) -> IntArray:
+    """Return the number of each sample (N,) by a counter (N,) that goes up by one number each sample and may wrap."""
+    if not np.isfinite(counter).all():
+        raise InputError(
+            f"counter: wanted a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells; repair the file"
+        )
+    steps: IntArray = np.asarray(np.rint(np.diff(counter)), np.int64)
+    sizes, times = np.unique(steps[steps > 0], return_counts=True)
+    often = sizes[times >= _OFTEN * len(steps)]
+    usual = int(np.gcd.reduce(often)) if len(often) else 0
+    if usual not in often:
+        raise InputError(
+            f"counter: wanted one that goes up with every sample, got {len(sizes)} different steps up, and "
+            f"{int((steps == 0).sum())} of none; name a counter of samples, or leave it out"
+        )
+    if (steps < 0).any():
+        size = usual - int(steps.min())  # of a wrap at which no sample was lost
+        bits = 1 << (size - 1).bit_length()
+        alone = (steps == steps.min()).sum() == 1 and size not in _DECIMAL
+        steps = np.where(steps < 0, steps + (bits if alone and size > _WHOLE_BITS * bits else size), steps)
+    wrong = np.flatnonzero((steps <= 0) | (steps % usual != 0))
+    if len(wrong):
+        row = int(wrong[0]) + 1
+        raise InputError(
+            f"counter: wanted one that counts every sample up by {usual}, got {counter[row - 1]:g} then {counter[row]:g} in "
+            f"data row {row + 1}; name a counter of samples, or leave it out"
+        )
+    return np.concatenate(([0], np.cumsum(steps // usual)))

@@ -1,0 +1,51 @@
+"""--clock regular, wherever a recording is read."""
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from undrift.io.clock import fit_clock
+from undrift.io.formats import read_record, write_record
+from undrift.record import Record
+from undrift.sim.host import HostSettings, stamp_on_host
+
+WHOLE = HostSettings(lost_share=0.0, outages=0)  # strapdown has nothing to go by across a hole
+
+
+@pytest.fixture
+def stamped(bench, tmp_path) -> Record:
+    """host.parquet: the bench's trial as a host would have written it."""
+    made = stamp_on_host(read_record(bench / "trial.parquet"), rng=np.random.default_rng(5), settings=WHOLE).record
+    write_record(made, tmp_path / "host.parquet")
+    return made
+
+
+def test_correct_and_orient_write_the_fitted_time(undrift, bench, stamped, tmp_path):
+    words = (tmp_path / "host.parquet", "--calibration", bench / "calibration.json", "--clock", "regular")
+    undrift.good("correct", *words, "-o", tmp_path / "corrected.parquet")
+    own = fit_clock(stamped.time).time
+    np.testing.assert_array_equal(read_record(tmp_path / "corrected.parquet").time, own)
+    told = undrift.good("orient", *words, "-o", tmp_path / "angles.csv", "--json").json()
+    assert told["samples"] == len(own)
+
+
+def test_validate_is_as_good_on_the_fitted_clock_as_on_the_true_one(undrift, bench, stamped, tmp_path):
+    rms, refused = {}, {}
+    for name, path, words in (
+        ("true", bench / "trial.parquet", ()),
+        ("host", tmp_path / "host.parquet", ()),
+        ("regular", tmp_path / "host.parquet", ("--clock", "regular")),
+    ):
+        known = ("--reference", bench / "reference.parquet", "--calibration", bench / "calibration.json")
+        answer = undrift("validate", path, *known, *words, "-o", tmp_path / name, "--json")
+        if answer.code == 0:
+            rms[name] = answer.json()["trials"][0]["rmse_total_deg"]
+        else:
+            refused[name] = answer.err
+    show("total error with the true and the fitted clock, deg rms", np.round(list(rms.values()), 4), "within 0.01")
+    assert rms["regular"] == pytest.approx(rms["true"], abs=0.01)
+    assert "lag: wanted a correlation" in refused["host"]  # stamps of bursts show no common motion
+
+
+def test_a_word_that_is_no_clock_is_refused(undrift, tmp_path, stamped):
+    assert "--clock" in undrift.refused("info", tmp_path / "host.parquet", "--clock", "even")

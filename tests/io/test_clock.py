@@ -1,0 +1,247 @@
+"""A regular clock comes back from stamps of a host: rate, offset, and what is missing, with a counter or without."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.data import data_path, show
+from testkit.findings import codes, only
+from undrift.errors import FileFormatError, InputError
+from undrift.io.clock import fit_clock, host_stamps, regular, unwrapped
+from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
+from undrift.io.formats import iter_record, read_counted, read_record, write_record
+from undrift.io.inspect import describe, find_symptoms
+from undrift.io.session import read_session, write_session
+from undrift.record import Record, Session
+from undrift.sim.host import HostSettings, HostStamped, stamp_on_host
+
+RATE, SLOW = 100.0, 2e-4  # Hz; the host's seconds are longer by this
+
+
+def record(samples: int = 12_000, start_s: float = 5.0) -> Record:
+    rng = np.random.default_rng(1)
+    accel = rng.normal([0.0, 0.0, 1.0], 0.01, (samples, 3))
+    return Record(time=start_s + np.arange(samples) / RATE, accel=accel, accel_unit="g")
+
+
+def stamped(seed: int, **settings: object) -> HostStamped:
+    chosen = replace(HostSettings(), **settings)  # type: ignore[arg-type]
+    return stamp_on_host(record(), rng=np.random.default_rng(seed), settings=chosen)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rate_offset_and_samples_missing_come_back_from_bursts_of_1_to_69_ms_with_drop_outs(seed: int) -> None:
+    made = stamped(seed)
+    steps = 1e3 * np.diff(made.record.time)
+    found = fit_clock(made.record.time)
+    true = record().time[made.kept]
+    true = true[0] + (1.0 + SLOW) * (true - true[0])
+    away = found.time - true
+    show(
+        f"steps of the stamps, median, 99 % and most, ms ({seed})",
+        np.round(np.quantile(steps, (0.5, 0.99, 1.0)), 0),
+        "",
+    )
+    show("missing samples, found and true", (found.missing, int((np.diff(made.kept) - 1).sum())), "within 4")
+    show("spread of the times against the truth, ms", f"{1e3 * away.std():.2f}", "10 in place of 25 of the stamps")
+    assert abs(found.missing - (np.diff(made.kept) - 1).sum()) <= 4
+    assert abs(found.sample_rate_hz * (1.0 + SLOW) / RATE - 1.0) < 5e-4  # a few samples in 12,000
+    assert away.std() < 0.02
+    assert found.gaps >= 3
+    assert not found.counted
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_counter_shows_every_missing_sample_across_its_wraps(seed: int) -> None:
+    made = stamped(seed)
+    found = fit_clock(made.record.time, made.counter.astype(float))
+    lost = np.diff(made.kept) - 1
+    assert lost.max() < 255  # a longer outage than the counter has numbers would not show
+    assert (found.missing, found.gaps, found.counted) == (int(lost.sum()), int((lost > 0).sum()), True)
+    assert found.sample_rate_hz * (1.0 + SLOW) == pytest.approx(RATE, rel=2e-5)  # 1 ms over 120 s, a hundred stretches
+    steps = np.diff(found.time) * found.sample_rate_hz
+    np.testing.assert_allclose(steps, lost + 1.0, rtol=1e-6)
+    assert found.largest_delay_s > 0.05
+
+
+def test_a_regular_recording_keeps_its_time_to_rounding_and_its_true_gaps() -> None:
+    plain = record()
+    found = fit_clock(plain.time)
+    np.testing.assert_allclose(found.time, plain.time, atol=1e-9)
+    assert (found.missing, found.gaps) == (0, 0)
+    holed = np.delete(plain.time, np.r_[3000:3040, 7000:7001])
+    found = fit_clock(holed)
+    np.testing.assert_allclose(found.time, holed, atol=1e-9)
+    assert (found.missing, found.gaps) == (41, 2)
+    assert found.longest_step_s == pytest.approx(0.41)
+
+
+def test_a_stall_that_drains_is_no_gap() -> None:
+    made = stamped(3, lost_share=0.0, outages=0, stall_share=0.02)
+    found = fit_clock(made.record.time)
+    assert found.largest_delay_s > 0.4  # held back for up to 0.6 s
+    assert (found.missing, found.gaps) == (0, 0)
+    assert found.sample_rate_hz * (1.0 + SLOW) == pytest.approx(RATE, rel=2e-5)
+
+
+def test_counters_that_count_by_tens_or_wrap_where_samples_are_lost_are_unwrapped() -> None:
+    every = np.arange(5000)
+    lost = np.delete(every, [255, 256, 257, 1023, 3000])
+    np.testing.assert_array_equal(unwrapped((lost % 256).astype(float)), lost)
+    np.testing.assert_array_equal(unwrapped((10 * lost % 65536).astype(float)), lost)
+    np.testing.assert_array_equal(unwrapped((lost % 1000).astype(float)), lost)  # of three digits
+    with pytest.raises(InputError, match=r"wanted one that counts every sample up by 1, got 0 then 0 in data row 2"):
+        unwrapped(np.repeat(np.arange(1000), 7)[:6999].astype(float))
+    slipped = 10.0 * np.arange(100)
+    slipped[5:] -= 5.0
+    with pytest.raises(InputError, match=r"wanted one that counts every sample up by 10, got 40 then 45 in data row 6"):
+        unwrapped(slipped)
+    with pytest.raises(InputError, match=r"got 0 different steps up, and 99 of none"):
+        unwrapped(np.zeros(100))
+    with pytest.raises(InputError, match="wanted a number in every row, got 1 empty cells"):
+        unwrapped(np.array([0.0, np.nan, 2.0]))
+
+
+def test_stamps_of_a_host_are_recognised_and_other_uneven_times_are_not() -> None:
+    rng = np.random.default_rng(8)
+    seen = host_stamps(stamped(1).record.time)
+    assert seen is not None
+    assert seen.low_ms < 2.0 < 30.0 < seen.high_ms < 70.0
+    assert host_stamps(record().time) is None
+    assert host_stamps(np.cumsum(rng.uniform(0.002, 0.018, 5000))) is None  # truly uneven: late samples stay late
+    assert host_stamps(np.floor(np.arange(5000) * 1000 / 102.4) / 1000) is None  # rounded to a millisecond
+    assert host_stamps(record().time[:99]) is None
+
+
+def test_info_says_so_with_the_numbers_and_with_the_fitted_clock_what_was_done(tmp_path) -> None:
+    made = stamped(2)
+    write_record(made.record, tmp_path / "host.csv")
+    found = only(describe(tmp_path / "host.csv").findings, "recording.host_clock")
+    assert found.level == "warn"
+    assert found.values["sample_rate_hz"] == pytest.approx(RATE, rel=1e-3)
+    assert found.action == "read it with --clock regular"
+    assert "recording.dropouts" not in codes(find_symptoms(made.record))  # of bursts they would be thousands
+    after = describe(tmp_path / "host.csv", settings=ReadSettings(clock="regular"))
+    fitted = only(after.findings, "recording.clock_fitted")
+    assert (fitted.level, fitted.values["by"]) == ("info", "steps of the stamps")
+    assert only(after.findings, "recording.dropouts").values["count"] == fitted.values["gaps"]
+    assert after.usual_rate_hz == pytest.approx(RATE, rel=1e-3)
+
+
+def test_every_reader_takes_the_setting_and_a_map_names_the_counter(tmp_path) -> None:
+    made = stamped(4)
+    settings, own = ReadSettings(clock="regular"), fit_clock(made.record.time)
+    for name in ("r.csv", "r.parquet"):
+        write_record(made.record, tmp_path / name)
+        np.testing.assert_array_equal(read_record(tmp_path / name, settings=settings).time, own.time)
+        parts = list(iter_record(tmp_path / name, rows=4000, settings=settings))
+        assert len(parts) > 2
+        np.testing.assert_array_equal(np.concatenate([part.time for part in parts]), own.time)
+    rows = np.column_stack((made.record.time, made.record.accel, made.counter))
+    np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header="t,x,y,z,n", comments="")
+    keys = {"time": "t", "time_unit": "s", "accel": ("x", "y", "z"), "accel_unit": "g", "counter": "n"}
+    read = read_counted(tmp_path / "t.csv", ColumnMap(**keys, clock="regular"))  # type: ignore[arg-type]
+    assert read.clock is not None
+    assert read.clock.counted
+    assert read.clock.missing == (np.diff(made.kept) - 1).sum()
+    plain = read_counted(tmp_path / "t.csv", ColumnMap(**keys))  # type: ignore[arg-type]
+    assert plain.clock is None
+    del keys["time"], keys["time_unit"]
+    counted = read_counted(tmp_path / "t.csv", ColumnMap(**keys, sample_rate_hz=RATE, clock="regular"))  # type: ignore[arg-type]
+    np.testing.assert_allclose(counted.record.time, (made.kept - made.kept[0]) / RATE, atol=1e-9)
+
+
+def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_or_repaired(tmp_path) -> None:
+    made = stamped(5)
+    coarse = np.floor(made.record.time / 0.016) * 0.016  # a clock of 16 ms
+    rows = np.column_stack((coarse, made.record.accel))
+    keys = {"time": "t", "time_unit": "s", "accel": ("x", "y", "z"), "accel_unit": "g"}
+
+    def read(**more: object) -> object:
+        np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header="t,x,y,z", comments="")
+        return read_counted(tmp_path / "t.csv", ColumnMap(**keys, **more))  # type: ignore[arg-type]
+
+    with pytest.raises(InputError, match="or use --clock regular where a host stamped them"):
+        read()
+    found = read(clock="regular")
+    assert len(found.record) == len(rows)  # type: ignore[attr-defined]
+    assert found.record.sample_rate_hz == pytest.approx(RATE, rel=1e-3)  # type: ignore[attr-defined]
+    rows[600, 0] -= 1.0
+    with pytest.raises(
+        InputError, match=r"t.csv: clock: wanted stamps that never go back.*in data row 601; set repair_time"
+    ):
+        read(clock="regular")
+    repaired = read(clock="regular", repair_time=True)
+    assert (len(repaired.record), repaired.repaired_rows) == (len(rows) - 1, 1)  # type: ignore[attr-defined]
+
+
+def test_too_short_and_mostly_missing_recordings_and_other_words_are_refused() -> None:
+    with pytest.raises(InputError, match="wanted 100 samples or more for a regular clock, got 50"):
+        fit_clock(np.arange(50) / RATE)
+    counter = np.concatenate((np.arange(300), 5000 + np.arange(300)))
+    with pytest.raises(InputError, match="got 4700 of 5300 missing; check the time column and the counter"):
+        fit_clock(counter / RATE, counter.astype(float))
+    with pytest.raises(InputError, match="clock: wanted 'file' or 'regular', got 'host'"):
+        ColumnMap(time=0, time_unit="s", accel=(1, 2, 3), accel_unit="g", clock="host")  # type: ignore[arg-type]
+
+
+def test_a_session_states_it_and_a_call_overrules_it(tmp_path) -> None:
+    made = stamped(6)
+    session = Session(kind="calibration", serial="A", gravity_m_s2=9.81, records=(made.record,))
+    write_session(session, tmp_path / "s")
+    own = fit_clock(made.record.time).time
+    np.testing.assert_array_equal(read_session(tmp_path / "s").records[0].time, made.record.time)
+    np.testing.assert_array_equal(read_session(tmp_path / "s", clock="regular").records[0].time, own)
+    path = tmp_path / "s" / "session.toml"
+    path.write_text(path.read_text() + 'clock = "regular"\n')
+    np.testing.assert_array_equal(read_session(path).records[0].time, own)
+    np.testing.assert_array_equal(read_session(path, clock="file").records[0].time, made.record.time)
+    path.write_text(path.read_text().replace('"regular"', '"even"'))
+    with pytest.raises(FileFormatError, match="clock"):
+        read_session(path)
+
+
+def test_a_format_with_a_clock_of_its_own_is_put_on_a_regular_one() -> None:
+    path = data_path("broad", "24_disturbed_tapping_A.hdf5")
+    read = read_counted(path, settings=ReadSettings(clock="regular"))
+    assert read.clock is not None
+    np.testing.assert_allclose(read.record.time, read_record(path).time, atol=1e-6)
+    assert read.clock.sample_rate_hz == pytest.approx(2000.0 / 7.0, rel=1e-6)  # SOURCE.md: 285.71 Hz
+
+
+def dot(name: str) -> ColumnMap:
+    keys = {"time": "SampleTimeFine", "time_unit": "us", "counter": "PacketCounter", "clock": "regular"}
+    accel = ("FreeAcc_X", "FreeAcc_Y", "FreeAcc_Z")
+    return ColumnMap(accel=accel, accel_unit="m/s2", layout=TextLayout(skip_rows=11), **keys)  # type: ignore[arg-type]
+
+
+def test_the_packet_counter_of_a_real_sensor_gives_its_rate_where_half_of_the_packets_were_lost() -> None:
+    """Xsens DOT: 195 rows in 6.35 s at 60 Hz, PacketCounter steps 1 to 5, 126 times 2 (SOURCE.md)."""
+    name = "LFemur_20210820_202113_831.csv"
+    read = read_counted(data_path("makers", "xsens_dot", name), dot(name))
+    assert read.clock is not None
+    show("Xsens DOT with losses: rate by the counter, Hz", f"{read.clock.sample_rate_hz:.4f}", "60")
+    assert read.clock.sample_rate_hz == pytest.approx(60.0, rel=1e-4)
+    assert len(read.record) == 195
+    assert read.record.duration_s == pytest.approx(
+        5.85, abs=0.01
+    )  # SampleTimeFine; the first half second is missing too
+    assert read.clock.missing == round(5.85 * 60.0) - 195 + 1
+    steps = np.rint(np.diff(read.record.time) * 60.0)
+    assert (steps.min(), steps.max(), (steps == 2).sum()) == (1, 5, 126)
+
+
+def test_a_record_is_put_on_its_regular_clock() -> None:
+    made = stamped(7)
+    moved, found = regular(made.record)
+    np.testing.assert_array_equal(moved.time, found.time)
+    assert moved.accel is not None
+    np.testing.assert_array_equal(moved.accel, made.record.accel)
+
+
+def test_a_host_needs_a_recording_longer_than_its_intervals() -> None:
+    with pytest.raises(
+        InputError, match=r"intervals above 0 s and below half of the recording's 0\.1 s, got 0\.02 to 0\.07"
+    ):
+        stamp_on_host(record(11), rng=np.random.default_rng(1))

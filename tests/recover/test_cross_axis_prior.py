@@ -1,0 +1,140 @@
+"""Poses on the faces do not show the cross-axis terms: all others are recovered, and the stated uncertainty holds for all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from testkit.findings import codes, only
+from undrift.calibration.multi_position import MultiPositionFit, MultiPositionSettings, fit_multi_position
+from undrift.errors import NotObservable
+from undrift.record import FACES, Record
+from undrift.sim.motion.bench import BenchSettings, script_motion
+from undrift.sim.motion.motion import Motion, Script, facing, unit_vector
+
+G, PRIOR = 9.80665, 0.01
+SETTINGS = BenchSettings(still_s=3.0, move_s=1.5, sample_rate_hz=50.0)
+GYRO = np.array([[1.01, 0.02, -0.01], [-0.015, 0.98, 0.005], [0.01, -0.02, 1.03]])
+GYRO_OFFSET = np.array([0.02, -0.01, 0.005])
+ACCEL_OFFSET = np.array([0.2, -0.1, 0.3])
+UPPER = np.triu_indices(3)
+
+
+def faces_by_hand(seed: int, poses: int = 16) -> Motion:
+    """Lay the case on its faces, each within a degree, in an order that changes."""
+    rng, script = np.random.default_rng(seed), Script(SETTINGS.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
+    order = [FACES[k % 6] for k in rng.permutation(6)] + [FACES[k] for k in rng.integers(0, 6, poses - 6)]
+    for face in order:
+        up = unit_vector(face)
+        script.lay(facing(script.q, up + np.cross(rng.normal(0.0, np.radians(1.0), 3), up)), SETTINGS.move_s)
+        script.still(SETTINGS.still_s)
+    return script_motion(script, SETTINGS)
+
+
+MOTION = faces_by_hand(1)
+
+
+def fitted(seed: int, motion: Motion = MOTION, **keys: object) -> tuple[MultiPositionFit, np.ndarray]:
+    """Return the fit to a device whose cross-axis terms are drawn from the prior, and its accelerometer's matrix."""
+    rng = np.random.default_rng(seed)
+    accel = np.diag(rng.normal(1.0, 0.02, 3))
+    accel[[0, 0, 1], [1, 2, 2]] = rng.normal(0.0, PRIOR, 3)
+    force = motion.force_b @ np.linalg.inv(accel).T + ACCEL_OFFSET
+    rate = motion.mean_rate_b @ np.linalg.inv(GYRO).T + GYRO_OFFSET
+    record = Record(
+        time=motion.time,
+        accel=force + 0.01 * rng.normal(size=force.shape),
+        gyro=rate + 0.002 * rng.normal(size=rate.shape),
+    )
+    settings = replace(MultiPositionSettings(), **keys)  # type: ignore[arg-type]
+    return fit_multi_position(record, gravity=G, settings=settings, stills=motion.stills), accel
+
+
+def test_without_a_prior_the_session_is_refused_and_with_it_all_is_fitted() -> None:
+    with pytest.raises(NotObservable, match="for cross-axis terms"):
+        fitted(0, cross_axis_prior=None)
+    fit, _ = fitted(0)
+    assert fit.gyro is not None
+    assert fit.accel.model.rank < 9
+    assert "multi_position.cross_axis_prior" in codes(fit.verdict.findings)
+    assert fit.verdict.status == "marginal"
+
+
+def test_scales_offsets_cross_axis_terms_and_gyroscopes_lie_within_their_stated_uncertainty() -> None:
+    scaled: dict[str, list[np.ndarray]] = {
+        name: [] for name in ("scale", "cross-axis", "offset", "gyro", "gyro offset")
+    }
+    worst = np.zeros(2)
+    for seed in range(60):
+        fit, accel = fitted(seed)
+        assert fit.gyro is not None
+        model, gyro = fit.accel.model, fit.gyro.model
+        error = (model.matrix - accel) / np.where(
+            model.matrix == 0.0, 1.0, model.standard_uncertainty[:9].reshape(3, 3)
+        )
+        scaled["scale"].append(np.diag(error))
+        scaled["cross-axis"].append(error[[0, 0, 1], [1, 2, 2]])
+        scaled["offset"].append((model.offset - ACCEL_OFFSET) / model.standard_uncertainty[9:])
+        scaled["gyro"].append(((gyro.matrix - GYRO).reshape(-1)) / gyro.standard_uncertainty[:9])
+        scaled["gyro offset"].append((gyro.offset - GYRO_OFFSET) / gyro.standard_uncertainty[9:])
+        off = np.abs(np.diag(model.matrix - accel)).max(), np.abs(gyro.matrix - GYRO).max()
+        worst = np.maximum(worst, off)
+    show("largest error of a scale, accel and gyro matrix", np.round(worst, 4), "0.002 each")
+    for name, parts in scaled.items():
+        covered = float((np.abs(parts) < 1.96).mean())
+        show(
+            f"95 % intervals, {name}", f"{100 * covered:.1f} %", "88 % to 100 %"
+        )  # 180 intervals or more: 1.6 % one sigma
+        assert covered > 0.88
+    assert worst[0] < 2e-3
+    assert worst[1] < 2e-3
+
+
+def test_a_session_that_shows_everything_is_fitted_to_the_last_bit_as_without_a_prior() -> None:
+    rng, script = np.random.default_rng(4), Script(SETTINGS.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
+    for up in rng.normal(size=(14, 3)):
+        script.lay(facing(script.q, up), SETTINGS.move_s)
+        script.still(SETTINGS.still_s)
+    motion = script_motion(script, SETTINGS)
+    with_prior, without = (fitted(2, motion, cross_axis_prior=prior)[0] for prior in (PRIOR, None))
+    for one, other in ((with_prior.accel, without.accel), (with_prior.gyro, without.gyro)):
+        assert one is not None
+        assert other is not None
+        assert (one.model.matrix == other.model.matrix).all()
+        assert (one.model.covariance == other.model.covariance).all()
+    assert with_prior.accel.model.rank == 9
+
+
+def test_one_pose_between_two_faces_shows_its_term_and_the_prior_stands_for_the_others_alone() -> None:
+    rng, script = np.random.default_rng(7), Script(SETTINGS.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
+    ups = [unit_vector(face) for face in FACES] * 2
+    ups += [np.array(up) / np.sqrt(2.0) for up in ((1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, 1.0, 0.0))]
+    for up in ups:
+        script.lay(facing(script.q, up + 0.005 * rng.normal(size=3)), SETTINGS.move_s)
+        script.still(SETTINGS.still_s)
+    fit, accel = fitted(3, script_motion(script, SETTINGS))
+    found = only(fit.accel.verdict.findings, "multi_position.cross_axis_prior")
+    assert found.values["terms"] == "cross-axis terms xz and yz"
+    assert found.action == "add poses between the faces (edges and corners up)"
+    share = fit.accel.model.standard_uncertainty[:9].reshape(3, 3)
+    assert share[0, 1] < 1e-3
+    assert (share[[0, 1], [2, 2]] > 0.003).all()  # poses 0.3 deg off the faces add a little to the prior's 0.01
+    assert (share[[0, 1], [2, 2]] < PRIOR).all()
+    assert abs(fit.accel.model.matrix[0, 1] - accel[0, 1]) < 4.0 * share[0, 1]
+
+
+def test_seven_poses_are_enough_with_a_prior_and_six_are_not() -> None:
+    fit, accel = fitted(5, faces_by_hand(2, poses=7))
+    np.testing.assert_allclose(np.diag(fit.accel.model.matrix), np.diag(accel), atol=2e-3)
+    with pytest.raises(NotObservable, match="wanted 9 still poses or more"):
+        fitted(5, faces_by_hand(2, poses=6))
+
+
+def test_a_plane_of_poses_is_refused_with_a_prior_too() -> None:
+    script = Script(SETTINGS.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
+    for angle in np.linspace(0.0, 6.0, 14):
+        script.lay(facing(script.q, np.array([np.cos(angle), 0.0, np.sin(angle)])), SETTINGS.move_s)
+        script.still(SETTINGS.still_s)
+    with pytest.raises(NotObservable, match="all poses lie near one plane"):
+        fitted(6, script_motion(script, SETTINGS))
