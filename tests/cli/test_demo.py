@@ -35,7 +35,7 @@ def quick(tmp_path_factory):
 def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_error_away(quick, capsys):
     out, answer = quick
     assert answer.returncode == 0, answer.stdout[-2000:] + answer.stderr[-2000:]
-    told = json.loads(answer.stdout)
+    told = json.loads(answer.stdout)["result"]
     assert told == json.loads((out / "summary.json").read_text())
     assert set(told) == {"calibration", "study", "checks"}
     assert told["study"]["tasks"][0]["task"] == "step"

@@ -199,7 +199,7 @@ def test_several_logs_are_combined_and_a_warm_up_is_fitted(undrift, soaks, tmp_p
     )
     assert "between sessions" in answer.out
     assert "one session only" not in answer.out
-    assert "--power-on-s SECONDS" in answer.out
+    assert "--power-on-s 0 -o corrected.parquet" in answer.out
     assert read_calibration(own).drift.static.warm_up is not None
     walk = tmp_path / "walk.parquet"
     write_record(simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(9)).records[0], walk)

@@ -141,7 +141,8 @@ def _fit(
         check_once([session for session, _ in held])
         bare = [session for session, stated in held if not stated]
         temps = held[0][0].records[0].temp_c
-        seen = None if temps is None else (float(np.nanmin(temps)), float(np.nanmax(temps)))
+        known = np.empty(0) if temps is None else temps[np.isfinite(temps)]
+        seen = (float(known.min()), float(known.max())) if len(known) else None
         fit = fit_drift(
             [
                 *(session for session, stated in held if stated),
