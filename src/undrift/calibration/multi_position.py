@@ -523,7 +523,7 @@ def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attem
 
 def _of_session(seen: Observed, settings: MultiPositionSettings = MultiPositionSettings()) -> MultiPositionFit:
     session = seen.session
-    stills = session.stills or None
+    stills = session.stills or (seen.stills if seen.adapted else None)
     return fit_multi_position(session.records, gravity=session.gravity_m_s2, stills=stills, settings=settings)
 
 
