@@ -396,6 +396,8 @@ _SPAN = 0.2  # smallest singular value of their directions: they lie all around,
 _NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
 _SHORT = 0.2  # of the window: how short pauses are looked for
 _LOST = 2  # poses in short pauses that the first search misses; one fewer is no reason to try others
+_ALL_STILL = 0.95  # of the samples: nothing moves, and no pose can be missing
+_MOST = 200_000  # samples searched with every window; longer recordings are averaged
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -467,23 +469,70 @@ def find_poses(
     if not settings.adapt:
         return first
     poses = _Poses(records)
-    enough, best = poses.enough(first), None
-    with_short = [
+    over = tuple(
+        own if own.stills else _find(record, triads, settings, number, over_noise=True)
+        for number, (record, triads, own) in enumerate(zip(records, held, first, strict=True))
+    )
+    over = over if poses.count(over) > max(1, poses.count(first)) else first
+    enough = poses.enough(first)
+    if _covered(records, over) > _ALL_STILL or (enough and not _misses_poses(records, first, poses, settings)):
+        return over
+    thin, factor = _thinned(records)
+    tried = _most_agreed(thin, settings)
+    if tried is None:
+        return over
+    best = tuple(
         replace(
-            own,
-            stills=tuple(sorted((*own.stills, *short_pauses(record, own, settings)), key=lambda still: still.start)),
+            search,
+            stills=tuple(replace(s, start=factor * s.start, stop=min(factor * s.stop, len(r))) for s in search.stills),
         )
-        for record, own in zip(records, first, strict=True)
+        for r, search in zip(records, tried, strict=True)
+    )
+    return best if not enough or poses.count(best) > poses.count(first) else over
+
+
+def _covered(records: Sequence[Record], searches: Sequence[StillSearch]) -> float:
+    """Return the share of the samples that lie in stills."""
+    held = sum(still.stop - still.start for search in searches for still in search.stills)
+    return held / sum(len(record) for record in records)
+
+
+def _misses_poses(
+    records: Sequence[Record], found: Sequence[StillSearch], poses: _Poses, settings: StillSettings
+) -> bool:
+    """Tell whether a search loses poses to noise near its limit, or in pauses shorter than its window."""
+    if any(t.basis == "limit" and t.value < _NOISE * t.noise_floor for own in found for t in own.thresholds):
+        return True
+    with_short = [
+        replace(own, stills=tuple(sorted((*own.stills, *short_pauses(record, own, settings)), key=lambda s: s.start)))
+        for record, own in zip(records, found, strict=True)
     ]
-    if not enough or poses.count(with_short) >= poses.count(first) + _LOST:
-        best = _most_agreed([tried for tried in _tries(records, settings) if poses.enough(tried[1])], poses)
-    if best is not None and (not enough or poses.count(best) > poses.count(first)):
-        return best
-    return first
+    return poses.count(with_short) >= poses.count(found) + _LOST
 
 
-def _most_agreed(tried: list[tuple[float, tuple[StillSearch, ...]]], poses: _Poses) -> tuple[StillSearch, ...] | None:
+def _thinned(records: Sequence[Record]) -> tuple[tuple[Record, ...], int]:
+    """Return records of at most ``_MOST`` samples together, each the mean of a factor of samples, 25 a second at least."""
+    count, slowest = sum(len(record) for record in records), min(record.sample_rate_hz for record in records)
+    factor = max(1, min(-(-count // _MOST), int(slowest / 25.0), min(len(record) for record in records) // 2))
+    if factor == 1:
+        return tuple(records), 1
+    thin = []
+    for record in records:
+        rows = len(record) // factor
+        triads = [
+            None if values is None else values[: rows * factor].reshape(rows, factor, 3).mean(axis=1)
+            for values in (record.gyro, record.accel)
+        ]
+        time = record.time[: rows * factor : factor]
+        units = {"gyro_unit": record.gyro_unit, "accel_unit": record.accel_unit}
+        thin.append(Record(time=time, gyro=triads[0], accel=triads[1], **units))
+    return tuple(thin), factor
+
+
+def _most_agreed(records: Sequence[Record], settings: StillSettings) -> tuple[StillSearch, ...] | None:
     """Return the best of the searches with the most frequent count of poses, the larger where two are as frequent."""
+    poses = _Poses(records)
+    tried = [one for one in _tries(records, settings) if poses.enough(one[1])]
     if not tried:
         return None
     counts = [poses.count(searches) for _, searches in tried]
@@ -528,10 +577,16 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
         return ()
     over = np.array([triads[k].spread / marks[k] for k in used])  # (triads, M)
     worst, edge, found = over.max(axis=0), (triads[0].window + triads[0].smooth - 1) // 2, list[LeftOut]()
+    near: list[list[int]] = []
     for first, last in runs(worst <= _NEAR).tolist():
-        start, stop = first + edge, last + edge
-        if any(s.start < stop + edge and start - edge < s.stop for s in search.stills):
+        if any(s.start < last + 2 * edge and first < s.stop for s in search.stills):
             continue
+        if near and first - near[-1][1] <= triads[0].window:
+            near[-1][1] = last  # a jerk in a pause parts it no further
+        else:
+            near.append([first, last])
+    for first, last in near:
+        start, stop = first + edge, last + edge
         at = first + int(np.argmin(worst[first:last]))
         k = used[int(np.argmax(over[:, at]))]
         triad, limit, least_s = triads[k], search.thresholds[k].value, settings.min_duration_s

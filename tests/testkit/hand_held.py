@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from undrift.record import Record
 
 GRAVITY = 9.81
-FINE_HZ = 400.0
+FINE_HZ = 200.0
 
 
 @dataclass(frozen=True)
