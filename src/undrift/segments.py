@@ -589,10 +589,11 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
         start, stop = first + edge, last + edge
         at = first + int(np.argmin(worst[first:last]))
         k = used[int(np.argmax(over[:, at]))]
-        triad, limit, least_s = triads[k], search.thresholds[k].value, settings.min_duration_s
+        triad, mark, least_s = triads[k], search.thresholds[k], settings.min_duration_s
+        limit = mark.value if mark.value >= mark.noise_floor else mark.noise_floor
         rest = max((b - a for a, b in runs(worst[first:last] <= 1.0).tolist()), default=0)
         spread, rate = float(triad.spread[at]), float(np.linalg.norm(triads[0].mean[at]))
-        if spread > limit:
+        if not mark.noise_floor <= mark.value or spread > limit:
             why = LeftOut(start=start, stop=stop, why="too restless", value=spread, unit=triad.unit, limit=limit)
         elif rest < sample_count(least_s, fs):
             why = LeftOut(start=start, stop=stop, why="too short", value=rest / fs, unit="s", limit=least_s)

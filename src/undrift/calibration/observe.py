@@ -428,7 +428,7 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
             stills = (*stills, *search.stills)
             if not search.stills:
                 found.append(finding("session.no_still", "warn", recording=number, reason=search.reason))
-        stills = _labelled(session, stills)
+        stills = labelled(session, stills)
         if len(stills) < _FEW and len({s.face for s in stills} - {None}) < len(FACES):
             found += _pauses_left_out(session, searches)
     for number, record in enumerate(session.records):
@@ -497,7 +497,8 @@ def _pauses_left_out(session: Session, searches: Sequence[StillSearch]) -> list[
     return found
 
 
-def _labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
+def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
+    """Return stills with the face that points up, where gravity shows one."""
     unit = session.records[0].accel_unit
     if any(r.accel is None or r.accel_unit != unit for r in session.records):
         return stills

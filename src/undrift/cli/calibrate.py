@@ -8,7 +8,9 @@ from undrift.cli.common import (
     Flag,
     Json,
     OptionalOutput,
+    Rests,
     check_output,
+    name_of,
     say,
     show_table,
     show_verdict,
@@ -38,6 +40,8 @@ def calibrate(
     scale_tolerance: float = 0.25,
     polynomial_degree: int = 1,
     spline_cutoff_hz: float | None = None,
+    rests: Rests = Rests(),
+    figure: Path | None = None,
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -75,6 +79,10 @@ def calibrate(
         Degree of the polynomial in time that filters each face before it is averaged.
     spline_cutoff_hz : float or None
         Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
+    rests : Rests
+        How stretches at rest are found where the session states none.
+    figure : Path or None
+        Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
 
     Returns
     -------
@@ -83,13 +91,17 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
+    from undrift.calibration.pieces import pieces_of
     from undrift.io.session import read_session
     from undrift.io.store import calibration_json, write_calibration
+    from undrift.report.figures import PICTURES, draw_recording, save_figure
     from undrift.report.page import calibration_sections, write_page
 
     check_output(output, endings=(".json",))  # no recording ends so
     check_output(report, endings=(".html",))
+    check_output(figure, endings=PICTURES, reads=(session,))
     settings = CalibrateSettings(
+        still=rests.settings(),
         window_s=window_s,
         settle_s=settle_s,
         latitude_deg=latitude_deg,
@@ -101,7 +113,11 @@ def calibrate(
         identify_adc=adc == "auto",
     )
     with waiting("reading and fitting"):
-        made = fit(read_session(session), accel=accel, gyro=gyro, mode=mode, settings=settings)
+        held = read_session(session)
+        made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
+    if figure is not None:
+        pieces, _ = pieces_of(held, settings, made)
+        save_figure(draw_recording(held.records, pieces, title=f"{name_of(session)}: used", used=True), figure)
     if output is not None:
         write_calibration(made, output)
     if report is not None:
@@ -115,7 +131,7 @@ def calibrate(
     show_verdict(made.verdict, details=details)
     nothing = f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json"
     kept = f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet"
-    say(*([] if report is None else [f"Wrote {report}"]), nothing if output is None else kept)
+    say(*(f"Wrote {path}" for path in (report, figure) if path is not None), nothing if output is None else kept)
     return code
 
 
