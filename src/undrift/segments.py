@@ -524,8 +524,8 @@ def _thinned(records: Sequence[Record]) -> tuple[tuple[Record, ...], int]:
             for values in (record.gyro, record.accel)
         ]
         time = record.time[: rows * factor : factor]
-        units = {"gyro_unit": record.gyro_unit, "accel_unit": record.accel_unit}
-        thin.append(Record(time=time, gyro=triads[0], accel=triads[1], **units))
+        gyro_unit, accel_unit = record.gyro_unit, record.accel_unit
+        thin.append(Record(time=time, gyro=triads[0], accel=triads[1], gyro_unit=gyro_unit, accel_unit=accel_unit))
     return tuple(thin), factor
 
 

@@ -55,7 +55,7 @@ def test_what_a_calibration_used_and_left_out_is_shown_with_the_reason():
     session = nilspod()
     pieces, _, text = drawn(session, made=calibrate(session))
     assert {piece.why for piece in pieces} == {"", "not a full turn"}
-    for label in ("13 stills used", "3 turns used", "9 turns left out", "left out: 9 turns not a full turn"):
+    for label in ("13 stills used", "3 turns used", "9 turns left out", "left out: 9 turns (not a full turn)"):
         assert label in text, label
 
 
@@ -80,7 +80,7 @@ def test_gaps_saturation_and_restless_pauses_are_marked_with_numbers():
         )
         == 4
     )
-    assert f"{len(restless)} pauses too restless (the first " in text
+    assert f"{len(restless)} pauses (too restless, the first " in text
     assert "rad/s rms, limit " in text
 
 
@@ -129,3 +129,18 @@ def test_a_stated_turn_is_labelled_by_its_rate_or_angle(turn, label, why):
     session = session_of(record, stills=(Still(start=60, stop=200),), turns=(turn,))
     (piece,) = [piece for piece in pieces_of(session, made=made)[0] if piece.kind == "turn"]
     assert (piece.label, piece.why) == (label, why)
+
+
+def test_stills_at_another_temperature_are_left_out_with_that_reason():
+    rng = np.random.default_rng(3)
+    record = Record(time=np.arange(900) / 50.0, accel=[0.0, 9.81, 0.0] + 0.01 * rng.standard_normal((900, 3)))
+    stills = tuple(
+        Still(start=300 * k, stop=300 * k + 250, temp_c=temp_c, face=face)
+        for k, (temp_c, face) in enumerate(((25.0, "+y"), (25.0, None), (45.0, "+y")))
+    )
+    made = calibrate(simulate_session("bench", random_device(np.random.default_rng(7)), rng=np.random.default_rng(8)))
+    pieces, _, text = drawn(session_of(record, stills=stills), made=made)
+    assert [piece.why for piece in pieces] == ["", "no face up", "another temperature"]
+    assert "2 stills used" not in text
+    for label in ("1 still used", "2 pauses left out", "left out: 1 pause (no face up); 1 pause (another temperature)"):
+        assert label in text, label

@@ -46,19 +46,16 @@ def pieces_of(
             for piece in _left(*pair, number)
         ]
     here = session if made is None else at_one_temperature(session)[0]
-    kept = {(s.recording, s.start, s.stop) for s in (*here.stills, *here.turns)}
+    stated: tuple[Still | Turn, ...] = (*here.stills, *here.turns)
+    kept = {(piece.recording, piece.start, piece.stop) for piece in stated}
     found = [_of_still(still, made, stated=bool(session.stills)) for still in stills]
     found += [_of_turn(turn, made) for turn in session.turns]
-    stated = len(session.stills) + len(session.turns)
-    if stated:
-        found = [
-            piece
-            if piece.why
-            or (piece.recording, piece.start, piece.stop) in kept
-            or (piece.kind == "still" and not session.stills)
-            else replace(piece, why="another temperature")
-            for piece in found
-        ]
+    found = [
+        replace(piece, why="another temperature")
+        if (session.stills or piece.kind == "turn") and (piece.recording, piece.start, piece.stop) not in kept
+        else piece
+        for piece in found
+    ]
     if not session.turns:
         for number, record in enumerate(session.records):
             own = [still for still in stills if still.recording == number]
@@ -92,7 +89,8 @@ def _method(made: Calibration) -> str:
 
 
 def _of_turn(turn: Turn, made: Calibration | None) -> Piece:
-    label, why = turn.axis or "", ""
+    label: str = turn.axis or ""
+    why = ""
     if turn.turn_rate is not None:
         label = f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
     elif turn.angle is not None:

@@ -9,6 +9,7 @@ from undrift.cli.common import (
     Json,
     OptionalOutput,
     Rests,
+    check_figure,
     check_output,
     name_of,
     say,
@@ -19,7 +20,9 @@ from undrift.cli.common import (
 )
 
 if TYPE_CHECKING:
+    from undrift.calibration.observe import CalibrateSettings
     from undrift.model import Calibration
+    from undrift.record import Session
 
 
 def calibrate(
@@ -91,15 +94,12 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.calibration.pieces import pieces_of
     from undrift.io.session import read_session
     from undrift.io.store import calibration_json, write_calibration
-    from undrift.report.figures import PICTURES, draw_recording, save_figure
-    from undrift.report.page import calibration_sections, write_page
 
     check_output(output, endings=(".json",))  # no recording ends so
     check_output(report, endings=(".html",))
-    check_output(figure, endings=PICTURES, reads=(session,))
+    check_figure(figure, reads=(session,))
     settings = CalibrateSettings(
         still=rests.settings(),
         window_s=window_s,
@@ -113,26 +113,44 @@ def calibrate(
         identify_adc=adc == "auto",
     )
     with waiting("reading and fitting"):
-        held = read_session(session)
-        made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
+        made = fit(held := read_session(session), accel=accel, gyro=gyro, mode=mode, settings=settings)
     if figure is not None:
-        pieces, _ = pieces_of(held, settings, made)
-        save_figure(draw_recording(held.records, pieces, title=f"{name_of(session)}: used", used=True), figure)
+        _draw(held, settings, made, f"{name_of(session)}: used", figure)
     if output is not None:
         write_calibration(made, output)
     if report is not None:
-        title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
-        write_page(report, title=title, lead=_heading(made), sections=sections, verdict=made.verdict)
+        _report(made, report)
     code = 1 if made.verdict.status == "bad" else 0
     if json:
         write_json(calibration_json(made))
         return code
     _show(made)
     show_verdict(made.verdict, details=details)
-    nothing = f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json"
-    kept = f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet"
-    say(*(f"Wrote {path}" for path in (report, figure) if path is not None), nothing if output is None else kept)
+    say(*(f"Wrote {path}" for path in (report, figure) if path is not None), _next(session, output))
     return code
+
+
+def _next(session: Path, output: Path | None) -> str:
+    """Return what was written, and what to do with it."""
+    if output is None:
+        return f"Nothing was written. To keep it: undrift calibrate {session} -o calibration.json"
+    return f"Wrote {output}. Next: undrift correct RECORD --calibration {output} -o corrected.parquet"
+
+
+def _report(made: "Calibration", path: Path) -> None:
+    from undrift.report.page import calibration_sections, write_page
+
+    title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
+    write_page(path, title=title, lead=_heading(made), sections=sections, verdict=made.verdict)
+
+
+def _draw(held: "Session", settings: "CalibrateSettings", made: "Calibration", title: str, path: Path) -> None:
+    """Draw the recordings with what was used and what was left out."""
+    from undrift.calibration.pieces import pieces_of
+    from undrift.report.figures import draw_recording, save_figure
+
+    pieces, _ = pieces_of(held, settings, made)
+    save_figure(draw_recording(held.records, pieces, title=title, used=True), path)
 
 
 def _heading(calibration: "Calibration") -> str:

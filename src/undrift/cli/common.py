@@ -269,6 +269,14 @@ def check_output(path: Path | None, *, endings: tuple[str, ...], reads: Iterable
         raise InputError(f"{path}: wanted another file to write than those that are read; name another")
 
 
+def check_figure(path: Path | None, *, reads: Iterable[Path | None]) -> None:
+    """Refuse a picture whose ending is not one of those that can be drawn, and what ``check_output`` refuses."""
+    if path is not None:
+        from undrift.report.figures import PICTURES
+
+        check_output(path, endings=PICTURES, reads=reads)
+
+
 def check_folder(path: Path | None) -> None:
     """Refuse a folder that cannot be written to, nor made in a folder that exists."""
     if path is None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Details, Json, Opening, Rests, Up, check_output, name_of, say, show_verdict, write_json
+from undrift.cli.common import Details, Json, Opening, Rests, Up, check_figure, name_of, say, show_verdict, write_json
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -45,10 +45,7 @@ def info(
     from undrift.io.inspect import describe
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
-    if figure is not None:
-        from undrift.report.figures import PICTURES
-
-        check_output(figure, endings=PICTURES, reads=(file, opening.column_map))
+    check_figure(figure, reads=(file, opening.column_map))
     if _is_plain_folder(file):
         if figure is not None:
             raise InputError(f"--figure: wanted a recording or a session, got the folder {file}; name one of its files")

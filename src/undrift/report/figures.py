@@ -4,7 +4,6 @@ Colours keep one meaning throughout: the device in blue, the optics in black, er
 """
 
 import io
-from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -276,26 +275,20 @@ def _add_legend(figure: "Figure", pieces: Sequence[Piece], marks: dict[str, Any]
     """Add a legend with counts, and under the picture the reasons for what was left out."""
     from matplotlib.patches import Patch
 
-    reasons: Counter[str] = Counter()
-    numbers: dict[str, str] = {}
+    reasons: dict[tuple[str, str], list[str]] = {}
     for kind, colour in (("still", DEVICE), ("turn", ERROR)):
         kept = [piece for piece in pieces if piece.kind == kind and not piece.why]
         out = [piece for piece in pieces if piece.kind == kind and piece.why]
         what = "pause" if kind == "still" else kind
-        for held, text, style in (
-            (kept, f" {'used' if used else 'found'}", {}),
-            (out, " left out", {"hatch": "////", "alpha": 0.5}),
-        ):
-            name = kind if held is kept else what
-            if held:
-                marks[f"{len(held)} {name}{'s' * (len(held) > 1)}{text}"] = Patch(
-                    facecolor=colour, edgecolor="white", **style
-                )
+        style: Any = {"facecolor": colour, "edgecolor": "white"}
+        if kept:
+            marks[f"{len(kept)} {kind}{'s' * (len(kept) > 1)} {'used' if used else 'found'}"] = Patch(**style)
+        if out:
+            hatched = Patch(**style, hatch="////", alpha=0.5)
+            marks[f"{len(out)} {what}{'s' * (len(out) > 1)} left out"] = hatched
         for piece in out:
             why, _, number = piece.why.partition(": ")
-            key = f"{what}s {why}"
-            reasons[key] += 1
-            numbers.setdefault(key, f" (the first {number})" if number else "")
+            reasons.setdefault((what, why), []).append(f", the first {number}" if number else "")
     figure.legend(
         marks.values(),
         marks.keys(),
@@ -306,7 +299,8 @@ def _add_legend(figure: "Figure", pieces: Sequence[Piece], marks: dict[str, Any]
         frameon=False,
     )
     if reasons:
-        listed = "; ".join(f"{count} {reason}{numbers[reason]}" for reason, count in reasons.most_common(_REASONS))
+        most = sorted(reasons.items(), key=lambda item: -len(item[1]))[:_REASONS]
+        listed = "; ".join(f"{len(of)} {what}{'s' * (len(of) > 1)} ({why}{of[0]})" for (what, why), of in most)
         figure.supxlabel(f"left out: {listed}", fontsize=8, x=0.01, ha="left")
 
 
