@@ -29,7 +29,7 @@ from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import find_still, runs
+from undrift.segments import StillSettings, find_still, runs
 from undrift.units import STANDARD_GRAVITY, si_factor
 
 # ---- Initial tilt
@@ -397,7 +397,8 @@ def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
 
 
 def _first_still(record: Record) -> Still:
-    found = find_still(record)
+    found = find_still(record, StillSettings())
+    found = found if found.stills else find_still(record)
     if not found.stills:
         reason = found.reason.removeprefix("no still phase: ")
         raise InputError(

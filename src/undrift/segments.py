@@ -7,10 +7,15 @@ decades above, and the threshold is the emptiest place between the two. Without 
 turn is a stretch where the smoothed rate r, less the offset at rest, is far from zero and steady::
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)
+
+Where that search finds too few poses, ``find_poses`` tries windows of 0.2 to 2 s with thresholds of 3 to 64 noise floors and takes
+the count of poses that most of them agree on: what is a pose is one at many windows and thresholds, what is noise or a slow
+moment of a move is not.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -35,6 +40,9 @@ _DECADES = (0.4, 2.2)  # where to look for the gap, decades above the floor
 _BIN = 0.05  # decades
 _GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of its neighbouring peaks
 _WHITE = 8.0  # in counts no limit is known: one peak this far above its white noise is motion, not rest
+_ALL_NOISE = 1.5  # a floor within this factor of the white noise holds no motion
+_NOISE = 2.5  # white noise in a window spreads by up to this factor over that in the quietest
+_MOST_NOISE = 12.0  # limits; readings with more noise than that tell nothing
 _TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
 
 
@@ -52,6 +60,10 @@ class StillSettings:
         Shortest still phase kept, s; the stretch around it is one window longer.
     gyro_threshold, accel_threshold : float or None
         Threshold on d in the record's unit; None to find it in the data.
+    threshold_floors : float or None
+        Threshold on d of both triads as a multiple of their noise floors; None to find it in the data.
+    adapt : bool
+        Where too few poses are found, try windows of 0.2 to 2 s, and other thresholds where none is given.
 
     Examples
     --------
@@ -65,6 +77,18 @@ class StillSettings:
     min_duration_s: float = 1.0
     gyro_threshold: float | None = None
     accel_threshold: float | None = None
+    threshold_floors: float | None = None
+    adapt: bool = False
+
+    def __post_init__(self) -> None:
+        least = min(self.window_s, self.smooth_s, self.min_duration_s)
+        given = (self.gyro_threshold, self.accel_threshold, self.threshold_floors)
+        if not least > 0.0 or any(value is not None and not value > 0.0 for value in given):
+            raise InputError(
+                "stills: wanted window, smoothing, shortest duration and thresholds above 0, got "
+                f"{self.window_s:g} s, {self.smooth_s:g} s, {self.min_duration_s:g} s and "
+                f"{', '.join('none' if value is None else f'{value:g}' for value in given)}; correct them"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +99,9 @@ class StillThreshold:
     value: float  # Largest spread d of a still window, in ``unit``; NaN where none could be found
     unit: str  # Unit of the record's channel
     noise_floor: float  # Spread of the quietest windows, in ``unit``
-    # gap (between two peaks), all still, given, limit (what a bench allows), or none
-    basis: Literal["gap", "all still", "given", "limit", "none"]
+    # gap (between two peaks), all still, given, limit (what a bench allows), floors (a multiple of the noise floor that
+    # gives the poses most windows agree on), or none
+    basis: Literal["gap", "all still", "given", "limit", "floors", "none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,10 +111,13 @@ class StillSearch:
     stills: tuple[Still, ...]  # In order of time, without faces
     thresholds: tuple[StillThreshold, ...]  # One for each triad of the record
     window_s: float  # Window used, s
+    settings: StillSettings  # Window, smoothing and shortest duration used
     reason: str = ""  # Why there is none; "" when there is one or more
 
 
-def find_still(record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0) -> StillSearch:
+def find_still(
+    record: Record, settings: StillSettings = StillSettings(adapt=True), *, recording: int = 0
+) -> StillSearch:
     """Find the stretches in which the device did not move.
 
     A sample is still when the window centred at it is quiet in every triad and the mean rate reading is that of the
@@ -100,7 +128,7 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
     record : Record
         Any units, either triad may be missing.
     settings : StillSettings
-        Window and thresholds.
+        Window and thresholds; by default a window of 1 s, and where that finds too few poses, others of 0.2 to 2 s.
     recording : int
         Number of the record in its session, written into each Still.
 
@@ -123,6 +151,29 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
     >>> [(still.start, still.stop) for still in undrift.find_still(record).stills]
     [(0, 446), (1054, 1500)]
     """
+    if not settings.adapt:
+        return _find(record, _moments(record, settings), settings, recording)
+    (found,) = find_poses((record,), settings)
+    if not found.stills:  # the noise of the readings may hide a rest
+        over = _find(record, _moments(record, settings), settings, recording, over_noise=True)
+        found = over if over.stills else found
+    return replace(found, stills=tuple(replace(still, recording=recording) for still in found.stills))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Moments:
+    """What the windows of one triad hold."""
+
+    is_gyro: bool
+    unit: str
+    values: FloatArray  # (N, 3)
+    mean: FloatArray  # (M, 3)
+    spread: FloatArray  # (M,)
+    window: int  # samples
+    smooth: int  # samples
+
+
+def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
     fs = record.sample_rate_hz
     window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
     if len(record) < window + smooth:
@@ -130,36 +181,51 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
             f"find_still: wanted a record longer than one window of {settings.window_s:g} s, got {record.duration_s:.2f} s; "
             "record for longer, or find still phases with a shorter window_s"
         )
-    quiet = np.ones(len(record) - window - smooth + 2, bool)
+    held: list[_Moments] = []
+    for is_gyro, values, unit in (
+        (True, record.gyro, record.gyro_unit),
+        (False, record.accel, record.accel_unit),
+    ):
+        if values is not None:
+            mean, spread = sliding_moments(values, window, smooth)
+            held.append(
+                _Moments(
+                    is_gyro=is_gyro, unit=unit, values=values, mean=mean, spread=spread, window=window, smooth=smooth
+                )
+            )
+    return tuple(held)
+
+
+def _find(
+    record: Record, triads: tuple[_Moments, ...], settings: StillSettings, recording: int, *, over_noise: bool = False
+) -> StillSearch:
+    """Search with one window; ``over_noise`` counts what a bench allows from the white noise of the readings."""
+    quiet = np.ones(len(triads[0].spread) if triads else 0, bool)
     thresholds: list[StillThreshold] = []
-    triads = (
-        (record.gyro, record.gyro_unit, settings.gyro_threshold),
-        (record.accel, record.accel_unit, settings.accel_threshold),
-    )
-    for is_gyro, (values, unit, given) in zip((True, False), triads, strict=True):
-        if values is None:
-            continue
-        mean, spread = sliding_moments(values, window, smooth)
-        found = _threshold(spread, is_gyro, unit, given)
-        if found.basis == "all still" and not is_physical(unit):
+    for triad in triads:
+        found = _threshold(triad, settings, over_noise=over_noise)
+        if found.basis == "all still" and not is_physical(triad.unit):
             # The spread of white noise alone after smoothing, from the steps between neighbouring samples.
-            white = float(np.sqrt(np.nanvar(np.diff(values, axis=0), axis=0).sum() / 2.0 / smooth))
-            if float(np.median(spread)) > _WHITE * white:
+            steps = np.diff(triad.values, axis=0)
+            white = float(np.sqrt(np.nanvar(steps, axis=0).sum() / 2.0 / triad.smooth))
+            if float(np.median(triad.spread)) > _WHITE * white:
                 found = replace(found, value=np.nan, basis="none")
         thresholds.append(found)
         if found.basis != "none":
-            quiet &= spread <= found.value
-            if is_gyro:
-                quiet &= ~_turning(mean, spread, found)
+            quiet &= triad.spread <= found.value
+            if triad.is_gyro:
+                quiet &= ~_turning(triad.mean, triad.spread, found)
     if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
         quiet[:] = False
-    edge = (window + smooth - 1) // 2
+    fs = record.sample_rate_hz
+    edge = (triads[0].window + triads[0].smooth - 1) // 2 if triads else 0
     stills = _phases(quiet, len(record), edge, sample_count(settings.min_duration_s, fs), recording)
     return StillSearch(
         stills=stills,
         thresholds=tuple(thresholds),
         window_s=settings.window_s,
-        reason="" if stills else _why_none(thresholds, settings),
+        settings=settings,
+        reason="" if stills else _why_none(thresholds, triads, settings, quiet, fs),
     )
 
 
@@ -187,7 +253,9 @@ def _running_mean(values: FloatArray, width: int) -> FloatArray:
     return np.asarray((total[width:] - total[:-width]) / width)
 
 
-def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None) -> StillThreshold:
+def _threshold(triad: _Moments, settings: StillSettings, *, over_noise: bool) -> StillThreshold:
+    spread, is_gyro, unit = triad.spread, triad.is_gyro, triad.unit
+    given = settings.gyro_threshold if is_gyro else settings.accel_threshold
     finite = spread[np.isfinite(spread)]
     floor = float(np.quantile(finite, FLOOR_QUANTILE)) if len(finite) else np.inf
     found = StillThreshold(
@@ -197,15 +265,41 @@ def _threshold(spread: FloatArray, is_gyro: bool, unit: str, given: float | None
         return replace(found, value=given, basis="given")
     if not len(finite):
         return found
+    if settings.threshold_floors is not None:
+        floor = max(floor, _quantisation(triad))
+        return replace(found, value=settings.threshold_floors * floor, noise_floor=floor, basis="given")
     if (value := _gap_above(finite, floor)) is not None:
         found = replace(found, value=value, basis="gap")
     elif np.quantile(finite, 0.99) <= _PEAK * max(floor, np.finfo(float).tiny):
         found = replace(found, value=max(float(finite.max()), _PEAK * floor), basis="all still")
     if is_physical(unit):
         limit = BENCH_RATE_LIMIT / si_factor(unit, "rate") if is_gyro else BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
+        if over_noise and floor <= _ALL_NOISE * _white(triad):
+            limit = _over_white(limit, triad)
+            found = replace(found, value=limit, basis="limit")
         if found.value > limit:
             found = replace(found, value=limit, basis="limit")
     return found
+
+
+def _over_white(limit: float, triad: _Moments) -> float:
+    """Return the limit of a spread that holds white noise as well."""
+    return float(np.hypot(limit, min(_NOISE * _white(triad), _MOST_NOISE * limit)))
+
+
+def _white(triad: _Moments) -> float:
+    """Return the spread that white noise leaves after smoothing, from the steps between samples in the quietest windows."""
+    steps = np.diff(triad.values, axis=0)
+    _, spread = sliding_moments(steps, min(triad.window, len(steps)), 1)
+    finite = spread[np.isfinite(spread)]
+    return float(np.quantile(finite, FLOOR_QUANTILE)) / np.sqrt(2.0 * triad.smooth) if len(finite) else 0.0
+
+
+def _quantisation(triad: _Moments) -> float:
+    """Return the spread that rounding leaves after smoothing, from the smallest steps between readings."""
+    steps = np.abs(np.diff(triad.values, axis=0))
+    steps = steps[steps > 0.0]
+    return float(np.quantile(steps, 0.01)) * 0.5 / np.sqrt(triad.smooth) if len(steps) else 0.0  # sqrt(3 / 12) = 0.5
 
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
@@ -234,7 +328,8 @@ def _gap_above(spread: FloatArray, floor: float) -> float | None:
 def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> BoolArray:
     quiet = spread <= min(found.value, 2.0 * found.noise_floor)
     if is_physical(found.unit):
-        small = np.abs(mean).max(axis=1) <= LARGEST_OFFSET / si_factor(found.unit, "rate")
+        x, y, z = np.abs(mean).T
+        small = np.maximum(np.maximum(x, y), z) <= LARGEST_OFFSET / si_factor(found.unit, "rate")
         if not (quiet & small).any():
             return np.ones(len(mean), bool)
         quiet &= small
@@ -242,7 +337,8 @@ def _turning(mean: FloatArray, spread: FloatArray, found: StillThreshold) -> Boo
         return np.zeros(len(mean), bool)
     offset = np.median(mean[quiet], axis=0)
     # A steady turn is off the offset throughout; the slow drift of a warm-up meets the offset somewhere in its stretch.
-    far = np.abs(mean - offset).max(axis=1) > max(_TURNING * found.noise_floor, found.value)
+    x, y, z = np.abs(mean - offset).T
+    far = np.maximum(np.maximum(x, y), z) > max(_TURNING * found.noise_floor, found.value)
     turning = np.zeros(len(mean), bool)
     for first, last in runs(spread <= found.value):
         turning[first:last] = far[first:last].all()
@@ -263,16 +359,288 @@ def runs(flag: BoolArray) -> IntArray:
     return change.reshape(-1, 2)
 
 
-def _why_none(thresholds: list[StillThreshold], settings: StillSettings) -> str:
+def _why_none(
+    thresholds: list[StillThreshold],
+    triads: tuple[_Moments, ...],
+    settings: StillSettings,
+    quiet: BoolArray,
+    sample_rate_hz: float,
+) -> str:
     floors = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
     over = [f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor]
     if over:
-        why = f"a device at rest varies less than {' and '.join(over)}"
+        why = f"too restless: a device at rest varies less than {' and '.join(over)}"
     elif all(t.basis == "none" for t in thresholds):
-        why = "no gap separates rest from motion"
+        usual = " and ".join(
+            f"{np.median(m.spread):.3g} {m.unit} against a floor of {t.noise_floor:.3g}"
+            for m, t in zip(triads, thresholds, strict=True)
+        )
+        why = f"no gap separates rest from motion; too restless: half of the windows vary by more than {usual}"
     else:
-        why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s"
+        longest = max((int(stop - start) for start, stop in runs(quiet)), default=0) / sample_rate_hz
+        why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s; too short: the longest lasts {longest:.2g} s"
     return f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
+
+
+# ---- poses: still phases by the window and threshold that suit the recordings
+
+WINDOWS_S = (2.0, 1.4, 1.0, 0.7, 0.5, 0.35, 0.2)
+FLOORS = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
+# A hand that holds a pose keeps below this over the noise: tremor and slow sway, rms of three axes after smoothing.
+HAND_RATE_LIMIT = 6.0 * RADIAN_PER_DEGREE  # rad/s
+HAND_ACCEL_LIMIT = 0.6  # m/s2
+LEAST_POSES = 9  # free poses of a fit of nine parameters
+_SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer than this are one pose
+_APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart tell a fit something new
+_SPAN = 0.2  # smallest singular value of their directions: they lie all around, not in a plane
+_NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
+_SHORT = 0.2  # of the window: how short pauses are looked for
+_LOST = 2  # poses in short pauses that the first search misses; one fewer is no reason to try others
+_ALL_STILL = 0.95  # of the samples: nothing moves, and no pose can be missing
+_MOST = 200_000  # samples searched with every window; longer recordings are averaged
+_TINY = float(np.finfo(float).tiny)
+
+
+class _Poses:
+    """The poses that stills of some recordings show, by the direction of gravity in each; sums are taken once."""
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.sums: list[tuple[FloatArray, FloatArray] | None] = []
+        self.centred = all(is_physical(record.accel_unit) for record in records if record.accel is not None)
+        for record in records:
+            if record.accel is None:
+                self.sums.append(None)
+                continue
+            seen = ~np.isnan(record.accel)
+            parts = np.where(seen, record.accel, 0.0), seen.astype(float)
+            total, count = (np.concatenate((np.zeros((1, 3)), np.cumsum(part, axis=0))) for part in parts)
+            self.sums.append((total, count))
+
+    def directions(self, searches: Sequence[StillSearch]) -> FloatArray:
+        """Return the unit direction of gravity in each still of the records with accelerometers, (P, 3)."""
+        means = [np.empty((0, 3))]
+        for sums, search in zip(self.sums, searches, strict=True):
+            if sums is not None and search.stills:
+                start, stop = (np.array([getattr(s, end) for s in search.stills]) for end in ("start", "stop"))
+                total, count = sums
+                means.append((total[stop] - total[start]) / np.maximum(count[stop] - count[start], 1.0))
+        up = np.concatenate(means)
+        if not self.centred and len(up) >= 5:
+            up = up - sphere_of(up)[0]
+        length = np.linalg.norm(up, axis=1, keepdims=True)
+        return np.asarray(up / np.where(length > 0.0, length, 1.0))
+
+    def count(self, searches: Sequence[StillSearch]) -> int:
+        """Return how many poses the stills show: neighbours that point alike are one."""
+        count, last = 0, np.zeros(3)
+        for one in self.directions(searches):
+            if one @ last < _SAME:
+                count, last = count + 1, one
+        return count
+
+    def enough(self, searches: Sequence[StillSearch]) -> bool:
+        """Tell whether stills show all six faces, or nine poses that lie all around."""
+        up, apart = self.directions(searches), list[FloatArray]()
+        if not self.centred and len(up) < len(FACES):
+            return False
+        for one in up:
+            if all(one @ other < _APART for other in apart):
+                apart.append(one)
+        if len(apart) < len(FACES):
+            return False
+        signed = np.concatenate((up, -up), axis=1)
+        if (signed.max(axis=0) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)).all():
+            return True
+        values = np.linalg.svd(np.array(apart) - np.mean(apart, axis=0), compute_uv=False) / np.sqrt(len(apart))
+        return len(apart) >= LEAST_POSES and float(values[-1]) >= _SPAN
+
+
+def find_poses(
+    records: Sequence[Record], settings: StillSettings = StillSettings(adapt=True)
+) -> tuple[StillSearch, ...]:
+    """Find the stills of recordings that together show a device in many poses.
+
+    First one window, with the threshold that the data show. With ``adapt``, where that finds too few poses or misses short pauses,
+    every window with every threshold: of the searches that find poses all around, the count of poses that most agree on is
+    taken; among those that give it the one with fewest interruptions, the lowest threshold, and the longest window.
+    """
+    held = [_moments(record, settings) for record in records]
+    first = tuple(_find(*pair, settings, number) for number, pair in enumerate(zip(records, held, strict=True)))
+    if not settings.adapt:
+        return first
+    poses = _Poses(records)
+    over = tuple(
+        own if own.stills else _find(record, triads, settings, number, over_noise=True)
+        for number, (record, triads, own) in enumerate(zip(records, held, first, strict=True))
+    )
+    over = over if poses.count(over) > max(1, poses.count(first)) else first
+    enough = poses.enough(first)
+    if _covered(records, over) > _ALL_STILL or (enough and not _misses_poses(records, first, poses, settings)):
+        return over
+    thin, factor = _thinned(records)
+    tried = _most_agreed(thin, settings)
+    if tried is None:
+        return over
+    best = tuple(
+        replace(
+            search,
+            stills=tuple(replace(s, start=factor * s.start, stop=min(factor * s.stop, len(r))) for s in search.stills),
+        )
+        for r, search in zip(records, tried, strict=True)
+    )
+    return best if not enough or poses.count(best) > poses.count(first) else over
+
+
+def _covered(records: Sequence[Record], searches: Sequence[StillSearch]) -> float:
+    """Return the share of the samples that lie in stills."""
+    held = sum(still.stop - still.start for search in searches for still in search.stills)
+    return held / sum(len(record) for record in records)
+
+
+def _misses_poses(
+    records: Sequence[Record], found: Sequence[StillSearch], poses: _Poses, settings: StillSettings
+) -> bool:
+    """Tell whether a search loses poses to noise near its limit, or in pauses shorter than its window."""
+    if any(t.basis == "limit" and t.value < _NOISE * t.noise_floor for own in found for t in own.thresholds):
+        return True
+    with_short = [
+        replace(own, stills=tuple(sorted((*own.stills, *short_pauses(record, own, settings)), key=lambda s: s.start)))
+        for record, own in zip(records, found, strict=True)
+    ]
+    return poses.count(with_short) >= poses.count(found) + _LOST
+
+
+def _thinned(records: Sequence[Record]) -> tuple[tuple[Record, ...], int]:
+    """Return records of at most ``_MOST`` samples together, each the mean of a factor of samples, 25 a second at least."""
+    count, slowest = sum(len(record) for record in records), min(record.sample_rate_hz for record in records)
+    factor = max(1, min(-(-count // _MOST), int(slowest / 25.0), min(len(record) for record in records) // 2))
+    if factor == 1:
+        return tuple(records), 1
+    thin = []
+    for record in records:
+        rows = len(record) // factor
+        triads = [
+            None if values is None else values[: rows * factor].reshape(rows, factor, 3).mean(axis=1)
+            for values in (record.gyro, record.accel)
+        ]
+        time = record.time[: rows * factor : factor]
+        gyro_unit, accel_unit = record.gyro_unit, record.accel_unit
+        thin.append(Record(time=time, gyro=triads[0], accel=triads[1], gyro_unit=gyro_unit, accel_unit=accel_unit))
+    return tuple(thin), factor
+
+
+def _most_agreed(records: Sequence[Record], settings: StillSettings) -> tuple[StillSearch, ...] | None:
+    """Return the best of the searches with the most frequent count of poses, the larger where two are as frequent."""
+    poses = _Poses(records)
+    tried = [one for one in _tries(records, settings) if poses.enough(one[1])]
+    if not tried:
+        return None
+    counts = [poses.count(searches) for _, searches in tried]
+    most = max((times, count) for count, times in Counter(counts).items())[1]
+    ranked = [
+        (sum(len(search.stills) for search in searches), floors, -searches[0].window_s, k)
+        for k, (floors, searches) in enumerate(tried)
+        if counts[k] == most
+    ]
+    return tried[min(ranked)[-1]][1]
+
+
+def short_pauses(record: Record, search: StillSearch, settings: StillSettings) -> tuple[Still, ...]:
+    """Return pauses too short for a still, seen through a window of a fifth of its length."""
+    if not search.stills:  # nothing shows what this device's rest looks like
+        return ()
+    window_s, least_s = _SHORT * settings.window_s, 0.5 * _SHORT * settings.min_duration_s
+    shorter = replace(settings, window_s=window_s, min_duration_s=least_s, adapt=False)
+    pauses = find_still(record, shorter, recording=search.stills[0].recording).stills
+    return tuple(s for s in pauses if not any(s.start < o.stop and o.start < s.stop for o in search.stills))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftOut:
+    """A quiet stretch that is no still phase."""
+
+    start: int
+    stop: int
+    why: Literal["too short", "too restless", "turning"]
+    value: float  # s at rest, smallest spread, or mean rate
+    unit: str
+    limit: float  # What a still phase needs, in ``unit``
+
+
+def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
+    """Return the quiet stretches, up to four thresholds, that touch no still phase, and why they are none."""
+    settings = search.settings
+    triads, fs = _moments(record, settings), record.sample_rate_hz
+    marks = [t.value if t.value >= t.noise_floor else 2.0 * t.noise_floor for t in search.thresholds]
+    used = [k for k, mark in enumerate(marks) if np.isfinite(mark) and mark > 0.0]
+    if not used:
+        return ()
+    over = np.array([triads[k].spread / marks[k] for k in used])  # (triads, M)
+    worst, edge, found = over.max(axis=0), (triads[0].window + triads[0].smooth - 1) // 2, list[LeftOut]()
+    near: list[list[int]] = []
+    for first, last in runs(worst <= _NEAR).tolist():
+        if any(s.start < last + 2 * edge and first < s.stop for s in search.stills):
+            continue
+        if near and first - near[-1][1] <= triads[0].window:
+            near[-1][1] = last  # a jerk in a pause parts it no further
+        else:
+            near.append([first, last])
+    for first, last in near:
+        start, stop = first + edge, last + edge
+        at = first + int(np.argmin(worst[first:last]))
+        k = used[int(np.argmax(over[:, at]))]
+        triad, mark, least_s = triads[k], search.thresholds[k], settings.min_duration_s
+        limit = mark.value if mark.value >= mark.noise_floor else mark.noise_floor
+        rest = max((b - a for a, b in runs(worst[first:last] <= 1.0).tolist()), default=0)
+        spread, rate = float(triad.spread[at]), float(np.linalg.norm(triads[0].mean[at]))
+        if not mark.noise_floor <= mark.value or spread > limit:
+            why = LeftOut(start=start, stop=stop, why="too restless", value=spread, unit=triad.unit, limit=limit)
+        elif rest < sample_count(least_s, fs):
+            why = LeftOut(start=start, stop=stop, why="too short", value=rest / fs, unit="s", limit=least_s)
+        else:
+            why = LeftOut(start=start, stop=stop, why="turning", value=rate, unit=triads[0].unit, limit=np.nan)
+        found.append(why)
+    return tuple(found)
+
+
+def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[float, tuple[StillSearch, ...]]]:
+    """Search with every window and threshold; return multiple of the noise floor, and what each record holds."""
+    given, shortest = settings.threshold_floors, min(record.duration_s for record in records)
+    for window_s in WINDOWS_S:
+        smooth_s = min(settings.smooth_s, window_s / 4.0)
+        if shortest < 2.0 * (window_s + smooth_s):
+            continue
+        least_s = min(settings.min_duration_s, window_s)
+        own = replace(settings, window_s=window_s, smooth_s=smooth_s, min_duration_s=least_s)
+        held = [_moments(record, own) for record in records]
+        floors = [[_floor_and_limit(triad) for triad in triads] for triads in held]
+        for multiple in FLOORS if given is None else (given,):
+            found = []
+            for number, (record, triads) in enumerate(zip(records, held, strict=True)):
+                marks: dict[str, float] = {}
+                for triad, (floor, limit) in zip(triads, floors[number], strict=True):
+                    name = "gyro_threshold" if triad.is_gyro else "accel_threshold"
+                    if getattr(settings, name) is None:
+                        marks[name] = multiple * floor if given is not None else min(multiple * floor, limit)
+                here = replace(own, threshold_floors=None, **{name: max(mark, _TINY) for name, mark in marks.items()})  # type: ignore[arg-type]
+                search = _find(record, triads, here, number)
+                basis: Literal["given", "floors"] = "floors" if given is None else "given"
+                thresholds = tuple(
+                    replace(t, basis=basis) if f"{t.channel}_threshold" in marks else t for t in search.thresholds
+                )
+                found.append(replace(search, thresholds=thresholds))
+            yield multiple, tuple(found)
+
+
+def _floor_and_limit(triad: _Moments) -> tuple[float, float]:
+    """Return the noise floor, rounding included, and what a hand that holds a pose does: without limit in unknown units."""
+    finite = triad.spread[np.isfinite(triad.spread)]
+    floor = max(float(np.quantile(finite, FLOOR_QUANTILE)), _quantisation(triad)) if len(finite) else 0.0
+    if not is_physical(triad.unit):
+        return floor, np.inf
+    kind: Literal["rate", "accel"] = "rate" if triad.is_gyro else "accel"
+    limit = (HAND_RATE_LIMIT if triad.is_gyro else HAND_ACCEL_LIMIT) / si_factor(triad.unit, kind)
+    return floor, _over_white(limit, triad)
 
 
 # ---- faces: the sensor axis that points up, by gravity

@@ -19,7 +19,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import AlignmentError, InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.record import Record, Reference
-from undrift.segments import find_still
+from undrift.segments import StillSettings, find_still
 
 # ---- mean rates between neighbouring poses, and readings averaged over the same stretches
 #
@@ -402,7 +402,8 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
 
 
 def _between_stills(record: Record) -> Motion:
-    search = find_still(record)
+    search = find_still(record, StillSettings())
+    search = search if search.stills else find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
     if not long:
         raise AlignmentError(

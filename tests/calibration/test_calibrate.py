@@ -10,6 +10,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.record import Record, Session, Still, Turn
+from undrift.segments import StillSettings
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -308,11 +309,16 @@ def test_pauses_that_were_too_short_are_counted():
         gyro=gyro + 0.001 * rng.standard_normal(gyro.shape),
         accel=accel + 0.01 * rng.standard_normal(accel.shape),
     )
-    found = calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,)))
+    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,))
+    found = calibrate(session, settings=CalibrateSettings(still=StillSettings()))
     short = only(found.verdict.findings, "session.short_pauses")
     assert short.values == {"recording": 0, "pauses": 11, "least_s": 2.0}
     assert short.action == "hold each for 3 s or more"
     assert only(found.verdict.findings, "session.too_few_poses").values["rests"] == 1
+    adapted = observe(session, CalibrateSettings())
+    assert adapted.adapted
+    assert len(adapted.stills) == 12
+    assert adapted.findings == ()
 
 
 def test_a_device_that_sways_throughout_has_no_short_pauses():

@@ -611,7 +611,8 @@ def _choose(attempts: list[_Attempt], settings: MultiPositionSettings) -> _Attem
 
 
 def _of_session(seen: Observed, axes: TriadFit | None = None) -> MultiPositionFit:
-    session, stills = seen.session, seen.session.stills or None
+    session = seen.session
+    stills = session.stills or (seen.stills if seen.adapted else None)
     settings = MultiPositionSettings(cross_axis_prior=seen.settings.cross_axis_prior)
     model = None if axes is None or axes.model.method.startswith("multi-position") else axes.model
     return fit_multi_position(

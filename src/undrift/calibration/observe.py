@@ -22,13 +22,16 @@ from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.segments import (
     BENCH_ACCEL_LIMIT,
     BENCH_RATE_LIMIT,
+    StillSearch,
     StillSettings,
     TurnSearch,
     faces_of,
-    find_still,
+    find_poses,
     find_turns,
+    left_out,
     runs,
     sample_count,
+    short_pauses,
     sliding_moments,
     sphere_of,
     still_means,
@@ -398,7 +401,7 @@ class CalibrateSettings:
     6.0
     """
 
-    still: StillSettings = field(default_factory=StillSettings)
+    still: StillSettings = field(default_factory=lambda: StillSettings(adapt=True))
     window_s: float = 6.0
     polynomial_degree: int = 1
     settle_s: float = 0.3
@@ -442,6 +445,12 @@ class Observed:
     stills: tuple[Still, ...]  # Stated in the session, else found; found ones carry a face where gravity shows one
     found: bool  # True where they were found
     findings: tuple[Finding, ...]
+    searches: tuple[StillSearch, ...] = ()  # One for each recording where they were found
+
+    @property
+    def adapted(self) -> bool:
+        """Whether another window or threshold than the usual found them: a fit must not search with the usual ones."""
+        return any(replace(search.settings, adapt=False) != StillSettings() for search in self.searches)
 
     @property
     def faced(self) -> tuple[Still, ...]:
@@ -549,22 +558,30 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     check_counted_once(session)
     stills = session.stills
     found: list[Finding] = []
+    searches: tuple[StillSearch, ...] = ()
     if not stills:
-        for number, record in enumerate(session.records):
-            search = find_still(record, settings.still, recording=number)
+        searches = find_poses(session.records, settings.still)
+        for number, search in enumerate(searches):
             stills = (*stills, *search.stills)
             if not search.stills:
                 found.append(finding("session.no_still", "warn", recording=number, reason=search.reason))
-        stills = _labelled(session, stills)
+        stills = labelled(session, stills)
         if len(stills) < _FEW and len({s.face for s in stills} - {None}) < len(FACES):
-            found += _short_pauses(session, stills, settings.still)
+            found += _pauses_left_out(session, searches)
     for number, record in enumerate(session.records):
         own = [s for s in stills if s.recording == number]
         if own and record.accel is not None and is_physical(record.accel_unit):
             check_gravity(still_means(record.accel, own) * si_factor(record.accel_unit, "accel"), session.gravity_m_s2)
     found += check_stills(session, stills, stated=bool(session.stills))
     found += check_turns(session, stills, settings.settle_s)
-    seen = Observed(session=session, settings=settings, stills=stills, found=not session.stills, findings=tuple(found))
+    seen = Observed(
+        session=session,
+        settings=settings,
+        stills=stills,
+        found=not session.stills,
+        findings=tuple(found),
+        searches=searches,
+    )
     return seen.with_turns()
 
 
@@ -596,22 +613,31 @@ def _common_unit(session: Session, *, rate: bool) -> str:
     return unit
 
 
-def _short_pauses(session: Session, stills: tuple[Still, ...], settings: StillSettings) -> list[Finding]:
-    """Count pauses too short for a still, seen through a window of a fifth of its length."""
-    shorter = replace(settings, window_s=settings.window_s / 5.0, min_duration_s=settings.min_duration_s / 10.0)
-    least, found = settings.window_s + settings.min_duration_s, []
-    for number, record in enumerate(session.records):
-        own = [s for s in stills if s.recording == number]
-        if not own:  # nothing shows what this device's rest looks like; the search has given the reason
+def _pauses_left_out(session: Session, searches: Sequence[StillSearch]) -> list[Finding]:
+    """Report pauses that were too short or too restless for a still."""
+    found = []
+    for number, (record, search) in enumerate(zip(session.records, searches, strict=True)):
+        if not search.stills:  # nothing shows what this device's rest looks like; the search has given the reason
             continue
-        pauses = find_still(record, shorter, recording=number).stills
-        short = [s for s in pauses if not any(s.start < o.stop and o.start < s.stop for o in own)]
-        if len(short) >= 3:
-            found.append(finding("session.short_pauses", "warn", recording=number, pauses=len(short), least_s=least))
+        least = search.settings.window_s + search.settings.min_duration_s
+        short = len(short_pauses(record, search, search.settings))
+        if short >= 3:
+            found.append(finding("session.short_pauses", "warn", recording=number, pauses=short, least_s=least))
+        restless = [one for one in left_out(record, search) if one.why == "too restless"]
+        if restless:
+            quietest = min(restless, key=lambda one: one.value / one.limit)
+            numbers = {
+                "pauses": len(restless),
+                "spread": quietest.value,
+                "unit": quietest.unit,
+                "limit": quietest.limit,
+            }
+            found.append(finding("session.restless_pauses", "warn", recording=number, **numbers))
     return found
 
 
-def _labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
+def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
+    """Return stills with the face that points up, where gravity shows one."""
     unit = session.records[0].accel_unit
     if any(r.accel is None or r.accel_unit != unit for r in session.records):
         return stills

@@ -11,7 +11,10 @@ from undrift.cli.common import (
     Opening,
     OptionalOutput,
     Place,
+    Rests,
+    check_figure,
     check_output,
+    name_of,
     recording_of,
     say,
     say_next,
@@ -23,7 +26,9 @@ from undrift.cli.common import (
 )
 
 if TYPE_CHECKING:
+    from undrift.calibration.observe import CalibrateSettings
     from undrift.model import Calibration
+    from undrift.record import Session
 
 
 def calibrate(
@@ -45,6 +50,8 @@ def calibrate(
     polynomial_degree: int = 1,
     spline_cutoff_hz: float | None = None,
     cross_axis_prior: float = 0.01,
+    rests: Rests = Rests(),
+    figure: Path | None = None,
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -88,6 +95,10 @@ def calibrate(
         Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    rests : Rests
+        How stretches at rest are found where the session states none.
+    figure : Path or None
+        Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
 
     Returns
     -------
@@ -97,11 +108,12 @@ def calibrate(
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
     from undrift.io.store import calibration_json, write_calibration
-    from undrift.report.page import calibration_sections, write_page
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map))
     check_output(report, endings=(".html",))
+    check_figure(figure, reads=files)
     settings = CalibrateSettings(
+        still=rests.settings(),
         window_s=window_s,
         settle_s=settle_s,
         latitude_deg=place.latitude_deg,
@@ -115,31 +127,47 @@ def calibrate(
         cross_axis_prior=cross_axis_prior,
     )
     with waiting("reading and fitting"):
-        made = fit(session_of(files, place, opening), accel=accel, gyro=gyro, mode=mode, settings=settings)
+        held = session_of(files, place, opening)
+        made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
+    if figure is not None:
+        _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
     if output is not None:
         write_calibration(made, output)
     if report is not None:
-        title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
-        write_page(
-            report, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict
-        )
+        _report(made, report)
     code = 1 if made.verdict.status == "bad" else 0
     if json:
         write_json(calibration_json(made), "calibrate")
         return code
     _show(made)
     show_verdict(made.verdict, details=details)
-    _say_next(files, output, report)
+    _say_next(files, output, (report, figure))
     return code
 
 
-def _say_next(files: tuple[Path, ...], output: Path | None, report: Path | None) -> None:
+def _say_next(files: tuple[Path, ...], output: Path | None, pictures: tuple[Path | None, ...]) -> None:
     """Say what was written, and how a recording is corrected by it."""
-    say(*(f"Wrote {path}" for path in (report, output) if path is not None))
+    say(*(f"Wrote {path}" for path in (*pictures, output) if path is not None))
     if output is None:
         say("Nothing was written. To keep it, repeat the command with -o calibration.json")
     elif (recording := recording_of(files)) is not None:
         say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
+
+
+def _report(made: "Calibration", path: Path) -> None:
+    from undrift.report.page import calibration_sections, write_page
+
+    title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
+    write_page(path, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict)
+
+
+def _draw(held: "Session", settings: "CalibrateSettings", made: "Calibration", title: str, path: Path) -> None:
+    """Draw the recordings with what was used and what was left out."""
+    from undrift.calibration.pieces import pieces_of
+    from undrift.report.figures import draw_recording, save_figure
+
+    pieces, _ = pieces_of(held, settings, made)
+    save_figure(draw_recording(held.records, pieces, title=title, used=True), path)
 
 
 def _heading(calibration: "Calibration") -> str:

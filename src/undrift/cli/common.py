@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from undrift.io.columns import ColumnMap, ReadSettings
     from undrift.model import Calibration, Verdict
     from undrift.record import FileMap, Kind, Record, Reference, Session
+    from undrift.segments import StillSettings
     from undrift.sim.device.model import DeviceModel
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
@@ -183,6 +184,35 @@ class Opening:
                 f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"
             )
         return records[0]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Rests:
+    """How stretches at rest are found.
+
+    Parameters
+    ----------
+    still_window_s : float or None
+        Window in which the device must be quiet, s; 1 s by default, and 0.2 to 2 s where that finds too few poses.
+    still_threshold : float or None
+        Largest spread of a rest, in multiples of the noise floor, which is the spread of the quietest windows.
+    """
+
+    still_window_s: float | None = None
+    still_threshold: float | None = None
+
+    def settings(self) -> "StillSettings":
+        """Return the settings of the search; a window that is given is not adapted."""
+        from undrift.segments import StillSettings
+
+        window_s, floors = self.still_window_s, self.still_threshold
+        if window_s is None:
+            return StillSettings(threshold_floors=floors, adapt=True)
+        short = min(window_s, 1.0)  # a pause of two windows is long enough
+        return StillSettings(
+            window_s=window_s, smooth_s=min(0.1, 0.25 * window_s), min_duration_s=short, threshold_floors=floors
+        )
 
 
 @Parameter(name="*")
@@ -401,6 +431,14 @@ def check_output(path: Path | None, *, endings: tuple[str, ...], reads: Iterable
         raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
     if path.exists() and any(_holds(read, path) for read in reads if read is not None):
         raise InputError(f"{path}: wanted another file to write than those that are read; name another")
+
+
+def check_figure(path: Path | None, *, reads: Iterable[Path | None]) -> None:
+    """Refuse a picture whose ending is not one of those that can be drawn, and what ``check_output`` refuses."""
+    if path is not None:
+        from undrift.report.figures import PICTURES
+
+        check_output(path, endings=PICTURES, reads=reads)
 
 
 def check_folder(path: Path | None) -> None:

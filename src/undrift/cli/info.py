@@ -5,7 +5,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.cli.common import Details, Json, Opening, Up, check_output, say, say_next, show_verdict, write_json
+from undrift.cli.common import (
+    Details,
+    Json,
+    Opening,
+    Rests,
+    Up,
+    check_figure,
+    check_output,
+    name_of,
+    say,
+    say_next,
+    show_verdict,
+    write_json,
+)
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -13,7 +26,7 @@ if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.io.inspect import Description
     from undrift.model import Calibration, DriftTables
-    from undrift.record import Record, Still
+    from undrift.record import Session
 
 POSES = 9  # still phases of a recording that may calibrate a device
 
@@ -27,6 +40,8 @@ def info(
     write_map: Path | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
+    rests: Rests = Rests(),
+    figure: Path | None = None,
     details: Details = False,
     json: Json = False,
 ) -> int:
@@ -46,18 +61,28 @@ def info(
         With --write-map: unit of the gyroscopes where nothing shows it: rad/s, dps, count or v.
     accel_unit : str or None
         With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
+    rests : Rests
+        How stretches at rest are found.
+    figure : Path or None
+        Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     """
     from undrift.io.inspect import describe
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
+    check_figure(figure, reads=(file, opening.column_map))
     if _is_plain_folder(file):
+        if figure is not None:
+            raise InputError(f"--figure: wanted a recording or a session, got the folder {file}; name one of its files")
         _show_folder(file, json=json)
         return 0
     check_output(write_map, endings=(".toml",), reads=(file, opening.column_map))
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
     if write_map is not None:
         return _write_map(found, write_map, opening, {"gyro": gyro_unit, "accel": accel_unit}, json=json)
-    stills, reason = _stills(file, found, opening)
+    held = _session(file, found, opening)
+    stills, reason = _stills(held, rests)
+    if figure is not None:
+        _draw(held, found, rests, figure)
     effects = _effects(file) if found.kind == "device" else {}
     calibration = read_calibration(file) if found.kind == "calibration" else None
     if calibration is not None:
@@ -82,6 +107,7 @@ def info(
         return 0
     _show(found, stills, reason, opening)
     say(*(f"  {part}: {', '.join(texts)}" for part, texts in effects.items()))
+    say(*([] if figure is None else [f"Wrote {figure}"]))
     if calibration is not None:
         show_verdict(calibration.verdict, details=details)
     return 0
@@ -212,32 +238,49 @@ def _show_folder(path: Path, *, json: bool) -> None:
 # ---- A recording or session: still phases, and what a person sees
 
 
-def _stills(file: Path, found: "Description", opening: Opening) -> tuple[list[list[float]], str]:
-    """Return [start_s, stop_s] of every still phase, and why there is none."""
+def _session(file: Path, found: "Description", opening: Opening) -> "Session | None":
+    """Return a session, or a recording as a session of one; None for other files."""
     from undrift.io.session import read_session
+    from undrift.record import Session
+    from undrift.units import STANDARD_GRAVITY
 
-    records, stills, reason = tuple["Record", ...](), tuple["Still", ...](), ""
     if found.kind == "session":
-        session = read_session(file, clock=opening.clock)
-        records, stills = session.records, session.stills
-        stills = stills or tuple(s for k, record in enumerate(records) for s in _search(record, k)[0])
-    elif found.kind == "recording":
-        records = (opening.record(file),)
-        stills, reason = _search(records[0])
-    clocks = [record.time for record in records]
+        return read_session(file, clock=opening.clock)
+    if found.kind != "recording":
+        return None
+    record = opening.record(file)
+    return Session(kind="calibration", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,))
+
+
+def _stills(held: "Session | None", rests: Rests) -> tuple[list[list[float]], str]:
+    """Return [start_s, stop_s] of every still phase, and why there is none; too short a recording is no error."""
+    from undrift.segments import find_poses
+
+    if held is None:
+        return [], ""
+    stills, reason, settings = held.stills, "", rests.settings()
+    if not stills:
+        try:
+            searches = find_poses(held.records, settings)
+        except InputError:
+            shortest, window = min(record.duration_s for record in held.records), settings.window_s
+            return [], f"no still phase: {shortest:.3g} s are too short to look for one ({window:g} s and more)"
+        stills = tuple(still for search in searches for still in search.stills)
+        reason = "" if stills else next(search.reason for search in searches)
+    clocks = [record.time for record in held.records]
     return [[float(clocks[s.recording][k]) for k in (s.start, s.stop - 1)] for s in stills], reason
 
 
-def _search(record: "Record", recording: int = 0) -> "tuple[tuple[Still, ...], str]":
-    """Return the still phases, and why there is none; a recording too short to search is no error."""
-    from undrift.segments import StillSettings, find_still
+def _draw(held: "Session | None", found: "Description", rests: Rests, path: Path) -> None:
+    """Draw a recording or session with what was found in it."""
+    from undrift.calibration.observe import CalibrateSettings
+    from undrift.calibration.pieces import pieces_of
+    from undrift.report.figures import draw_recording, save_figure
 
-    try:
-        search = find_still(record, recording=recording)
-    except InputError:
-        window = StillSettings().window_s
-        return (), f"no still phase: {record.duration_s:.3g} s are too short to look for one ({window:g} s and more)"
-    return search.stills, search.reason
+    if held is None:
+        raise InputError(f"--figure: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
+    pieces, _ = pieces_of(held, CalibrateSettings(still=rests.settings()))
+    save_figure(draw_recording(held.records, pieces, title=f"{name_of(Path(found.path))}: found"), path)
 
 
 def _show(found: "Description", stills: list[list[float]], reason: str, opening: Opening) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
@@ -169,13 +169,20 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
         if column.min() == column.max():
             yield finding("recording.dead_axis", "warn", channel=channel, axis=axis)
             continue
-        middle = np.median(column)
-        spread = float(np.median(np.abs(column - middle)))
-        for limit in (column.max(), column.min()):
-            edges = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0]))))
-            longest = (edges[1::2] - edges[::2]).max()
-            if longest >= STUCK and abs(limit - middle) > 10.0 * spread > 0.0:
-                yield finding("recording.saturated", "warn", channel=channel, axis=axis, reading=limit, count=longest)
+        for limit, stuck in saturated_runs(column):
+            longest = (stuck[:, 1] - stuck[:, 0]).max()
+            yield finding("recording.saturated", "warn", channel=channel, axis=axis, reading=limit, count=longest)
+
+
+def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
+    """Return each limit at which readings (N,) stick far from their middle, and the stretches (R, 2) in which they do."""
+    middle = np.nanmedian(column)
+    spread = float(np.nanmedian(np.abs(column - middle)))
+    for limit in (np.nanmax(column), np.nanmin(column)):
+        stuck = np.flatnonzero(np.diff(np.concatenate(([0], (column == limit).astype(np.int8), [0])))).reshape(-1, 2)
+        stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
+        if len(stuck) and abs(limit - middle) > 10.0 * spread > 0.0:
+            yield float(limit), stuck
 
 
 # ---- guesses for a person, never for a reader: what a foreign table might be, and the map that it may need

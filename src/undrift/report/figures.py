@@ -13,8 +13,11 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.noise import NoiseFit
+from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
 from undrift.files import write_whole
+from undrift.io.inspect import STUCK, saturated_runs
+from undrift.record import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -155,6 +158,150 @@ def draw_agreement(
     axes.annotate(f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), **where)
     axes.set(xlabel=f"mean of device and optics (deg), one point a {unit}", ylabel="device - optics (deg)")
     return figure
+
+
+# ---- a recording, and what was found in it
+
+SATURATED = "#b0198f"
+_ROOM = 0.0088  # of the width of the picture, for each letter of a label
+_REASONS = 4  # that the caption lists
+_LEVELS = {"still": 2.0, "turn": 1.0, "left out": 0.0}
+_SHOWN_UNIT = {"dps": "deg/s", "count": "counts"}
+
+
+def draw_recording(records: Sequence[Record], pieces: Sequence[Piece], *, title: str, used: bool = False) -> "Figure":
+    """Draw readings over time with their stills, faces, turns, gaps and saturation; recordings one after the other.
+    With ``used``, the pieces are those that a calibration used or left out."""
+    from matplotlib.lines import Line2D
+
+    names = [name for name in ("gyro", "accel") if any(getattr(record, name) is not None for record in records)]
+    figure, (strip, *panels) = _strip_and_panels(len(names), pieces)
+    starts, marks = _one_after_the_other(records), dict[str, Any]()
+    for number, record in enumerate(records):
+        time = record.time - record.time[0] + starts[number]
+        own = [piece for piece in pieces if piece.recording == number]
+        _draw_pieces(strip, panels, time, own, starts[-1] - starts[0])
+        for panel, name in zip(panels, names, strict=True):
+            marks |= {} if getattr(record, name) is None else _draw_readings(panel, time, getattr(record, name))
+        marks |= _draw_gaps(panels, time, record)
+        for axes in (strip, *panels) if number else ():
+            axes.axvline(starts[number], color=LIMIT, linewidth=0.6, linestyle=":")
+    for panel, name in zip(panels, names, strict=True):
+        unit = next(getattr(record, f"{name}_unit") for record in records if getattr(record, name) is not None)
+        panel.set_ylabel(f"{name} ({_SHOWN_UNIT.get(unit, unit)})")
+    panels[-1].set(xlabel="time (s)" + ", recordings one after the other" * (len(records) > 1))
+    panels[-1].set_xlim(starts[0], starts[-1])
+    strip.set_title(title, loc="left", fontsize=10)
+    lines = {axis: Line2D([], [], color=colour) for axis, colour in zip("xyz", AXIS_COLOURS, strict=True)}
+    _add_legend(figure, pieces, lines | marks, used=used)
+    return figure
+
+
+def _strip_and_panels(panels: int, pieces: Sequence[Piece]) -> tuple["Figure", list["Axes"]]:
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    levels = {name: level for name, level in _LEVELS.items() if name != "left out" or any(p.why for p in pieces)}
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(8.2, 0.9 + 0.3 * len(levels) + 1.75 * panels), layout="constrained")
+        ratios = {"height_ratios": [0.22 * len(levels)] + [1.0] * panels}
+        made = figure.subplots(1 + panels, 1, sharex=True, squeeze=False, gridspec_kw=ratios)[:, 0]
+    made[0].set(yticks=list(levels.values()), yticklabels=list(levels), ylim=(min(levels.values()) - 0.4, 2.95))
+    made[0].grid(False)
+    made[0].spines[["left", "bottom"]].set_visible(False)
+    made[0].tick_params(left=False, bottom=False, labelbottom=False)
+    return figure, list(made)
+
+
+def _one_after_the_other(records: Sequence[Record]) -> list[float]:
+    """Return the time at which each recording is drawn, and the end of the last, s; one recording keeps its clock."""
+    starts = [float(records[0].time[0]) if len(records) == 1 else 0.0]
+    for record in records:
+        starts.append(starts[-1] + float(record.time[-1] - record.time[0]) + 1.0 / record.sample_rate_hz)
+    return starts
+
+
+def _draw_readings(panel: "Axes", time: FloatArray, values: FloatArray) -> dict[str, Any]:
+    """Draw three axes (N, 3), and where they stick at the end of the range; return a mark for the legend."""
+    from matplotlib.lines import Line2D
+
+    style: Any = {"color": SATURATED, "marker": "s", "linestyle": "none"}
+    marks: dict[str, Any] = {}
+    for column, colour in zip(values.T, AXIS_COLOURS, strict=True):
+        panel.plot(*envelope(time, column), color=colour, linewidth=0.7)
+        for limit, stuck in saturated_runs(column) if np.isfinite(column).sum() > 2 * STUCK else ():
+            at = np.concatenate([np.arange(start, stop) for start, stop in stuck])
+            panel.plot(time[at], np.full(len(at), limit), markersize=2.5, **style)
+            marks["saturated"] = Line2D([], [], markersize=4.0, **style)
+    return marks
+
+
+def _draw_gaps(panels: Sequence["Axes"], time: FloatArray, record: Record) -> dict[str, Any]:
+    """Draw stretches without readings and holes in time; return a mark for the legend."""
+    from matplotlib.patches import Patch
+
+    gap = np.zeros(len(record), np.bool_)
+    for values in (record.gyro, record.accel):
+        gap |= False if values is None else np.isnan(values).any(axis=1)
+    steps = np.diff(record.time)
+    spans = [*stretches(gap), *((k, k + 1) for k in np.flatnonzero(steps > 1.5 * np.median(steps)).tolist())]
+    for start, stop in spans:
+        for panel in panels:
+            panel.axvspan(float(time[start]), float(time[stop]), color=OPTICS, alpha=0.7, linewidth=0.8, zorder=3)
+    return {"1 gap" if len(spans) == 1 else f"{len(spans)} gaps": Patch(color=OPTICS, alpha=0.7)} if spans else {}
+
+
+def _draw_pieces(
+    strip: "Axes", panels: Sequence["Axes"], time: FloatArray, pieces: Sequence[Piece], duration_s: float
+) -> None:
+    """Draw a bar for each piece, its label where there is room, and a shade behind each still."""
+    reached = dict.fromkeys(_LEVELS.values(), -np.inf)
+    for piece in pieces:
+        start, stop = float(time[piece.start]), float(time[piece.stop - 1])
+        level = _LEVELS["left out" if piece.why else piece.kind]
+        bar: Any = {"facecolor": DEVICE if piece.kind == "still" else ERROR, "edgecolor": "white", "linewidth": 0.6}
+        bar |= {"alpha": 0.5, "hatch": "////"} if piece.why else {}
+        strip.broken_barh([(start, max(stop - start, 0.002 * duration_s))], (level - 0.26, 0.52), **bar)
+        middle, reach = 0.5 * (start + stop), 0.5 * _ROOM * duration_s * len(piece.label)
+        if piece.label and not piece.why and middle - reach >= reached[level]:
+            strip.text(middle, level + 0.27, piece.label, ha="center", va="bottom", fontsize=7.0)
+            reached[level] = middle + reach
+        if piece.kind == "still" and not piece.why:
+            for panel in panels:
+                panel.axvspan(start, stop, color=SHADE, linewidth=0.0, zorder=0)
+
+
+def _add_legend(figure: "Figure", pieces: Sequence[Piece], marks: dict[str, Any], *, used: bool) -> None:
+    """Add a legend with counts, and under the picture the reasons for what was left out."""
+    from matplotlib.patches import Patch
+
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for kind, colour in (("still", DEVICE), ("turn", ERROR)):
+        kept = [piece for piece in pieces if piece.kind == kind and not piece.why]
+        out = [piece for piece in pieces if piece.kind == kind and piece.why]
+        what = "pause" if kind == "still" else kind
+        style: Any = {"facecolor": colour, "edgecolor": "white"}
+        if kept:
+            marks[f"{len(kept)} {kind}{'s' * (len(kept) > 1)} {'used' if used else 'found'}"] = Patch(**style)
+        if out:
+            hatched = Patch(**style, hatch="////", alpha=0.5)
+            marks[f"{len(out)} {what}{'s' * (len(out) > 1)} left out"] = hatched
+        for piece in out:
+            why, _, number = piece.why.partition(": ")
+            reasons.setdefault((what, why), []).append(f", the first {number}" if number else "")
+    figure.legend(
+        marks.values(),
+        marks.keys(),
+        loc="outside upper left",
+        ncols=len(marks),
+        fontsize=8,
+        columnspacing=1.1,
+        frameon=False,
+    )
+    if reasons:
+        most = sorted(reasons.items(), key=lambda item: -len(item[1]))[:_REASONS]
+        listed = "; ".join(f"{len(of)} {what}{'s' * (len(of) > 1)} ({why}{of[0]})" for (what, why), of in most)
+        figure.supxlabel(f"left out: {listed}", fontsize=8, x=0.01, ha="left")
 
 
 # ---- Allan deviation

@@ -1,0 +1,195 @@
+"""Ten poses of 3 to 7 s held in the hand, from a support to a strong tremor, are found and calibrate the device."""
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from testkit.hand_held import Tremor, hand_held_log
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.errors import InputError, NotObservable
+from undrift.record import Record, Session
+from undrift.segments import StillSettings, find_poses, find_still, left_out
+
+# Postural tremor of a hand with a phone: about 1 deg/s and 0.05 m/s2; a strong one is four times that.
+TREMORS = {
+    "supported": Tremor(rate_dps=0.1, sway_deg=0.02, accel=0.01),
+    "light": Tremor(rate_dps=0.7, sway_deg=0.15, accel=0.04),
+    "medium": Tremor(rate_dps=1.5, sway_deg=0.4, accel=0.1),
+    "strong": Tremor(rate_dps=3.0, sway_deg=1.0, accel=0.25),
+    "severe": Tremor(rate_dps=6.0, sway_deg=1.5, accel=0.6),
+}
+
+
+def found_again(record, spans):
+    """Return how many poses hold a still, and how many stills lie in no pose."""
+    middles = [0.5 * (record.time[s.start] + record.time[s.stop - 1]) for s in find_still(record).stills]
+    inside = np.array([[a <= m <= b for m in middles] for a, b in spans])
+    return int(inside.any(axis=1).sum()), int((~inside.any(axis=0)).sum())
+
+
+def session_of(*records):
+    return Session(kind="calibration", serial="", gravity_m_s2=9.81, records=records)
+
+
+@pytest.mark.parametrize("sample_rate_hz", [100.0, 25.0])
+@pytest.mark.parametrize("level", TREMORS)
+def test_ten_poses_in_a_hand_are_found_at_every_tremor(level, sample_rate_hz):
+    counts = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        counts.append(found_again(*hand_held_log(rng, TREMORS[level], sample_rate_hz=sample_rate_hz)))
+    show(f"{level:9} {sample_rate_hz:3.0f} Hz: poses found of 10, stills elsewhere", counts, "9 or 10, 1")
+    assert min(found for found, _ in counts) >= 9
+    assert max(elsewhere for _, elsewhere in counts) <= 1
+    assert np.mean([found for found, _ in counts]) > 9.6
+
+
+@pytest.mark.parametrize("clock", [0.25, 0.5, 2.0, 4.0])
+def test_a_wrong_sample_rate_does_not_change_the_poses(clock):
+    """The clock runs ``clock`` times as fast: 400 to 25 samples per stated second."""
+    for level in ("supported", "medium"):
+        found, elsewhere = found_again(*hand_held_log(np.random.default_rng(3), TREMORS[level], poses=33, clock=clock))
+        show(f"{level}, clock x {clock:g}: poses found of 33, stills elsewhere", (found, elsewhere), "32, 1")
+        assert found >= 32
+        assert elsewhere <= 1
+
+
+@pytest.mark.parametrize("level", ["light", "medium", "strong"])
+def test_a_hand_held_log_calibrates_the_accelerometer(level):
+    record, _ = hand_held_log(np.random.default_rng(2), TREMORS[level], poses=12)
+    made = calibrate(session_of(record))
+    error = np.abs(made.accel.matrix - np.eye(3)).max()
+    show(f"{level}: largest element error of the matrix, verdict", (f"{error:.1e}", made.verdict.status), 2e-3)
+    assert made.accel.method.startswith("multi-position")
+    # 0.25 m/s2 of tremor at 9 Hz, averaged over 3 s and more, and 1 deg of sway, which gravity's length does not see
+    assert error < 2e-3
+
+
+def test_stills_that_a_caller_describes_are_searched_as_described():
+    record, _ = hand_held_log(np.random.default_rng(0), TREMORS["strong"])
+    fixed = find_still(record, StillSettings())
+    assert fixed.stills == ()
+    assert fixed.window_s == 1.0
+    many = find_still(record, StillSettings(threshold_floors=8.0))
+    assert [t.basis for t in many.thresholds] == ["given", "given"]
+    assert [t.value / t.noise_floor for t in many.thresholds] == pytest.approx([8.0, 8.0])
+    assert len(many.stills) >= 9
+    seen = observe(session_of(record), CalibrateSettings(still=StillSettings(threshold_floors=8.0)))
+    assert seen.adapted
+    assert len(seen.stills) == len(many.stills)
+
+
+def test_what_is_adapted_says_so():
+    record, _ = hand_held_log(np.random.default_rng(0), TREMORS["strong"])
+    (found,) = find_poses((record,))
+    assert found.window_s == found.settings.window_s
+    assert {t.basis for t in found.thresholds} == {"floors"}
+    assert observe(session_of(record), CalibrateSettings()).adapted
+    steady, _ = hand_held_log(np.random.default_rng(0), TREMORS["supported"])
+    assert not observe(session_of(steady), CalibrateSettings()).adapted
+
+
+def test_the_reason_is_the_true_one_with_numbers():
+    """A rest of 0.5 s is too short for a window of 1 s; a tremor of 3 deg/s is too restless for a bench."""
+    rng = np.random.default_rng(8)
+    noise = np.where(np.arange(3000) % 300 < 150, 0.01, 3.0)[:, None]
+    short = Record(time=np.arange(3000) / 100.0, gyro=noise * rng.standard_normal((3000, 3)), gyro_unit="dps")
+    found = find_still(short, StillSettings(min_duration_s=2.0))
+    assert "no stretch below the thresholds lasts 2 s; too short: the longest lasts 0." in found.reason
+    restless, _ = hand_held_log(rng, TREMORS["severe"])
+    reason = find_still(restless, StillSettings()).reason
+    assert "too restless: a device at rest varies less than 0.0122 rad/s" in reason
+    sway = 1000.0 * np.sin(2.0 * np.pi * 0.9 * np.arange(3000) / 100.0)[:, None] + 6.0 * rng.standard_normal((3000, 3))
+    counts = find_still(Record(time=short.time, gyro=sway, gyro_unit="count"))
+    assert counts.stills == ()
+    assert "no gap separates rest from motion; too restless: half of the windows vary by more than" in counts.reason
+    assert "count against a floor of" in counts.reason
+
+
+def test_what_was_left_out_says_why():
+    rng = np.random.default_rng(4)
+    level = np.full(6000, 2.0)
+    level[:1500], level[2000:2120], level[3000:3400], level[4000:4600] = 0.01, 0.01, 0.05, 0.01
+    rate = np.zeros((6000, 3))
+    rate[4000:4600, 2] = 30.0
+    record = Record(
+        time=np.arange(6000) / 100.0, gyro=rate + level[:, None] * rng.standard_normal((6000, 3)), gyro_unit="dps"
+    )
+    search = find_still(record, StillSettings(gyro_threshold=0.015))
+    assert [(s.start, s.stop > 1400) for s in search.stills] == [(0, True)]
+    out = left_out(record, search)
+    assert [one.why for one in out] == ["too short", "too restless", "turning"]
+    assert out[0].value < 1.0 == out[0].limit
+    assert out[1].value > out[1].limit == 0.015
+    assert out[2].value == pytest.approx(30.0, abs=0.1)
+    assert [1990 < out[0].start < 2130, out[1].start >= 3000, out[1].stop <= 3400] == [True, True, True]
+
+
+def test_a_log_with_few_steady_poses_names_the_restless_ones():
+    calm, _ = hand_held_log(np.random.default_rng(1), TREMORS["supported"], poses=4)
+    shaky, _ = hand_held_log(np.random.default_rng(1), Tremor(rate_dps=6.0, sway_deg=0.1, accel=0.02), poses=4)
+    one = Record(
+        time=np.arange(len(calm) + len(shaky)) / 100.0,
+        gyro=np.concatenate((calm.gyro, shaky.gyro)),
+        accel=np.concatenate((calm.accel, shaky.accel)),
+    )
+    findings = observe(session_of(one), CalibrateSettings(still=StillSettings())).findings
+    restless = next(item for item in findings if item.code == "session.restless_pauses")
+    assert restless.values["pauses"] == pytest.approx(4, abs=1)  # a strong jerk may part one
+    assert restless.values["spread"] > restless.values["limit"]
+    assert "a rest varies by" in restless.text
+
+
+def test_settings_of_stills_above_zero_alone_are_taken():
+    with pytest.raises(
+        InputError, match=r"stills: wanted window, smoothing, .* above 0, got 0 s, 0\.1 s, 1 s and none"
+    ):
+        StillSettings(window_s=0.0)
+    with pytest.raises(InputError, match=r"1 s and none, none, -2; correct them"):
+        StillSettings(threshold_floors=-2.0)
+
+
+def test_white_noise_over_the_limits_of_a_bench_hides_no_rest():
+    """At rest throughout, with white noise of 2 deg/s and 0.3 m/s2 a sample at 25 Hz."""
+    rng = np.random.default_rng(6)
+    record = Record(
+        time=np.arange(1500) / 25.0,
+        gyro=np.radians(2.0) * rng.standard_normal((1500, 3)),
+        accel=[0.0, 0.0, 9.81] + 0.3 * rng.standard_normal((1500, 3)),
+    )
+    assert find_still(record, StillSettings()).stills == ()
+    assert sum(s.stop - s.start for s in find_still(record).stills) > 1400
+
+
+def test_a_walk_that_never_rests_gives_no_poses_in_its_slow_moments():
+    rng = np.random.default_rng(7)
+    time = np.arange(6000) / 100.0
+    stride = np.sin(2.0 * np.pi * 0.9 * time + 0.3 * np.sin(0.7 * time))
+    accel = np.column_stack((2.0 * stride, 0.5 * np.roll(stride, 30), 9.81 + 3.0 * np.roll(stride, 60)))
+    record = Record(
+        time=time,
+        gyro=np.column_stack((0.3 * stride, 1.5 * np.roll(stride, 20), 0.2 * stride))
+        + 0.01 * rng.standard_normal((6000, 3)),
+        accel=accel + 0.05 * rng.standard_normal((6000, 3)),
+    )
+    assert find_still(record).stills == ()
+    with pytest.raises(NotObservable, match="too restless"):
+        calibrate(session_of(record))
+
+
+def test_a_long_recording_is_averaged_before_every_window_is_tried():
+    """Strong tremor at 4000 samples a second: 240,000 samples, each reading forty times with noise."""
+    slow, spans = hand_held_log(np.random.default_rng(1), TREMORS["strong"])
+    rng, times = np.random.default_rng(2), 40
+    count = times * len(slow)
+    assert count > 200_000
+    fast = Record(
+        time=np.arange(count) / (100.0 * times),
+        gyro=np.repeat(slow.gyro, times, axis=0) + 0.01 * rng.standard_normal((count, 3)),
+        accel=np.repeat(slow.accel, times, axis=0) + 0.1 * rng.standard_normal((count, 3)),
+    )
+    found, elsewhere = found_again(fast, spans)
+    show("poses found of 10, stills elsewhere", (found, elsewhere), "9, 1")
+    assert found >= 9
+    assert elsewhere <= 1

@@ -1,0 +1,146 @@
+"""The picture of a recording: what it marks stands in its text, with counts and reasons."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from testkit.data import data_path
+from testkit.hand_held import Tremor, hand_held_log
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings
+from undrift.calibration.pieces import pieces_of
+from undrift.record import Record, Session, Still, Turn
+from undrift.report.figures import draw_recording, svg_of
+from undrift.segments import StillSettings
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
+
+
+def session_of(*records, **pieces):
+    return Session(kind="calibration", serial="", gravity_m_s2=9.81, records=records, **pieces)
+
+
+def drawn(session, settings=CalibrateSettings(), made=None):
+    pieces, reason = pieces_of(session, settings, made)
+    text = svg_of(draw_recording(session.records, pieces, title="bench", used=made is not None))
+    assert ET.fromstring(text).tag.endswith("svg")
+    return pieces, reason, text
+
+
+def nilspod():
+    d = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
+    return session_of(Record(time=np.arange(len(d)) / 102.4, gyro=d[:, 1:4], accel=d[:, 4:7], gyro_unit="dps"))
+
+
+def test_a_hand_turned_session_shows_its_faces_and_its_three_full_turns():
+    pieces, reason, text = drawn(nilspod())
+    assert reason == ""
+    faces = [piece.label for piece in pieces if piece.kind == "still"]
+    assert faces == ["+x", "+x", "-x", "+y", "-y", "+z", "-z", "+x", "+x", "+y", "+y", "+z", "+z"]
+    for label in (
+        "13 stills found",
+        "12 turns found",
+        "x -370 deg",
+        "y -354 deg",
+        "z -359 deg",
+        "gyro (deg/s)",
+        "accel (m/s2)",
+    ):
+        assert label in text, label
+    assert "left out" not in text
+
+
+def test_what_a_calibration_used_and_left_out_is_shown_with_the_reason():
+    session = nilspod()
+    pieces, _, text = drawn(session, made=calibrate(session))
+    assert {piece.why for piece in pieces} == {"", "not a full turn"}
+    for label in ("13 stills used", "3 turns used", "9 turns left out", "left out: 9 turns (not a full turn)"):
+        assert label in text, label
+
+
+def test_gaps_saturation_and_restless_pauses_are_marked_with_numbers():
+    calm, _ = hand_held_log(np.random.default_rng(1), Tremor(rate_dps=0.1, sway_deg=0.02, accel=0.01), poses=5)
+    shaky, _ = hand_held_log(np.random.default_rng(2), Tremor(rate_dps=6.0, sway_deg=0.1, accel=0.02), poses=4)
+    gyro = np.clip(np.concatenate((calm.gyro, shaky.gyro)), -1.0, 1.0)
+    gyro[4200:4300] = np.nan
+    time = np.arange(len(gyro)) / 100.0
+    time[3000:] += 2.0
+    record = Record(time=time, gyro=gyro, accel=np.concatenate((calm.accel, shaky.accel)))
+    pieces, _, text = drawn(session_of(record), CalibrateSettings(still=StillSettings()))
+    restless = [piece for piece in pieces if piece.why.startswith("too restless: ")]
+    assert len(restless) >= 3
+    assert (
+        len(
+            {
+                label
+                for label in ("2 gaps", "saturated", "5 stills found", f"{len(restless)} pauses left out")
+                if label in text
+            }
+        )
+        == 4
+    )
+    assert f"{len(restless)} pauses (too restless, the first " in text
+    assert "rad/s rms, limit " in text
+
+
+def test_recordings_of_a_session_stand_one_after_the_other():
+    rng = np.random.default_rng(3)
+    rest = [
+        Record(time=np.arange(500) / 50.0, accel=[0.0, s * 9.81, 0.0] + 0.01 * rng.standard_normal((500, 3)))
+        for s in (1, -1)
+    ]
+    pieces, _, text = drawn(session_of(*rest))
+    assert [(piece.recording, piece.label) for piece in pieces] == [(0, "+y"), (1, "-y")]
+    assert "time (s), recordings one after the other" in text
+    assert "gyro" not in text
+
+
+def test_a_recording_without_rest_gives_the_reason():
+    time = np.arange(3000) / 100.0
+    sway = np.sin(2.0 * np.pi * 0.9 * time)[:, None] * [0.3, 1.5, 0.2]
+    pieces, reason, _ = drawn(session_of(Record(time=time, gyro=sway)))
+    assert [piece for piece in pieces if piece.kind == "still" and not piece.why] == []
+    assert "too restless" in reason
+
+
+def test_a_rate_table_session_names_turns_without_a_rate_and_other_temperatures():
+    device = random_device(np.random.default_rng(7))
+    session = simulate_session("bench", device, rng=np.random.default_rng(8))
+    pieces, _, text = drawn(session, made=calibrate(session))
+    used = [piece for piece in pieces if piece.kind == "turn" and not piece.why]
+    assert len(used) == sum(turn.turn_rate is not None for turn in session.turns)
+    assert all("deg/s" in piece.label for piece in used)
+    assert f"{len(used)} turns used" in text
+
+
+@pytest.mark.parametrize(
+    ("turn", "label", "why"),
+    [
+        (Turn(start=0, stop=50, axis="z", turn_rate=np.pi), "z 180 deg/s", ""),
+        (Turn(start=0, stop=50, axis="x", angle=2.0 * np.pi), "x 360 deg", "no stated rate"),
+        (Turn(start=0, stop=50), "", "no stated rate"),
+    ],
+)
+def test_a_stated_turn_is_labelled_by_its_rate_or_angle(turn, label, why):
+    device = random_device(np.random.default_rng(7))
+    made = calibrate(simulate_session("bench", device, rng=np.random.default_rng(8)))
+    record = Record(time=np.arange(200) / 100.0, gyro=np.zeros((200, 3)), gyro_unit=made.gyro.unit_in)
+    session = session_of(record, stills=(Still(start=60, stop=200),), turns=(turn,))
+    (piece,) = [piece for piece in pieces_of(session, made=made)[0] if piece.kind == "turn"]
+    assert (piece.label, piece.why) == (label, why)
+
+
+def test_stills_at_another_temperature_are_left_out_with_that_reason():
+    rng = np.random.default_rng(3)
+    record = Record(time=np.arange(900) / 50.0, accel=[0.0, 9.81, 0.0] + 0.01 * rng.standard_normal((900, 3)))
+    stills = tuple(
+        Still(start=300 * k, stop=300 * k + 250, temp_c=temp_c, face=face)
+        for k, (temp_c, face) in enumerate(((25.0, "+y"), (25.0, None), (45.0, "+y")))
+    )
+    made = calibrate(simulate_session("bench", random_device(np.random.default_rng(7)), rng=np.random.default_rng(8)))
+    pieces, _, text = drawn(session_of(record, stills=stills), made=made)
+    assert [piece.why for piece in pieces] == ["", "no face up", "another temperature"]
+    assert "2 stills used" not in text
+    for label in ("1 still used", "2 pauses left out", "left out: 1 pause (no face up); 1 pause (another temperature)"):
+        assert label in text, label
