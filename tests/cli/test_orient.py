@@ -6,7 +6,7 @@ import pytest
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
 from undrift.io.formats import read_reference
-from undrift.io.parquet import COLUMNS
+from undrift.io.write import COLUMNS
 
 
 def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tmp_path):
@@ -80,7 +80,9 @@ def test_what_orient_refuses(undrift, bench, tmp_path):
     corrected = bench / "corrected.parquet"
     assert "say --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
     assert "--output" in refused(corrected)
-    assert "wanted a name ending in .parquet, .csv or .csv.gz" in refused(corrected, "-o", tmp_path / "o.xls")
+    assert "wanted a name ending in .parquet, .csv, .csv.gz, .sto, .mat or _motion.tsv" in refused(
+        corrected, "-o", tmp_path / "o.xls"
+    )
     assert "than those that are read" in refused(corrected, "-o", corrected)
     assert "up" in refused(corrected, "-o", tmp_path / "o.csv", "--up", "+x")
     assert "wanted a recording" in refused(bench / "calibration.json", "-o", tmp_path / "mine.csv")
@@ -151,3 +153,12 @@ def test_no_orientation_is_carried_over_a_gap_that_the_policy_nan_left(undrift, 
 def test_under_the_policy_nan_a_record_within_the_table_is_oriented_as_under_any_other(undrift, bench, tmp_path):
     words = ["orient", *warm_between(bench, tmp_path, 99.0, 99.0), "-o", tmp_path / "o.csv", "--json"]
     assert undrift.good(*words, "--policy", "nan").json() == undrift.good(*words).json()
+
+
+def test_quaternions_go_to_opensense_under_the_name_of_the_body(undrift, bench, tmp_path):
+    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.sto", "--sensor", "pelvis")
+    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.csv")
+    lines = (tmp_path / "o.sto").read_text().splitlines()
+    assert lines[5] == "time\tpelvis_imu"
+    q = np.array([[float(cell) for cell in line.split("\t")[1].split(",")] for line in lines[6:]])
+    np.testing.assert_allclose(q, read_reference(tmp_path / "o.csv").q_nb, atol=1e-11)  # twelve digits are written

@@ -24,6 +24,7 @@ def orient(
     heading_deg: float = 0.0,
     forward: Side = "+x",
     up: Side = "+z",
+    sensor: str = "sensor",
     power_on_s: float | None = None,
     policy: Policy = "raise",
     opening: Opening = Opening(),
@@ -36,7 +37,8 @@ def orient(
     record : Path
         A corrected recording, or a raw one with --calibration.
     output : Path
-        .parquet or .csv with time, quaternion and angles.
+        Time, quaternion and angles as .parquet, .csv, .csv.gz or .mat; quaternions as .sto (OpenSense) or
+        sub-.._task-.._tracksys-.._motion.tsv (BIDS).
     calibration : Path or None
         calibration.json of the device, for a raw recording.
     offset : str
@@ -51,6 +53,8 @@ def orient(
         Device axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
         Device axis that points up on the upright segment.
+    sensor : str
+        Name of the sensor in .sto and BIDS: a body of the OpenSim model, as in pelvis, heads the column pelvis_imu.
     power_on_s : float or None
         Time since power-on at the first sample, s; without it no warm-up is subtracted.
     policy : str
@@ -61,12 +65,13 @@ def orient(
     """
     from undrift.correction.correct import correct_checked
     from undrift.correction.coverage import find_beyond
-    from undrift.io.parquet import write_orientation
     from undrift.io.store import read_calibration
+    from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
 
-    check_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
+    reads = (record, calibration, opening.column_map)
+    check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     readings, model, notes = opening.read(record), None, tuple[str, ...]()
     if calibration is None:
         check_physical(readings, record)
@@ -77,7 +82,8 @@ def orient(
         readings, model, notes = done.record, held.accel, (*done.warnings, *beyond, *done.notes)
     settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     found = find(readings, _still(readings, still_start_s, still_stop_s), settings, accel_model=model)
-    write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
+    angles = (found.inclination, found.heading, found.pitch)
+    write_orientation(found.time, found.q_nb, angles, output, sensor=sensor)
     made: dict[str, Any] = {
         "samples": len(found.time),
         "still": [float(found.time[k]) for k in (found.still.start, found.still.stop - 1)],

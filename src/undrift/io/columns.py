@@ -6,8 +6,9 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 ``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs none: :func:`native_map` recognises exactly those.
 """
 
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -221,6 +222,15 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
         return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
+
+
+def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> ColumnMap:
+    """Return a map with the frame, state and device that undrift wrote beside a table; the error where they are none."""
+    frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
+    frame, state, device = (held.get(key, "") for key in ("frame", "state", "device"))
+    if frame not in frames or state not in states or not isinstance(device, str):
+        raise FileFormatError(f"{otherwise}; write the file anew")
+    return replace(columns, frame=frames[frame], state=states[state], device=device)
 
 
 def is_native(names: Names) -> bool:

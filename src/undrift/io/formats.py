@@ -21,10 +21,11 @@ from undrift.files import checked_file, read_bytes
 from undrift.io.arrays import mat_arrays, npz_arrays, open_hdf5, read_mat, read_npz
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
-from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
+from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet
 from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
-from undrift.io.text import read_csv, write_csv
+from undrift.io.text import read_csv
 from undrift.io.wearables import read_actigraph, read_apdm, read_ngimu, read_ximu, read_ximu3
+from undrift.io.write import write_record_as
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
 
@@ -318,14 +319,15 @@ def iter_record(
 
 
 def write_record(record: Record, path: str | Path) -> None:
-    """Write a record as Parquet or CSV, by the name's ending.
+    """Write a record, in the format that the ending of the name stands for.
 
     Parameters
     ----------
     record : Record
         Readings.
     path : str or Path
-        NAME.parquet, NAME.csv or NAME.csv.gz.
+        NAME.parquet, NAME.csv or NAME.csv.gz (frame, state and device in NAME.csv.json beside it), NAME.mat, or the
+        sub-01_task-walk_tracksys-imu_motion.tsv of BIDS with the three files that belong to it.
 
     Raises
     ------
@@ -341,13 +343,7 @@ def write_record(record: Record, path: str | Path) -> None:
     >>> len(undrift.read_record(path))
     3
     """
-    name = Path(path).name.lower()
-    if name.endswith(".parquet"):
-        write_parquet(record, path)
-    elif name.endswith((".csv", ".csv.gz")):
-        write_csv(record, path)
-    else:
-        raise InputError(f"{path}: wanted a name ending in .parquet, .csv or .csv.gz, got another; name the format so")
+    write_record_as(record, Path(path))
 
 
 def read_reference(
