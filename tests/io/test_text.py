@@ -77,7 +77,7 @@ def test_a_table_that_cannot_be_written_leaves_nothing_beside_it(tmp_path):
     [
         ({"format": 2}, "wanted undrift.record format 1, got format 2"),
         ({"state": "cooked"}, "wanted frame, state and device of a recording, got others"),
-        ({"columns": {"time_s": "s"}}, "it is of another table: move it away"),
+        ({"columns": {"time_s": "s"}}, "it belongs to another table: move it away"),
     ],
 )
 def test_a_statement_beside_a_table_that_does_not_fit_it_is_refused(tmp_path, change, said):

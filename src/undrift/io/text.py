@@ -113,8 +113,8 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap) -> Colum
         )
     if [*held.get("columns", ())] != [*names]:
         raise FileFormatError(
-            f"{beside}: wanted the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}; it is of "
-            "another table: move it away"
+            f"{beside}: wanted the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}; "
+            "it belongs to another table: move it away"
         )
     return stated(columns, held, f"{beside}: wanted frame, state and device of a recording, got others")
 

@@ -19,6 +19,7 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -105,7 +106,7 @@ def _write_mat(table: Columns, path: Path, statement: str = "") -> None:
 
     names, columns = table
     held: dict[str, object] = {name: np.reshape(column, (-1, 1)) for name, column in zip(names, columns, strict=True)}
-    buffer = io.BytesIO()
+    buffer: Any = io.BytesIO()
     savemat(buffer, held | ({"undrift": statement} if statement else {}))
     write_whole(path, buffer.getvalue())
 
@@ -162,8 +163,8 @@ def _record_bids(record: Record, path: Path, made_by: Provenance) -> None:
 
 
 def _orientation_bids(table: Columns, path: Path, sensor: str) -> None:
-    names, columns = (held[:5] for held in table)
-    _write_bids([_channel(name, "level") for name in names], columns, path, sensor, {})
+    names, columns = table
+    _write_bids([_channel(name, "level") for name in names[:5]], columns[:5], path, sensor, {})
 
 
 def _channel(name: str, frame: str) -> dict[str, str]:
