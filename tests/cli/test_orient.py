@@ -162,3 +162,25 @@ def test_quaternions_go_to_opensense_under_the_name_of_the_body(undrift, bench, 
     assert lines[5] == "time\tpelvis_imu"
     q = np.array([[float(cell) for cell in line.split("\t")[1].split(",")] for line in lines[6:]])
     np.testing.assert_allclose(q, read_reference(tmp_path / "o.csv").q_nb, atol=1e-11)  # twelve digits are written
+
+
+def test_the_drift_to_expect_is_said_and_every_rest_is_used_on_request(undrift, tmp_path):
+    trial = data_path("broad", "05_undisturbed_slow_rotation_with_breaks_B.hdf5")
+    said = undrift.good("orient", trial, "-o", tmp_path / "o.csv").out
+    assert "warning: Strapdown drift of 56 deg to expect: offset uncertain by 0.33 deg/s, 172 s from the rest" in said
+    assert "use --offset rest" in said
+    told = undrift.good("orient", trial, "-o", tmp_path / "o.csv", "--offset", "still", "--json").json()
+    assert len(told["rests"]) == len(told["rest_offsets_dps"]) == 5  # before, in the breaks, after
+    assert told["findings"][0]["level"] == "info"
+    assert told["offset_uncertainty_dps"] < 0.005
+    assert told["method"] == "strapdown"
+
+
+def test_the_filter_is_taken_by_its_name(undrift, bench, tmp_path):
+    pytest.importorskip("vqf")
+    words = ("orient", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "o.csv")
+    told = undrift.good(*words, "--method", "vqf", "--json").json()
+    plain = undrift.good(*words, "--json").json()
+    assert told["method"] == "vqf"
+    np.testing.assert_allclose(told["pitch_deg"], plain["pitch_deg"], atol=1.5)  # deg: a chair's push is no rest
+    assert told["findings"] == []

@@ -21,7 +21,7 @@ COMMANDS = {  # one line of 80 columns each
     "calibrate": "Fit what a session allows, with verdict and findings.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
-    "orient": "Initial tilt and strapdown: orientation, inclination, pitch.",
+    "orient": "Orientation by strapdown or a filter: inclination, pitch.",
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",

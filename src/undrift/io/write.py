@@ -18,6 +18,7 @@ import io
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -196,8 +197,6 @@ def _entities(path: Path) -> tuple[str, str]:
 def _write_bids(
     channels: list[dict[str, str]], columns: Sequence[FloatArray], path: Path, point: str, more: Mapping[str, object]
 ) -> None:
-    from undrift import __version__
-
     task, system = _entities(path)
     time, types = columns[0], [row["type"] for row in channels]
     columns = (time - time[0], *columns[1:])  # latency counts from the first sample
@@ -207,7 +206,7 @@ def _write_bids(
         "TrackingSystemName": system,
         "SamplingFrequency": round(sample_rate_of(time), 6),
         "SamplingFrequencyEffective": (len(time) - 1) / float(time[-1] - time[0]),
-        "SoftwareVersions": f"undrift {__version__}",
+        "SoftwareVersions": f"undrift {version('undrift')}",
         "TrackedPointsCount": 1,
         "MotionChannelCount": measured,
         **{f"{kind}ChannelCount": types.count(kind) for kind in _COUNTED},

@@ -4,7 +4,7 @@ Colours keep one meaning throughout: the device in blue, the optics in black, er
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -154,6 +154,19 @@ def draw_agreement(
     where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
     axes.annotate(f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), **where)
     axes.set(xlabel=f"mean of device and optics (deg), one point a {unit}", ylabel="device - optics (deg)")
+    return figure
+
+
+def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
+    """Draw a group of bars for each name, a bar for each row of values (n,)."""
+    figure, (axes,) = new_figure(1, height=2.9)
+    width = 0.8 / len(values)
+    for k, ((row, heights), colour) in enumerate(zip(values.items(), (LIMIT, ERROR, DEVICE, OPTICS), strict=False)):
+        axes.bar(np.arange(len(names)) + (k + 0.5) * width - 0.4, heights, width, color=colour, label=row)
+    axes.set_xticks(np.arange(len(names)), names)
+    axes.set_ylabel(label)
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.legend(loc="best")
     return figure
 
 
