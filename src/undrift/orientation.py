@@ -40,6 +40,7 @@ from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.segments import find_still, runs
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
+from undrift.views import Shown
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -298,7 +299,7 @@ class OrientSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Orientation:
+class Orientation(Shown):
     """Orientation of the device case over time.
 
     Parameters
@@ -348,6 +349,16 @@ class Orientation:
         names = ("time", "q_nb", "inclination", "heading", "pitch", "offset")
         for name, shape in zip(names, (one, four, one, one, one, three), strict=True):
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Orientation.{name}"))
+
+    def _rows(self) -> dict[str, str]:
+        named = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
+        spans = {
+            name: f"{np.nanmin(angle) / RADIAN_PER_DEGREE:.1f} to {np.nanmax(angle) / RADIAN_PER_DEGREE:.1f} deg"
+            for name, angle in named
+        }
+        tilt = f"{self.tilt.inclination_uncertainty / RADIAN_PER_DEGREE:.2g} deg"
+        drift = {one.headline: one.detail for one in self.findings}
+        return {"samples": str(len(self.time))} | spans | {"standard uncertainty of the tilt": tilt} | drift
 
     @property
     def rotation(self) -> "Rotation":
