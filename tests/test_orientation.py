@@ -1,6 +1,8 @@
 """orient: the whole way from readings to angles."""
 
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product
+from undrift.model import TriadModel
 from undrift.orientation import OrientSettings, heading_of, inclination_of, orient, sagittal_pitch
 from undrift.record import Record, Still
 
@@ -100,3 +103,154 @@ def test_a_hole_in_time_or_a_dead_axis_is_refused() -> None:
     assert record.gyro is not None
     with pytest.raises(InputError, match="wanted three gyroscopes that turn, got x at one value throughout"):
         orient(replace(record, gyro=record.gyro * [0.0, 1.0, 1.0]))
+
+
+# ---- offsets of every rest, the drift to expect, and the filter
+
+
+def worn(*, drift=5e-5, rests=4, noise=1e-3, seed=5):
+    """A record of rests of 5 s and turns of 10 s about one axis, whose offset drifts by ``drift`` rad/s in a second."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(1500 * (rests - 1) + 500) * 0.01
+    angle = np.interp(time % 15.0, [0.0, 5.0, 10.0, 15.0], [0.0, 0.0, 1.5, 0.0])
+    axis = np.array([0.6, 0.0, 0.8])
+    q = np.column_stack((np.cos(angle / 2.0), np.sin(angle / 2.0)[:, None] * axis))
+    rate = np.diff(angle, prepend=0.0) / 0.01
+    up = np.stack([quaternion_product(quaternion_product(quaternion_conjugate(p), [0, 0, 0, G]), p)[1:] for p in q])
+    offset = drift * time[:, None] * [1.0, -1.0, 0.5]
+    gyro = rate[:, None] * axis + offset + noise * rng.normal(size=(len(time), 3))
+    return Record(time=time, gyro=gyro, accel=up + noise * rng.normal(size=up.shape)), q
+
+
+def test_the_offset_of_every_rest_follows_one_that_drifts():
+    record, truth = worn()
+    errors = {}
+    for offset in ("none", "rest", "still"):
+        found = orient(record, None, OrientSettings(offset=offset))
+        turned = quaternion_product(found.q_nb, quaternion_conjugate(truth))
+        errors[offset] = 2.0 * np.arctan2(np.linalg.norm(turned[:, 1:], axis=1), np.abs(turned[:, 0]))[-1]
+    show("error at the end of 50 s, rad", errors)
+    assert len(found.rests) == 4
+    assert errors["none"] > 0.08
+    assert errors["rest"] > 0.07
+    # linear between the rests is exact for a linear drift; what is left is noise: 1e-3 rad/s over 50 s at 100 Hz is 7e-4 rad,
+    # and the means of the rests, 1e-3 / sqrt(400) rad/s each, are off by up to 1e-3 rad after 20 s
+    assert errors["still"] < 0.005
+    np.testing.assert_allclose(found.offset, found.rest_offsets[0], atol=3e-4)  # rad/s, half a rest later
+
+
+def test_a_named_rest_counts_beside_those_that_are_found():
+    record, _ = worn()
+    found = orient(record, Still(start=20, stop=300), OrientSettings(offset="still"))
+    assert (found.still.start, found.still.stop) == (20, 300)
+    assert len(found.rests) == 4
+    assert found.rests[0] == found.still
+
+
+def test_the_drift_to_expect_is_the_rate_left_at_the_rests_times_the_time():
+    record, _ = moved(noise=1e-4, offset=0.02)
+    (item,) = orient(record).findings
+    assert item.code == "orient.drift"
+    assert item.level == "warn"
+    assert item.values["offset_dps"] == pytest.approx(np.degrees(0.02 * np.sqrt(3.0)), rel=0.01)
+    assert item.values["drift_deg"] == pytest.approx(item.values["offset_dps"] * item.values["duration_s"])
+    assert item.text.endswith("use --offset rest")
+    (item,) = orient(record, None, OrientSettings(offset="rest")).findings
+    assert item.level == "info"
+    assert item.values["offset_dps"] < 0.01  # of the scatter alone
+
+
+def test_the_uncertainty_of_the_calibrations_offset_counts_where_nothing_better_is_known():
+    record, _ = moved(noise=1e-5)
+    sd = 0.003  # dps per unit of the raw reading, which is doubled by the matrix
+    model = TriadModel(
+        method="rate-table",
+        unit_in="dps",
+        unit_out="dps",
+        matrix=2.0 * np.eye(3),
+        offset=np.zeros(3),
+        covariance=np.diag([0.0] * 9 + [sd**2] * 3),
+        rms_residual=0.0,
+        count=12,
+        rank=12,
+        condition=1.0,
+        valid_range=(-100.0, 100.0),
+    )
+    found = orient(record, gyro_model=model)
+    assert np.degrees(found.offset_uncertainty) == pytest.approx(2.0 * sd * np.sqrt(3.0), rel=0.01)
+    rest = orient(record, None, OrientSettings(offset="rest"), gyro_model=model)
+    assert rest.offset_uncertainty < 0.1 * found.offset_uncertainty  # the rest's own mean took its place
+
+
+def test_quaternions_come_as_a_rotation_of_scipy():
+    found = orient(moved(noise=1e-4)[0])
+    up = found.rotation.inv().apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(
+        np.arccos(np.clip(up[:, 2], -1.0, 1.0)), found.inclination, atol=1e-7
+    )  # rad, of arccos near 1
+    assert len(found.rotation) == len(found.time)
+
+
+VQF = OrientSettings(method="vqf", heading=0.3)
+
+
+def test_the_filter_keeps_the_heading_of_the_rest_and_the_course_of_the_motion():
+    pytest.importorskip("vqf")
+    record, truth = worn(drift=0.0)
+    found = orient(record, None, VQF)
+    turn = np.array([np.cos(0.15), 0.0, 0.0, np.sin(0.15)])
+    error = off(found.q_nb, quaternion_product(turn, truth))
+    show("filter on ideal readings, rad", error.max(), 0.01)
+    assert error.max() < 0.01  # the filter trusts the accelerometers with 3 s, and smooths them
+    assert found.heading[found.still.stop - 1] == pytest.approx(0.3, abs=1e-6)
+    assert found.findings == ()
+
+
+def test_the_filter_takes_readings_of_an_uneven_clock():
+    pytest.importorskip("vqf")
+    record, _ = worn(drift=0.0)
+    even = orient(record, None, VQF)
+    time = record.time.copy()
+    time[1:-1] += np.random.default_rng(3).uniform(-0.004, 0.004, len(time) - 2)
+    uneven = replace(
+        record, time=time, gyro=_at(time, record.time, record.gyro), accel=_at(time, record.time, record.accel)
+    )
+    found = orient(uneven, Still(start=0, stop=400), VQF)
+    error = off(found.q_nb, np.stack([np.interp(time, even.time, axis) for axis in even.q_nb.T], axis=1))
+    show("uneven against even, rad", error.max(), 0.02)
+    assert error.max() < 0.02  # 0.3 rad/s over the half step by which interpolated means are late
+
+
+def _at(times, time, values):
+    return np.stack([np.interp(times, time, axis) for axis in values.T], axis=1)
+
+
+def test_the_filter_is_told_how_well_the_offset_is_known(monkeypatch):
+    given = {}
+
+    class Filter:
+        def __init__(self, step, **settings):
+            given.update(settings, step=step)
+
+        def updateBatch(self, gyro, accel):
+            return {"quat6D": np.tile([1.0, 0.0, 0.0, 0.0], (len(gyro), 1))}
+
+    monkeypatch.setitem(sys.modules, "vqf", SimpleNamespace(VQF=Filter))
+    record, _ = moved(noise=1e-4, offset=0.002)
+    found = orient(record, None, VQF)
+    assert given["biasSigmaInit"] == pytest.approx(np.degrees(found.offset_uncertainty))
+    assert np.degrees(found.offset_uncertainty) == pytest.approx(np.degrees(0.002 * np.sqrt(3.0)), rel=0.05)
+    assert given["step"] == pytest.approx(0.01)
+
+
+def test_without_its_package_or_without_accelerometers_the_filter_is_refused(monkeypatch):
+    record, _ = moved(noise=1e-4)
+    accel = record.accel.copy()
+    accel[500] = np.nan
+    with pytest.raises(InputError, match="wanted an accelerometer without gaps for the filter, got 1 gaps"):
+        orient(replace(record, accel=accel), None, VQF)
+    monkeypatch.setitem(sys.modules, "vqf", None)
+    with pytest.raises(
+        InputError, match=r"wanted the package vqf for this method, got none; pip install 'undrift\[orientation\]'"
+    ):
+        orient(record, None, VQF)

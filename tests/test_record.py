@@ -112,3 +112,54 @@ def test_a_reference_refuses_what_is_no_quaternion():
         Reference(time=T, q_nb=np.tile([1.0, 0, 0, 0], (3, 1)), position=[[0.0, 0, 0]])
     nearly = Reference(time=T, q_nb=np.tile([1.0005, 0, 0, 0], (3, 1)))
     np.testing.assert_array_equal(nearly.q_nb[:, 0], 1.0)
+
+
+# ---- from arrays
+
+
+def test_arrays_with_their_units_and_a_rate_are_a_record():
+    gyro, accel = np.arange(12.0).reshape(4, 3), np.ones((4, 3))
+    record = Record.from_arrays(
+        gyro=gyro, accel=accel, gyro_unit="deg/s", accel_unit="mg", sample_rate_hz=50.0, device="A1"
+    )
+    np.testing.assert_allclose(record.time, [0.0, 0.02, 0.04, 0.06], atol=1e-15)
+    assert (record.gyro_unit, record.accel_unit, record.frame, record.state, record.device) == (
+        "dps",
+        "mg",
+        "s",
+        "raw",
+        "A1",
+    )
+    timed = Record.from_arrays(gyro=gyro, gyro_unit="dps", time=[0.0, 0.1, 0.2, 0.4], temp_c=[25.0] * 4)
+    np.testing.assert_array_equal(timed.temp_c, 25.0)
+    assert timed.accel is None
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"gyro": np.zeros((5, 3)), "sample_rate_hz": 10.0},
+            "wanted the unit of gyro, got none; state it, as in gyro_unit='dps'",
+        ),
+        ({"accel": np.zeros((5, 3)), "sample_rate_hz": 10.0}, "wanted the unit of accel, got none"),
+        (
+            {"gyro": np.zeros((3, 50)), "gyro_unit": "dps", "sample_rate_hz": 10.0},
+            r"got \(3, 50\); time is axis 0: give gyro.T",
+        ),
+        ({"gyro": np.zeros((5, 3)), "gyro_unit": "dps"}, "wanted time in s or a sample_rate_hz above 0, got neither"),
+        ({"gyro": np.zeros((5, 3)), "gyro_unit": "dps", "sample_rate_hz": 0.0}, "above 0, got 0 Hz"),
+        (
+            {"gyro": np.zeros((2, 3)), "gyro_unit": "dps", "sample_rate_hz": 1.0, "time": [0.0, 1.0]},
+            "got both; state one of them",
+        ),
+        ({"sample_rate_hz": 10.0}, "wanted gyro or accel readings, got neither"),
+        (
+            {"gyro": np.zeros((5, 2)), "gyro_unit": "dps", "sample_rate_hz": 10.0},
+            r"gyro: wanted shape \(5, 3\), got \(5, 2\)",
+        ),
+    ],
+)
+def test_arrays_that_leave_something_open_are_refused(given, said):
+    with pytest.raises(InputError, match=said):
+        Record.from_arrays(**given)

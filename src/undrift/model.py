@@ -22,6 +22,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, most_consequential_first
 from undrift.record import Axis, FileMap
+from undrift.views import Shown
 
 Rounding = Literal["nearest", "floor", "toward_zero"]
 Status = Literal["good", "marginal", "bad"]
@@ -327,7 +328,7 @@ class Provenance:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Calibration:
+class Calibration(Shown):
     """Everything that is needed to turn one device's readings into rad/s and m/s2.
 
     Parameters
@@ -373,6 +374,15 @@ class Calibration:
     verdict: Verdict = Verdict()
     provenance: Provenance = Provenance()
     file_map: FileMap | None = None
+
+    def _rows(self) -> dict[str, str]:
+        lines = [line.partition("  ") for line in repr(self).splitlines()[1:]]
+        reasons = {f"finding {k}": text for k, text in enumerate(self.verdict.reasons[:3], 1)}
+        return (
+            {"device": self.device or "without serial number"}
+            | {name: text.strip() for name, _, text in lines}
+            | reasons
+        )
 
     def __repr__(self) -> str:
         where = "unknown temperature" if np.isnan(self.reference_temp_c) else f"{self.reference_temp_c:.1f} degC"

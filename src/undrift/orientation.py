@@ -16,21 +16,34 @@ Angles of q_nb = (w, x, y, z)::
     pitch       = atan2(-u . forward, u . up)    u the vertical seen in b: forward lean is positive
 
 The pitch has no singularity until the vertical leaves the sagittal plane, where it is a gap (NaN).
+
+Strapdown drifts by the offset's uncertainty times the time since the rest; the uncertainty is the largest rate left at a rest (the
+calibration's own where that is more), and the scatter of the mean. A filter (VQF [1]_, 6D: no magnetometer) takes the inclination
+from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias; its heading is that of the rest.
+
+.. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
+   rejection", Information Fusion 91, 187-204, 2023; the package ``vqf``.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
+from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import StillSettings, find_still, runs
-from undrift.units import STANDARD_GRAVITY, si_factor
+from undrift.segments import find_still, runs
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
+from undrift.views import Shown
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 # ---- Initial tilt
 
@@ -254,6 +267,11 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
 # ---- A whole record
 
 LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
+WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # of strapdown over the record: what optics show on a trial of two minutes
+LEAST_BIAS_SIGMA_DPS = (
+    1e-3  # deg/s, prior of the filter's bias: below it the filter would not correct a real change for long
+)
+UNEVEN = 0.1  # of the median step: beyond it the filter, which knows one step, gets readings on an even grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,21 +281,25 @@ class OrientSettings:
     Parameters
     ----------
     offset : str
-        "none", or "rest": the mean rate of the still phase is subtracted, and with it any true slow turn.
+        "none"; "rest": the mean rate of the still phase is subtracted, and with it any true slow turn; "still": the mean
+        rate of every still phase, linear in between.
+    method : str
+        "strapdown", or "vqf": a filter with accelerometers, which needs the package vqf (undrift[orientation]).
     heading : float
         Heading at the still phase, rad.
     forward, up : str
         Device axes that point forward and up on the upright segment; they define the pitch.
     """
 
-    offset: Literal["none", "rest"] = "none"
+    offset: Literal["none", "rest", "still"] = "none"
+    method: Literal["strapdown", "vqf"] = "strapdown"
     heading: float = 0.0
     forward: Face = "+x"
     up: Face = "+z"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Orientation:
+class Orientation(Shown):
     """Orientation of the device case over time.
 
     Parameters
@@ -297,7 +319,15 @@ class Orientation:
     still : Still
         That phase.
     offset : array, shape (3,)
-        Rate that was subtracted, rad/s.
+        Rate that was subtracted at that phase, rad/s.
+    rests : tuple of Still
+        The still phases that the offset comes from, and by which its uncertainty is judged.
+    rest_offsets : array, shape (K, 3)
+        Mean rate of each, rad/s, before anything was subtracted.
+    offset_uncertainty : float
+        Standard uncertainty of the offset, all axes together, rad/s.
+    findings : tuple of Finding
+        The drift to expect of strapdown.
     """
 
     time: FloatArray
@@ -308,12 +338,34 @@ class Orientation:
     tilt: Tilt
     still: Still
     offset: FloatArray
+    rests: tuple[Still, ...]
+    rest_offsets: FloatArray
+    offset_uncertainty: float
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "rest_offsets", frozen(self.rest_offsets, (len(self.rests), 3), "rest_offsets"))
         one, three, four = (len(self.time),), (3,), (len(self.time), 4)
         names = ("time", "q_nb", "inclination", "heading", "pitch", "offset")
         for name, shape in zip(names, (one, four, one, one, one, three), strict=True):
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Orientation.{name}"))
+
+    def _rows(self) -> dict[str, str]:
+        named = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
+        spans = {
+            name: f"{np.nanmin(angle) / RADIAN_PER_DEGREE:.1f} to {np.nanmax(angle) / RADIAN_PER_DEGREE:.1f} deg"
+            for name, angle in named
+        }
+        tilt = f"{self.tilt.inclination_uncertainty / RADIAN_PER_DEGREE:.2g} deg"
+        drift = {one.headline: one.detail for one in self.findings}
+        return {"samples": str(len(self.time))} | spans | {"standard uncertainty of the tilt": tilt} | drift
+
+    @property
+    def rotation(self) -> "Rotation":
+        """The orientation as a scipy Rotation of N, body to level frame."""
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_quat(self.q_nb, scalar_first=True)
 
 
 def orient(
@@ -322,6 +374,7 @@ def orient(
     settings: OrientSettings = OrientSettings(),
     *,
     accel_model: TriadModel | None = None,
+    gyro_model: TriadModel | None = None,
 ) -> Orientation:
     """Find the orientation of the device at every sample.
 
@@ -332,19 +385,21 @@ def orient(
     still : Still, optional
         Where the device stood still; the first still phase that is found when absent.
     settings : OrientSettings
-        Offset, heading and axes.
+        Method, offset, heading and axes.
     accel_model : TriadModel, optional
         The accelerometer's model, whose covariance then counts in the uncertainty of the tilt.
+    gyro_model : TriadModel, optional
+        The gyroscope's model, whose covariance then counts in the uncertainty of the offset.
 
     Returns
     -------
     Orientation
-        Quaternions, angles, and the tilt that they rest on.
+        Quaternions, angles, the tilt that they rest on, and the drift to expect.
 
     Raises
     ------
     InputError
-        No gyroscope, no still phase, gaps, holes in time, a dead axis, or readings in counts.
+        No gyroscope, no still phase, gaps, holes in time, a dead axis, readings in counts, or no package for the method.
 
     Examples
     --------
@@ -361,10 +416,19 @@ def orient(
     if record.gyro is None:
         raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
     _check_whole(record.time, record.gyro)
-    still = _first_still(record) if still is None else still
+    rests = _rests(record, still, every=settings.offset == "still")
+    still = rests[0] if still is None else still
     tilt = initial_tilt(record, still, heading=settings.heading, accel_model=accel_model)
-    offset = record.gyro[still.start : still.stop].mean(axis=0) if settings.offset == "rest" else np.zeros(3)
-    q = _both_ways(record.gyro - offset, record.time, tilt.q_nb, still.stop - 1)
+    means = np.stack([record.gyro[one.start : one.stop].mean(axis=0) for one in rests])
+    offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
+    uncertainty = _offset_uncertainty(record.gyro, rests, means, offsets, gyro_model)
+    gyro, anchor = record.gyro - offsets, still.stop - 1
+    findings: tuple[Finding, ...] = ()
+    if settings.method == "vqf":
+        q = _levelled_at(_filtered(record, gyro, uncertainty), anchor, tilt.q_nb)
+    else:
+        q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
+        findings = (_expected_drift(record.time, anchor, uncertainty, settings.offset),)
     return Orientation(
         time=record.time,
         q_nb=q,
@@ -373,8 +437,110 @@ def orient(
         pitch=sagittal_pitch(q, forward=settings.forward, up=settings.up),
         tilt=tilt,
         still=still,
-        offset=offset,
+        offset=offsets[anchor],
+        rests=rests,
+        rest_offsets=means,
+        offset_uncertainty=uncertainty,
+        findings=findings,
     )
+
+
+def _rests(record: Record, named: Still | None, *, every: bool) -> tuple[Still, ...]:
+    """Return the still phases: those found and the named one, or the named one alone where no others are needed."""
+    if named is not None and not every:
+        return (named,)
+    found = find_still(record, StillSettings())
+    found = found if found.stills else find_still(record)  # adapts
+    stills = [one for one in found.stills if named is None or one.stop <= named.start or one.start >= named.stop]
+    if named is not None:
+        return tuple(sorted((*stills, named), key=lambda one: one.start))
+    if not stills:
+        reason = found.reason.removeprefix("no still phase: ")
+        raise InputError(
+            f"orient: wanted a still phase, got none: {reason}; name a stretch at rest (--still-start-s, --still-stop-s), or "
+            "record with a pause"
+        )
+    return tuple(stills)
+
+
+def _offsets(time: FloatArray, rests: Sequence[Still], means: FloatArray, offset: str, anchor: int) -> FloatArray:
+    """Return the rate to subtract from each sample, (N, 3): none, that of one rest, or linear between the rests."""
+    if offset == "none":
+        return np.zeros((len(time), 3))
+    if offset == "rest" or len(rests) == 1:
+        return np.tile(means[anchor], (len(time), 1))
+    middles = [0.5 * (time[one.start] + time[one.stop - 1]) for one in rests]
+    return np.stack([np.interp(time, middles, axis) for axis in means.T], axis=1)
+
+
+def _offset_uncertainty(
+    gyro: FloatArray, rests: Sequence[Still], means: FloatArray, offsets: FloatArray, model: TriadModel | None
+) -> float:
+    """Return the standard uncertainty of the rate's offset, all axes together: rad/s."""
+    left = [mean - offsets[(one.start + one.stop) // 2] for one, mean in zip(rests, means, strict=True)]
+    worst = max(float(np.linalg.norm(one)) for one in left)
+    if model is not None and not offsets.any():
+        columns = [k for k, name in enumerate(model.parameters) if name.startswith("offset_")]
+        spread = model.matrix @ model.covariance[np.ix_(columns, columns)] @ model.matrix.T
+        worst = max(worst, si_factor(model.unit_out, "rate") * float(np.sqrt(np.trace(spread))))
+    scatter = min(
+        sum(mean_variance(axis) for axis in gyro[one.start : one.stop].T) for one in rests if one.stop - one.start > 1
+    )
+    return math.hypot(worst, math.sqrt(scatter))
+
+
+def _expected_drift(time: FloatArray, anchor: int, uncertainty: float, offset: str) -> Finding:
+    """Return the angle by which strapdown is off at the end that is farther from the rest."""
+    duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
+    return finding(
+        "orient.drift",
+        "warn" if uncertainty * duration > WARN_DRIFT else "info",
+        drift_deg=uncertainty * duration / RADIAN_PER_DEGREE,
+        offset_dps=uncertainty / RADIAN_PER_DEGREE,
+        duration_s=duration,
+        option={"none": "--offset rest", "rest": "--offset still or --method vqf", "still": "--method vqf"}[offset],
+    )
+
+
+# ---- filter
+
+
+def _filtered(record: Record, gyro: FloatArray, uncertainty: float) -> FloatArray:
+    """Return the orientation by VQF without a magnetometer, (N, 4), heading from where the record begins."""
+    try:
+        from vqf import VQF
+    except ImportError as error:
+        raise InputError(
+            "orient: wanted the package vqf for this method, got none; pip install 'undrift[orientation]'"
+        ) from error
+    if record.accel is None or np.isnan(record.accel).any():
+        got = "none" if record.accel is None else f"{int(np.isnan(record.accel).any(axis=1).sum())} gaps"
+        raise InputError(
+            f"orient: wanted an accelerometer without gaps for the filter, got {got}; use the method strapdown"
+        )
+    time, values = record.time, np.hstack((gyro, record.accel))
+    steps = np.diff(time)
+    step, even = float(np.median(steps)), time
+    uneven = bool((np.abs(steps - step) > UNEVEN * step).any())
+    if uneven:
+        even = np.arange(time[0], time[-1] + step, step)
+        values = np.stack([np.interp(even, time, column) for column in values.T], axis=1)
+    sigma = max(uncertainty / RADIAN_PER_DEGREE, LEAST_BIAS_SIGMA_DPS)  # VQF's own unit, deg/s
+    made = VQF(float(time[-1] - time[0]) / len(steps) if not uneven else step, biasSigmaInit=sigma)
+    q: FloatArray = made.updateBatch(*(np.ascontiguousarray(part) for part in (values[:, :3], values[:, 3:])))["quat6D"]
+    if not uneven:
+        return q
+    from scipy.spatial.transform import Rotation, Slerp
+
+    between = Slerp(even, Rotation.from_quat(q, scalar_first=True))
+    return np.asarray(between(np.minimum(time, even[-1])).as_quat(scalar_first=True))
+
+
+def _levelled_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
+    """Return the orientations turned about the vertical, so that the heading at one sample is the wanted one's."""
+    w, _, _, z = quaternion_product(wanted, quaternion_conjugate(q_nb[anchor]))
+    turn = np.array([w, 0.0, 0.0, z]) / math.hypot(w, z)
+    return quaternion_product(turn, q_nb)
 
 
 def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
@@ -394,18 +560,6 @@ def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
         raise InputError(
             f"orient: wanted three gyroscopes that turn, got {', '.join(dead)} at one value throughout; check them"
         )
-
-
-def _first_still(record: Record) -> Still:
-    found = find_still(record, StillSettings())
-    found = found if found.stills else find_still(record)
-    if not found.stills:
-        reason = found.reason.removeprefix("no still phase: ")
-        raise InputError(
-            f"orient: wanted a still phase, got none: {reason}; name a stretch at rest (--still-start-s, --still-stop-s), or "
-            "record with a pause"
-        )
-    return found.stills[0]
 
 
 def _both_ways(gyro: FloatArray, time: FloatArray, q_nb: FloatArray, anchor: int) -> FloatArray:

@@ -6,21 +6,27 @@ strictly increases; both are checked here, once. There is no default sample rate
 Ranges are sample numbers, half-open [start, stop). A face names the sensor axis that points up: it reads +g.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import InputError
 from undrift.frames import Frame
 from undrift.units import Quantity, canonical_unit, si_factor
+from undrift.views import Shown, at
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 State = Literal["raw", "corrected"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Record:
+class Record(Shown):
     """Readings of one device.
 
     Parameters
@@ -97,6 +103,143 @@ class Record:
         """Time from the first to the last sample, s."""
         return float(self.time[-1] - self.time[0])
 
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        gyro: ArrayLike | None = None,
+        accel: ArrayLike | None = None,
+        gyro_unit: str = "",
+        accel_unit: str = "",
+        time: ArrayLike | None = None,
+        sample_rate_hz: float | None = None,
+        temp_c: ArrayLike | None = None,
+        device: str = "",
+    ) -> "Record":
+        """Make a record of arrays; units and clock are stated, never assumed.
+
+        Parameters
+        ----------
+        gyro : array, shape (N, 3), or None
+            Rate readings in ``gyro_unit``.
+        accel : array, shape (N, 3), or None
+            Specific-force readings in ``accel_unit``.
+        gyro_unit : str
+            rad/s, dps, count or v; required with ``gyro``.
+        accel_unit : str
+            m/s2, g, mg, count or v; required with ``accel``.
+        time : array, shape (N,), or None
+            s, strictly increasing; or else ``sample_rate_hz``.
+        sample_rate_hz : float or None
+            Samples per second of an even clock.
+        temp_c : array, shape (N,), or None
+            Temperature at the sensor, degC.
+        device : str
+            Serial number or name.
+
+        Returns
+        -------
+        Record
+            Raw readings in sensor axes.
+
+        Raises
+        ------
+        InputError
+            A unit or the clock that is not stated, arrays the wrong way round, and all that Record raises.
+
+        Examples
+        --------
+        >>> import numpy as np, undrift
+        >>> record = undrift.Record.from_arrays(accel=np.ones((200, 3)), accel_unit="g", sample_rate_hz=50.0)
+        >>> len(record), record.duration_s
+        (200, 3.98)
+        """
+        triads = (("gyro", gyro, gyro_unit, "dps"), ("accel", accel, accel_unit, "g"))
+        clock = _clock_of([_stated_length(*one) for one in triads], time, sample_rate_hz)
+        held: dict[str, Any] = {"time": clock, "gyro": gyro, "accel": accel, "temp_c": temp_c, "device": device}
+        return cls(**held, gyro_unit=gyro_unit or "rad/s", accel_unit=accel_unit or "m/s2")
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: "pd.DataFrame",
+        *,
+        columns: Mapping[str, str | Sequence[str]] | None = None,
+        units: Mapping[str, str] | None = None,
+        sample_rate_hz: float | None = None,
+        gaps: Literal["raise", "keep"] = "raise",
+        device: str = "",
+    ) -> "Record":
+        """Make a record of a pandas DataFrame.
+
+        Parameters
+        ----------
+        frame : DataFrame
+            With undrift's own names (gyro_x_dps, accel_z_g, temp_c, time_s) it needs nothing else. Time may be the index,
+            as seconds, dates or time differences.
+        columns : mapping or None
+            Column of each channel, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}; without it time, gyro_x, accel_x, temp,
+            mag_x and the like are taken.
+        units : mapping or None
+            Unit of each channel, as in {"gyro": "dps", "accel": "g", "time": "s"}.
+        sample_rate_hz : float or None
+            Samples per second, for a frame without time.
+        gaps : str
+            "raise" refuses NaN, "keep" takes it as a gap.
+        device : str
+            Serial number or name.
+
+        Returns
+        -------
+        Record
+            Checked as a file's would be.
+
+        Raises
+        ------
+        InputError
+            A column, unit or clock that is not stated, or gaps.
+        FileFormatError
+            Cells that are no numbers.
+
+        Examples
+        --------
+        >>> import pandas as pd, undrift
+        >>> frame = pd.DataFrame({"ax": [0.0, 0.0], "ay": [0.0, 0.0], "az": [1.0, 1.0]})
+        >>> how = {"columns": {"accel": ["ax", "ay", "az"]}, "units": {"accel": "g"}}
+        >>> undrift.Record.from_frame(frame, **how, sample_rate_hz=10.0).accel_unit
+        'g'
+        """
+        made: Record = at("undrift.io.dataframes:read_frame")(
+            frame, columns, units or {}, sample_rate_hz=sample_rate_hz, gaps=gaps, device=device
+        )
+        return made
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return the record as a pandas DataFrame.
+
+        Returns
+        -------
+        DataFrame
+            undrift's own column names; frame, state and device in ``attrs``, so that ``from_frame`` gives the record back.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+
+        Examples
+        --------
+        >>> import numpy as np, undrift
+        >>> record = undrift.Record.from_arrays(gyro=np.zeros((2, 3)), gyro_unit="dps", sample_rate_hz=10.0)
+        >>> list(record.to_frame())
+        ['time_s', 'gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps']
+        """
+        made: pd.DataFrame = at("undrift.io.dataframes:frame_of")(self)
+        return made
+
+    def _rows(self) -> dict[str, str]:
+        return _rows_of(self)
+
     def part(self, start: int, stop: int) -> "Record":
         """Return the samples [start, stop).
 
@@ -169,6 +312,21 @@ class Record:
         if gyro is self.gyro and accel is self.accel:
             return self
         return replace(self, gyro=gyro, accel=accel, gyro_unit=gyro_unit, accel_unit=accel_unit)
+
+
+def _rows_of(record: Record) -> dict[str, str]:
+    """Return what a notebook shows of a record."""
+    triads = (("gyroscope", record.gyro, record.gyro_unit), ("accelerometer", record.accel, record.accel_unit))
+    temp = record.temp_c
+    seen = None if temp is None or np.isnan(temp).all() else f"{np.nanmin(temp):.1f} to {np.nanmax(temp):.1f} degC"
+    rows = {
+        "device": record.device,
+        "samples": f"{len(record)}, {record.duration_s:.4g} s at {record.sample_rate_hz:.4g} Hz",
+        **{name: unit for name, values, unit in triads if values is not None},
+        "temperature": seen or "",
+        "state": f"{record.state}, {'sensor axes' if record.frame == 's' else 'case axes'}",
+    }
+    return {name: text for name, text in rows.items() if text}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -256,6 +414,26 @@ def sample_rate_of(time: FloatArray) -> float:
     """Return samples per second, drop-outs (steps over 1.5 medians) left out of the mean."""
     steps = np.diff(time)
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
+
+
+def _stated_length(name: str, values: ArrayLike | None, unit: str, example: str) -> int:
+    """Return the samples of a triad that from_arrays was given, 0 for none; refuse one without a unit or on its side."""
+    shape = () if values is None else np.shape(values)
+    if len(shape) == 2 and shape[0] == 3 and shape[1] != 3:
+        raise InputError(f"from_arrays: wanted {name} of shape (N, 3), got {shape}; time is axis 0: give {name}.T")
+    if values is not None and not unit:
+        raise InputError(
+            f"from_arrays: wanted the unit of {name}, got none; state it, as in {name}_unit={example!r}: nothing is assumed"
+        )
+    return shape[0] if shape else 0
+
+
+def _clock_of(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz: float | None) -> ArrayLike:
+    """Return the time of from_arrays, s: the given one, or an even one."""
+    if (time is None) == (sample_rate_hz is None) or not (sample_rate_hz is None or sample_rate_hz > 0.0):
+        got = "both" if time is not None else "neither" if sample_rate_hz is None else f"{sample_rate_hz:g} Hz"
+        raise InputError(f"from_arrays: wanted time in s or a sample_rate_hz above 0, got {got}; state one of them")
+    return np.arange(max(counts)) / (sample_rate_hz or np.nan) if time is None else time
 
 
 def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quantity) -> tuple[FloatArray | None, str]:

@@ -52,7 +52,11 @@ KEPT_TEXT = re.compile(
     r"status|unit|unit_in|unit_out|gyro_unit|accel_unit|rounding|gyro_rounding|accel_rounding|code_sha256|refused"
 )
 # (call, path), regular expressions: new since the recording, on purpose
-ADDED: tuple[tuple[str, str], ...] = (("study_small", r"tasks.*halving"),)
+ADDED: tuple[tuple[str, str], ...] = (
+    ("study_small", r"tasks.*halving"),
+    ("orient_demo", r"said\.(offset_uncertainty_dps|rests|rest_offsets_dps|method|findings.*)"),
+    ("noise_static", r"(gyro|accel)\[\d\]\.\w+_(deg_per_\w+|ug|ug_per_\w+)"),
+)
 RENAMED: tuple[tuple[str, str], ...] = ()  # (recorded, now), for re.sub on recorded paths
 
 # (call, path, r) on another machine: the softness of this surface has a flat loss, on which the search stops elsewhere

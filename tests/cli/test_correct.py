@@ -1,8 +1,11 @@
 """undrift correct: one recording, many, every ending, and nothing half done."""
 
+import hashlib
+import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from testkit.command_line import contents
@@ -12,7 +15,7 @@ from undrift.io.store import read_calibration, write_calibration
 from undrift.model import DriftTables, StaticDrift, WarmUp
 
 
-@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz"])
+@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz", "c.mat"])
 def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tmp_path, name):
     answer = undrift.good(
         "correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / name
@@ -21,7 +24,40 @@ def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tm
     assert (made.state, made.gyro_unit, made.accel_unit) == ("corrected", "rad/s", "m/s2")
     np.testing.assert_allclose(made.gyro, known.gyro, atol=1e-12, rtol=0.0)  # rad/s, rounding alone
     assert answer.out == f"{bench / 'trial.parquet'} -> {tmp_path / name}: {len(known)} samples in rad/s and m/s2\n"
-    assert [path.name for path in tmp_path.iterdir()] == [name]
+    beside = [name + ".json"] if ".csv" in name else []
+    assert sorted(path.name for path in tmp_path.iterdir()) == [name, *beside]
+
+
+def test_a_corrected_csv_is_plain_for_pandas_and_states_where_it_came_from_beside_it(undrift, bench, tmp_path):
+    words = ("correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "c.csv")
+    undrift.good(*words)
+    table, known = pd.read_csv(tmp_path / "c.csv"), read_record(bench / "corrected.parquet")
+    assert list(table)[:4] == ["time_s", "gyro_x_rad_s", "gyro_y_rad_s", "gyro_z_rad_s"]
+    np.testing.assert_allclose(table[list(table)[1:4]], known.gyro, atol=1e-12, rtol=0.0)  # rad/s, rounding alone
+    stated = json.loads((tmp_path / "c.csv.json").read_text())
+    assert (stated["frame"], stated["state"], stated["samples"]) == ("b", "corrected", len(known))
+    assert stated["columns"]["accel_z_m_s2"] == "m/s2"
+    inputs = {item["file"]: item["sha256"] for item in stated["provenance"]["inputs"]}
+    assert inputs["calibration.json"] == hashlib.sha256((bench / "calibration.json").read_bytes()).hexdigest()
+    assert inputs["trial.parquet"] == hashlib.sha256((bench / "trial.parquet").read_bytes()).hexdigest()
+    again = undrift.refused("correct", tmp_path / "c.csv", *words[2:4], "-o", tmp_path / "d.csv")
+    assert "got a corrected record" in again
+
+
+def test_a_file_beside_the_output_that_is_read_is_not_written_over(undrift, bench, tmp_path):
+    model = tmp_path / "c.csv.json"
+    model.write_bytes((bench / "calibration.json").read_bytes())
+    before = contents(tmp_path)
+    line = undrift.refused("correct", bench / "trial.parquet", "--calibration", model, "-o", tmp_path / "c.csv")
+    assert "wanted another file to write than those that are read" in line
+    assert contents(tmp_path) == before
+
+
+def test_a_name_that_bids_does_not_know_is_refused_before_the_work(undrift, bench, tmp_path):
+    words = ("correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o")
+    line = undrift.refused(*words, tmp_path / "walk_motion.tsv")
+    assert "wanted a name of BIDS motion, got another; name it sub-01_task-walk_tracksys-imu_motion.tsv" in line
+    assert contents(tmp_path) == {}
 
 
 def test_several_recordings_go_into_a_folder_under_their_own_names(undrift, bench, tmp_path):
@@ -169,7 +205,7 @@ def test_what_correct_refuses(undrift, bench, tmp_path):
     twice = (tmp_path / "x.csv", tmp_path / "a" / "x.csv")
     assert "x.parquet twice" in refused(*twice, *calibration, "-o", tmp_path / "o")
     assert "a folder for several recordings" in refused(*twice, *calibration, "-o", tmp_path / "o.csv")
-    assert "wanted a name ending in .parquet, .csv or .csv.gz" in refused(
+    assert "wanted a name ending in .parquet, .csv, .csv.gz, .mat or _motion.tsv" in refused(
         twice[0], *calibration, "-o", tmp_path / "o.txt"
     )
     assert "got a folder" in refused(twice[0], *calibration, "-o", _folder(tmp_path, before))

@@ -6,7 +6,7 @@ import pytest
 from testkit.command_line import beyond_the_table, contents, warm_between
 from testkit.data import data_path, show
 from undrift.io.formats import read_reference
-from undrift.io.parquet import COLUMNS
+from undrift.io.write import COLUMNS
 
 
 def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tmp_path):
@@ -80,7 +80,9 @@ def test_what_orient_refuses(undrift, bench, tmp_path):
     corrected = bench / "corrected.parquet"
     assert "say --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
     assert "--output" in refused(corrected)
-    assert "wanted a name ending in .parquet, .csv or .csv.gz" in refused(corrected, "-o", tmp_path / "o.xls")
+    assert "wanted a name ending in .parquet, .csv, .csv.gz, .sto, .mat or _motion.tsv" in refused(
+        corrected, "-o", tmp_path / "o.xls"
+    )
     assert "than those that are read" in refused(corrected, "-o", corrected)
     assert "up" in refused(corrected, "-o", tmp_path / "o.csv", "--up", "+x")
     assert "wanted a recording" in refused(bench / "calibration.json", "-o", tmp_path / "mine.csv")
@@ -151,3 +153,34 @@ def test_no_orientation_is_carried_over_a_gap_that_the_policy_nan_left(undrift, 
 def test_under_the_policy_nan_a_record_within_the_table_is_oriented_as_under_any_other(undrift, bench, tmp_path):
     words = ["orient", *warm_between(bench, tmp_path, 99.0, 99.0), "-o", tmp_path / "o.csv", "--json"]
     assert undrift.good(*words, "--policy", "nan").json() == undrift.good(*words).json()
+
+
+def test_quaternions_go_to_opensense_under_the_name_of_the_body(undrift, bench, tmp_path):
+    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.sto", "--sensor", "pelvis")
+    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.csv")
+    lines = (tmp_path / "o.sto").read_text().splitlines()
+    assert lines[5] == "time\tpelvis_imu"
+    q = np.array([[float(cell) for cell in line.split("\t")[1].split(",")] for line in lines[6:]])
+    np.testing.assert_allclose(q, read_reference(tmp_path / "o.csv").q_nb, atol=1e-11)  # twelve digits are written
+
+
+def test_the_drift_to_expect_is_said_and_every_rest_is_used_on_request(undrift, tmp_path):
+    trial = data_path("broad", "05_undisturbed_slow_rotation_with_breaks_B.hdf5")
+    said = undrift.good("orient", trial, "-o", tmp_path / "o.csv").out
+    assert "warning: Strapdown drift of 56 deg to expect: offset uncertain by 0.33 deg/s, 172 s from the rest" in said
+    assert "use --offset rest" in said
+    told = undrift.good("orient", trial, "-o", tmp_path / "o.csv", "--offset", "still", "--json").json()
+    assert len(told["rests"]) == len(told["rest_offsets_dps"]) == 5  # before, in the breaks, after
+    assert told["findings"][0]["level"] == "info"
+    assert told["offset_uncertainty_dps"] < 0.005
+    assert told["method"] == "strapdown"
+
+
+def test_the_filter_is_taken_by_its_name(undrift, bench, tmp_path):
+    pytest.importorskip("vqf")
+    words = ("orient", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "o.csv")
+    told = undrift.good(*words, "--method", "vqf", "--json").json()
+    plain = undrift.good(*words, "--json").json()
+    assert told["method"] == "vqf"
+    np.testing.assert_allclose(told["pitch_deg"], plain["pitch_deg"], atol=1.5)  # deg: a chair's push is no rest
+    assert told["findings"] == []

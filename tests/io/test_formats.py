@@ -27,6 +27,8 @@ def test_what_is_written_reads_back_under_any_name(tmp_path_factory, record, end
     write_record(record, folder / f"r.{ending}")
     assert_same(read_record(folder / f"r.{ending}"), record)
     shutil.move(folder / f"r.{ending}", folder / "renamed.dat")
+    if (folder / f"r.{ending}.json").exists():  # frame, state and device of a CSV stand beside it
+        shutil.move(folder / f"r.{ending}.json", folder / "renamed.dat.json")
     assert_same(read_record(folder / "renamed.dat"), record)
 
 
@@ -105,7 +107,7 @@ def test_folders_and_missing_files_are_one_line(tmp_path):
     (tmp_path / "session.toml").touch()
     with pytest.raises(FileFormatError, match="got a session of recordings; read it as a session"):
         read_record(tmp_path)
-    with pytest.raises(InputError, match=r"wanted a name ending in .parquet, .csv or .csv.gz"):
+    with pytest.raises(InputError, match=r"wanted a name ending in .parquet, .csv, .csv.gz, .mat or _motion.tsv"):
         write_record(ramp(), tmp_path / "r.xlsx")
     write_record(ramp(), tmp_path / "r.csv")
     with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):

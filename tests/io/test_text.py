@@ -1,6 +1,7 @@
 """CSV: what was written comes back to the bit, and each kind of bad input is one clear line."""
 
 import gzip
+import json
 
 import numpy as np
 import pytest
@@ -46,11 +47,58 @@ def test_a_packed_file_reads_as_its_plain_one(tmp_path):
     )
 
 
-def test_a_corrected_file_says_so_in_its_first_line(tmp_path):
-    record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)), state="corrected", frame="b", device="A;\n1")
-    write_csv(record, tmp_path / "r.csv")
-    assert (tmp_path / "r.csv").read_text().splitlines()[0] == "# undrift record; frame=b; state=corrected; device=A, 1"
+CORRECTED = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)), state="corrected", frame="b", device="A;\n1")
+
+
+def test_a_corrected_file_is_a_plain_table_and_says_so_beside_it(tmp_path):
+    write_csv(CORRECTED, tmp_path / "r.csv")
+    assert (tmp_path / "r.csv").read_text().splitlines()[0] == "time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r.csv", "r.csv.json"]
     back = read_csv(tmp_path / "r.csv").record
+    assert (back.state, back.frame, back.device) == ("corrected", "b", "A;\n1")
+
+
+def test_a_recording_that_replaces_a_corrected_one_takes_what_stood_beside_it_away(tmp_path):
+    write_csv(CORRECTED, tmp_path / "r.csv")
+    write_csv(Record(time=[0.0, 1.0], gyro=np.zeros((2, 3))), tmp_path / "r.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["r.csv"]
+    assert read_csv(tmp_path / "r.csv").record.state == "raw"
+
+
+def test_a_table_that_cannot_be_written_leaves_nothing_beside_it(tmp_path):
+    (tmp_path / "r.csv").mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        write_csv(CORRECTED, tmp_path / "r.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["r.csv"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": 2}, "wanted undrift.record format 1, got format 2"),
+        ({"state": "cooked"}, "wanted frame, state and device of a recording, got others"),
+        ({"columns": {"time_s": "s"}}, "it belongs to another table: move it away"),
+    ],
+)
+def test_a_statement_beside_a_table_that_does_not_fit_it_is_refused(tmp_path, change, said):
+    write_csv(CORRECTED, tmp_path / "r.csv")
+    beside = tmp_path / "r.csv.json"
+    beside.write_text(json.dumps(json.loads(beside.read_text()) | change))
+    with pytest.raises(FileFormatError, match=said):
+        read_csv(tmp_path / "r.csv")
+
+
+@pytest.mark.parametrize("content", ["not json", '{"Manufacturer": "other"}', "[1]"])
+def test_a_json_of_another_program_beside_a_table_is_not_ours(tmp_path, content):
+    write_csv(Record(time=[0.0, 1.0], gyro=np.zeros((2, 3))), tmp_path / "r.csv")
+    (tmp_path / "r.csv.json").write_text(content)
+    assert read_csv(tmp_path / "r.csv").record.state == "raw"
+
+
+def test_the_first_line_of_earlier_versions_still_reads(tmp_path):
+    head = "# undrift record; frame=b; state=corrected; device=A, 1\n"
+    path = put(tmp_path, head + "time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n1,1,2,3\n")
+    back = read_csv(path).record
     assert (back.state, back.frame, back.device) == ("corrected", "b", "A, 1")
 
 

@@ -26,6 +26,7 @@ from undrift.model import AXES, NoiseModel, Verdict
 from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
 from undrift.units import SI_UNIT, Quantity, is_physical, si_factor
+from undrift.views import Shown
 
 # ---- Allan deviation and its relatives
 #
@@ -298,7 +299,7 @@ class AxisNoise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NoiseFit:
+class NoiseFit(Shown):
     """Noise of a device at rest.
 
     Parameters
@@ -333,6 +334,16 @@ class NoiseFit:
     duration_s: float
     confidence: float
     verdict: Verdict
+
+    def _rows(self) -> dict[str, str]:
+        rows = {"record": f"{self.duration_s:.4g} s"}
+        for triad, terms in TERMS.items():
+            for name, term in terms.items():
+                held = [getattr(axis, name) for axis in getattr(self, triad)]
+                if held:
+                    values = ", ".join("not seen" if np.isnan(one.value) else f"{one.value:.3g}" for one in held)
+                    rows[f"{triad}: {term}"] = f"{values} {held[0].unit}"
+        return rows | {"verdict": self.verdict.status}
 
     def model(self) -> NoiseModel:
         """Return the coefficients as a calibration keeps them.

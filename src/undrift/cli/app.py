@@ -27,7 +27,7 @@ COMMANDS = {  # one line of 80 columns each
     "session": "Write a session.toml of what bare recordings hold; --json.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
-    "orient": "Initial tilt and strapdown: orientation, inclination, pitch.",
+    "orient": "Orientation by strapdown or a filter: inclination, pitch.",
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",

@@ -418,8 +418,10 @@ def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceMo
 # ---- Files to write, checked before the work begins: a wrong name costs nothing and loses nothing
 
 
-def check_output(path: Path | None, *, endings: tuple[str, ...], reads: Iterable[Path | None] = ()) -> None:
-    """Refuse a file whose ending does not fit, whose folder does not exist, or that is one of those read."""
+def check_output(
+    path: Path | None, *, endings: tuple[str, ...], reads: Iterable[Path | None] = (), beside: Iterable[Path] = ()
+) -> None:
+    """Refuse a file whose ending does not fit, whose folder does not exist, or that is one of those read, as any beside it."""
     if path is None:
         return
     if not path.name.lower().endswith(endings):
@@ -429,8 +431,10 @@ def check_output(path: Path | None, *, endings: tuple[str, ...], reads: Iterable
         raise InputError(f"{path}: wanted the name of a file to write, got a folder; name a file in it")
     if not path.parent.is_dir():
         raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
-    if path.exists() and any(_holds(read, path) for read in reads if read is not None):
-        raise InputError(f"{path}: wanted another file to write than those that are read; name another")
+    held = [read for read in reads if read is not None]
+    for file in (path, *beside):
+        if file.exists() and any(_holds(read, file) for read in held):
+            raise InputError(f"{file}: wanted another file to write than those that are read; name another")
 
 
 def check_figure(path: Path | None, *, reads: Iterable[Path | None]) -> None:

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from undrift.model import Calibration
     from undrift.record import Record
 
-ENDINGS = (".parquet", ".csv", ".csv.gz")
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 MOST_G = 3.0  # no motion keeps the median beyond it: a wrong unit does, by 9.8 or 1000 times; likewise 1 / 3 below
 
@@ -49,7 +48,7 @@ def correct(
     scheduler: str | None = None,
     json: Json = False,
 ) -> int:
-    """Turn raw recordings into rad/s and m/s2. Parquet streams in constant memory.
+    """Turn raw recordings into rad/s and m/s2; the ending of the output names the format. Parquet streams in constant memory.
 
     Parameters
     ----------
@@ -58,7 +57,8 @@ def correct(
     calibration : Path
         calibration.json of the device.
     output : Path
-        File (.parquet, .csv, .csv.gz) for one recording; folder for several, made where it is missing.
+        File for one recording: .parquet, .csv, .csv.gz, .mat, or sub-.._task-.._tracksys-.._motion.tsv (BIDS); folder for
+        several, made where it is missing.
     policy : str
         Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
         temperature was recorded the result is a gap under each, and a warning says for how long.
@@ -79,7 +79,8 @@ def correct(
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
-    corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening)
+    made_by = partial(_provenance, calibration=calibration, model=model, policy=policy, power_on_s=power_on_s)
+    corrected = partial(_correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by)
     try:
         results = _correct_all(records, targets, corrected, scheduler)
     except BaseException:
@@ -135,8 +136,8 @@ def _correct_all(
             for record, part in zip(records, parts, strict=True):
                 task = shown.add_task(record.name, total=_rows(record))
                 done.append(correct_one(record, part, advance=partial(shown.advance, task)))
-        for part, target in zip(parts, targets, strict=True):
-            part.replace(target)
+        for part in sorted(Path(held).iterdir()):  # the recordings, and what is written beside them
+            part.replace(targets[0].parent / part.name)
     return [(record, target, *one) for record, target, one in zip(records, targets, done, strict=True)]
 
 
@@ -164,13 +165,15 @@ def _on_workers(
 
 def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, ...]) -> list[Path]:
     """Return the file that each recording is written to."""
-    if len(records) == 1 and output.name.lower().endswith(ENDINGS):
+    from undrift.io.write import RECORD_WRITERS, files_of
+
+    endings = tuple(RECORD_WRITERS)
+    if len(records) == 1 and output.name.lower().endswith(endings):
         targets = [output]
     else:
         if output.suffix and not output.is_dir():
-            wanted = (
-                "a folder for several recordings" if len(records) > 1 else "a name ending in .parquet, .csv or .csv.gz"
-            )
+            named = f"a name ending in {', '.join(endings[:-1])} or {endings[-1]}"
+            wanted = "a folder for several recordings" if len(records) > 1 else named
             raise InputError(f"output: wanted {wanted}, got {output}; name it so")
         check_folder(output)
         targets = [output / (name_of(record) + ".parquet") for record in records]
@@ -181,7 +184,7 @@ def _targets(records: tuple[Path, ...], output: Path, read: tuple[Path | None, .
         )
     if output in targets or output.is_dir():
         for target in targets:
-            check_output(target, endings=ENDINGS, reads=(*records, *read))
+            check_output(target, endings=endings, reads=(*records, *read), beside=files_of(target)[1:])
     return targets
 
 
@@ -201,12 +204,13 @@ def _correct_one(
     corrector: "Callable[[], Corrector]",
     model: "Calibration",
     opening: Opening,
+    made_by: "Callable[[Path], dict[str, object]]",
     advance: "Callable[[float], None]",
 ) -> tuple["CorrectorState", Remarks]:
     from undrift.correction.coverage import find_beyond
     from undrift.correction.stream import read_ahead
-    from undrift.io.formats import write_record
     from undrift.io.parquet import ParquetWriter
+    from undrift.io.write import write_record_as
 
     stream, notes = corrector(), dict[str, None]()
     suspicions: tuple[Finding, ...] = ()
@@ -220,7 +224,7 @@ def _correct_one(
                 _check_unit(done.record, record, chunk.accel_unit)
                 suspicions = _suspicions(done.record, model)
             if writer is None:
-                write_record(done.record, part)
+                write_record_as(done.record, part, made_by(record))
             else:
                 writer.write(done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
@@ -229,6 +233,22 @@ def _correct_one(
             advance(len(chunk))
     warnings = [*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text)]
     return stream.state, Remarks(warnings=warnings, notes=[*notes], beyond=beyond)
+
+
+def _provenance(
+    record: Path, *, calibration: Path, model: "Calibration", policy: Policy, power_on_s: float | None
+) -> dict[str, object]:
+    """Return what a corrected recording was made from and by, for the files that state it."""
+    from undrift import __version__
+    from undrift.files import sha256_of
+
+    inputs = [{"file": path.name, "sha256": sha256_of(path)} for path in (record, calibration) if path.is_file()]
+    return {
+        "inputs": inputs,
+        "calibration": {"created": model.provenance.created, "verdict": model.verdict.status},
+        "settings": {"policy": policy, "power_on_s": power_on_s},
+        "versions": {"undrift": __version__},
+    }
 
 
 def _check_unit(done: "Record", path: Path, unit: str) -> None:

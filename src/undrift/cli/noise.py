@@ -1,14 +1,13 @@
 """``undrift noise``: noise coefficients of a device at rest."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from undrift.cli.common import (
     Details,
     Json,
     Opening,
+    OptionalOutput,
     calibrated_part,
     check_gravity,
     check_output,
@@ -22,8 +21,29 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.calibration.noise import AxisNoise
+    from undrift.calibration.noise import AxisNoise, NoiseFit
+    from undrift.model import Verdict
     from undrift.record import Record
+
+YAML = (".yaml", ".yml")
+_DEG_PER_H, _UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # of a rad/s, of a m/s2
+# As data sheets have them, by term and SI unit: key in JSON, unit, factor; 60 sqrt(s) make a sqrt(h)
+DATA_SHEET = {
+    ("angle_random_walk", "rad/s/sqrt(Hz)"): (
+        "angle_random_walk_deg_per_sqrt_h",
+        "deg/sqrt(h)",
+        60.0 / RADIAN_PER_DEGREE,
+    ),
+    ("bias_instability", "rad/s"): ("bias_instability_deg_per_h", "deg/h", _DEG_PER_H),
+    ("rate_random_walk", "rad/s/sqrt(s)"): (
+        "rate_random_walk_deg_per_h_per_sqrt_h",
+        "deg/h/sqrt(h)",
+        60.0 * _DEG_PER_H,
+    ),
+    ("angle_random_walk", "m/s2/sqrt(Hz)"): ("velocity_random_walk_ug_per_sqrt_hz", "ug/sqrt(Hz)", _UG),
+    ("bias_instability", "m/s2"): ("bias_instability_ug", "ug", _UG),
+    ("rate_random_walk", "m/s2/sqrt(s)"): ("acceleration_random_walk_ug_per_sqrt_h", "ug/sqrt(h)", 60.0 * _UG),
+}
 
 
 def noise(
@@ -34,7 +54,9 @@ def noise(
     start_s: float | None = None,
     stop_s: float | None = None,
     power_on_s: float | None = None,
-    figure: Annotated[Path | None, Parameter(name=["--figure", "-o"])] = None,
+    figure: Path | None = None,
+    output: OptionalOutput = None,
+    rostopic: str = "/imu0",
     opening: Opening = Opening(),
     details: Details = False,
     json: Json = False,
@@ -55,6 +77,10 @@ def noise(
         Time since power-on at the first sample, s; without it no warm-up is subtracted.
     figure : Path or None
         Allan plot to write: .svg, .png or .pdf.
+    output : Path or None
+        imu.yaml for Kalibr (.yaml, .yml), or the Allan plot (.svg, .png, .pdf).
+    rostopic : str
+        Topic of the sensor, for Kalibr.
     opening : Opening
         How to read a foreign recording.
     """
@@ -63,6 +89,7 @@ def noise(
     from undrift.report.figures import PICTURES, draw_allan, save_figure
 
     check_output(figure, endings=PICTURES, reads=(record, calibration))
+    check_output(output, endings=(*PICTURES, *YAML), reads=(record, calibration))
     with waiting("reading and fitting"):
         model = None if calibration is None else read_calibration(calibration)
         readings, notes = opening.like(model, calibration).read(record), tuple[str, ...]()
@@ -78,28 +105,45 @@ def noise(
             readings, notes = done.record, (*left_out, *done.warnings, *done.notes)
         check_gravity(readings, record)
         found = fit_noise(readings)
-    if figure is not None:
-        save_figure(draw_allan(found, title=f"{record.name}: overlapping Allan deviation"), figure)
+    verdict = found.verdict
+    for path in (figure, output):
+        if path is not None and path.name.lower().endswith(YAML):
+            verdict = verdict.also(_write_kalibr(found, path, readings.sample_rate_hz, rostopic))
+        elif path is not None:
+            save_figure(draw_allan(found, title=f"{record.name}: overlapping Allan deviation"), path)
     if json:
-        triads = ("gyro", "accel")
-        write_json(
-            {name: [_axis_json(axis) for axis in getattr(found, name)] for name in triads}
-            | {
-                key: {name: getattr(found, f"{name}_{of}") for name in triads}
-                for key, of in (("adev", "adev"), ("units", "unit"))
-            }
-            | {key: getattr(found, key) for key in ("taus_s", "duration_s", "confidence")}
-            | {"verdict": verdict_json(found.verdict), "notes": notes},
-            "noise",
-        )
+        write_json(_json(found) | {"verdict": verdict_json(verdict), "notes": notes}, "noise")
         return 0
     for what, triad, axes in (("gyroscopes", "gyro", found.gyro), ("accelerometers", "accel", found.accel)):
         if axes:
             title = f"{what}, in brackets the {100.0 * found.confidence:g} % intervals"
-            _show(title, axes, tuple(TERMS[triad].values()))
-    show_verdict(found.verdict, details=details)
-    say(*(f"  note: {note}" for note in notes), *([] if figure is None else [f"Wrote {figure}"]))
+            _show(title, axes, TERMS[triad])
+    show_verdict(verdict, details=details)
+    say(*(f"  note: {note}" for note in notes), *(f"Wrote {path}" for path in (figure, output) if path is not None))
     return 0
+
+
+def _write_kalibr(found: "NoiseFit", path: Path, update_rate_hz: float, rostopic: str) -> "Verdict":
+    """Write imu.yaml; the verdict says which of its numbers are limits."""
+    from undrift.export.programs import kalibr_text
+    from undrift.files import write_whole
+    from undrift.model import Verdict
+
+    text, findings = kalibr_text(found, update_rate_hz=update_rate_hz, rostopic=rostopic)
+    write_whole(path, text)
+    return Verdict.of(*findings)
+
+
+def _json(found: "NoiseFit") -> dict[str, object]:
+    triads = ("gyro", "accel")
+    return (
+        {name: [_axis_json(axis) for axis in getattr(found, name)] for name in triads}
+        | {
+            key: {name: getattr(found, f"{name}_{of}") for name in triads}
+            for key, of in (("adev", "adev"), ("units", "unit"))
+        }
+        | {key: getattr(found, key) for key in ("taus_s", "duration_s", "confidence")}
+    )
 
 
 def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "Record":
@@ -119,21 +163,13 @@ def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     made: dict[str, object] = {"axis": axis.axis}
     for name in names:
         made[name] = {key: getattr(getattr(axis, name), key) for key in ("value", "interval", "unit", "reason")}
-    customary = _customary(axis)
-    return made if customary is None else made | {customary[1]: customary[0]}
+    for (term, unit), (key, _, factor) in DATA_SHEET.items():
+        if getattr(axis, term).unit == unit:
+            made[key] = factor * getattr(axis, term).value
+    return made
 
 
-def _customary(axis: "AxisNoise") -> tuple[float, str, str] | None:
-    """Return the random walk as data sheets have it, with its name in JSON and its unit; None for counts and volts."""
-    walk = axis.angle_random_walk
-    if walk.unit == "rad/s/sqrt(Hz)":  # which is rad/sqrt(s): 60 sqrt(s) make a sqrt(h)
-        return 60.0 * walk.value / RADIAN_PER_DEGREE, "angle_random_walk_deg_per_sqrt_h", "deg/sqrt(h)"
-    if walk.unit == "m/s2/sqrt(Hz)":
-        return 1e6 * walk.value / STANDARD_GRAVITY, "velocity_random_walk_ug_per_sqrt_hz", "ug/sqrt(Hz)"
-    return None
-
-
-def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, ...]) -> None:
+def _show(title: str, axes: tuple["AxisNoise", ...], names: dict[str, str]) -> None:
     rows = []
     for axis in axes:
         three = (axis.angle_random_walk, axis.bias_instability, axis.rate_random_walk)
@@ -144,9 +180,13 @@ def _show(title: str, axes: tuple["AxisNoise", ...], names: tuple[str, ...]) -> 
             for c in three
         ]
         rows.append((axis.axis, *cells))
-    heads = [f"{name} ({c.unit})" for name, c in zip(names, three, strict=True)]
+    heads = [f"{name} ({c.unit})" for name, c in zip(names.values(), three, strict=True)]
     show_table(title, ("axis", *heads), rows)
-    walks = [(axis.axis, customary) for axis in axes if (customary := _customary(axis)) is not None]
-    if walks:
-        values = ", ".join(f"{axis} {value:.3g}" for axis, (value, _, _) in walks)
-        say(f"{names[0]} in {walks[0][1][2]}: {values}")
+    for term, name in names.items():
+        _, unit, factor = DATA_SHEET.get((term, getattr(axes[0], term).unit), ("", "", 1.0))
+        if unit:
+            values = ((axis.axis, getattr(axis, term)) for axis in axes)
+            shown = (
+                f"{axis} {factor * c.value:.3g}" if c.value == c.value else f"{axis} not seen" for axis, c in values
+            )
+            say(f"{name} in {unit}: {', '.join(shown)}")

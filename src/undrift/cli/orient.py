@@ -9,6 +9,7 @@ from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
+    from undrift.orientation import Orientation
     from undrift.record import Record, Still
 
 
@@ -18,29 +19,36 @@ def orient(
     *,
     output: Output,
     calibration: Path | None = None,
-    offset: Literal["none", "rest"] = "none",
+    method: Literal["strapdown", "vqf"] = "strapdown",
+    offset: Literal["none", "rest", "still"] = "none",
     still_start_s: float | None = None,
     still_stop_s: float | None = None,
     heading_deg: float = 0.0,
     forward: Side = "+x",
     up: Side = "+z",
+    sensor: str = "sensor",
     power_on_s: float | None = None,
     policy: Policy = "raise",
     opening: Opening = Opening(),
     json: Json = False,
 ) -> int:
-    """Initial tilt and strapdown: quaternions, inclination, heading, sagittal pitch.
+    """Initial tilt, then strapdown or a filter: quaternions, inclination, heading, sagittal pitch.
 
     Parameters
     ----------
     record : Path
         A corrected recording, or a raw one with --calibration.
     output : Path
-        .parquet or .csv with time, quaternion and angles.
+        Time, quaternion and angles as .parquet, .csv, .csv.gz or .mat; quaternions as .sto (OpenSense) or
+        sub-.._task-.._tracksys-.._motion.tsv (BIDS).
     calibration : Path or None
         calibration.json of the device, for a raw recording.
+    method : str
+        strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset; it needs
+        undrift[orientation].
     offset : str
-        "rest" subtracts the mean rate of the still phase.
+        "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
+        between them.
     still_start_s : float or None
         Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
     still_stop_s : float or None
@@ -51,6 +59,8 @@ def orient(
         Device axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
         Device axis that points up on the upright segment.
+    sensor : str
+        Name of the sensor in .sto and BIDS: a body of the OpenSim model, as in pelvis, heads the column pelvis_imu.
     power_on_s : float or None
         Time since power-on at the first sample, s; without it no warm-up is subtracted.
     policy : str
@@ -61,45 +71,62 @@ def orient(
     """
     from undrift.correction.correct import correct_checked
     from undrift.correction.coverage import find_beyond
-    from undrift.io.parquet import write_orientation
     from undrift.io.store import read_calibration
+    from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
 
-    check_output(output, endings=(".parquet", ".csv", ".csv.gz"), reads=(record, calibration, opening.column_map))
-    held = None if calibration is None else read_calibration(calibration)
-    readings, model, notes = opening.like(held, calibration).read(record), None, tuple[str, ...]()
+    reads = (record, calibration, opening.column_map)
+    check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
+    held, models = None if calibration is None else read_calibration(calibration), dict[str, Any]()
+    readings, notes = opening.like(held, calibration).read(record), tuple[str, ...]()
     if held is None:
         check_physical(readings, record)
     else:
         done = correct_checked(readings, held, policy=policy, power_on_s=power_on_s)
         beyond = (one.text for one in find_beyond(done.record, held) if one.text)
-        readings, model, notes = done.record, held.accel, (*done.warnings, *beyond, *done.notes)
-    settings = OrientSettings(offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
-    found = find(readings, _still(readings, still_start_s, still_stop_s), settings, accel_model=model)
-    write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
-    made: dict[str, Any] = {
-        "samples": len(found.time),
-        "still": [float(found.time[k]) for k in (found.still.start, found.still.stop - 1)],
-        "tilt_uncertainty_deg": math.degrees(found.tilt.inclination_uncertainty),
-        "offset_dps": found.offset * (180.0 / math.pi),
-        "inclination_deg": _span(found.inclination),
-        "pitch_deg": _span(found.pitch),
-    }
+        readings, notes = done.record, (*done.warnings, *beyond, *done.notes)
+        models = {"accel_model": held.accel, "gyro_model": held.gyro}
+    settings = OrientSettings(method=method, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
+    found = find(readings, _still(readings, still_start_s, still_stop_s), settings, **models)
+    angles = (found.inclination, found.heading, found.pitch)
+    write_orientation(found.time, found.q_nb, angles, output, sensor=sensor)
+    made = _as_json(found) | {"method": method}
     if json:
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")
         return 0
     alone = "scatter of the readings alone: --calibration on the raw recording adds the accelerometer's part"
-    share = alone if model is None else "scatter and calibration"
+    share = "scatter and calibration" if models.get("accel_model") else alone
     say(
         f"{record} -> {output}: {made['samples']} samples",
         "  tilt from the still phase {:.1f} to {:.1f} s, ".format(*made["still"])
         + f"standard uncertainty {made['tilt_uncertainty_deg']:.3f} deg ({share})",
         "  inclination: {:.2f} to {:.2f} deg".format(*made["inclination_deg"]),
         "  pitch: {:.2f} to {:.2f} deg".format(*made["pitch_deg"]),
+        *(f"  warning: {one.text}" for one in found.findings if one.level != "info"),
         *(f"  note: {note}" for note in notes),
     )
     return 0
+
+
+def _as_json(found: "Orientation") -> dict[str, Any]:
+    from undrift.io.store import findings_json
+
+    def times(still: "Still") -> list[float]:
+        return [float(found.time[k]) for k in (still.start, still.stop - 1)]
+
+    return {
+        "samples": len(found.time),
+        "still": times(found.still),
+        "tilt_uncertainty_deg": math.degrees(found.tilt.inclination_uncertainty),
+        "offset_dps": found.offset * (180.0 / math.pi),
+        "offset_uncertainty_dps": math.degrees(found.offset_uncertainty),
+        "rests": [times(still) for still in found.rests],
+        "rest_offsets_dps": found.rest_offsets * (180.0 / math.pi),
+        "inclination_deg": _span(found.inclination),
+        "pitch_deg": _span(found.pitch),
+        "findings": findings_json(found.findings),
+    }
 
 
 def _still(record: "Record", start_s: float | None, stop_s: float | None) -> "Still | None":

@@ -43,6 +43,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.model import Calibration, DriftTables, Provenance, Verdict
 from undrift.record import Session
+from undrift.views import Shown
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
@@ -87,7 +88,7 @@ class DriftSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DriftFit:
+class DriftFit(Shown):
     """Tuning tables and how they came about.
 
     Parameters
@@ -131,6 +132,12 @@ class DriftFit:
     accel_summary: checks.TriadSummary | None
     scale_summary: checks.ScaleSummary | None
     verdict: Verdict
+
+    def _rows(self) -> dict[str, str]:
+        tables = repr(self.calibration).splitlines()[3].removeprefix("drift").strip()
+        reasons = {f"finding {k}": text for k, text in enumerate(self.verdict.reasons[:3], 1)}
+        data = f"{len(self.rests)} blocks of rest, {len(self.steps)} dwells at known rates"
+        return {"tables": tables, "data": data, "verdict": self.verdict.status} | reasons
 
 
 def fit_drift(

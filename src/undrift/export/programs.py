@@ -19,6 +19,9 @@ ROS 2 has no standard for an inertial sensor's calibration; the file holds param
     accel = accel_matrix (raw - accel_offset)        gyro = gyro_matrix (raw - gyro_offset) - gyro_g_sensitivity accel
 
 SM and bias are the accelerometer again, as imu_calib has it: SM raw - bias; noise stands under the names of Kalibr.
+
+Kalibr's own imu.yaml comes of a noise fit: densities and random walks of the worst axis, continuous-time, in rad/s/sqrt(Hz),
+rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz) and m/s^3/sqrt(Hz) ("IMU Noise Model", wiki of ethz-asl/kalibr); rad/s/sqrt(s) is rad/s^2/sqrt(Hz).
 """
 
 import json
@@ -30,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.noise import NoiseFit
 from undrift.errors import FileFormatError, InputError
 from undrift.export import Target
 from undrift.export.firmware import Table, Triad, triads_of
@@ -379,6 +383,35 @@ def export_ros(calibration: Calibration, *, temp_c: float | None = None) -> Expo
         lines += [f"    {name}: {number(worst)}" for name, worst in known.items()]
     notes = (*pair.notes, finding("export.keys_of_node", "info"))
     return Exported(text="\n".join(lines) + "\n", **texts_of(losses(calibration, CARRIED_ROS), notes))
+
+
+KALIBR = (
+    ("accelerometer_noise_density", "accel", "angle_random_walk", "m/s^2/sqrt(Hz)"),
+    ("accelerometer_random_walk", "accel", "rate_random_walk", "m/s^3/sqrt(Hz)"),
+    ("gyroscope_noise_density", "gyro", "angle_random_walk", "rad/s/sqrt(Hz)"),
+    ("gyroscope_random_walk", "gyro", "rate_random_walk", "rad/s^2/sqrt(Hz)"),
+)
+
+
+def kalibr_text(found: NoiseFit, *, update_rate_hz: float, rostopic: str) -> tuple[str, tuple[Finding, ...]]:
+    """Return Kalibr's imu.yaml: the worst axis, and the upper limit where the record does not show a term, with a finding."""
+    for triad, unit, si in (("gyro", found.gyro_unit, "rad/s"), ("accel", found.accel_unit, "m/s2")):
+        if not getattr(found, triad) or not is_physical(unit):
+            got = unit if getattr(found, triad) else "none"
+            raise InputError(
+                f"imu.yaml: wanted {triad} readings in {si}, got {got}; Kalibr needs both sensors: correct the recording with its "
+                "calibration first"
+            )
+    lines, findings = [], []
+    for key, triad, name, unit in KALIBR:
+        terms = [getattr(axis, name) for axis in getattr(found, triad)]
+        unseen = any(np.isnan(term.value) for term in terms)
+        worst = max(term.interval[1] if np.isnan(term.value) else term.value for term in terms)
+        if unseen:
+            findings.append(finding("export.kalibr_limit", "warn", key=key, value=worst, unit=unit))
+        lines.append(f"{key}: {number(worst)}  # {unit}, {'upper limit' if unseen else 'worst axis'}")
+    lines += [f"rostopic: {json.dumps(rostopic)}", f"update_rate: {number(update_rate_hz)}  # Hz"]
+    return "\n".join(lines) + "\n", tuple(findings)
 
 
 def number(x: float) -> str:

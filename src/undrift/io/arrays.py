@@ -5,6 +5,7 @@ struct are ``struct.field``. An array of 3 or 4 rows and 16 columns or more has 
 Arrays of other lengths (a second clock, settings) are left out of the table.
 """
 
+import json
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -27,6 +28,7 @@ from undrift.io.columns import (
     Table,
     build_record,
     native_map,
+    stated,
 )
 
 
@@ -71,8 +73,17 @@ def read_npz(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
 
 
 def read_mat(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
-    """Read a record from a MATLAB .mat file, version 5 to 7.3."""
-    return _record(mat_arrays(path), path, columns, settings)
+    """Read a record from a MATLAB .mat file, version 5 to 7.3; one that undrift wrote states frame, state and device."""
+    held = _load_mat(checked_file(path))
+    arrays = tuple(_flat("", held))
+    if columns is None and isinstance(held.get("undrift"), str):
+        columns = native_map(tuple(name for name, _ in arrays), settings, source=str(path))
+        try:
+            statement = dict(json.loads(held["undrift"]))
+        except (ValueError, TypeError):
+            statement = {}
+        columns = stated(columns, statement, f"{path}: wanted frame, state and device in 'undrift', got others")
+    return _record(arrays, path, columns, settings)
 
 
 def _record(arrays: Arrays, path: str | Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
@@ -95,18 +106,20 @@ def npz_arrays(path: str | Path) -> Arrays:
 
 def mat_arrays(path: str | Path) -> Arrays:
     """Return the numeric arrays of a MAT file, structs laid flat."""
-    path = checked_file(path)
+    return tuple(_flat("", _load_mat(checked_file(path))))
+
+
+def _load_mat(path: Path) -> dict[str, Any]:
     try:
         from pymatreader import read_mat as load
     except ImportError as error:  # pragma: no cover - the io extra is installed where the tests run
         raise InputError(f"{path}: MAT files need pymatreader; install undrift[io]") from error
     try:
-        held = load(str(path))
+        return dict(load(str(path)))
     except Exception as error:
         raise FileFormatError(
             f"{path}: wanted a MAT file, got something else or a damaged one; {first_line(error)}"
         ) from error
-    return tuple(_flat("", held))
 
 
 def mat_names(path: str | Path) -> set[str]:

@@ -7,9 +7,10 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -172,9 +173,9 @@ class ColumnMap:
         return (*(column for channel in CHANNELS for column in self.columns_of(channel)), *counter)
 
     def numeric(self) -> tuple[Column, ...]:
-        """Return the columns of all channels that hold numbers: all but a time of dates."""
-        dated = self.time is not None and self.unit_of("time") == "date"
-        return tuple(c for channel in CHANNELS for c in self.columns_of(channel) if not (dated and channel == "time"))
+        """Return the columns that hold numbers: all but a time of dates."""
+        dates = self.columns_of("time") if self.unit_of("time") == "date" else ()
+        return tuple(column for column in self.wanted() if column not in dates)
 
     def _check_channel(self, channel: Channel) -> None:
         columns, unit = self.columns_of(channel), getattr(self, f"{channel}_unit")
@@ -251,6 +252,15 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
         return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time, clock=clock)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
+
+
+def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> ColumnMap:
+    """Return a map with the frame, state and device that undrift wrote beside a table; the error where they are none."""
+    frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
+    frame, state, device = (held.get(key, "") for key in ("frame", "state", "device"))
+    if frame not in frames or state not in states or not isinstance(device, str):
+        raise FileFormatError(f"{otherwise}; write the file anew")
+    return replace(columns, frame=frames[frame], state=states[state], device=device)
 
 
 def is_native(names: Names) -> bool:

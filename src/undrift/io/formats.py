@@ -66,9 +66,10 @@ from undrift.io.makers import (
     with_thermometer,
 )
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
-from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet, write_parquet
+from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet
 from undrift.io.reference import ReferenceMap, read_array_poses, read_parquet_poses, read_text_poses
-from undrift.io.text import MARK, read_csv, write_csv
+from undrift.io.text import MARK, read_csv
+from undrift.io.write import write_record_as
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
 
@@ -460,14 +461,15 @@ def iter_record(
 
 
 def write_record(record: Record, path: str | Path) -> None:
-    """Write a record as Parquet or CSV, by the name's ending.
+    """Write a record, in the format that the ending of the name stands for.
 
     Parameters
     ----------
     record : Record
         Readings.
     path : str or Path
-        NAME.parquet, NAME.csv or NAME.csv.gz.
+        NAME.parquet, NAME.csv or NAME.csv.gz (frame, state and device in NAME.csv.json beside it), NAME.mat, or the
+        sub-01_task-walk_tracksys-imu_motion.tsv of BIDS with the three files that belong to it.
 
     Raises
     ------
@@ -483,13 +485,7 @@ def write_record(record: Record, path: str | Path) -> None:
     >>> len(undrift.read_record(path))
     3
     """
-    name = Path(path).name.lower()
-    if name.endswith(".parquet"):
-        write_parquet(record, path)
-    elif name.endswith((".csv", ".csv.gz")):
-        write_csv(record, path)
-    else:
-        raise InputError(f"{path}: wanted a name ending in .parquet, .csv or .csv.gz, got another; name the format so")
+    write_record_as(record, Path(path))
 
 
 def read_reference(

@@ -12,9 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
-
-from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line
 from undrift.io.columns import (
@@ -28,7 +25,6 @@ from undrift.io.columns import (
     native_map,
 )
 from undrift.record import Record
-from undrift.units import RADIAN_PER_DEGREE
 
 KIND = "undrift.record"
 FORMAT = 1
@@ -210,38 +206,3 @@ def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:
     # undrift wrote it: NaN in it is a gap
     gaps = settings.gaps or "keep"
     return replace(columns, gaps=gaps, frame=held["frame"], state=held["state"], device=held["device"])
-
-
-# ---- orientation over time, Parquet or CSV
-
-COLUMNS = ("time_s", "q_w", "q_x", "q_y", "q_z", "inclination_deg", "heading_deg", "pitch_deg")
-
-
-def write_orientation(
-    time: FloatArray, q_nb: FloatArray, angles: tuple[FloatArray, FloatArray, FloatArray], path: str | Path
-) -> None:
-    """Write orientation over time; undrift reads the quaternions back as a reference.
-    time (N,) s, q_nb (N, 4), three angles (N,) rad."""
-    import pyarrow as pa
-    from pyarrow import csv, parquet
-
-    path = Path(path)
-    values = np.column_stack((time, q_nb, *(angle / RADIAN_PER_DEGREE for angle in angles)))
-    table = pa.table(dict(zip(COLUMNS, values.T, strict=True)))
-    part = path.with_name(path.name + ".part")
-    try:
-        if path.name.lower().endswith(".parquet"):
-            parquet.write_table(table, part)
-        elif path.name.lower().endswith(".csv"):
-            csv.write_csv(table, part)
-        elif path.name.lower().endswith(".csv.gz"):
-            with pa.CompressedOutputStream(str(part), "gzip") as stream:
-                csv.write_csv(table, stream)
-        else:
-            raise InputError(
-                f"{path}: wanted a name ending in .parquet, .csv or .csv.gz, got another; name the format so"
-            )
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error

@@ -1,25 +1,26 @@
 """Text tables: comma, tab, semicolon or blank separated, plain or gzip; CSV through a ColumnMap, or with undrift's own names.
 
-Arrow parses the rows; they are checked one by one only where that fails. undrift writes the unit into every column name. Frame,
-state and device stand in a first line, only where they are not the usual ones (sensor axes, raw, no device), so that a
-corrected file is never corrected twice::
+Arrow parses the rows; they are checked one by one only where that fails. undrift writes the unit into every column name, and
+nothing before them. Frame, state and device stand in NAME.csv.json beside NAME.csv, only where they are not the usual ones (sensor
+axes, raw, no device), so that a corrected file is never corrected twice; the same file names columns, units and provenance.
+Earlier versions wrote a first line instead, which still reads::
 
     # undrift record; frame=b; state=corrected; device=MTi-1
 """
 
 import csv
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, is_gzip, read_bytes
-from undrift.frames import Frame
+from undrift.files import checked_file, is_gzip, read_bytes, write_whole
 from undrift.io.columns import (
     READ_SETTINGS,
     Column,
@@ -32,10 +33,13 @@ from undrift.io.columns import (
     find_column,
     native_columns,
     native_map,
+    stated,
 )
-from undrift.record import Record, State
+from undrift.record import Record
 
 MARK = b"# undrift "
+KIND, FORMAT = "undrift.record", 1
+Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20
 _NUMBER = r"^[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|[iI][nN][fF](inity)?)[ \t\r]*$"
@@ -48,27 +52,74 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
         columns = replace(native_map(text.names, settings, source=str(path)), layout=text.layout)
         if text.mark:
             marked = dict(part.strip().split("=", 1) for part in text.mark.split(";")[1:] if "=" in part)
-            frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
-            if marked.get("frame") not in frames or marked.get("state") not in states:
-                raise FileFormatError(
-                    f"{path}: wanted '# undrift record; frame=...; state=...; device=...' in line 1, got {text.mark[:60]!r}"
-                )
-            frame, state = frames[marked["frame"]], states[marked["state"]]
-            columns = replace(columns, frame=frame, state=state, device=marked.get("device", ""))
+            wanted = "'# undrift record; frame=...; state=...; device=...' in line 1"
+            columns = stated(columns, marked, f"{path}: wanted {wanted}, got {text.mark[:60]!r}")
+        else:
+            columns = _read_sidecar(Path(path), text.names, columns)
     return build_record(parse_text(text, columns.numeric()), columns)
 
 
-def write_csv(record: Record, path: str | Path) -> None:
+def write_csv(record: Record, path: str | Path, made_by: Provenance | None = None) -> None:
     """Write a record with undrift's own column names; every number reads back to the same bits."""
-    names, columns = native_columns(record)
-    mark = ""
-    if record.frame != "s" or record.state != "raw" or record.device:
-        device = " ".join(record.device.replace(";", ",").split())
-        mark = f"# undrift record; frame={record.frame}; state={record.state}; device={device}\n"
-    write_rows(Path(path), names, columns, mark)
+    path, (names, columns) = Path(path), native_columns(record)
+    beside, content = sidecar_of(path), ""
+    if made_by or record.frame != "s" or record.state != "raw" or record.device:
+        content = json.dumps(statement_of(record, path, names) | {"provenance": made_by or None}, indent=1) + "\n"
+        write_whole(beside, content)
+    try:
+        write_rows(path, names, columns)
+    except InputError:
+        beside.unlink(missing_ok=True)
+        raise
+    if not content:
+        beside.unlink(missing_ok=True)  # of an earlier recording of this name
 
 
-def write_rows(path: Path, names: Sequence[str], columns: Sequence[FloatArray], mark: str = "") -> None:
+def sidecar_of(path: Path) -> Path:
+    """Return the name of the file that states what a CSV is: walk.csv.json of walk.csv."""
+    return path.with_name(path.name + ".json")
+
+
+def statement_of(record: Record, path: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Return what a recording is, as JSON beside its table."""
+    units = {"gyro": record.gyro_unit, "accel": record.accel_unit, "mag": "uT", "temp": "degC", "time": "s"}
+    return {
+        "kind": KIND,
+        "format": FORMAT,
+        "file": path.name,
+        "frame": record.frame,
+        "state": record.state,
+        "device": record.device,
+        "samples": len(record),
+        "sample_rate_hz": record.sample_rate_hz,
+        "columns": {name: units[name.partition("_")[0]] for name in names},
+    }
+
+
+def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap) -> ColumnMap:
+    """Return the map with what the file beside a table of undrift states; unchanged where there is none of undrift."""
+    beside = sidecar_of(path)
+    if not beside.is_file():
+        return columns
+    try:
+        held = json.loads(beside.read_bytes())
+    except (UnicodeDecodeError, json.JSONDecodeError):
+        held = None
+    if not isinstance(held, dict) or held.get("kind") != KIND:
+        return columns  # of another program
+    if held.get("format") != FORMAT:
+        raise FileFormatError(
+            f"{beside}: wanted {KIND} format {FORMAT}, got format {held.get('format')}; read it with the undrift that wrote it"
+        )
+    if [*held.get("columns", ())] != [*names]:
+        raise FileFormatError(
+            f"{beside}: wanted the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}; "
+            "it belongs to another table: move it away"
+        )
+    return stated(columns, held, f"{beside}: wanted frame, state and device of a recording, got others")
+
+
+def write_rows(path: Path, names: Sequence[str], columns: Sequence[FloatArray]) -> None:
     """Write named columns as CSV, gaps as empty cells; every number reads back to the same bits."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -76,14 +127,17 @@ def write_rows(path: Path, names: Sequence[str], columns: Sequence[FloatArray], 
     table = pa.table(
         [pa.array(np.ascontiguousarray(column), from_pandas=True) for column in columns], names=list(names)
     )
+    part = path.with_name(path.name + ".part")
     try:
-        with pa.OSFile(str(path), "wb") as raw:
+        with pa.OSFile(str(part), "wb") as raw:
             sink = pa.CompressedOutputStream(raw, "gzip") if path.suffix == ".gz" else raw
-            sink.write(f"{mark}{','.join(names)}\n".encode())
+            sink.write(f"{','.join(names)}\n".encode())
             arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
             if sink is not raw:
                 sink.close()
+        part.replace(path)
     except OSError as error:
+        part.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written: {error}; check the folder and its rights") from error
 
 

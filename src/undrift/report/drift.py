@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undrift.errors import InputError
 from undrift.model import AXES
 from undrift.report.figures import DEVICE, ERROR, LIMIT, new_figure, stretches, svg_of
 from undrift.report.page import Section, write_page
@@ -62,6 +63,14 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
         panels[2].set_title("all poses together: a pose has no single offset", loc="left", fontsize=8.5)
     _legend_below(figure, panels[1])
     return figure
+
+
+def draw_drift(fit: "DriftFit") -> "Figure":
+    """Draw the offsets over temperature, of the gyroscopes where they were fitted."""
+    summary = fit.gyro_summary or fit.accel_summary
+    if summary is None:
+        raise InputError("plot: wanted offsets over temperature, got none; the fit has no static table to draw")
+    return draw_offsets(summary)
 
 
 def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> "FloatArray":

@@ -4,7 +4,8 @@ Colours keep one meaning throughout: the device in blue, the optics in black, er
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +18,17 @@ from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.inspect import STUCK, saturated_runs
+from undrift.model import AXES
 from undrift.record import Record
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from undrift.model import Calibration
+    from undrift.orientation import Orientation
+    from undrift.record import Record
     from undrift.study.figure3 import Figure3
     from undrift.study.outcome import StudyOutcome, TaskOutcome
 
@@ -73,12 +79,23 @@ def new_figure(
 ) -> tuple["Figure", list["Axes"]]:
     """Return an empty figure in the house style."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(8.2, 0.4 + height * rows), layout="constrained")
+        figure = _notebook_figure()(figsize=(8.2, 0.4 + height * rows), layout="constrained")
         made = np.asarray(figure.subplots(rows, columns, sharex="col" if share_x else False, squeeze=False))
     return figure, list(made.ravel())
+
+
+@cache
+def _notebook_figure() -> type["Figure"]:
+    """Return matplotlib's Figure, as one that a notebook shows without pyplot."""
+    from matplotlib.figure import Figure
+
+    class NotebookFigure(Figure):
+        def _repr_png_(self) -> bytes:
+            return _saved(self, format="png", dpi=80)
+
+    return NotebookFigure
 
 
 def svg_of(figure: "Figure") -> str:
@@ -304,10 +321,80 @@ def _add_legend(figure: "Figure", pieces: Sequence[Piece], marks: dict[str, Any]
         figure.supxlabel(f"left out: {listed}", fontsize=8, x=0.01, ha="left")
 
 
+def draw_record(record: "Record") -> "Figure":
+    """Draw the readings of a record over time: each triad and the temperature, in the unit of the record."""
+    triads = (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit))
+    held: list[tuple[str, FloatArray, Sequence[str]]]
+    held = [(f"{name} ({unit})", np.asarray(values).T, AXES) for name, values, unit in triads if values is not None]
+    if record.temp_c is not None:
+        held.append(("temperature (degC)", record.temp_c[None], ("",)))
+    figure, panels = new_figure(len(held), height=1.9)
+    for axes, (label, courses, names) in zip(panels, held, strict=True):
+        for course, name, colour in zip(courses, names, AXIS_COLOURS, strict=False):
+            axes.plot(*envelope(record.time, course), color=colour if name else DEVICE, label=name, linewidth=0.8)
+        axes.set_ylabel(label)
+    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+    panels[0].set_title(f"{record.device or 'record'}: {record.state}", loc="left", fontsize=10)
+    panels[-1].set_xlabel("time (s)")
+    return figure
+
+
+def draw_orientation(found: "Orientation") -> "Figure":
+    """Draw inclination, pitch and heading over time, the rest shaded."""
+    named = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
+    figure, panels = new_figure(3, height=1.5)
+    for axes, (name, angle) in zip(panels, named, strict=True):
+        axes.plot(*envelope(found.time, _without_wraps(angle / RADIAN_PER_DEGREE)), color=DEVICE)
+        axes.axvspan(
+            float(found.time[found.still.start]), float(found.time[found.still.stop - 1]), color=SHADE, zorder=0
+        )
+        axes.set_ylabel(f"{name} (deg)")
+    panels[-1].set_xlabel("time (s)")
+    return figure
+
+
+def draw_calibration(calibration: "Calibration") -> "Figure":
+    """Draw each triad: its matrix over the mean gain, as departures from the identity, and its offsets; bars are 95 %."""
+    triads = [
+        (name, getattr(calibration, name)) for name in ("gyro", "accel") if getattr(calibration, name) is not None
+    ]
+    if not triads:
+        raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
+    figure, panels = new_figure(len(triads), height=2.3, columns=2, share_x=False)
+    for k, (name, triad) in enumerate(triads):
+        sigma = dict(zip(triad.parameters, triad.standard_uncertainty, strict=True))
+        gain = float(triad.scale_factor.mean())
+        elements = [row + column for row in AXES for column in AXES]
+        percent = 100.0 * (gain * triad.matrix.ravel() - np.eye(3).ravel())
+        bars = [196.0 * gain * sigma.get(f"m_{one}", 0.0) for one in elements]
+        colours = [DEVICE if one[0] == one[1] else LIMIT for one in elements]
+        matrix, offset = panels[2 * k : 2 * k + 2]
+        matrix.bar(elements, percent, yerr=bars, color=colours, capsize=2.0)
+        matrix.set_ylabel("departure from the mean gain (%)")
+        matrix.set_title(f"{name}: {gain:.5g} {triad.unit_in} per {triad.unit_out}", loc="left", fontsize=10)
+        bars = [1.96 * sigma.get(f"offset_{axis}", 0.0) for axis in AXES]
+        offset.bar(AXES, triad.offset, yerr=bars, color=AXIS_COLOURS, capsize=2.0)
+        offset.set_ylabel(f"offset ({triad.unit_in})")
+    return figure
+
+
+def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
+    """Draw a group of bars for each name, a bar for each row of values (n,)."""
+    figure, (axes,) = new_figure(1, height=2.9)
+    width = 0.8 / len(values)
+    for k, ((row, heights), colour) in enumerate(zip(values.items(), (LIMIT, ERROR, DEVICE, OPTICS), strict=False)):
+        axes.bar(np.arange(len(names)) + (k + 0.5) * width - 0.4, heights, width, color=colour, label=row)
+    axes.set_xticks(np.arange(len(names)), names)
+    axes.set_ylabel(label)
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.legend(loc="best")
+    return figure
+
+
 # ---- Allan deviation
 
 
-def draw_allan(found: NoiseFit, *, title: str) -> "Figure":
+def draw_allan(found: NoiseFit, *, title: str = "Overlapping Allan deviation") -> "Figure":
     """Draw Allan deviation over averaging time, with its intervals and the slope of white noise as a guide."""
     triads = [name for name in ("gyro", "accel") if getattr(found, name)]
     figure, panels = new_figure(len(triads), height=3.4)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undrift.model import Verdict
-from undrift.report.figures import draw_agreement, draw_comparison, svg_of
+from undrift.report.figures import draw_agreement, draw_bars, draw_comparison, svg_of
 from undrift.report.page import Section, rows_section, write_page
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -200,6 +200,14 @@ def trial_figure(trial: "Trial") -> "Figure":
         title=f"{trial.recording}: sagittal pitch",
         moving=trial.moving,
     )
+
+
+def draw_validation(result: "Validation") -> "Figure":
+    """Draw the errors of each trial: total, inclination and pitch, root mean square."""
+    names = [trial.recording for trial in result.trials]
+    keys = {"total": "rmse_total_deg", "inclination": "rmse_inclination_deg", "pitch": "rmse_pitch_deg"}
+    values = {name: [getattr(trial.figures, key) for trial in result.trials] for name, key in keys.items()}
+    return draw_bars(names, values, title="Errors against the reference", label="rms over the motion (deg)")
 
 
 def _agreement(result: "Validation") -> tuple[Section, ...]:

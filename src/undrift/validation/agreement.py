@@ -32,7 +32,8 @@ from undrift.findings import Finding, finding
 from undrift.model import Calibration
 from undrift.record import Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_known, validate_trial
+from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_known, rows_of, validate_trial
+from undrift.views import Shown
 
 # ---- two methods, or several raters
 
@@ -178,7 +179,7 @@ class Agreement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Validation:
+class Validation(Shown):
     """Recordings compared with their references."""
 
     trials: tuple[Trial, ...]  # One for each recording, in order
@@ -186,6 +187,10 @@ class Validation:
     median: Figures
     agreement: Agreement | None  # None with fewer than three trials
     held_out: tuple[HeldOut, ...] = ()  # The fit that corrected each recording, in leave-one-out
+
+    def _rows(self) -> dict[str, str]:
+        each = {trial.recording: f"total {trial.figures.rmse_total_deg:.2f} deg rms" for trial in self.trials}
+        return each | {f"mean {name}": text for name, text in rows_of(self.mean).items()}
 
 
 def validate_trials(

@@ -45,6 +45,7 @@ from undrift.orientation import (
 from undrift.record import Face, Record, Reference
 from undrift.sync import Lag, LagSettings, Motion, RunningIntegral, find_lag, find_motion, native_poses, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.views import Shown
 
 # ---- track: orientation from the readings alone, started from rest
 
@@ -329,6 +330,12 @@ ALIGN_ABOVE = 5.0 * RADIAN_PER_DEGREE  # rad
 TRIAL_SETTINGS = TrialSettings()
 
 
+def rows_of(figures: Figures) -> dict[str, str]:
+    """Return the errors that a notebook shows, deg."""
+    named = {"total": "total", "inclination": "inclination", "heading": "heading", "pitch": "pitch"}
+    return {f"{text}, rms": f"{getattr(figures, f'rmse_{key}_deg'):.2f} deg" for key, text in named.items()}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounting:
     """How the device sits on the reference's body, and whether that was undone."""
@@ -338,7 +345,7 @@ class Mounting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trial:
+class Trial(Shown):
     """One recording judged.
 
     Parameters
@@ -388,6 +395,9 @@ class Trial:
         n = len(self.time)
         for name in ("time", "sensor_pitch", "reference_pitch", "moving"):
             object.__setattr__(self, name, frozen(getattr(self, name), (n,), f"Trial.{name}"))
+
+    def _rows(self) -> dict[str, str]:
+        return {"recording": self.recording} | rows_of(self.figures)
 
 
 def validate_trial(

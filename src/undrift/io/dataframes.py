@@ -1,0 +1,103 @@
+"""pandas DataFrames as records and back; pandas is imported only where a frame is made."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from undrift.errors import InputError
+from undrift.io.columns import (
+    AXES,
+    CHANNELS,
+    ColumnMap,
+    Gaps,
+    ReadSettings,
+    Table,
+    build_record,
+    is_native,
+    native_columns,
+    native_map,
+    stated,
+)
+from undrift.record import Record
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SOURCE = "DataFrame"
+NAMES: dict[str, str | tuple[str, ...]] = {  # undrift's own, without the unit
+    "time": "time", "temp": "temp", **{name: tuple(f"{name}_{axis}" for axis in AXES) for name in ("gyro", "accel", "mag")}
+}  # fmt: skip
+
+
+def read_frame(
+    frame: "pd.DataFrame",
+    columns: Mapping[str, str | Sequence[str]] | None,
+    units: Mapping[str, str],
+    *,
+    sample_rate_hz: float | None,
+    gaps: Gaps,
+    device: str,
+) -> Record:
+    """Return the record that a frame holds, every value checked as a file's would be."""
+    for what, given in (("columns", columns or {}), ("units", units)):
+        unknown = sorted(set(given) - set(CHANNELS))
+        if unknown:
+            raise InputError(
+                f"from_frame: wanted {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}; name the channels so"
+            )
+    names = tuple(str(name) for name in frame.columns)
+    held = {name: frame.iloc[:, k] for k, name in enumerate(names)}
+    time, native = dict(columns or NAMES).get("time"), columns is None and is_native(names)
+    if sample_rate_hz is None and "time_s" not in held and time not in held and _is_clock(frame.index):
+        time = "time_s" if native else str(time or "time")
+        held[time] = frame.index.to_series()
+        columns = None if columns is None else {**columns, "time": time}
+    dated = [name for name, values in held.items() if values.dtype.kind in "Mm" or hasattr(values.dtype, "tz")]
+    table = Table(source=SOURCE, names=tuple(held), columns=tuple(_numbers(held[name], name in dated) for name in held))
+    if native:
+        found = native_map(table.names, ReadSettings(sample_rate_hz=sample_rate_hz, gaps=gaps), source=SOURCE)
+    else:
+        chosen = columns or _plain(table.names)
+        stating: dict[str, Any] = {
+            key: value if isinstance(value, str) else tuple(value) for key, value in chosen.items()
+        }
+        clock = {"time": "s"} if time in dated else {}
+        stating |= {f"{key}_unit": unit for key, unit in {**units, **clock}.items()}
+        found = ColumnMap(**stating, sample_rate_hz=sample_rate_hz, gaps=gaps)
+    marks = frame.attrs.get("undrift", {"frame": "s", "state": "raw"})
+    found = stated(
+        found, {**marks, "device": device or marks.get("device", "")}, f"{SOURCE}: wanted attrs of undrift, got others"
+    )
+    return build_record(table, found).record
+
+
+def frame_of(record: Record) -> "pd.DataFrame":
+    """Return a record as a frame."""
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise InputError("to_frame: wanted pandas, got none; pip install pandas") from error
+    names, columns = native_columns(record)
+    frame = pd.DataFrame(dict(zip(names, columns, strict=True)))
+    frame.attrs["undrift"] = {key: getattr(record, key) for key in ("frame", "state", "device")}
+    return frame
+
+
+def _is_clock(index: Any) -> bool:
+    return index.dtype.kind in "Mm" or hasattr(index.dtype, "tz") or str(index.name) in ("time", "time_s")
+
+
+def _plain(names: Sequence[str]) -> dict[str, str | tuple[str, ...]]:
+    """Return the channels that a table has under undrift's names without units."""
+    return {key: want for key, want in NAMES.items() if set((want,) if isinstance(want, str) else want) & set(names)}
+
+
+def _numbers(values: Any, dated: bool) -> Any:
+    """Return a column as float64, dates as s from the first; text as it is, for the table to name it."""
+    if dated:
+        return (values - values.iloc[0]).to_numpy() / np.timedelta64(1, "s")
+    try:
+        return values.to_numpy(dtype=np.float64, na_value=np.nan)
+    except (TypeError, ValueError):
+        return values.to_numpy(dtype=object)

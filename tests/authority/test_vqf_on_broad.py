@@ -1,0 +1,67 @@
+"""Corrected readings and a filter, on eight real trials against optics.
+
+Source: BROAD (Laidig et al., Data 6(7), 72, 2021), read 2026-11.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from testkit import vqf_trials
+from testkit.broad_trials import trial
+from testkit.data import show
+from undrift.orientation import OrientSettings, orient
+
+pytest.importorskip("vqf", reason="the extra orientation is not installed")
+PAGE = Path(__file__).parents[2] / "docs" / "orientation.md"
+KEYS = ("raw", "corrected", "prior", "strapdown")
+
+
+def test_the_table_of_the_page_is_what_the_trials_give():
+    cells = re.findall(r"^\| (\d\d) \((\w)\)((?: \| [\d.]+){4}) \|$", PAGE.read_text(), re.M)
+    stated = {
+        f"{number}{device}": [float(cell) for cell in re.findall(r"[\d.]+", text)] for number, device, text in cells
+    }
+    found = {row.name[:2] + row.device: [getattr(row, key) for key in KEYS] for row in vqf_trials.rows()}
+    assert stated.keys() == found.keys()
+    for key, values in found.items():
+        show(f"{key}: raw, corrected, with prior, strapdown, deg", np.round(values, 2), stated[key])
+        np.testing.assert_allclose(values, stated[key], atol=0.02)  # deg: rounding, and another build of the filter
+
+
+def test_correction_takes_most_of_the_filters_error_away():
+    rows = vqf_trials.rows()
+    raw, corrected, prior = (np.array([getattr(row, key) for row in rows]) for key in KEYS[:3])
+    show("mean total error, deg: raw, corrected, with prior", (raw.mean(), corrected.mean(), prior.mean()))
+    assert prior.mean() < raw.mean() / 3.0
+    assert (prior < raw).all()
+    assert prior.mean() <= corrected.mean()
+    device_d = [row.device == "D" for row in rows]
+    assert raw[device_d].mean() > 5.0  # deg
+    assert prior[device_d].mean() < 0.8
+
+
+def test_a_rest_in_every_break_keeps_strapdown_of_raw_readings_on_course():
+    record, reference = trial(5)
+    errors = {
+        offset: vqf_trials.total_error_deg(orient(record, None, OrientSettings(offset=offset)).q_nb, reference)
+        for offset in ("none", "rest", "still")
+    }
+    show("BROAD 05 raw, strapdown, total error in deg", errors)
+    assert errors["still"] < errors["rest"] < 0.15 * errors["none"]
+    found = orient(record, None, OrientSettings(offset="still"))
+    assert len(found.rests) == 5  # before, in three breaks, after
+    assert np.degrees(np.ptp(found.rest_offsets, axis=0)).max() < 0.02  # deg/s: one warm device
+
+
+def test_the_stated_drift_is_of_the_size_that_optics_see():
+    record, reference = trial(5)
+    found = orient(record)
+    (item,) = found.findings
+    error = vqf_trials.total_error_deg(found.q_nb, reference)
+    show("drift stated, deg; seen as rms over the motion, deg", (item.values["drift_deg"], error))
+    assert item.level == "warn"
+    # the end is about 1.7 times the rms of a straight course, and the offset's direction turns with the device
+    assert 0.5 < item.values["drift_deg"] / (1.7 * error) < 3.0

@@ -1,0 +1,119 @@
+"""DataFrames as records: names and units stated, every value checked, and back again without a loss."""
+
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+
+from testkit.strategies import assert_same, few, records
+from undrift.errors import FileFormatError, InputError
+from undrift.record import Record
+
+N = 30
+PLAIN = {f"{sensor}_{axis}": np.linspace(0.0, 1.0, N) for sensor in ("gyro", "accel") for axis in "xyz"}
+UNITS = {"gyro": "dps", "accel": "g"}
+
+
+@few
+@given(record=records(gaps=True))
+def test_a_record_comes_back_from_its_frame_to_the_last_bit(record):
+    if "v" in (record.gyro_unit, record.accel_unit):  # volts are a unit of columns like the others
+        assert any(name.endswith("_v") for name in record.to_frame())
+    assert_same(Record.from_frame(record.to_frame(), gaps="keep"), record)
+
+
+def test_plain_names_need_units_and_a_clock_alone():
+    record = Record.from_frame(pd.DataFrame(PLAIN), units=UNITS, sample_rate_hz=10.0, device="A1")
+    assert (record.gyro_unit, record.accel_unit, record.device, record.state) == ("dps", "g", "A1", "raw")
+    np.testing.assert_array_equal(record.gyro[:, 2], PLAIN["gyro_z"])
+    assert record.sample_rate_hz == pytest.approx(10.0)
+
+
+def test_foreign_names_are_mapped_and_times_converted():
+    frame = pd.DataFrame({"ms": np.arange(N) * 20.0, "a": 1.0, "b": 2.0, "c": 3.0, "T": 25.0})
+    record = Record.from_frame(
+        frame,
+        columns={"time": "ms", "accel": ["a", "b", "c"], "temp": "T"},
+        units={"time": "ms", "accel": "g", "temp": "degC"},
+    )
+    assert record.sample_rate_hz == pytest.approx(50.0)
+    assert record.gyro is None
+    np.testing.assert_array_equal(record.accel[5], [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(record.temp_c, 25.0)
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        pd.date_range("2026-11-22", periods=N, freq="20ms"),
+        pd.date_range("2026-11-22", periods=N, freq="20ms", tz="Europe/Rome"),
+        pd.to_timedelta(np.arange(N) * 20, unit="ms"),
+    ],
+    ids=["dates", "dates in a zone", "differences"],
+)
+def test_dates_in_the_index_are_the_clock(index):
+    record = Record.from_frame(pd.DataFrame(PLAIN, index=index), units=UNITS)
+    np.testing.assert_allclose(record.time, np.arange(N) * 0.02, atol=1e-12)
+
+
+def test_seconds_in_an_index_of_undrifts_name_are_the_clock():
+    frame = pd.DataFrame(
+        {f"gyro_{axis}_dps": np.zeros(N) for axis in "xyz"}, index=pd.Index(np.arange(N) / 8.0, name="time_s")
+    )
+    assert Record.from_frame(frame).sample_rate_hz == pytest.approx(8.0)
+
+
+def test_a_date_column_is_a_clock_too():
+    frame = pd.DataFrame({"time": pd.date_range("2026-11-22", periods=N, freq="10ms"), **PLAIN})
+    np.testing.assert_allclose(Record.from_frame(frame, units=UNITS).time, np.arange(N) * 0.01, atol=1e-12)
+
+
+def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
+    frame = pd.DataFrame({**PLAIN, "gyro_x": pd.array([None, *range(N - 1)], dtype="Int64")})
+    with pytest.raises(InputError, match="wanted a number in every row, got 1 empty or NaN cells"):
+        Record.from_frame(frame, units=UNITS, sample_rate_hz=10.0)
+    kept = Record.from_frame(frame, units=UNITS, sample_rate_hz=10.0, gaps="keep")
+    assert np.isnan(kept.gyro[0, 0])
+    assert kept.gyro[3, 0] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("frame", "how", "error", "said"),
+    [
+        (PLAIN, {"sample_rate_hz": 10.0}, InputError, "units.gyro: wanted the unit of gyro, got none"),
+        (PLAIN, {"units": UNITS}, InputError, "wanted a time column or sample_rate_hz, got neither"),
+        (
+            PLAIN,
+            {"units": {"gyroscope": "dps"}},
+            InputError,
+            "wanted units of time, gyro, accel, temp, mag, got gyroscope",
+        ),
+        (PLAIN, {"columns": {"gy": "x"}}, InputError, "wanted columns of time, gyro, accel, temp, mag, got gy"),
+        (
+            {**PLAIN, "gyro_x": ["a"] * N},
+            {"units": UNITS, "sample_rate_hz": 10.0},
+            FileFormatError,
+            "DataFrame: column 'gyro_x': wanted numbers, got 'a' in data row 1",
+        ),
+        ({"x": [1.0, 2.0]}, {}, InputError, "wanted gyro or accel, got neither"),
+    ],
+)
+def test_a_frame_that_leaves_something_open_is_refused(frame, how, error, said):
+    with pytest.raises(error, match=said):
+        Record.from_frame(pd.DataFrame(frame), **how)
+
+
+def test_attrs_that_are_not_undrifts_are_refused():
+    frame = Record.from_frame(pd.DataFrame(PLAIN), units=UNITS, sample_rate_hz=10.0).to_frame()
+    frame.attrs["undrift"] = {"frame": "q", "state": "raw"}
+    with pytest.raises(FileFormatError, match="DataFrame: wanted attrs of undrift, got others"):
+        Record.from_frame(frame)
+
+
+def test_without_pandas_a_frame_is_refused_and_the_rest_works(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    record = Record.from_arrays(gyro=np.zeros((3, 3)), gyro_unit="dps", sample_rate_hz=10.0)
+    with pytest.raises(InputError, match="to_frame: wanted pandas, got none; pip install pandas"):
+        record.to_frame()

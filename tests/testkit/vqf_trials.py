@@ -1,0 +1,108 @@
+"""What corrected readings are worth to an orientation filter: VQF without a magnetometer on the eight BROAD trials at hand.
+
+Each trial is corrected by a fit to the references of the device's other trials, and never by its own. The error is the total angle
+against optics, root mean square over the motion; heading is made equal over the two seconds before it.
+``PYTHONPATH=src:tests python -m testkit.vqf_trials docs/vqf-on-broad.svg`` draws the figure of docs/orientation.md.
+"""
+
+import sys
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from testkit.broad_trials import DEVICES, of_device
+from undrift.calibration.calibrate import device_adc
+from undrift.calibration.reference import leave_one_out
+from undrift.correction.correct import correct
+from undrift.frames import quaternion_conjugate, quaternion_product
+from undrift.model import Calibration
+from undrift.orientation import OrientSettings, heading_of, orient
+from undrift.record import Record, Reference
+from undrift.report.figures import draw_bars, save_figure
+from undrift.units import STANDARD_GRAVITY
+from undrift.validation.trial import compare_orientations
+
+BEFORE_S = 2.0
+LABELS = ("VQF on raw readings", "on corrected readings", "and the calibration's uncertainty as prior")
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one trial, deg: total angle, root mean square over the motion."""
+
+    name: str
+    device: str
+    raw: float  # VQF by itself
+    corrected: float  # VQF by itself on corrected readings
+    prior: float  # undrift's orient, method vqf: the calibration's uncertainty is the prior of the bias
+    strapdown: float  # undrift's orient on corrected readings
+
+
+def total_error_deg(q_nb: np.ndarray, reference: Reference) -> float:
+    """Return the error of an orientation at the reference's samples."""
+    moving = (reference.moving > 0.5) & reference.valid
+    start = reference.time[np.flatnonzero(moving)[0]]
+    before = reference.valid & (reference.time >= start - BEFORE_S) & (reference.time < start)
+    off = heading_of(quaternion_product(q_nb, quaternion_conjugate(reference.q_nb)))[before]
+    turn = -float(np.angle(np.exp(1j * off).mean()))
+    level = quaternion_product(np.array([np.cos(turn / 2.0), 0.0, 0.0, np.sin(turn / 2.0)]), q_nb)
+    return float(np.degrees(np.sqrt(np.mean(compare_orientations(level, reference.q_nb).total[moving] ** 2))))
+
+
+def by_itself(record: Record) -> np.ndarray:
+    """Return the orientation that the package vqf finds with its own settings."""
+    from vqf import VQF
+
+    record = record.in_si()
+    made = VQF(1.0 / record.sample_rate_hz)
+    return made.updateBatch(np.ascontiguousarray(record.gyro), np.ascontiguousarray(record.accel))["quat6D"]
+
+
+@cache
+def rows() -> tuple[Row, ...]:
+    """Return the errors of every trial."""
+    made = []
+    for device in DEVICES:
+        pairs, names = of_device(device)
+        records, references = zip(*pairs, strict=True)
+        adc = device_adc(records)
+        held = leave_one_out(records, references, adc=adc)
+        for name, (record, reference), fit in zip(names, pairs, held, strict=True):
+            model = Calibration(
+                device=device, reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=fit.model, adc=adc
+            )
+            done = correct(record, model)
+            tracks = {
+                "raw": by_itself(record),
+                "corrected": by_itself(done),
+                "prior": orient(done, None, OrientSettings(method="vqf"), gyro_model=fit.model).q_nb,
+                "strapdown": orient(done, None, gyro_model=fit.model).q_nb,
+            }
+            made.append(Row(name, device, **{key: total_error_deg(q, reference) for key, q in tracks.items()}))
+    return tuple(made)
+
+
+def main(path: str) -> None:
+    """Draw the figure."""
+    shown = rows()
+    values = {
+        label: [getattr(row, key) for row in shown]
+        for label, key in zip(LABELS, ("raw", "corrected", "prior"), strict=True)
+    }
+    names = [f"{row.name[:2]} ({row.device})" for row in shown]
+    figure = draw_bars(
+        names, values, title="VQF against optics: BROAD trials, device in brackets", label="total error, rms (deg)"
+    )
+    save_figure(figure, Path(path))
+    for row in shown:
+        print(
+            f"| {row.name[:2]} ({row.device}) | {row.raw:.2f} | {row.corrected:.2f} | {row.prior:.2f} | {row.strapdown:.2f} |"
+        )
+    means = [float(np.mean([getattr(row, key) for row in shown])) for key in ("raw", "corrected", "prior", "strapdown")]
+    print("| mean | " + " | ".join(f"{value:.2f}" for value in means) + " |")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
