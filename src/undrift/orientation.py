@@ -38,7 +38,7 @@ from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import find_still, runs
+from undrift.segments import StillSettings, find_still, runs
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 from undrift.views import Shown
 

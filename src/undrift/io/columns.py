@@ -174,7 +174,7 @@ class ColumnMap:
 
     def numeric(self) -> tuple[Column, ...]:
         """Return the columns that hold numbers: all but a time of dates."""
-        dates = self.columns_of("time") if self.unit_of("time") == "date" else ()
+        dates = (self.time,) if self.time is not None and self.unit_of("time") == "date" else ()
         return tuple(column for column in self.wanted() if column not in dates)
 
     def _check_channel(self, channel: Channel) -> None:
