@@ -254,3 +254,11 @@ def test_without_its_package_or_without_accelerometers_the_filter_is_refused(mon
         InputError, match=r"wanted the package vqf for this method, got none; pip install 'undrift\[orientation\]'"
     ):
         orient(record, None, VQF)
+
+
+def test_rates_that_no_gyroscope_reads_point_to_the_unit() -> None:
+    time = np.arange(800) / 100.0
+    gyro = np.where(time[:, None] > 6.0, 75.0, 0.0) * np.array([1.0, 0.2, 0.1])  # rad/s: 4297 deg/s
+    accel = np.tile([0.0, 0.0, 9.81], (800, 1))
+    with pytest.raises(InputError, match=r"up to 4000 deg/s, as gyroscopes read them, got 4297 deg/s; check the unit"):
+        orient(Record(time=time, gyro=gyro, accel=accel, frame="b", state="corrected"))

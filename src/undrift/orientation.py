@@ -450,7 +450,7 @@ def _rests(record: Record, named: Still | None, *, every: bool) -> tuple[Still, 
     if named is not None and not every:
         return (named,)
     found = find_still(record, StillSettings())
-    found = found if found.stills else find_still(record)  # adapts
+    found = find_still(record) if every and not found.stills else found  # of a worn recording: adapts
     stills = [one for one in found.stills if named is None or one.stop <= named.start or one.start >= named.stop]
     if named is not None:
         return tuple(sorted((*stills, named), key=lambda one: one.start))
@@ -543,6 +543,9 @@ def _levelled_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArra
     return quaternion_product(turn, q_nb)
 
 
+_MOST_RATE = 4000.0 * RADIAN_PER_DEGREE  # rad/s: the widest range of gyroscopes that are worn
+
+
 def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
     """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
     check_gaps(gyro, time, "orient")
@@ -554,6 +557,13 @@ def _check_whole(time: FloatArray, gyro: FloatArray) -> None:
             f"orient: wanted readings without holes over {LONGEST_HOLE_S:g} s, got {len(holes)}, the first of {steps[at]:.3g} s at "
             f"{time[at]:.6g} s; after a hole the orientation is unknown: orient each stretch with a rest of its own",
             hole_s=float(steps[at]),
+        )
+    fastest = float(np.abs(gyro).max())
+    if fastest > _MOST_RATE:
+        raise InputError(
+            f"orient: wanted angular rates up to {_MOST_RATE / RADIAN_PER_DEGREE:g} deg/s, as gyroscopes read them, got "
+            f"{fastest / RADIAN_PER_DEGREE:.4g} deg/s; check the unit of the gyroscope",
+            rate=fastest,
         )
     dead = [axis for axis, moves in zip("xyz", np.ptp(gyro, axis=0) > 0.0, strict=True) if not moves]
     if dead and len(dead) < 3:

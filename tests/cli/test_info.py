@@ -232,15 +232,17 @@ def test_every_public_folder_was_found():
     [
         ("shimmer_consensys/read_test_data.csv", "--sensor LN"),
         ("delsys_trigno/truncated_trigno_sample.csv", "--sensor 'Mini sensor 10'"),
-        ("stm_mems_logs/unico_acc_only_driving.txt", "--sample-rate-hz HZ"),
+        ("stm_mems_logs/unico_acc_only_driving.txt", "--sample-rate-hz 26"),
     ],
 )
 def test_what_an_export_leaves_open_is_asked_for_by_an_option_that_opens_it(undrift, name, hint):
     path = data_path("makers", name)
-    lines = undrift.good("info", path).out.splitlines()
-    assert lines[-1].strip() == f"say: undrift info FILE {hint}"
-    words = shlex.split(hint.replace("HZ", "26"))
-    told = undrift.good("info", path, *words, "--json").json()
+    last = undrift.good("info", path).out.splitlines()[-1].strip()
+    if "26" in hint:  # nobody but its owner knows the rate
+        assert last.endswith("give sample_rate_hz (--sample-rate-hz)")
+    else:
+        assert last == f"Next: undrift info {path} {hint}"
+    told = undrift.good("info", path, *shlex.split(hint), "--json").json()
     assert told["kind"] == "recording"
     assert [item["code"] for item in told["findings"]][:1] in (["recording.how_read"], ["recording.dropouts"], [])
 

@@ -17,8 +17,8 @@ LOG = ("makers", "px4_ulog", "sample_log_small.ulg")
 @pytest.mark.parametrize("name", [LOG, ("makers", "mobilised_mat", "data_lab_HA001.mat")])
 def test_the_line_that_info_prints_for_a_file_of_several_sensors_works(undrift, name):
     path = data_path(*name)
-    line = re.search(r"say: undrift info FILE (.*)", undrift.good("info", path).out).group(1)
-    told = undrift.good("info", path, *shlex.split(line), "--json").json()
+    line = re.search(r"Next: undrift (.*)", undrift.good("info", path).out).group(1)
+    told = undrift.good(*shlex.split(line), "--json").json()
     assert told["kind"] == "recording"
 
 

@@ -58,7 +58,7 @@ def test_a_simulated_device_shows_its_unit_unless_it_reads_counts(factor, unit):
 
 def test_a_map_that_is_not_complete_says_what_to_put_and_a_file_that_needs_none_is_refused(undrift, bench, tmp_path):
     out = undrift.good("info", data_path("multipos_xsens", "xsens_gyro.txt.gz"), "--write-map", tmp_path / "m.toml").out
-    assert "# time: s, proposed: the median step of 0.01 makes 100 Hz" in out  # SOURCE.md: 100 Hz
+    assert "# time: s, proposed by the median step 0.01" in out  # SOURCE.md: 100 Hz
     (tmp_path / "no.csv").write_text(
         "t,gx,gy,gz\n" + "".join(f"{k / 100},{k % 3},{k % 5},{k % 7}\n" for k in range(300))
     )

@@ -21,13 +21,11 @@ from undrift.io.formats import read_record
 from undrift.io.inspect import Description
 from undrift.io.session import KeptEntry, piece_lines
 from undrift.record import FileMap, Record, Session, Still, Turn
-from undrift.units import RADIAN_PER_DEGREE, si_factor
+from undrift.units import RADIAN_PER_DEGREE
 
 _WINDOW_S = 0.2
 _MOVED = (10.0 * RADIAN_PER_DEGREE, 90.0 * RADIAN_PER_DEGREE)  # of gravity in a window: the device turned
 _LEAST_WINDOWS = 20
-_STEPS = {"s": (4e-4, 0.2), "ms": (0.4, 200.0), "us": (400.0, 2e5), "ns": (4e5, 2e8)}  # of time at 5 to 2500 Hz
-_TRIAL = {"time": "s", "gyro": "count", "accel": "count"}  # the readings as they are
 _CLEARLY = 0.5  # the right unit misses gravity by less than this share of what the other does
 
 
@@ -52,8 +50,11 @@ def map_of(
     why = {key: _why(key, unit, stated) for key, unit in proposed.items()}
     proposed |= {key: unit for key, unit in given.items() if key in proposed}
     why |= dict.fromkeys(given, "as given")
-    for key, (unit, reason) in _shown(found, lines, proposed).items():
-        proposed[key], why[key] = unit, reason
+    by_size = "gyro" in proposed and (proposed["gyro"] == "?" or why["gyro"].startswith("proposed"))
+    if by_size and (
+        turned := _turned(found, lines, proposed)
+    ):  # gravity is a better witness than the size of the readings
+        proposed["gyro"], why["gyro"] = turned
     text = [f"# How {Path(found.path).name} is read; the keys are in docs/files.md. Check each unit."]
     text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
     shown = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
@@ -62,41 +63,29 @@ def map_of(
 
 def _why(key: str, unit: str, line: str) -> str:
     """Return where a proposed unit comes from: the name of its column, or the size of the readings."""
-    comment = line.partition("#")[2].strip()
     if unit == "?":
         return "which no name and no reading shows: put what is true"
-    return comment if f"{key} " in f"{comment.partition('proposed')[0]} " and comment else "by the name of its column"
+    reasons = dict(part.split(" by ", 1) for part in line.partition("# proposed: ")[2].split("; ") if " by " in part)
+    return f"proposed by {reasons[key]}" if key in reasons else "by the name of its column"
 
 
-def _shown(found: Description, lines: Sequence[str], units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return units that the readings show, and why: of time by its step, of gyroscopes by gravity."""
-    open_ = {key for key in ("time", "gyro") if units.get(key) == "?"}
-    if not open_:
-        return {}
-    keys = KeptEntry.model_validate(tomllib.loads("\n".join(lines)) | {"units": _TRIAL})
-    columns = replace(keys.maps()[0], temp=None, mag=None, gaps="keep")
+def _turned(found: Description, lines: Sequence[str], units: Mapping[str, str]) -> tuple[str, str] | None:
+    """Return the unit of the gyroscopes that gravity shows, and why; None where it shows none."""
+    if units.get("time") == "?":
+        return None
+    as_read = dict.fromkeys(("gyro", "accel"), "count") | {key: units[key] for key in ("time",) if key in units}
+    keys = KeptEntry.model_validate(tomllib.loads("\n".join(lines)) | {"units": as_read})
     try:
-        record = read_record(found.path, columns)
+        turned = gyro_unit_of(read_record(found.path, replace(keys.maps()[0], temp=None, mag=None, gaps="keep")))
     except InputError:  # the map will say what is wrong when it is used
-        return {}
-    shown = {}
-    if "time" in open_:
-        step = float(np.median(np.diff(record.time)))
-        unit = next((unit for unit, (low, high) in _STEPS.items() if low <= step < high), None)
-        if unit is None:
-            return {}
-        factor = si_factor(unit, "time")
-        shown["time"] = (unit, f"proposed: the median step of {step:.4g} makes {1.0 / (step * factor):.4g} Hz")
-        record = replace(record, time=record.time * factor)
-    if "gyro" in open_ and (turned := gyro_unit_of(record)) is not None:
-        unit, moves, miss_deg, other_deg = turned
-        other = "dps" if unit == "rad/s" else "rad/s"
-        shown["gyro"] = (
-            unit,
-            f"proposed: it turns gravity as the accelerometers read it, to {miss_deg:.1f} deg (median of {moves} moves of "
-            f"{_WINDOW_S:g} s); {other} misses it by {other_deg:.1f} deg",
-        )
-    return shown
+        return None
+    if turned is None:
+        return None
+    unit, moves, miss_deg, other_deg = turned
+    return unit, (
+        f"proposed: it turns gravity as the accelerometers read it, to {miss_deg:.1f} deg (median of {moves} moves of "
+        f"{_WINDOW_S:g} s); {'dps' if unit == 'rad/s' else 'rad/s'} misses it by {other_deg:.1f} deg"
+    )
 
 
 def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
