@@ -156,7 +156,7 @@ def test_under_the_policy_nan_a_record_within_the_table_is_oriented_as_under_any
 
 
 def test_quaternions_go_to_opensense_under_the_name_of_the_body(undrift, bench, tmp_path):
-    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.sto", "--sensor", "pelvis")
+    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.sto", "--body", "pelvis")
     undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.csv")
     lines = (tmp_path / "o.sto").read_text().splitlines()
     assert lines[5] == "time\tpelvis_imu"

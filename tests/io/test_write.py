@@ -124,7 +124,7 @@ def test_a_mat_file_of_undrift_with_a_broken_statement_is_refused(tmp_path):
 def test_opensense_gets_a_header_a_named_column_and_quaternions_scalar_first(tmp_path):
     """The header and the cells as in the example of "OpenSense - Kinematics with IMU Data", OpenSim documentation, read 2026-11."""
     time, q, angles = orientation()
-    write_orientation(time, q, angles, tmp_path / "o.sto", sensor="pelvis")
+    write_orientation(time, q, angles, tmp_path / "o.sto", body="pelvis")
     head, _, body = (tmp_path / "o.sto").read_text().partition("endheader\n")
     keys = dict(line.split("=") for line in head.splitlines())
     assert float(keys["DataRate"]) == 100.0  # Hz
@@ -138,7 +138,7 @@ def test_opensense_gets_a_header_a_named_column_and_quaternions_scalar_first(tmp
 
 def test_a_name_that_opensense_cannot_have_as_a_column_is_refused(tmp_path):
     with pytest.raises(InputError, match="wanted letters, digits and _ for a column"):
-        write_orientation(*orientation(), tmp_path / "o.sto", sensor="my pelvis")
+        write_orientation(*orientation(), tmp_path / "o.sto", body="my pelvis")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -215,7 +215,7 @@ def test_a_record_in_bids_keeps_the_rules_of_the_schema(tmp_path, bids):
 
 def test_an_orientation_in_bids_keeps_the_rules_of_the_schema(tmp_path, bids):
     time, q, angles = orientation()
-    write_orientation(time, q, angles, tmp_path / NAME, sensor="LowerBack")
+    write_orientation(time, q, angles, tmp_path / NAME, body="LowerBack")
     described, channels, lines = assert_bids(bids, tmp_path)
     assert described["ORNTChannelCount"] == 4
     assert [channel["component"] for channel in channels] == ["n/a", "quat_w", "quat_x", "quat_y", "quat_z"]

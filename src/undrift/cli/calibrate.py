@@ -129,20 +129,17 @@ def calibrate(
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
         made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
-    if figure is not None:
-        _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
     if output is not None:
         write_calibration(made, output)
-    if report is not None:
-        _report(made, report)
-    code = 1 if made.verdict.status == "bad" else 0
+    _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
+    _report(made, report)
     if json:
         write_json(calibration_json(made), "calibrate")
-        return code
-    _show(made)
-    show_verdict(made.verdict, details=details)
-    _say_next(files, output, (report, figure))
-    return code
+    else:
+        _show(made)
+        show_verdict(made.verdict, details=details)
+        _say_next(files, output, (report, figure))
+    return 1 if made.verdict.status == "bad" else 0
 
 
 def _say_next(files: tuple[Path, ...], output: Path | None, pictures: tuple[Path | None, ...]) -> None:
@@ -154,15 +151,19 @@ def _say_next(files: tuple[Path, ...], output: Path | None, pictures: tuple[Path
         say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
 
 
-def _report(made: "Calibration", path: Path) -> None:
+def _report(made: "Calibration", path: Path | None) -> None:
+    if path is None:
+        return
     from undrift.report.page import calibration_sections, write_page
 
     title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
     write_page(path, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict)
 
 
-def _draw(held: "Session", settings: "CalibrateSettings", made: "Calibration", title: str, path: Path) -> None:
+def _draw(held: "Session", settings: "CalibrateSettings", made: "Calibration", title: str, path: Path | None) -> None:
     """Draw the recordings with what was used and what was left out."""
+    if path is None:
+        return
     from undrift.calibration.pieces import pieces_of
     from undrift.report.figures import draw_recording, save_figure
 

@@ -26,7 +26,7 @@ def orient(
     heading_deg: float = 0.0,
     forward: Side = "+x",
     up: Side = "+z",
-    sensor: str = "sensor",
+    body: str = "sensor",
     power_on_s: float | None = None,
     policy: Policy = "raise",
     opening: Opening = Opening(),
@@ -59,8 +59,8 @@ def orient(
         Device axis that points forward on the upright segment: with --up it defines the pitch.
     up : str
         Device axis that points up on the upright segment.
-    sensor : str
-        Name of the sensor in .sto and BIDS: a body of the OpenSim model, as in pelvis, heads the column pelvis_imu.
+    body : str
+        Name of the body in .sto and BIDS, of the OpenSim model: pelvis heads the column pelvis_imu.
     power_on_s : float or None
         Time since power-on at the first sample, s; without it no warm-up is subtracted.
     policy : str
@@ -90,7 +90,7 @@ def orient(
     settings = OrientSettings(method=method, offset=offset, heading=math.radians(heading_deg), forward=forward, up=up)
     found = find(readings, _still(readings, still_start_s, still_stop_s), settings, **models)
     angles = (found.inclination, found.heading, found.pitch)
-    write_orientation(found.time, found.q_nb, angles, output, sensor=sensor)
+    write_orientation(found.time, found.q_nb, angles, output, body=body)
     made = _as_json(found) | {"method": method}
     if json:
         write_json(made | {"recording": str(record), "output": str(output), "notes": notes}, "orient")

@@ -48,12 +48,12 @@ def write_orientation(
     angles: tuple[FloatArray, FloatArray, FloatArray],
     path: str | Path,
     *,
-    sensor: str = "sensor",
+    body: str = "sensor",
 ) -> None:
     """Write orientation over time; undrift reads the quaternions of its own tables back as a reference.
     time (N,) s, q_nb (N, 4), three angles (N,) rad; the sensor's name heads its column in .sto and its channels in BIDS."""
     values = (time, *q_nb.T, *(angle / RADIAN_PER_DEGREE for angle in angles))
-    _writer(Path(path), ORIENTATION_WRITERS)((COLUMNS, values), Path(path), sensor)
+    _writer(Path(path), ORIENTATION_WRITERS)((COLUMNS, values), Path(path), body)
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
@@ -115,14 +115,14 @@ def _write_mat(table: Columns, path: Path, statement: str = "") -> None:
 # ---- OpenSense
 
 
-def _orientation_sto(table: Columns, path: Path, sensor: str) -> None:
+def _orientation_sto(table: Columns, path: Path, body: str) -> None:
     """Write the quaternions, scalar first; OpenSense looks for a column BODY_imu and for a level frame with z up (see docs)."""
     time, *q = table[1][:5]
-    if not re.fullmatch(r"\w+", sensor):
-        raise InputError(f"--sensor: wanted letters, digits and _ for a column of {path}, got '{sensor}'; name a body")
+    if not re.fullmatch(r"\w+", body):
+        raise InputError(f"--body: wanted letters, digits and _ for a column of {path}, got '{body}'; name a body")
     head = (
         f"DataRate={sample_rate_of(time):.6f}", "DataType=Quaternion", "version=3", "OpenSimVersion=4.5", "endheader",
-        f"time\t{sensor.removesuffix('_imu')}_imu",
+        f"time\t{body.removesuffix('_imu')}_imu",
     )  # fmt: skip
     rows = (f"{t:.9g}\t{w:.12g},{x:.12g},{y:.12g},{z:.12g}" for t, w, x, y, z in zip(time, *q, strict=True))
     write_whole(path, "\n".join((*head, *rows)) + "\n")
@@ -163,9 +163,9 @@ def _record_bids(record: Record, path: Path, made_by: Provenance) -> None:
     _write_bids(channels, columns, path, point, more | {"UndriftProvenance": made_by} if made_by else more)
 
 
-def _orientation_bids(table: Columns, path: Path, sensor: str) -> None:
+def _orientation_bids(table: Columns, path: Path, body: str) -> None:
     names, columns = table
-    _write_bids([_channel(name, "level") for name in names[:5]], columns[:5], path, sensor, {})
+    _write_bids([_channel(name, "level") for name in names[:5]], columns[:5], path, body, {})
 
 
 def _channel(name: str, frame: str) -> dict[str, str]:

@@ -1,0 +1,111 @@
+"""Every recording at hand from its file to a result at the first attempt, no TOML edited by hand; ``python -m benchmarks.door``.
+
+A recording is calibrated and corrected where its poses allow; otherwise corrected by the calibration of another device in
+physical units, made by the same commands. Optics count as references once ``info`` reads them. Prints the commands; ends with
+1 where any file failed.
+"""
+
+import contextlib
+import io
+import json
+import os
+import shlex
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from undrift.cli.app import run
+
+DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
+# What only the owner of a file knows: SOURCE.md beside it says so.
+RATES = {"multipos_mpu9150": 100, "ferraris_nilspod": 102.4, "stm_mems_logs": 26, "xsens_mtmanager": 100, "ximu": 256}
+RATES |= {"mobilised_mat": 100, "worn_lowback": 100, "static_mpu6050": 100, "thermal_bmi270": 50, "skdh": 50}
+UNITS = {"BMI_270": ("count", "count")}
+FOLDERS = ("ngimu", "ximu", "ximu3")
+NO_RECORDING = ("settings", "text", "table", "binary")
+
+
+def call(*words: object) -> tuple[int, str, str]:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run([str(word) for word in words])
+    return code, out.getvalue(), err.getvalue()
+
+
+def described(path: Path, options: list[object]) -> dict:
+    return json.loads(call("info", path, *options, "--json")[1])
+
+
+def options_of(path: Path, found: dict, steps: list[list[object]]) -> list[object]:
+    """Return the options that info asks for, with a map written where it proposes one."""
+    asked = [item["values"].get("missing") for item in found["findings"] if item["code"] == "recording.not_read"]
+    rate = next((value for name, value in RATES.items() if name in str(path)), 100)
+    if "sensor" in asked:
+        options: list[object] = ["--sensor", found["columns"][0]]
+        return options + options_of(path, described(path, options), steps)
+    if "sample_rate_hz" in asked:
+        return ["--sample-rate-hz", rate]
+    if "needs a map" not in found["summary"]:
+        return []
+    gyro, accel = next((units for name, units in UNITS.items() if name in path.name), (None, None))
+    words: list[object] = ["info", path, "--write-map", f"{path.name}.toml"]
+    words += ["--gyro-unit", gyro, "--accel-unit", accel] if gyro else []
+    code, _, err = call(*words)
+    if code and "--sample-rate-hz" in err:
+        words += ["--sample-rate-hz", rate]
+        call(*words)
+    steps.append(words)
+    return ["--map", f"{path.name}.toml"]
+
+
+def outcome(path: Path, device: Path) -> tuple[str, list[list[object]]]:
+    """Return what a file came to, and the commands after info."""
+    code, out, err = call("info", path, "--json")
+    if code:
+        return f"refused: {err.strip()}", []
+    found, steps = json.loads(out), list[list[object]]()
+    if found["kind"] in ("markers", "reference"):
+        return "reference", steps
+    options = options_of(path, found, steps)
+    if found["kind"] != "recording" and not options:
+        return f"no recording ({found['summary'][:60]})", steps
+    name, wide = f"{path.name}.json", any(word == "--map" for word in options)
+    words: list[object] = ["calibrate", path, *options, "-o", name]
+    if call(*words)[0] != 2:
+        steps += [words, ["correct", path, *([] if wide else options), "--calibration", name, "-o", "out.csv"]]
+        code, _, err = call(*steps[-1])
+        return ("calibrated and corrected" if code == 0 else f"refused: {err.strip()}"), steps
+    steps.append(["correct", path, *options, "--calibration", device, "-o", "out.csv"])
+    code, _, err = call(*steps[-1])
+    return ("corrected" if code == 0 else f"refused: {err.strip()}"), steps
+
+
+def main() -> int:
+    if not DATA.is_dir():
+        print("the public recordings are not there: set UNDRIFT_DATA")
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        board = DATA / "multipos_mpu9150" / "imu0.log.gz"
+        call("info", board, "--write-map", "board.toml", "--sample-rate-hz", 100)
+        call("calibrate", board, "--map", "board.toml", "-o", "board.json")
+        device = Path(folder) / "board.json"
+        paths = [path for path in sorted(DATA.rglob("*")) if path.is_file() and path.name != "SOURCE.md"]
+        paths = [path for path in paths if path.parent.name not in FOLDERS and path.suffix != ".py"]
+        paths += [DATA / "wearable_formats" / name for name in FOLDERS]
+        failed = 0
+        for path in paths:
+            start = time.perf_counter()
+            what, steps = outcome(path, device)
+            failed += what.startswith("refused")
+            print(f"{path.relative_to(DATA)}: {what} ({time.perf_counter() - start:.1f} s)", flush=True)
+            for step in steps:
+                shown = [Path(str(word)).name if isinstance(word, Path) else word for word in step]
+                print(f"    undrift {shlex.join(map(str, shown))}", flush=True)
+        print(f"{len(paths)} files, {failed} refused; one attempt each")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
