@@ -21,7 +21,11 @@ DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "s
 # What only the owner of a file knows: SOURCE.md beside it says so.
 RATES = {"multipos_mpu9150": 100, "ferraris_nilspod": 102.4, "stm_mems_logs": 26, "xsens_mtmanager": 100, "ximu": 256}
 RATES |= {"mobilised_mat": 100, "worn_lowback": 100, "static_mpu6050": 100, "thermal_bmi270": 50, "skdh": 50}
-UNITS = {"BMI_270": ("count", "count")}
+WARM_UP = "--gyro-unit dps --gyro-gain 0.06097560976 --accel-unit g --accel-gain 6.103515625e-05"
+MORE = {
+    "BMI_270": "--gyro-unit count --accel-unit count --drop-bad-rows",  # torn lines
+    "Tempdata": WARM_UP,
+}
 FOLDERS = ("ngimu", "ximu", "ximu3")
 NO_RECORDING = ("settings", "text", "table", "binary")
 
@@ -42,15 +46,15 @@ def options_of(path: Path, found: dict, steps: list[list[object]]) -> list[objec
     asked = [item["values"].get("missing") for item in found["findings"] if item["code"] == "recording.not_read"]
     rate = next((value for name, value in RATES.items() if name in str(path)), 100)
     if "sensor" in asked:
-        options: list[object] = ["--sensor", found["columns"][0]]
+        # of an autopilot's log the sensor's own readings: those of sensor_combined are corrected already
+        options: list[object] = ["--sensor", next(name for name in found["columns"] if name != "sensor_combined")]
         return options + options_of(path, described(path, options), steps)
     if "sample_rate_hz" in asked:
         return ["--sample-rate-hz", rate]
     if "needs a map" not in found["summary"]:
         return []
-    gyro, accel = next((units for name, units in UNITS.items() if name in path.name), (None, None))
     words: list[object] = ["info", path, "--write-map", f"{path.name}.toml"]
-    words += ["--gyro-unit", gyro, "--accel-unit", accel] if gyro else []
+    words += next((shlex.split(more) for name, more in MORE.items() if name in path.name), [])
     code, _, err = call(*words)
     if code and "--sample-rate-hz" in err:
         words += ["--sample-rate-hz", rate]
@@ -61,13 +65,17 @@ def options_of(path: Path, found: dict, steps: list[list[object]]) -> list[objec
 
 def outcome(path: Path, device: Path) -> tuple[str, list[list[object]]]:
     """Return what a file came to, and the commands after info."""
+    first: list[object] = []
     code, out, err = call("info", path, "--json")
+    if code and "drop_bad_rows" in err:  # the message says so
+        first = ["--drop-bad-rows"]
+        code, out, err = call("info", path, *first, "--json")
     if code:
         return f"refused: {err.strip()}", []
     found, steps = json.loads(out), list[list[object]]()
     if found["kind"] in ("markers", "reference"):
         return "reference", steps
-    options = options_of(path, found, steps)
+    options = [*first, *options_of(path, found, steps)]
     if found["kind"] != "recording" and not options:
         return f"no recording ({found['summary'][:60]})", steps
     name, wide = f"{path.name}.json", any(word == "--map" for word in options)
@@ -76,9 +84,17 @@ def outcome(path: Path, device: Path) -> tuple[str, list[list[object]]]:
         steps += [words, ["correct", path, *([] if wide else options), "--calibration", name, "-o", "out.csv"]]
         code, _, err = call(*steps[-1])
         return ("calibrated and corrected" if code == 0 else f"refused: {err.strip()}"), steps
-    steps.append(["correct", path, *options, "--calibration", device, "-o", "out.csv"])
-    code, _, err = call(*steps[-1])
-    return ("corrected" if code == 0 else f"refused: {err.strip()}"), steps
+    last = ["correct", path, *options, "--calibration", device, "-o", "out.csv"]
+    code, _, err = call(*last)
+    if code == 0:
+        return "corrected", [*steps, last]
+    words = ["drift", path, *options, "-o", name]
+    if call(*words)[0] != 2:
+        steps += [words, ["correct", path, "--calibration", name, "-o", "out.csv"]]
+        code, _, err = call(*steps[-1])
+        return ("tables over temperature and corrected" if code == 0 else f"refused: {err.strip()}"), steps
+    steps.append(["noise", path, *options, "-o", "noise.svg"])
+    return ("noise" if call(*steps[-1])[0] == 0 else f"refused: {err.strip()}"), steps
 
 
 def main() -> int:
@@ -95,7 +111,7 @@ def main() -> int:
         paths = [path for path in paths if path.parent.name not in FOLDERS and path.suffix != ".py"]
         paths += [DATA / "wearable_formats" / name for name in FOLDERS]
         failed = 0
-        for path in paths:
+        for path in paths:  # one after the other
             start = time.perf_counter()
             what, steps = outcome(path, device)
             failed += what.startswith("refused")

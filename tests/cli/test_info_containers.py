@@ -38,6 +38,7 @@ def test_a_cut_file_ends_in_one_line_and_a_map_reads_the_rest(undrift, tmp_path)
     path = data_path("makers", "geneactiv_bin", "GENEActiv_testfile.bin")
     said = undrift.refused("info", path)
     assert "got 1 of 17 damaged, first page 17" in said
+    assert undrift.good("info", path, "--drop-bad-rows", "--json").json()["rows"] == 4800
     (tmp_path / "map.toml").write_text("drop_bad_rows = true\n")
     told = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
     assert (told["rows"], told["temp_c"]) == (4800, [21.5, 23.1])

@@ -133,3 +133,35 @@ def test_a_session_is_not_overwritten_nor_made_of_one(undrift, bench, board):
     line = undrift.refused("session", "new", bench / "session", "-o", board / "t")
     assert "wanted bare recordings, got a session; edit its session.toml" in line
     assert contents(board) == before
+
+
+def test_torn_rows_are_left_out_by_an_option_and_the_map_keeps_it(undrift, tmp_path):
+    log = data_path("thermal_bmi270_two_point", "BMI_270_hot_test.csv.gz")
+    units = ("--gyro-unit", "count", "--accel-unit", "count", "--sample-rate-hz", 50)
+    undrift.good("info", log, "--drop-bad-rows", "--write-map", tmp_path / "m.toml", *units)
+    assert tomllib.loads((tmp_path / "m.toml").read_text())["drop_bad_rows"] is True
+    rows = [
+        undrift.good("info", log, "--map", tmp_path / "m.toml", *more, "--json").json()["rows"]
+        for more in ((), ("--drop-bad-rows",))
+    ]
+    assert rows[0] == rows[1] > 3000
+    undrift.good("info", log, "--write-map", tmp_path / "n.toml", *units)
+    assert "drop_bad_rows" not in tomllib.loads((tmp_path / "n.toml").read_text())
+    assert "wanted 7 columns in every row" in undrift.refused("info", log, "--map", tmp_path / "n.toml")
+    assert (
+        undrift.good("info", log, "--map", tmp_path / "n.toml", "--drop-bad-rows", "--json").json()["rows"] == rows[0]
+    )
+
+
+def test_gains_of_a_data_sheet_make_units_of_counts_and_a_thermal_log_its_tables(undrift, tmp_path):
+    log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
+    gain = ("--gyro-gain", 0.06097560976)  # deg/s per count: SOURCE.md
+    words = ("info", log, "--write-map", tmp_path / "m.toml", "--accel-unit", "g", "--accel-gain", 1 / 16384)
+    line = undrift.refused(*words, *gain)
+    assert "--gyro-gain: wanted the unit that it leads to, got none; add --gyro-unit" in line
+    undrift.good(*words, *gain, "--gyro-unit", "dps")
+    held = tomllib.loads((tmp_path / "m.toml").read_text())
+    assert held["scale"] == {"gyro": {"gain": 0.06097560976}, "accel": {"gain": 1 / 16384}}
+    assert (held["units"]["gyro"], held["units"]["accel"]) == ("dps", "g")
+    assert undrift("drift", log, "--map", tmp_path / "m.toml", "-o", tmp_path / "d.json").code != 2
+    assert undrift("correct", log, "--calibration", tmp_path / "d.json", "-o", tmp_path / "c.csv").code == 0

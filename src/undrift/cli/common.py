@@ -77,6 +77,8 @@ class Opening:
     clock : str or None
         "regular" fits a rate and an offset to time stamps of a host, and marks what is missing; "file" takes them as they are;
         overrules the map.
+    drop_bad_rows : bool
+        Leave out rows of text with other than numbers, or damaged blocks of a logger's file, and count them.
     """
 
     column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
@@ -84,6 +86,7 @@ class Opening:
     sensor: str | None = None
     gaps: Literal["raise", "keep"] | None = None
     clock: Literal["file", "regular"] | None = None
+    drop_bad_rows: Flag = False
     kept: Annotated["Kept | None", Parameter(parse=False)] = None
 
     def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
@@ -102,10 +105,12 @@ class Opening:
         """Return the options as they were given."""
         held = {"map": self.column_map, "sample-rate-hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps}
         held["clock"] = self.clock
-        return [word for name, value in held.items() if value is not None for word in (f"--{name}", value)]
+        flags: list[object] = ["--drop-bad-rows"] if self.drop_bad_rows else []
+        return flags + [word for name, value in held.items() if value is not None for word in (f"--{name}", value)]
 
     def _options(self) -> dict[str, Any]:
-        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps, "clock": self.clock}
+        held = {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "gaps": self.gaps, "clock": self.clock}
+        return held | {"drop_bad_rows": self.drop_bad_rows or None}
 
     def _how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
@@ -154,7 +159,9 @@ class Opening:
 
         if self.column_map is None or read_map_settings(self.column_map) is not None:
             return None
-        return read_column_map(self.column_map, sample_rate_hz=self.sample_rate_hz)
+        found = read_column_map(self.column_map, sample_rate_hz=self.sample_rate_hz)
+        layout = replace(found.layout, drop_bad_rows=found.layout.drop_bad_rows or self.drop_bad_rows)
+        return replace(found, layout=layout)
 
     def settings(self) -> "ReadSettings":
         """Return rate, sensor and gaps; options overrule a map without columns."""
@@ -169,6 +176,7 @@ class Opening:
             gaps=self.gaps or held.gaps,
             temp_file=None if self.column_map is None else read_temp_file(self.column_map),
             clock=self.clock or held.clock,
+            drop_bad_rows=self.drop_bad_rows or held.drop_bad_rows,
         )
 
     def read(self, path: Path) -> "Record":
@@ -259,6 +267,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         "--gravity-m-s2": place.gravity_m_s2,
         "--height-m": place.height_m,
     }
+    given["--drop-bad-rows"] = opening.drop_bad_rows or None
     given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "--gaps": opening.gaps}
     used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
     if used:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from undrift.model import Calibration, DriftTables
     from undrift.record import Session
 
+_KEYS = ("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s", "columns", "gaps", "temp_c")
+_KEYS += ("problems", "summary")
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
@@ -40,6 +42,8 @@ def info(
     write_map: Path | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
+    gyro_gain: float | None = None,
+    accel_gain: float | None = None,
     rests: Rests = Rests(),
     figure: Path | None = None,
     details: Details = False,
@@ -61,6 +65,10 @@ def info(
         With --write-map: unit of the gyroscopes where nothing shows it: rad/s, dps, count or v.
     accel_unit : str or None
         With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
+    gyro_gain : float or None
+        With --write-map: unit of the gyroscopes per number of the file, by the data sheet: 0.061 with --gyro-unit dps.
+    accel_gain : float or None
+        With --write-map: the same of the accelerometers.
     rests : Rests
         How stretches at rest are found.
     figure : Path or None
@@ -78,11 +86,10 @@ def info(
     check_output(write_map, endings=(".toml",), reads=(file, opening.column_map))
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
     if write_map is not None:
-        return _write_map(found, write_map, opening, {"gyro": gyro_unit, "accel": accel_unit}, json=json)
+        return _write_map(found, write_map, opening, (gyro_unit, accel_unit), (gyro_gain, accel_gain), json=json)
     held = _session(file, found, opening)
     stills, reason = _stills(held, rests)
-    if figure is not None:
-        _draw(held, found, rests, figure)
+    _draw(held, found, rests, figure)
     effects = _effects(file) if found.kind == "device" else {}
     calibration = read_calibration(file) if found.kind == "calibration" else None
     if calibration is not None:
@@ -90,9 +97,8 @@ def info(
         found = replace(found, temp_c=span)
     if json:
         verdict = None if calibration is None else calibration.verdict
-        keys = ("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s", "columns", "gaps", "temp_c")
         write_json(
-            {key: getattr(found, key) for key in (*keys, "problems", "summary")}
+            {key: getattr(found, key) for key in _KEYS}
             | {
                 "units": dict(found.units),
                 "stills": stills,
@@ -113,12 +119,29 @@ def info(
     return 0
 
 
-def _write_map(found: "Description", path: Path, opening: Opening, units: dict[str, str | None], *, json: bool) -> int:
-    """Write the map that a table seems to need, each unit with its reason."""
+def _write_map(
+    found: "Description",
+    path: Path,
+    opening: Opening,
+    units: tuple[str | None, str | None],
+    gains: tuple[float | None, float | None],
+    *,
+    json: bool,
+) -> int:
+    """Write the map that a table seems to need, each unit with its reason; units and gains of gyro and accel."""
     from undrift.files import write_whole
     from undrift.io.proposal import map_of
 
-    text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=units)
+    if opening.drop_bad_rows:
+        found = replace(found, example=(*found.example, "drop_bad_rows = true"))
+    given = {name: gain for name, gain in zip(("gyro", "accel"), gains, strict=True) if gain is not None}
+    if given:
+        scale = ", ".join(f"{name} = {{ gain = {gain!r} }}" for name, gain in given.items())
+        found = replace(found, example=(*found.example, f"scale = {{ {scale} }}"))
+    stated = dict(zip(("gyro", "accel"), units, strict=True))
+    if missing := [name for name in given if stated[name] is None]:
+        raise InputError(f"--{missing[0]}-gain: wanted the unit that it leads to, got none; add --{missing[0]}-unit")
+    text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
     write_whole(path, text)
     complete = '"?"' not in text
     if json:
@@ -271,8 +294,10 @@ def _stills(held: "Session | None", rests: Rests) -> tuple[list[list[float]], st
     return [[float(clocks[s.recording][k]) for k in (s.start, s.stop - 1)] for s in stills], reason
 
 
-def _draw(held: "Session | None", found: "Description", rests: Rests, path: Path) -> None:
+def _draw(held: "Session | None", found: "Description", rests: Rests, path: Path | None) -> None:
     """Draw a recording or session with what was found in it."""
+    if path is None:
+        return
     from undrift.calibration.observe import CalibrateSettings
     from undrift.calibration.pieces import pieces_of
     from undrift.report.figures import draw_recording, save_figure
