@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     from undrift.model import Calibration, DriftTables
     from undrift.record import Session
 
-_KEYS = ("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s", "columns", "gaps", "temp_c")
-_KEYS += ("problems", "summary")
+_KEYS = (
+    *("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s"),
+    *("columns", "gaps", "temp_c", "problems", "summary"),
+)
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
