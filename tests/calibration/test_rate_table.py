@@ -386,3 +386,31 @@ def test_the_covariance_of_one_axis_has_scatter_and_order_of_its_own():
         # five readings less two parameters, and Student's widening v / (v - 2): what is left over one equation
         expected[np.ix_([k, 3 + k], [k, 3 + k])] = inverse * float(left @ left) / 1.0
     np.testing.assert_allclose(fit.covariance, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("felt", [0.0, 0.04])
+def test_a_g_sensitivity_of_ten_times_its_own_uncertainty_is_kept_and_none_is_not(felt):
+    made = replace(scattered(), noise=np.full((12, 3), 0.1))
+    rng = np.random.default_rng(16)
+    faces = 9.81 * np.vstack((np.eye(3), -np.eye(3)))
+    up = 9.81 * axis_vectors(made.axis)
+    clean = imposed_rates(made, None) @ UNEQUAL.T + B
+    of_gravity = felt * np.array([[1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, 1.0]])
+    made = replace(made, reading=clean + up @ of_gravity.T + 0.1 * rng.standard_normal((12, 3)))
+    rests = RestMeans(
+        dwell_force=up,
+        reading=B + faces @ of_gravity.T + 0.1 * rng.standard_normal((6, 3)),
+        force=faces,
+        noise=np.full((6, 3), 0.1),
+        time=np.arange(6.0),
+    )
+    # an element is known to 0.1 / sqrt(6 * 9.81^2) = 0.004 counts per m/s2, a scale factor to 0.05 counts per rad/s
+    fit = fit_with_rests(fit_rate_table(made), made, rests)
+    assert (fit.model.g_sensitivity is not None) == (felt > 0.0)
+
+
+def test_dwells_of_a_later_recording_come_later():
+    made, turns = record()
+    means = dwell_means([made, made], [turns[0], replace(turns[1], recording=1)])
+    # recordings of 6 s; dwells of 3 s, the first of the one and the second of the other; a step of 0.01 s either way
+    np.testing.assert_allclose(means.time, [1.5, 6.0 + 4.5], atol=0.02)

@@ -104,11 +104,12 @@ def test_unequal_noise_weighs_the_equations_and_is_their_covariance():
 def test_the_covariance_without_an_offset_is_the_scatter_of_many_fits():
     rng = np.random.default_rng(14)
     forward = np.array([[2.0, 0.4, 0.0], [0.0, 0.5, 0.1], [0.3, 0.0, 8.0]])
-    inputs = INPUTS * [1.0, 3.0, 0.2]
-    sigma = np.array([0.02, 0.05, 0.01])
+    inputs = np.tile(INPUTS * [1.0, 3.0, 0.2], (2, 1))
+    # each input once quietly and once not: then the mean variance is the whole truth
+    sigma = np.repeat([0.2, 1.8], 30)[:, None] * [0.02, 0.05, 0.01]
     fits = [
         fit_paper(
-            inputs, inputs @ forward.T + sigma * rng.standard_normal((30, 3)), np.tile(sigma, (30, 1)),
+            inputs, inputs @ forward.T + sigma * rng.standard_normal((60, 3)), sigma,
             method="m", unit_in="count", unit_out="m/s2",
         ).model
         for _ in range(1000)
