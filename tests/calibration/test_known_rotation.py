@@ -268,3 +268,23 @@ def test_the_noise_of_an_integral_is_the_scatter_of_many():
     sums = rotation_data([record], stills, turns, matrix=np.eye(3), offset=np.zeros(3))
     # 600 integrals of white noise know their scatter to 3 %, 120 blocks of half a second the stated noise to 4 %
     assert np.sqrt(np.mean((sums.reading / sums.noise) ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_wrong_angle_of_each_turn_goes_into_the_parameters_as_far_as_it_moves_them():
+    felt = 2000.0 * G_SENSITIVITY
+    made = data()
+    made = replace(
+        made,
+        rest=replace(made.rest, reading=B + G * face_vectors(FACES) @ felt.T),
+        reading=made.reading + FORCE @ (felt - G_SENSITIVITY).T,
+    )
+    sigma, expected = np.radians(1.0), np.zeros((21, 21))
+    for turn in range(3):
+        step = 1e-4 * np.eye(3)[turn]
+        ends = [fit_known_rotation(replace(made, angle=made.angle + s * step), gravity=G).model for s in (1.0, -1.0)]
+        slope = (parameters(ends[0]) - parameters(ends[1])) / 2e-4
+        expected += sigma**2 * np.outer(slope, slope)
+    sure, unsure = (fit_known_rotation(made, gravity=G, angle_uncertainty=u).model for u in (0.0, sigma))
+    scale = np.sqrt(np.diag(expected) + np.diag(sure.covariance))
+    added = (unsure.covariance - sure.covariance) / np.outer(scale, scale)
+    np.testing.assert_allclose(added, expected / np.outer(scale, scale), rtol=0, atol=1e-6)
