@@ -127,6 +127,8 @@ def test_few_blocks_on_the_way_down_do_not_pull_the_middle_curve():
     made = replace(made, gyro=line(temp, rng) + 0.05 * cooling(made)[:, None])
     fit = fit_static(made, nodes=NODES)
     np.testing.assert_allclose(fit.table.gyro_hysteresis, 0.05, atol=0.002)
+    # the table is the middle of the loop: a reading lies half its width beside it
+    assert (fit.table.gyro_uncertainty >= np.abs(fit.table.gyro_hysteresis)).all()
     np.testing.assert_allclose(fit.table.gyro_offset, line(NODES, rng, 0.0), atol=0.004)
 
 
