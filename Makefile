@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: demo test test-long test-all check benchmark clean
+.PHONY: demo test test-long test-all check mutants benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -27,6 +27,10 @@ check: $(INSTALLED)
 	$(BIN)/mypy --strict
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest tests/house
+
+# Faults planted in a copy of the source, one at a time: prints those that the nearest tests do not notice. WORDS="six_face lag" selects.
+mutants: $(INSTALLED)
+	$(BIN)/python -m tests.mutants $(WORDS)
 
 benchmark: $(INSTALLED)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from testkit.strategies import few
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation, rotation_vector
 
 quaternions = st.integers(1, 9).flatmap(lambda n: arrays(np.float64, (2, n, 4), elements=st.floats(0.1, 1.0)))
 
@@ -32,3 +32,12 @@ def test_gaps_pass_through():
     assert np.isnan(quaternion_product(q, q)[1]).all()
     assert np.isnan(rotate(q, np.ones((2, 3)))[1]).all()
     np.testing.assert_array_equal(rotate(q, np.ones((2, 3)))[0], [1, 1, 1])
+
+
+def test_a_rotation_vector_takes_the_short_way_whatever_the_sign_of_its_quaternion():
+    vector = np.array([0.3, -2.0, 1.1])  # 2.3 rad
+    q = quaternion_of(vector)
+    np.testing.assert_allclose(rotation_vector(np.stack((q, -q))), [vector, vector], rtol=0, atol=1e-15 * 10)
+    long_way = vector * (1.0 - 2.0 * np.pi / np.linalg.norm(vector))
+    np.testing.assert_allclose(rotation_vector(quaternion_of(long_way)), vector, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(rotation_vector(np.array([-1.0, 0.0, 0.0, 0.0])), 0.0)

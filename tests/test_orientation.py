@@ -262,3 +262,25 @@ def test_rates_that_no_gyroscope_reads_point_to_the_unit() -> None:
     accel = np.tile([0.0, 0.0, 9.81], (800, 1))
     with pytest.raises(InputError, match=r"up to 4000 deg/s, as gyroscopes read them, got 4297 deg/s; check the unit"):
         orient(Record(time=time, gyro=gyro, accel=accel, frame="b", state="corrected"))
+
+
+def test_the_tilt_holds_at_the_end_of_the_rest_and_its_rate_is_that_of_the_rest_alone():
+    record, _ = moved(lead=120, noise=1e-3, offset=0.02)
+    still = Still(start=130, stop=310)
+    found = orient(record, still, OrientSettings(offset="rest"))
+    np.testing.assert_allclose(found.q_nb[309], found.tilt.q_nb, rtol=0, atol=1e-15)
+    assert off(found.q_nb[[130]], found.tilt.q_nb[None])[0] > 1e-6  # noise of 180 readings lies between
+    # the lead turns by 1 rad in 1.2 s; 180 readings of 1e-3 rad/s know the offset to 7.5e-5
+    np.testing.assert_allclose(found.offset, 0.02, atol=4e-4)
+    np.testing.assert_allclose(found.rest_offsets, record.gyro[130:310].mean(axis=0)[None], rtol=1e-12)
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["rest first", "rest last"])
+def test_the_drift_to_expect_is_that_of_the_end_farther_from_the_rest(turned):
+    record, _ = moved(n=1000, rest=200, noise=1e-3)
+    still = Still(start=0, stop=200)
+    if turned:
+        record = replace(record, gyro=-record.gyro[::-1], accel=record.accel[::-1])
+        still = Still(start=800, stop=1000)
+    (drift,) = orient(record, still).findings
+    assert drift.values["duration_s"] == pytest.approx(9.99 if turned else 8.0)

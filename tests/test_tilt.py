@@ -131,3 +131,22 @@ def test_what_is_no_rest_is_refused():
         initial_tilt(resting([0.0, np.nan, G]), still)
     with pytest.raises(InputError, match="accel: wanted a physical unit, got count"):
         initial_tilt(resting([0.0, 0.0, G], accel_unit="count"), still)
+
+
+@pytest.mark.parametrize(("of_gravity", "rest"), [(0.79, False), (0.81, True), (1.19, True), (1.21, False)])
+def test_a_rest_is_within_a_fifth_of_standard_gravity(of_gravity, rest):
+    made = resting([0.0, 0.0, of_gravity * 9.80665])
+    if rest:
+        assert initial_tilt(made, Still(start=0, stop=200)).specific_force[2] == pytest.approx(of_gravity * 9.80665)
+    else:
+        with pytest.raises(InputError, match="within 20% of gravity"):
+            initial_tilt(made, Still(start=0, stop=200))
+
+
+def test_only_the_rest_itself_shows_the_tilt():
+    force = np.concatenate(
+        (np.tile([G, 0.0, 0.0], (300, 1)), np.tile([0.0, 0.0, G], (200, 1)), np.tile([0.0, G, 0.0], (300, 1)))
+    )
+    tilt = initial_tilt(resting([0.0, 0.0, G], 800, accel=force), Still(start=300, stop=500))
+    np.testing.assert_allclose(tilt.specific_force, [0.0, 0.0, G], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(tilt.q_nb, [1.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-12)

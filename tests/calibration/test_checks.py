@@ -130,3 +130,10 @@ def test_readings_stuck_at_the_end_of_the_range_are_found_and_quantised_rest_is_
         check_saturation(clipped, "gyroscope")
     check_saturation(motion, "gyroscope")
     check_saturation(np.round(rng.normal(2.0, 0.6, (5000, 3))), "gyroscope")  # codes 0..5 repeat often and mean nothing
+
+
+def test_the_scale_factor_that_is_named_is_the_one_furthest_off_either_way():
+    with pytest.raises(Implausible, match=r"got 0\.7000 of it \(-30\.0 %\)"):
+        check_scale_factor(np.array([1.2, 0.7, 1.0]) * 16.4, 16.4, 0.25, "gyroscope")
+    with pytest.raises(Implausible, match=r"got 1\.4000 of it \(\+40\.0 %\)"):
+        check_scale_factor(np.array([1.4, 0.7, 1.0]) * 16.4, 16.4, 0.25, "gyroscope")

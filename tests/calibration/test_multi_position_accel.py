@@ -5,9 +5,10 @@ import pytest
 
 from testkit.findings import codes, only
 from testkit.poses import fit_poses
-from undrift.calibration.multi_position import _linearised, fit_norm
+from undrift.calibration.multi_position import NormFit, _linearised, fit_norm, still_variance
 from undrift.errors import Implausible, NotObservable, PoorFit
 from undrift.fit.least_squares import excess_variance
+from undrift.record import Record
 
 G = 9.81
 MATRIX = np.array([[0.0024, -3e-5, 2e-5], [0.0, 0.00243, -5e-5], [0.0, 0.0, 0.00241]])
@@ -172,3 +173,40 @@ def test_unequal_noise_is_weighed_by_the_axis_that_gravity_lies_on() -> None:
         error.append(fit.offset - OFFSET)
         stated.append(np.sqrt(np.diag(fit.covariance)[6:]) / fit.scale)
     np.testing.assert_allclose(np.std(error, axis=0) / np.mean(stated, axis=0), 1.0, atol=0.15)  # 150 draws: 6 % sigma
+
+
+def few_poses(seed: int, count: int = 14) -> NormFit:
+    rng = np.random.default_rng(seed)
+    way = np.random.default_rng(1).normal(size=(count, 3))
+    a = 9.81 * way / np.linalg.norm(way, axis=1)[:, None]
+    return fit_norm(a + 0.002 * rng.normal(size=a.shape), gravity=9.81)
+
+
+def test_few_poses_tell_their_noise_over_the_equations_to_spare() -> None:
+    fits = [few_poses(seed) for seed in range(300)]
+    # of matrix and offset, not of p, whose origin is that of each fit; readings are in m/s2, so that the scale is 1
+    scatter = np.var([np.append(fit.matrix[np.triu_indices(3)], fit.offset) for fit in fits], axis=0)
+    stated = np.mean([np.diag(fit.covariance) for fit in fits], axis=0)
+    # five equations to spare in each: 300 fits know the mean to 4 %, the scatter of nine parameters to a few. Over all 14
+    # equations it would be a third
+    assert np.mean(stated / scatter) == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_uncertainty_of_a_fit_is_that_of_a_reading_of_gravity_over_all_directions() -> None:
+    fit, rng = few_poses(5), np.random.default_rng(2)
+    way = rng.normal(size=(4000, 3))
+    true = 9.81 * way / np.linalg.norm(way, axis=1)[:, None]
+    drawn = rng.multivariate_normal(np.zeros(9), fit.covariance, 4000)
+    matrix = np.zeros((4000, 3, 3))
+    matrix[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = drawn[:, :6]
+    off = (matrix @ true[:, :, None])[:, :, 0] - drawn[:, 6:]  # of a sensor that is nearly perfect: M' = 1
+    # 4000 draws know it to 1.5 %; scale times cross-axis terms are of second order
+    assert np.sqrt((off**2).sum(axis=1).mean()) == pytest.approx(fit.uncertainty, rel=0.06)
+
+
+def test_the_level_of_a_window_is_the_sample_variance_of_its_readings() -> None:
+    accel = np.random.default_rng(6).normal([0.0, 0.0, 9.8], [0.01, 0.02, 0.03], (60, 3))
+    found = still_variance(Record(time=np.arange(60) / 100.0, accel=accel), window_s=0.1, rest_s=None)
+    for k in (5, 30, 54):  # windows of eleven samples
+        wanted = np.linalg.norm(np.var(accel[k - 5 : k + 6], axis=0, ddof=1))
+        assert found.level[k] == pytest.approx(wanted, rel=1e-9)

@@ -9,9 +9,11 @@ from testkit.findings import only
 from undrift.calibration.checks import axis_vectors, check_scale_factor
 from undrift.calibration.rate_table import (
     DwellMeans,
+    RestMeans,
     dwell_means,
     fit_rate_axis,
     fit_rate_table,
+    fit_with_rests,
     imposed_rates,
     linearity,
     spline_filter,
@@ -248,3 +250,167 @@ def test_noise_of_means_shrinks_with_the_window_and_needs_blocks():
     assert noise_of_means([np.zeros((60, 3))], [50]) is None
     assert block_size(100.0) == 50
     assert block_size(0.5) == 1
+
+
+UNEQUAL = np.array([[900.0, 12.0, -9.0], [-5.0, 300.0, 7.0], [40.0, -30.0, 2700.0]])  # scales that no order exchanges
+
+
+def propagated(function, at, covariance):
+    """J C J' by central differences: the first order of any function of parameters (P,), written without its algebra."""
+    jacobian = []
+    for k in range(len(at)):
+        step = np.zeros(len(at))
+        step[k] = 1e-5 * max(abs(at[k]), 1e-3)
+        jacobian.append((function(at + step) - function(at - step)) / (2.0 * step[k]))
+    return np.array(jacobian).T @ covariance @ np.array(jacobian)
+
+
+def same_covariance(found, expected):
+    size = np.sqrt(np.diag(expected))
+    # central differences of 1e-5 leave 1e-10 of curvature and 1e-9 of rounding
+    np.testing.assert_allclose(found / np.outer(size, size), expected / np.outer(size, size), rtol=0, atol=1e-5)
+
+
+def forward_covariance(design, sigma):
+    """Covariance of all parameters of the forward rows, row after row: (A' W A)^-1 of each sensor."""
+    size = design.shape[1]
+    whole = np.zeros((3 * size, 3 * size))
+    for row in range(3):
+        normal = design.T @ np.diag(1.0 / sigma[:, row] ** 2) @ design
+        whole[size * row : size * (row + 1), size * row : size * (row + 1)] = np.linalg.inv(normal)
+    return whole
+
+
+def scattered(k=UNEQUAL, grid=np.array([-90.0, -40.0, 10.0, 60.0]) * DPS, seed=11):
+    """Dwells of unequal noise, without a clock: no walk."""
+    rng = np.random.default_rng(seed)
+    made = dwells(grid=grid, k=k)
+    sigma = rng.uniform(0.02, 0.2, made.reading.shape)
+    return replace(made, noise=sigma, reading=made.reading + sigma * rng.standard_normal(sigma.shape))
+
+
+def inverse_of(rows):
+    matrix = np.linalg.inv(rows[:, :3])
+    felt = (matrix @ rows[:, 3:6]).reshape(-1) if rows.shape[1] == 7 else []
+    return np.concatenate((matrix.reshape(-1), rows[:, -1], felt))
+
+
+def test_dwells_count_by_their_noise_and_their_noise_is_the_covariance():
+    made = scattered()
+    design = np.column_stack((imposed_rates(made, None), np.ones(len(made.axis))))
+    whole = forward_covariance(design, made.noise)
+    rows = np.array([
+        np.linalg.lstsq(design / s[:, None], y / s, rcond=None)[0] for y, s in zip(made.reading.T, made.noise.T, strict=True)
+    ])  # fmt: skip
+    expected = propagated(lambda p: inverse_of(p.reshape(3, 4)), rows.reshape(-1), whole)
+    for model in (fit_rate_table(made).model, fit_with_rests(fit_rate_table(made), made, None).model):
+        np.testing.assert_allclose(model.forward_matrix, rows[:, :3], rtol=1e-9, atol=1e-7)
+        np.testing.assert_allclose(model.offset, rows[:, 3], rtol=1e-9)
+        same_covariance(model.covariance, expected)
+
+
+def test_the_covariance_of_a_fit_with_g_sensitivity_is_that_of_its_forward_rows():
+    rng = np.random.default_rng(13)
+    felt = np.array([[3.0, -2.0, 1.0], [2.0, 9.0, -3.0], [-10.0, 30.0, 20.0]])  # counts per m/s2
+    faces = 9.81 * np.vstack((np.eye(3), -np.eye(3)))
+    made = scattered()
+    up = 9.81 * np.where(np.arange(len(made.axis))[:, None] % 2 == 0, 1.0, -1.0) * axis_vectors(made.axis)
+    made = replace(made, reading=made.reading + up @ felt.T)
+    sigma = rng.uniform(0.02, 0.2, (6, 3))
+    rests = RestMeans(
+        dwell_force=up,
+        reading=B + faces @ felt.T + sigma * rng.standard_normal((6, 3)),
+        force=faces,
+        noise=sigma,
+        time=np.arange(6.0),
+    )
+    model = fit_with_rests(fit_rate_table(made), made, rests).model
+    assert model.g_sensitivity is not None
+    rates = np.vstack((imposed_rates(made, None), np.zeros((6, 3))))
+    design = np.column_stack((rates, np.vstack((up, faces)), np.ones(len(rates))))
+    both, noise = np.vstack((made.reading, rests.reading)), np.vstack((made.noise, sigma))
+    rows = np.array([
+        np.linalg.lstsq(design / s[:, None], y / s, rcond=None)[0] for y, s in zip(both.T, noise.T, strict=True)
+    ])  # fmt: skip
+    np.testing.assert_allclose(model.matrix @ model.forward_matrix, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(model.g_sensitivity, np.linalg.inv(rows[:, :3]) @ rows[:, 3:6], rtol=1e-7)
+    expected = propagated(lambda p: inverse_of(p.reshape(3, 7)), rows.reshape(-1), forward_covariance(design, noise))
+    same_covariance(model.covariance, expected)
+
+
+def test_residuals_beyond_the_noise_widen_the_covariance_by_their_spare_equations():
+    made = scattered()
+    made = replace(made, noise=0.01 * made.noise)  # stated a hundred times too small
+    plain = fit_rate_table(made)
+    wide = fit_with_rests(plain, made, None)
+    residuals = made.reading - imposed_rates(made, None) @ plain.model.forward_matrix.T - plain.model.offset
+    # 36 equations less 12 parameters
+    ratio = float(((residuals / made.noise) ** 2).sum()) / 24.0
+    np.testing.assert_allclose(wide.model.covariance, ratio * plain.model.covariance, rtol=1e-6, atol=0)
+    assert only(wide.verdict.findings, "rate_table.scatter").values["ratio"] == pytest.approx(ratio**0.5, rel=1e-6)
+
+
+def test_the_covariance_of_mode_paper_is_the_first_order_of_its_readings():
+    made = scattered(k=UNEQUAL)
+    made = replace(made, reading=made.reading - B, noise=np.full(made.reading.shape, 1.0) * [0.02, 0.05, 0.2])
+    model = fit_rate_table(made, mode="paper").model
+    rates, shape = imposed_rates(made, None), made.reading.shape
+
+    def of(readings):
+        s = readings.reshape(shape)
+        return (rates.T @ s @ np.linalg.inv(s.T @ s)).reshape(-1)
+
+    expected = propagated(of, made.reading.reshape(-1), np.diag(made.noise.reshape(-1) ** 2))
+    size = np.sqrt(np.diag(expected))
+    # residuals of 1e-4 of the readings, which the formula leaves out, stay below a hundredth of the noise's own share
+    np.testing.assert_allclose(
+        model.covariance[:9, :9] / np.outer(size, size), expected / np.outer(size, size), rtol=0, atol=0.02
+    )
+
+
+def test_the_range_of_a_fit_is_what_its_dwells_reached_on_either_side():
+    fit = fit_rate_table(dwells(grid=np.array([-90.0, -5.0, 5.0, 30.0]) * DPS))
+    np.testing.assert_allclose(fit.model.valid_range, (-90.0 * DPS, 30.0 * DPS), rtol=1e-15)
+
+
+def test_the_covariance_of_one_axis_has_scatter_and_order_of_its_own():
+    rng = np.random.default_rng(15)
+    rate = np.array([-2.0, 1.0, 3.0, 4.0, 6.0])  # unequal sums of squares and no balance
+    sigma = np.array([0.1, 1.0, 10.0])
+    reading = rate[:, None] * K[:, 0] + B + sigma * rng.standard_normal((5, 3))
+    fit = fit_rate_axis(DwellMeans(reading=reading, turn_rate=rate, axis=("x",) * 5, unit="count"))
+    design = np.column_stack((rate, np.ones(5)))
+    inverse, expected = np.linalg.inv(design.T @ design), np.zeros((6, 6))
+    for k in range(3):
+        left = reading[:, k] - design @ np.linalg.lstsq(design, reading[:, k], rcond=None)[0]
+        # five readings less two parameters, and Student's widening v / (v - 2): what is left over one equation
+        expected[np.ix_([k, 3 + k], [k, 3 + k])] = inverse * float(left @ left) / 1.0
+    np.testing.assert_allclose(fit.covariance, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("felt", [0.0, 0.04])
+def test_a_g_sensitivity_of_ten_times_its_own_uncertainty_is_kept_and_none_is_not(felt):
+    made = replace(scattered(), noise=np.full((12, 3), 0.1))
+    rng = np.random.default_rng(16)
+    faces = 9.81 * np.vstack((np.eye(3), -np.eye(3)))
+    up = 9.81 * axis_vectors(made.axis)
+    clean = imposed_rates(made, None) @ UNEQUAL.T + B
+    of_gravity = felt * np.array([[1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, 1.0]])
+    made = replace(made, reading=clean + up @ of_gravity.T + 0.1 * rng.standard_normal((12, 3)))
+    rests = RestMeans(
+        dwell_force=up,
+        reading=B + faces @ of_gravity.T + 0.1 * rng.standard_normal((6, 3)),
+        force=faces,
+        noise=np.full((6, 3), 0.1),
+        time=np.arange(6.0),
+    )
+    # an element is known to 0.1 / sqrt(6 * 9.81^2) = 0.004 counts per m/s2, a scale factor to 0.05 counts per rad/s
+    fit = fit_with_rests(fit_rate_table(made), made, rests)
+    assert (fit.model.g_sensitivity is not None) == (felt > 0.0)
+
+
+def test_dwells_of_a_later_recording_come_later():
+    made, turns = record()
+    means = dwell_means([made, made], [turns[0], replace(turns[1], recording=1)])
+    # recordings of 6 s; dwells of 3 s, the first of the one and the second of the other; a step of 0.01 s either way
+    np.testing.assert_allclose(means.time, [1.5, 6.0 + 4.5], atol=0.02)

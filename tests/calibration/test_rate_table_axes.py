@@ -109,3 +109,18 @@ def test_a_dwell_at_one_rate_about_another_axis_is_left_out_of_the_fit():
     still = replace(x, reading=x.reading[:1], turn_rate=x.turn_rate[:1], axis=("x",), time=np.zeros(1))
     with pytest.raises(NotObservable, match="wanted dwells at two different rates about an axis, got one"):
         fit_turned_axes(still)
+
+
+def test_the_scatter_of_turned_axes_is_over_their_spare_dwells():
+    rng = np.random.default_rng(5)
+    rates = np.tile(RATES, 2)
+    reading = np.column_stack((0.0 * rates, rates, 0.0 * rates)) + [0.1, 1.0, 5.0] * rng.standard_normal((8, 3))
+    dwells = DwellMeans(reading=reading, turn_rate=rates * DPS, axis=("y",) * 8, unit="dps")
+    model = fit_turned_axes(dwells).model
+    design = np.column_stack((rates * DPS, np.ones(8)))
+    for k, own in enumerate(np.sqrt(np.diag(model.covariance)[9:])):
+        left = reading[:, k] - design @ np.linalg.lstsq(design, reading[:, k], rcond=None)[0]
+        # eight dwells less two parameters, and Student's widening v / (v - 2): over four
+        assert own == pytest.approx(
+            np.sqrt(np.linalg.inv(design.T @ design)[1, 1] * float(left @ left) / 4.0), rel=1e-9
+        )

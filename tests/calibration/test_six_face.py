@@ -341,3 +341,35 @@ def test_levelled_never_loses_to_the_closed_form_or_to_plain_least_squares(tilt_
     assert bias[2] <= 1.03 * bias[:2].min()
     if tilt_deg >= 0.1:
         assert norm[0] > 1.1 * norm[2]  # the rival that the mode exists to beat
+
+
+def pooled_noise(slope=0.0, degree=1, repeats=10):
+    """Stated noise of 60 windows of white noise, as a share of what it is: known to 1 / sqrt(2 * 480 * 3) = 2 %."""
+    rng = np.random.default_rng(12)
+    n, sigma = 600, 0.03
+    ramp = slope * np.linspace(-1.0, 1.0, n)[:, None]
+    windows = [UP[k] + OFFSET + ramp + sigma * rng.standard_normal((n, 3)) for k in range(6) for _ in range(repeats)]
+    record = Record(time=np.arange(n * len(windows)) / 100.0, accel=np.concatenate(windows))
+    stills = [Still(start=n * k, stop=n * (k + 1), face=FACES[k // repeats]) for k in range(len(windows))]
+    poses = face_means([record], stills, polynomial_degree=degree)
+    return np.sqrt(np.mean(poses.noise**2)) / (sigma / np.sqrt(n))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_the_noise_counts_the_freedom_that_the_polynomial_of_a_face_takes(degree):
+    # 12 blocks a window; without the degrees of freedom of a cubic the noise would come out at 0.85 of itself
+    assert pooled_noise(degree=degree) == pytest.approx(1.0, abs=0.07)  # three sigma and more
+
+
+def test_a_drift_that_the_polynomial_takes_is_no_noise():
+    assert pooled_noise(slope=0.3) == pytest.approx(1.0, abs=0.07)  # ten times the noise of a sample, end to end
+
+
+def test_the_scatter_of_an_affine_fit_is_over_the_spare_equations():
+    # + on both faces of x, - on both of y: orthogonal to the three axes and to the offset, so that all of it is left over
+    left = np.zeros((6, 3))
+    left[[FACES.index("+x"), FACES.index("-x")], 2] = 0.02
+    left[[FACES.index("+y"), FACES.index("-y")], 2] = -0.02
+    crooked = replace(faces(), reading=faces().reading + left)
+    ratio = only(fit_six_face(crooked, gravity=G, mode="affine").verdict.findings, "six_face.scatter").values["ratio"]
+    assert ratio == pytest.approx(np.sqrt(4.0 * 10.0**2 / 6.0), rel=1e-9)  # 4 of 10 sigma over 18 equations less 12

@@ -234,3 +234,36 @@ def test_a_buffer_of_another_shape_is_refused():
         InputError, match=r"wanted writeable float64 buffers of shape \(203, 3\) in C order, got float64 \(5, 3\)"
     ):
         correct(record(temp_c=None), device(), out=(np.empty((5, 3)), np.empty((N, 3))))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_rate_beyond_the_dynamic_table_is_reported_on_each_axis_and_side(axis, sign):
+    model = replace(device(g=False).gyro, matrix=np.eye(3), offset=np.zeros(3))
+    gyro = np.zeros((4, 3))
+    gyro[2, axis] = sign * np.radians(100.0)  # the table ends at 90 deg/s
+    c = device(g=False, gyro=model, drift=tables(static=None))
+    still = np.full(4, 25.0)  # the reference temperature
+    done = correct_checked(record(4, gyro=gyro, accel=None, temp_c=still), c)
+    assert [found.code for found in done.findings] == ["correct.turn_rate"]
+    values = done.findings[0].values
+    assert (values["least_dps"], values["greatest_dps"]) == pytest.approx(
+        (min(sign * 100.0, 0.0), max(sign * 100.0, 0.0))
+    )
+    inside = correct_checked(record(4, gyro=0.8 * gyro, accel=None, temp_c=still), c)
+    assert inside.findings == ()
+
+
+def test_several_tables_hold_where_all_of_them_reach():
+    c = device(drift=tables(static=np.linspace(20.0, 60.0, 5), dynamic=(np.linspace(30.0, 70.0, 5), GAP)))
+    temps = np.array([19.0, 25.0, 30.0, 60.0, 65.0])
+    done = correct_checked(record(5, temp_c=temps, accel=None), device(g=False, drift=c.drift), policy="hold")
+    np.testing.assert_array_equal(done.outside, [True, True, False, False, True])
+
+
+@pytest.mark.parametrize("away", [-12.0, 12.0])
+def test_constant_offsets_far_from_their_temperature_are_reported_on_either_side(away):
+    c = device(g=False)  # reference temperature 25 degC
+    done = correct_checked(record(4, temp_c=np.linspace(25.0, 25.0 + away, 4)), c)
+    assert [found.code for found in done.findings] == ["correct.departure"]
+    assert done.findings[0].values["departure_c"] == pytest.approx(12.0)

@@ -9,7 +9,7 @@ from testkit import twins
 from testkit.full_calibration import GAP, STEPS, WILD, N, device, record, tables
 from undrift.correction.correct import correct_checked
 from undrift.correction.stream import Corrector
-from undrift.model import DriftTables, StaticDrift
+from undrift.model import DriftTables, DynamicDrift, StaticDrift
 
 QUANTISED = np.round(np.linspace(20.0, 70.0, N) * 2.0) / 2.0  # on the nodes of STEPS
 
@@ -164,3 +164,28 @@ def test_hysteresis_is_reported_in_deg_per_s_and_not_applied():
     assert done.findings[0].values["half_width_dps"] == pytest.approx(left, rel=1e-12)
     bare = DriftTables(static=StaticDrift(temp_c=[18.0, 75.0], gyro_hysteresis=[1.0, 1.0, 1.0]))
     assert correct_checked(record(), device(drift=bare)).notes == ()  # no table, no middle
+
+
+@pytest.mark.parametrize(
+    "nodes", [np.array([20.0, 30.0, 40.0, 50.0]), np.array([20.0, 30.0, 41.0, 50.0])], ids=["even", "searched"]
+)
+@pytest.mark.parametrize("marked_node", [0, 1, 2, 3])
+def test_on_a_node_only_its_own_mark_counts(nodes, marked_node):
+    marks = np.arange(4) == marked_node
+    r = record(4, temp_c=nodes)
+    c = device(drift=marked(tables(static=nodes, dynamic=None), static=marks, accel=False))
+    np.testing.assert_array_equal(correct_checked(r, c).extrapolated, marks)
+
+
+def test_on_a_node_of_rate_and_temperature_only_its_own_mark_counts():
+    temp, rate = np.array([20.0, 30.0, 40.0]), np.array([-1.0, 0.0, 1.0])
+    model = replace(device(g=False).gyro, matrix=np.eye(3), offset=np.zeros(3))
+    for place in np.ndindex(3, 3):
+        marks = np.zeros((3, 3), dtype=bool)
+        marks[place] = True
+        error = DynamicDrift(
+            temp_c=temp, turn_rate=rate, error=np.zeros((3, 3, 3)), uncertainty=np.ones((3, 3, 3)), extrapolated=marks
+        )
+        c = device(g=False, gyro=model, drift=DriftTables(dynamic=error))
+        r = record(9, gyro=np.repeat(rate, 3)[:, None] * np.ones(3), accel=None, temp_c=np.tile(temp, 3))
+        np.testing.assert_array_equal(correct_checked(r, c).extrapolated, marks.T.ravel())

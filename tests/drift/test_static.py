@@ -127,6 +127,8 @@ def test_few_blocks_on_the_way_down_do_not_pull_the_middle_curve():
     made = replace(made, gyro=line(temp, rng) + 0.05 * cooling(made)[:, None])
     fit = fit_static(made, nodes=NODES)
     np.testing.assert_allclose(fit.table.gyro_hysteresis, 0.05, atol=0.002)
+    # the table is the middle of the loop: a reading lies half its width beside it
+    assert (fit.table.gyro_uncertainty >= np.abs(fit.table.gyro_hysteresis)).all()
     np.testing.assert_allclose(fit.table.gyro_offset, line(NODES, rng, 0.0), atol=0.004)
 
 
@@ -224,3 +226,37 @@ def test_warming_and_cooling_over_different_temperatures_are_not_called_one_way(
     assert any("warming and cooling share no 3 degC" in reason for reason in fit.verdict.reasons)
     one = fit_static(blocks(up, line(up, rng)), nodes=NODES)
     assert any("went one way only" in reason for reason in one.verdict.reasons)
+
+
+def test_at_the_reference_temperature_an_accelerometer_is_as_uncertain_as_its_calibration():
+    rng = np.random.default_rng(9)
+    own = np.array([4e-6, 9e-6, 1e-6])  # variances of the offset, g squared
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = np.diag(own)
+    model = TriadModel(
+        method="six-face", unit_in="g", unit_out="m/s2", matrix=9.81 * np.eye(3), offset=np.zeros(3),
+        covariance=covariance, rms_residual=0.0, count=6, rank=12, condition=1.0, valid_range=(-20.0, 20.0),
+    )  # fmt: skip
+    calibration = replace(device(), accel=model, gyro=None, reference_temp_c=40.0)
+    temp = np.linspace(20.0, 60.0, 80)
+    accel = [0.0, 0.0, 1.0] + 1e-3 * rng.normal(size=(80, 3))
+    fit = fit_static(blocks(temp, line(temp, rng), accel=accel), nodes=NODES, calibration=calibration)
+    stated = fit.table.accel_uncertainty**2
+    # there the change since the reference is none: the curve is subtracted from itself, and its error with it
+    np.testing.assert_allclose(stated[NODES == 40.0][0], own, rtol=1e-6)
+    # elsewhere the noise of 80 blocks, 1e-3 each, counts beside it: of the mean alone (1e-3)^2 / 80
+    away = np.abs(NODES - 40.0) > 10.0
+    assert (stated[away] > own + 1e-6 / 80.0).all()
+
+
+def test_the_notes_spline_has_what_the_set_points_share_from_pose_to_pose():
+    rng = np.random.default_rng(10)
+    temp = np.repeat(np.arange(20.0, 61.0, 5.0), 40)
+    pose = np.tile(np.repeat(np.arange(4), 10), 9)
+    seat = 0.05 * rng.normal(size=(4, 3))  # what each of four poses adds at every temperature
+    made = replace(blocks(temp, line(temp, rng) + seat[pose]), pose=pose)
+    fit = fit_static(made, nodes=NODES, settings=StaticSettings(not_a_knot=True))
+    # the mean of four poses keeps half their scatter, which averages no further over the set-points
+    assert (fit.table.gyro_uncertainty > 0.5 * 0.5 * 0.05).all()
+    alone = fit_static(blocks(temp, line(temp, rng)), nodes=NODES, settings=StaticSettings(not_a_knot=True))
+    assert (alone.table.gyro_uncertainty < 0.005).all()

@@ -2,9 +2,21 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from undrift.errors import InputError, NotObservable
-from undrift.fit.least_squares import fit_forward, fit_paper, student_variance, triad_from_forward
+from undrift.fit.least_squares import (
+    averaged,
+    excess_variance,
+    fit_forward,
+    fit_paper,
+    geometric_peak,
+    inverse_jacobian,
+    noise_of_means,
+    offset_verdict,
+    student_variance,
+    triad_from_forward,
+)
 
 RNG = np.random.default_rng(11)
 INPUTS = RNG.normal(0.0, 5.0, (30, 3))
@@ -61,3 +73,98 @@ def test_shapes_that_disagree_are_refused():
 def test_student_variance_needs_three_spare_equations():
     assert student_variance(np.array([1.0, -1.0, 1.0, -1.0]), 4) == 2.0
     assert np.isnan(student_variance(np.ones(4), 2))
+
+
+def test_the_jacobian_of_the_inverse_is_its_derivative():
+    matrix = np.array([[2.0, 0.7, -0.4], [-0.3, 1.0, 0.5], [0.6, -0.2, 3.0]])  # far from symmetric
+    jacobian = inverse_jacobian(np.linalg.inv(matrix))
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-6
+        ends = [np.linalg.inv(matrix + sign * step.reshape(3, 3)).reshape(-1) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(jacobian[:, k], (ends[0] - ends[1]) / 2e-6, rtol=0, atol=1e-9)
+
+
+def test_unequal_noise_weighs_the_equations_and_is_their_covariance():
+    rng = np.random.default_rng(13)
+    sigma = rng.uniform(0.01, 1.0, (30, 3))
+    readings = INPUTS @ FORWARD.T + OFFSET + sigma * rng.standard_normal((30, 3))
+    fit = fit_forward(INPUTS, readings, sigma)
+    design = np.column_stack((INPUTS, np.ones(30)))
+    for row in range(3):
+        weight = np.diag(1.0 / sigma[:, row] ** 2)
+        inverse = np.linalg.inv(design.T @ weight @ design)
+        np.testing.assert_allclose(
+            np.append(fit.matrix[row], fit.offset[row]), inverse @ design.T @ weight @ readings[:, row]
+        )
+        places = [3 * row, 3 * row + 1, 3 * row + 2, 9 + row]
+        np.testing.assert_allclose(fit.covariance[np.ix_(places, places)], inverse, rtol=1e-9, atol=1e-15)
+
+
+def test_the_covariance_without_an_offset_is_the_scatter_of_many_fits():
+    rng = np.random.default_rng(14)
+    forward = np.array([[2.0, 0.4, 0.0], [0.0, 0.5, 0.1], [0.3, 0.0, 8.0]])
+    inputs = np.tile(INPUTS * [1.0, 3.0, 0.2], (2, 1))
+    # each input once quietly and once not: then the mean variance is the whole truth
+    sigma = np.repeat([0.2, 1.8], 30)[:, None] * [0.02, 0.05, 0.01]
+    fits = [
+        fit_paper(
+            inputs, inputs @ forward.T + sigma * rng.standard_normal((60, 3)), sigma,
+            method="m", unit_in="count", unit_out="m/s2",
+        ).model
+        for _ in range(1000)
+    ]  # fmt: skip
+    scatter = np.cov(np.array([fit.matrix.reshape(-1) for fit in fits]), rowvar=False)
+    size, claimed = np.sqrt(np.diag(scatter)), fits[0].covariance[:9, :9]
+    # 1000 draws tell a standard deviation to 2 %, a correlation to 3 %
+    np.testing.assert_allclose(np.sqrt(np.diag(claimed)), size, rtol=0.1)
+    np.testing.assert_allclose(claimed / np.outer(size, size), scatter / np.outer(size, size), rtol=0, atol=0.15)
+
+
+def test_the_noise_of_a_mean_counts_blocks_less_what_was_removed_from_each_window():
+    rng = np.random.default_rng(15)
+    windows = [rng.standard_normal((n, 3)) for n in (200, 300, 400) * 100]
+    noise = noise_of_means(windows, [50] * 300)
+    share = np.sqrt(np.mean(noise**2, axis=1)) * np.sqrt([len(window) for window in windows])
+    # 1800 blocks less 300 means, three axes: known to 1.1 %. Without the means it would be 0.91
+    np.testing.assert_allclose(share, 1.0, atol=0.035)
+
+
+def test_excess_variance_brings_the_weighted_squares_to_their_degrees_of_freedom():
+    rng = np.random.default_rng(16)
+    stated, residuals = rng.uniform(0.5, 2.0, 20), 3.0 * rng.standard_normal(20)
+    excess = excess_variance(residuals, stated, 13)
+    assert float((residuals**2 / (stated + excess)).sum()) == pytest.approx(13.0, rel=1e-6)
+
+
+def test_the_peak_of_a_parabola_over_the_logarithm_is_found_between_grid_points():
+    grid = np.geomspace(1.0, 100.0, 20)
+    likelihood = -((np.log(grid) - np.log(7.3)) ** 2)
+    assert geometric_peak(grid, likelihood, int(np.argmax(likelihood))) == pytest.approx(7.3, rel=1e-12)
+    assert geometric_peak(grid, np.log(grid), 19) == 100.0
+
+
+def test_averages_over_a_grid_are_integrals_with_the_scatter_of_the_parameters():
+    grid = np.concatenate(([0.0], np.geomspace(0.02, 5.0, 400)))
+    likelihood = -grid
+    thetas, covariances = np.column_stack((grid, grid**2)), np.tile(np.diag([2.0, 3.0]), (401, 1, 1))
+    theta, covariance = averaged(grid, likelihood, thetas, covariances, (1.0, np.ones(401)))
+    # density exp(-x) on [0, 5], moments by parts
+    moment = [quad(lambda x, n=n: x**n * np.exp(-x), 0.0, 5.0)[0] for n in range(5)]
+    mean = np.array([moment[1], moment[2]]) / moment[0]
+    second = np.array([[moment[2], moment[3]], [moment[3], moment[4]]]) / moment[0]
+    np.testing.assert_allclose(theta, mean, rtol=1e-3)  # trapezoids of a step of 1.4 %
+    np.testing.assert_allclose(covariance, np.diag([2.0, 3.0]) + second - np.outer(mean, mean), rtol=3e-3)
+    coarse = np.array([0.0, 1.0, 2.0])
+    theta, _ = averaged(coarse, np.zeros(3), coarse[:, None], np.zeros((3, 1, 1)), (1.0, np.array([1.0, 1.0, 0.5])))
+    assert theta[0] == pytest.approx((0.5 * 0.0 + 1.0 * 1.0 + 0.5 * 2.0 / 0.5) / (0.5 + 1.0 + 0.5 / 0.5))
+
+
+def test_the_loss_of_an_offset_left_in_is_over_the_squares_of_one_axis():
+    inputs = np.vstack((np.eye(3), -np.eye(3))) * 4.0  # two of 16 on each axis
+    readings = inputs @ FORWARD.T + FORWARD @ [0.4, 0.0, 0.0]
+    fit = fit_paper(inputs, readings, None, method="m", unit_in="count", unit_out="m/s2")
+    (left,) = offset_verdict(fit, inputs, readings, np.full((6, 3), 1e-6)).findings
+    share = 6.0 / 32.0 * 0.4**2
+    assert left.values["loss_percent"] == pytest.approx(100.0 * share / (1.0 + share), rel=1e-9)
+    assert fit.model.matrix @ FORWARD @ [1.0, 0.0, 0.0] == pytest.approx([1.0 / (1.0 + share), 0.0, 0.0], abs=1e-12)

@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError, NotObservable
-from undrift.fit.smooth import fit_smooth, neighbours, not_a_knot
+from undrift.fit.smooth import (
+    Problem,
+    Weighed,
+    bending,
+    curve_at,
+    fit_smooth,
+    neighbours,
+    not_a_knot,
+    parabola,
+    widening_of,
+)
 
 NODES = np.linspace(18.0, 75.0, 115)
 
@@ -75,3 +85,57 @@ def test_one_temperature_and_effects_that_are_not_determined_are_refused():
 def test_groups_are_neighbours():
     temp = np.array([30.0, 10.0, 20.0, 40.0])
     np.testing.assert_array_equal(neighbours(temp, 2), [1, 0, 0, 1])
+
+
+def test_the_covariance_of_a_bending_curve_is_the_integral_of_its_two_kernels():
+    at = np.array([-0.7, -0.2, 0.1, 0.5, 0.9])
+    for s, row in zip(at, bending(at, at), strict=True):
+        for t, found in zip(at, row, strict=True):
+            u = np.linspace(0.0, min(abs(s), abs(t)), 2001) if s * t > 0.0 else np.zeros(2)
+            wanted = np.trapezoid((abs(s) - u) * (abs(t) - u), u)  # curvature at u is felt s - u away from it
+            assert found == pytest.approx(wanted, abs=1e-7)
+
+
+def test_a_curve_is_conditioned_on_its_rows_as_any_gaussian_is():
+    rng = np.random.default_rng(17)
+    x, nodes = np.sort(rng.uniform(-0.5, 0.5, 9)), np.linspace(-0.8, 0.8, 7)
+    problem = Problem(
+        x=x, y=rng.normal(size=9), variance=rng.uniform(0.1, 0.2, 9), basis=np.column_stack((np.ones(9), x)),
+        correlation=np.eye(9), groups=np.arange(9), bow=0.5,
+    )  # fmt: skip
+    bend, scatter = np.array([3.0, 40.0]), np.array([0.05, 0.3])
+    share = np.array([0.3, 0.7])
+    column = Weighed(
+        problem=problem, bend=bend, scatter=scatter, weight=share, coefficient=np.zeros(0), uncertainty=np.zeros(0),
+        leave_out_rms=0.0,
+    )  # fmt: skip
+    means, covariances, flat = [], [], 1e4  # a line of unknown height and slope: one of large variance
+    both = np.concatenate((nodes, x))
+    line = flat * (1.0 + np.outer(both, both))
+    for q, s2 in zip(bend, scatter, strict=True):
+        prior = q * bending(both, both) + problem.bow * np.outer(parabola(both), parabola(both)) + line
+        rows = prior[7:, 7:] + np.diag(problem.variance + s2)
+        gain = prior[:7, 7:] @ np.linalg.inv(rows)
+        means.append(gain @ problem.y)
+        covariances.append(prior[:7, :7] - gain @ prior[7:, :7])
+    mean = share @ np.array(means)
+    apart = np.array(means) - mean
+    wanted = np.einsum("g,gmn->mn", share, np.array(covariances)) + (share[:, None] * apart).T @ apart
+    found_mean, found = curve_at(column, nodes)
+    np.testing.assert_allclose(found_mean, mean, rtol=0, atol=1e-3)  # the line's variance is 1e4, not infinite
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-3)
+
+
+def test_few_degrees_of_freedom_widen_by_student_over_the_normal():
+    assert widening_of(1.0) == pytest.approx((12.7062047 / 1.95996398) ** 2, rel=1e-7)  # tables of the 97.5 % points
+    assert widening_of(10.0) == pytest.approx((2.22813885 / 1.95996398) ** 2, rel=1e-7)
+
+
+def test_beyond_the_data_the_curvature_that_was_seen_may_continue():
+    temp = np.linspace(25.0, 65.0, 21)
+    found = fit_smooth(temp, bent(temp)[:, None], np.full((21, 1), 1e-12))
+    for node, away in ((75.0, 10.0), (18.0, 7.0)):
+        at = found.at(np.array([node]))
+        # the tangent at the end of the data misses the parabola by 1.5e-3 of the square; that much is stated, two times at most
+        assert 1.5e-3 * away**2 <= at.uncertainty[0, 0] * 1.96
+        assert at.uncertainty[0, 0] <= 4.0 * 1.5e-3 * away**2
