@@ -18,9 +18,10 @@ from pathlib import Path
 from undrift.cli.app import run
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
-# What only the owner of a file knows: SOURCE.md beside it says so.
-RATES = {"multipos_mpu9150": 100, "ferraris_nilspod": 102.4, "stm_mems_logs": 26, "xsens_mtmanager": 100, "ximu": 256}
-RATES |= {"mobilised_mat": 100, "worn_lowback": 100, "static_mpu6050": 100, "thermal_bmi270": 50, "skdh": 50}
+# What only the owner of a file knows, by SOURCE.md beside it; where that is silent a rate is assumed, and printed as such.
+RATES = {"multipos_mpu9150": 100, "ferraris_nilspod": 102.4, "ximu": 256, "worn_lowback": 100, "static_mpu6050": 100}
+RATES |= {"thermal_bmi270": 50}
+ASSUMED = 100
 WARM_UP = "--gyro-unit dps --gyro-gain 0.06097560976 --accel-unit g --accel-gain 6.103515625e-05"
 MORE = {
     "BMI_270": "--gyro-unit count --accel-unit count --drop-bad-rows",  # torn lines
@@ -44,7 +45,7 @@ def described(path: Path, options: list[object]) -> dict:
 def options_of(path: Path, found: dict, steps: list[list[object]]) -> list[object]:
     """Return the options that info asks for, with a map written where it proposes one."""
     asked = [item["values"].get("missing") for item in found["findings"] if item["code"] == "recording.not_read"]
-    rate = next((value for name, value in RATES.items() if name in str(path)), 100)
+    rate = next((value for name, value in RATES.items() if name in str(path)), ASSUMED)
     if "sensor" in asked:
         # of an autopilot's log the sensor's own readings: those of sensor_combined are corrected already
         options: list[object] = ["--sensor", next(name for name in found["columns"] if name != "sensor_combined")]
@@ -115,6 +116,9 @@ def main() -> int:
             start = time.perf_counter()
             what, steps = outcome(path, device)
             failed += what.startswith("refused")
+            stated = any(name in str(path) for name in RATES)
+            rated = any("--sample-rate-hz" in step for step in steps)
+            what += ", rate assumed" if rated and not stated else ""
             print(f"{path.relative_to(DATA)}: {what} ({time.perf_counter() - start:.1f} s)", flush=True)
             for step in steps:
                 shown = [Path(str(word)).name if isinstance(word, Path) else word for word in step]

@@ -190,4 +190,4 @@ def test_a_piped_leave_one_out_tells_how_far_it_is(tmp_path):
         re.fullmatch(r"undrift validate: .+, \d+ s so far, (about \d+ s left|time left not known yet)", line)
         for line in lines
     )
-    assert any("fit without recording " in line for line in lines)
+    assert any("fit without recording 2 of 2" in line for line in lines)

@@ -327,9 +327,7 @@ def _show(found: "Description", stills: list[list[float]], reason: str, opening:
         lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
     elif reason:
         lines.append(reason)
-    for item in found.findings:
-        head = "read" if item.code == "recording.how_read" else "note" if item.level == "info" else "problem"
-        lines += [f"{head}: {item.text}"] if item.text != found.summary else []
+    lines += found.lines()
     lines += _hints(found)
     say(f"{found.path}: {found.kind} ({found.format})", *(f"  {line}" for line in lines))
     if words := _next(found, len(stills), opening):

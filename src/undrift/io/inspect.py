@@ -469,12 +469,24 @@ class Description:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The findings as texts."""
+        """The findings as texts, but how the file was read."""
+        return tuple(_told(item) for item in self.findings if item.code != "recording.how_read")
+
+    def lines(self) -> tuple[str, ...]:
+        """Return every finding as a line that says what it is: how the file was read, a note, or a problem."""
         return tuple(
-            f"recording {item.values['recording']}: {item.text}" if "recording" in item.values else item.text
+            f"{_HEADS.get(item.code, 'note' if item.level == 'info' else 'problem')}: {_told(item)}"
             for item in self.findings
-            if item.code != "recording.how_read"
+            if item.text != self.summary
         )
+
+
+_HEADS = {"recording.how_read": "read"}
+
+
+def _told(item: Finding) -> str:
+    """Return the text of a finding, with the recording of a session that it is about."""
+    return f"recording {item.values['recording']}: {item.text}" if "recording" in item.values else item.text
 
 
 def describe(
