@@ -146,6 +146,15 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
     assert rows[0]["warnings"] == rows[1]["warnings"], "streamed and at once"
 
 
+def test_signs_of_another_unit_or_column_stand_among_the_findings(undrift, tuned, tmp_path):
+    write_record(replace(tuned, gyro=None), tmp_path / "accel.parquet")
+    words = ["--calibration", tmp_path / "tuned.json", "--policy", "hold", "-o", tmp_path / "o.parquet", "--json"]
+    told = undrift.good("correct", tmp_path / "accel.parquet", *words).json()
+    (found,) = told["findings"]
+    assert (found["code"], found["values"]["sensor"]) == ("correct.no_sensor", "gyroscope")
+    assert told["recordings"][0]["warnings"][0] == found["text"]
+
+
 def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(undrift, tuned, tmp_path):
     temp = np.full(len(tuned), 27.0)
     temp[100:300] = np.nan

@@ -102,6 +102,8 @@ def correct(
 
 def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks") -> dict[str, object]:
     """Return a recording as --json has it."""
+    from undrift.io.store import findings_json
+
     outside = {f"samples_{kind}": getattr(state, f"samples_{kind}") for kind in NOT_COVERED}
     outside |= {f"seconds_{kind}": getattr(state.reach, f"seconds_{kind}") for kind in NOT_COVERED}
     return {
@@ -117,6 +119,7 @@ def _row(record: Path, target: Path, state: "CorrectorState", remarks: "Remarks"
         ],
         "warnings": remarks.warnings,
         "notes": remarks.notes,
+        "findings": findings_json(remarks.findings),
     }
 
 
@@ -194,6 +197,7 @@ class Remarks:
 
     warnings: list[str]  # Where the calibration did not cover it, and signs that it was not read rightly
     notes: list[str]
+    findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
     beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
 
 
@@ -232,7 +236,7 @@ def _correct_one(
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             advance(len(chunk))
     warnings = [*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text)]
-    return stream.state, Remarks(warnings=warnings, notes=[*notes], beyond=beyond)
+    return stream.state, Remarks(warnings=warnings, notes=[*notes], findings=suspicions, beyond=beyond)
 
 
 def _provenance(
