@@ -101,10 +101,10 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
         seen.append((rows, *felt, jacobian[[(k + 1) % 3, (k + 2) % 3]], places))
     if seen and accel is not None:
         tilts, spread, beyond = _with_prior(seen, accel, table)
-        for (rows, felt, *_), tilt in zip(seen, tilts, strict=True):
+        for (rows, shown, *_), tilt in zip(seen, tilts, strict=True):
             k = int(own[rows[0]])
             axis_b[np.ix_(rows, [(k + 1) % 3, (k + 2) % 3])] = tilt
-            off[rows] = np.hypot(*felt)
+            off[rows] = np.hypot(*shown)
         every = np.hstack([part[-1] for part in seen])
         covariance += every @ spread @ every.T
     uneven = rate_unevenness(dwells, slope[:, 0])
@@ -194,8 +194,8 @@ def rate_unevenness(dwells: Dwells, scale: FloatArray) -> FloatArray:
     means = [_block_means(dwells, n) for n in range(len(own))]
     uneven = np.zeros(3)
     for k in range(3):
-        rows = [n for n in np.flatnonzero(own == k) if len(means[n]) >= _LEAST_BLOCKS and rates[n] != 0.0]
-        others = [means[n][:, k] for n in np.flatnonzero(own != k) if len(means[n]) > 1]
+        rows = [int(n) for n in np.flatnonzero(own == k) if len(means[n]) >= _LEAST_BLOCKS and rates[n] != 0.0]
+        others = [means[int(n)][:, k] for n in np.flatnonzero(own != k) if len(means[n]) > 1]
         if not rows or not np.isfinite(scale[k]):
             continue
         spare = sum(len(part) - 1 for part in others)
@@ -216,7 +216,7 @@ def rate_unevenness(dwells: Dwells, scale: FloatArray) -> FloatArray:
 
 def _duration(dwells: Dwells, n: int) -> float:
     window = dwells.windows(n)
-    return (window.stop - window.start) / dwells.records[dwells.turns[n].recording].sample_rate_hz
+    return float(window.stop - window.start) / dwells.records[dwells.turns[n].recording].sample_rate_hz
 
 
 def _block_means(dwells: Dwells, n: int) -> FloatArray:
@@ -224,7 +224,7 @@ def _block_means(dwells: Dwells, n: int) -> FloatArray:
     values = np.asarray(record.gyro)[dwells.windows(n)]
     size = block_size(record.sample_rate_hz)
     count = len(values) // size
-    return values[: count * size].reshape(count, size, 3).mean(axis=1)
+    return np.asarray(values[: count * size].reshape(count, size, 3).mean(axis=1))
 
 
 def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
