@@ -59,8 +59,12 @@ class DwellMeans:
     unit: str = "rad/s"  # Unit of the readings
     # (N,), middle of each dwell on one clock, s: recordings follow each other. None when it is not known
     time: FloatArray | None = None
-    step: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), step of the codes, ``unit``; 0 or NaN for none
-    codes: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), variance that they leave in a mean; in ``noise`` too
+    step: FloatArray = field(
+        default_factory=lambda: np.zeros(3)
+    )  # (3,), step of the codes, ``unit``; 0 or NaN for none
+    codes: FloatArray = field(
+        default_factory=lambda: np.zeros(3)
+    )  # (3,), variance that they leave in a mean; in ``noise`` too
     axes: TableAxes | None = None  # About which axes the table turned the case; None takes ``axis`` as true
     # Standard uncertainties of the table's axis from dwell to dwell and of the mounting, rad; used with ``axes`` alone
     wobble: float = 0.0
@@ -507,8 +511,9 @@ def fit_with_rests(
     """Refine an affine fit: let its offset drift, and add a g-sensitivity where dwells and rests show one."""
     if dwells.noise is None:
         return fit
-    plain, full, readings = _equations(dwells, imposed_rates(dwells, latitude_deg), rests)
-    sigma, time = _with_scatter(dwells, plain, readings), dwells.time
+    rates = imposed_rates(dwells, latitude_deg)
+    plain, full, readings = _equations(dwells, rates, rests)
+    sigma, time = _with_scatter(dwells, rates), dwells.time
     if rests is not None:
         sigma = np.vstack((sigma, rests.noise))
         time = None if time is None else np.concatenate((time, rests.time))
@@ -545,19 +550,20 @@ def _with_codes(dwells: DwellMeans, design: FloatArray, sigma: FloatArray, found
 _SHOWS = 3.0  # standard errors of a scatter that grows with the rate, for it to count
 
 
-def _with_scatter(dwells: DwellMeans, plain: FloatArray, readings: FloatArray) -> FloatArray:
+def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
     """Return the standard deviation (N, 3) of each mean: noise, and what grows with the rate, wobble or uneven rates.
 
     A wobble of the axis moves what sensors across it read by (K_kk w)^2 omega^2, an uneven rate its own sensor by (K_kk w)^2 rho^2.
-    Both come from the residuals, where they show; wobble is never less than stated.
+    Both come from the residuals of a fit with an offset for each axis, where they show; wobble is never less than stated.
     """
     noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
     if dwells.axes is None:
         return noise
-    theta = np.linalg.lstsq(plain, readings, rcond=None)[0]
-    square = (readings - plain @ theta)[: len(noise)] ** 2
-    drive = (np.abs(np.diag(theta[:3])) * np.abs(dwells.turn_rate)[:, None]) ** 2  # (N, 3), (K_kk w)^2
     own = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
+    design = np.column_stack((rates, own))
+    theta = np.linalg.lstsq(design, dwells.reading, rcond=None)[0]
+    square = (dwells.reading - design @ theta) ** 2
+    drive = (np.abs(np.diag(theta[:3])) * np.abs(dwells.turn_rate)[:, None]) ** 2  # (N, 3), (K_kk w)^2
     variance = noise**2
     for which, stated in ((own, 0.0), (~own, dwells.wobble**2)):
         share = max(stated, _share(drive[which], square[which], square[~which]))

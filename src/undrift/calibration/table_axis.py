@@ -8,8 +8,8 @@ off the vertical by l, and the accelerometers are off it by an arm r. Dwell i at
     minimise  sum |residual|^2 / s^2 + |l|^2 / level^2 + |r|^2 / arm^2
 
 psi is the integral of the gyroscope of the axis within a recording, so dwells need no whole turns. All mountings share the
-accelerometers' errors; d of all is the mean of what is felt and of 0 +- mount, by their covariances. Without accelerometers d = 0 +-
-mount. The errors that are left multiply every rate: w_true = (I + D) w, so that
+accelerometers' errors; d of all is the mean of what is felt and of 0 +- mount, by their covariances, and without accelerometers
+0 +- mount. The errors that are left multiply every rate: w_true = (I + D) w, so that
 
     dM = D M        dG = D G        D = [d_x, d_y, d_z] + diag(relative error of the rate)
 
@@ -166,9 +166,7 @@ def _accel_codes(dwells: Dwells) -> FloatArray:
     return code_variance(code_steps(dwells.records, rate=False), scatter)
 
 
-def _with_prior(
-    seen: list[_Mounted], accel: TriadModel, table: RateTable
-) -> tuple[FloatArray, FloatArray, float]:
+def _with_prior(seen: list[_Mounted], accel: TriadModel, table: RateTable) -> tuple[FloatArray, FloatArray, float]:
     """Return d of each mounting (B, 2), the covariance of all (2B, 2B), and the largest as felt in its standard deviations."""
     felt = np.concatenate([one.tilt for one in seen])
     jacobian = np.vstack([one.of_accel for one in seen])
@@ -193,7 +191,7 @@ def _felt(
     dwells: Dwells, rows: list[int], line: FloatArray, table: RateTable, accel: TriadModel, gravity_m_s2: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return d (2,) of one mounting and its covariance (2, 2), without that of the accelerometers; None where it is not seen."""
-    up, k = float(dwells.up[rows[0]]), int(dwells.own[rows[0]])
+    up = float(dwells.up[rows[0]])
     recordings = sorted({dwells.turns[n].recording for n in rows})
     parts: list[FloatArray] = []  # of each dwell, its block means: cos psi, sin psi, the two components felt
     for recording in recordings:
