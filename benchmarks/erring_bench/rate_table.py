@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.erring_bench import Row, Tally
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
-from undrift.record import Session
+from undrift.record import Session, Still, Turn
 from undrift.sim.device.effects import Adc, BiasInstability, SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
@@ -112,7 +112,7 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, n
         kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(shown.record,),
         stills=motion.stills, turns=motion.turns,
     )  # fmt: skip
-    pieces = (*motion.turns, *motion.stills)
+    pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
     middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
     moved = shown.gyro.of("instability").mean(axis=0) + shown.gyro.of("random_walk")[middle]
     return device, session, device.gyro.raw_offset + device.gyro.gain * moved

@@ -1,6 +1,6 @@
 """A rate table that errs: mounting, level, wobble, ripple, settling and a wrong rate, drawn anew for each device.
 
-Ten devices for each bench; benchmarks/erring_bench/rate_table.py draws 300. The limits follow from what is stated alone: of n
+Six devices for each bench; benchmarks/erring_bench/rate_table.py draws 300. The limits follow from what is stated alone: of n
 independent 95 % intervals so many hold, by the binomial distribution, and the mean square of error over standard uncertainty
 of n normal errors is that of chi-square; each limit is passed by chance once in a thousand times.
 """
@@ -24,7 +24,7 @@ from undrift.sim.sessions import simulate_session
 DEG = np.pi / 180.0
 RATES = tuple(rate * DEG for rate in (20.0, 50.0, 90.0))
 ARM = (0.02, 0.01, -0.015)
-DEVICES = 10
+DEVICES = 6
 CHANCE = 1e-3
 SCALES, CROSS = [0, 4, 8], [1, 2, 3, 5, 6, 7]
 MOUNTED = TableErrors(mount_tilt_sd=0.1 * DEG, level_sd=0.05 * DEG)
@@ -90,15 +90,16 @@ def test_a_mounting_is_measured_where_gravity_shows_it_and_stated_where_not(kind
 def test_a_wobble_that_nobody_stated_shows_in_the_residuals() -> None:
     table = TableErrors(wobble_sd=0.1 * DEG)
     ratio, _, _ = errors("rate_table", table, settings=stated(TableErrors()))
-    # Wobble is measured by 36 squares of a device: its variance is uncertain by a quarter, and errors of 60 terms by an eighth.
+    # Wobble is measured by 36 squares of a device: its variance is uncertain by a quarter, and an error in its units by an eighth.
     check("cross-axis, wobble", ratio[:, CROSS] / 1.25)
 
 
 def test_a_rate_that_ripples_and_settles_late_is_in_the_scale_factors_uncertainty_and_named() -> None:
     ratio, error, made = errors("rate_table", TableErrors(ripple_sd=0.003, excess_sd=0.003))
-    # The error of a ripple is a sinusoid of its phase, without the tails of a normal one.
+    # The error of a ripple is a sinusoid of its phase, without the tails of a normal one; with six dwells an axis its scatter may
+    # pass for an offset that drifts, which widens a sensor's other terms.
     check("scale, ripple", ratio[:, SCALES], bounded=True)
-    check("cross-axis, ripple", ratio[:, CROSS])
+    check("cross-axis, ripple", ratio[:, CROSS], bounded=True)
     wrong = np.abs(error[:, SCALES]).max(axis=1) > 0.005
     named = np.array(["rate_table.uneven_rate" in codes(one.verdict.findings) for one in made])
     assert named[wrong].all()

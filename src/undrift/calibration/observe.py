@@ -357,6 +357,15 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
     return np.array(temps)
 
 
+def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    clocks = [record.time - record.time[0] for record in records]
+    return np.array(
+        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
+    )
+
+
 # ---- settings, and what a session shows
 
 _FULL_TURN = 2.0 * np.pi  # rad

@@ -19,7 +19,7 @@ A b^2 in the mean: none over whole turns. The first half less the second, h, sho
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from undrift.calibration.adc import code_steps, code_variance
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import block_size
 from undrift.model import AXES, TriadModel, level_of
-from undrift.record import RateTable, Record, Still, Turn
+from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
 ARM_SD_M = 0.1  # m, of the accelerometers from the table's axis: half the plate of a small table
@@ -94,13 +94,14 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
     Turns about one axis at stated rates and rests with that axis up belong together as long as nothing else comes between.
     """
     runs: list[list[int]] = [[]]
-    axis = face = None
+    axis: Axis | None = None
+    face: Face | None = None
     for n in sorted(range(len(pieces)), key=lambda n: (pieces[n].recording, pieces[n].start)):
         piece = pieces[n]
         if isinstance(piece, Turn):
             up, about = None, None if piece.turn_rate is None else piece.axis
         elif piece.face is not None:
-            up, about = piece.face, piece.face[-1]
+            up, about = piece.face, AXES["xyz".index(piece.face[-1])]
         else:
             continue  # a rest in any pose
         if about is None or about != axis or (up and face and up != face):
@@ -311,10 +312,10 @@ def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
         yield finding("rate_table.uneven_rate", level, axis=axis, uncertainty_percent=worst, wanted=wanted)
 
 
-def with_table(model: TriadModel, covariance: FloatArray) -> TriadModel:
-    """Return a model of rates whose covariance also holds what multiplies every rate, (9, 9)."""
+def table_term(model: TriadModel, covariance: FloatArray) -> FloatArray:
+    """Return what multiplies every rate, with its covariance (9, 9), as a term of that of a model."""
     jacobian = np.zeros((len(model.covariance), 9))
     jacobian[:9] = np.kron(np.eye(3), model.matrix.T)
     if model.g_sensitivity is not None:
         jacobian[12:21] = np.kron(np.eye(3), model.g_sensitivity.T)
-    return replace(model, covariance=model.covariance + jacobian @ covariance @ jacobian.T)
+    return np.asarray(jacobian @ covariance @ jacobian.T)
