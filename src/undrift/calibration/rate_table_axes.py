@@ -60,8 +60,7 @@ def fit_turned_axes(
     shown = fit_rate_axes(dwells, latitude_deg=latitude_deg, scale_tolerance=scale_tolerance)
     axes = tuple(fit.axis for fit in shown)
     turned = [AXES.index(axis) for axis in axes]
-    whole = dwells
-    dwells = _only(dwells, [k for k, axis in enumerate(dwells.axis) if axis in axes])
+    dwells, whole = _only(dwells, [k for k, axis in enumerate(dwells.axis) if axis in axes]), dwells
     rates = imposed_rates(dwells, latitude_deg)
     design = np.column_stack((rates[:, turned], np.ones(len(rates))))
     if not shown:
@@ -85,11 +84,10 @@ def fit_turned_axes(
             share = NOMINAL_SD[physical] if axis == row else cross_axis_prior
             covariance[3 * row + axis, 3 * row + axis] = (nominal * share) ** 2
     rank, condition = scaled_condition(design)
-    kept = [axis for k, axis in enumerate(AXES) if k not in turned]
     prior = finding(
         "rate_table.nominal_kept",
         "warn",
-        axes=kept,
+        axes=[axis for axis in AXES if axis not in axes],
         source="the unit's own" if physical else "that of the turned axes",
         scale_percent=100.0 * NOMINAL_SD[physical],
         cross_percent=100.0 * cross_axis_prior,

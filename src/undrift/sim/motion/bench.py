@@ -153,7 +153,7 @@ class TableErrors:
     wobble_sd: float = 0.0  # Of the turning axis from dwell to dwell, about each axis across, rad
     rate_sd: float = 0.0  # Of the true rate against the stated one, relative; one table, one draw
     ripple_sd: float = 0.0  # Of the rate once a turn, amplitude, relative
-    excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; it dies away
+    excess_sd: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
     settle_s: float = 0.5  # Time constant of that, s
 
 
