@@ -529,6 +529,22 @@ class FileMap:
     text: str  # One JSON object
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateTable:
+    """Standard uncertainties of a rate table and of the mounting on it; an axis that gravity shows is measured instead."""
+
+    table_level_deg: float = 0.1  # Of the table's axis against the vertical, about each horizontal axis, deg
+    mount_tilt_deg: float = 0.1  # Of the device against the table's axis, about each axis across it, deg
+    rate_uncertainty: float = 1e-4  # Of all stated rates in common, relative: a crystal and a gear
+    wobble_deg: float = 0.01  # Of the table's axis from dwell to dwell, about each axis across it, deg
+
+    def __post_init__(self) -> None:
+        for name in ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg"):
+            value, most = getattr(self, name), 0.1 if name == "rate_uncertainty" else 10.0
+            if not 0.0 <= value <= most:
+                raise InputError(f"rate table: wanted {name} from 0 to {most:g}, got {value:g}; correct it")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
     """The recordings of one device and what was done to it.
@@ -553,6 +569,8 @@ class Session:
         How its files are read, where one map serves all of them; None where they need none.
     gravity_source : str
         "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
+    rate_table : RateTable
+        How good the rate table and the mounting are.
 
     Examples
     --------
@@ -573,6 +591,7 @@ class Session:
     inputs: tuple[tuple[str, str], ...] = ()
     file_map: FileMap | None = None
     gravity_source: GravitySource = "stated"
+    rate_table: RateTable = RateTable()
 
     def __post_init__(self) -> None:
         if not self.records:

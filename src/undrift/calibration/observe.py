@@ -12,13 +12,14 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import code_steps
 from undrift.calibration.checks import check_gravity
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.model import AXES, Verdict, level_of
-from undrift.record import FACES, Record, Session, Still, Turn
+from undrift.record import FACES, RateTable, Record, Session, Still, Turn
 from undrift.segments import (
     BENCH_ACCEL_LIMIT,
     BENCH_RATE_LIMIT,
@@ -214,6 +215,8 @@ def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
         limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
     elif len(seen) > 2:
         limit = max(_OTHERS * float(np.median(seen)), 1e-300)
+        if (seen > limit).any():  # a reading at rest may toggle between two codes
+            limit = max(limit, float(np.nan_to_num(code_steps(session.records, rate=rate)).max()))
     return spreads, limit, unit
 
 
@@ -354,6 +357,15 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
     return np.array(temps)
 
 
+def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    clocks = [record.time - record.time[0] for record in records]
+    return np.array(
+        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
+    )
+
+
 # ---- settings, and what a session shows
 
 _FULL_TURN = 2.0 * np.pi  # rad
@@ -393,6 +405,15 @@ class CalibrateSettings:
         Look for the step and rounding of the codes.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that a session does not show, relative to the scale factor.
+    table_level_deg : float or None
+        Standard uncertainty of a rate table's axis against the vertical, deg; None takes the session's, 0.1 by default.
+    mount_tilt_deg : float or None
+        Standard uncertainty of the device's mounting on it about each axis, deg; None likewise, 0.1. It stays in the
+        covariance in full where accelerometers do not show the table's axis.
+    rate_uncertainty : float or None
+        Standard uncertainty of all its stated rates in common, relative; None likewise, 0.0001.
+    wobble_deg : float or None
+        Standard uncertainty of its axis from dwell to dwell, deg; None likewise, 0.01. Scatter that shows more counts instead.
 
     Examples
     --------
@@ -413,6 +434,10 @@ class CalibrateSettings:
     remove_offset: bool = True
     identify_adc: bool = True
     cross_axis_prior: float = 0.01
+    table_level_deg: float | None = None
+    mount_tilt_deg: float | None = None
+    rate_uncertainty: float | None = None
+    wobble_deg: float | None = None
 
     def __post_init__(self) -> None:
         latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
@@ -434,6 +459,13 @@ class CalibrateSettings:
                 f"calibrate: wanted cross_axis_prior above 0 and up to 0.2 of the scale factor, got {self.cross_axis_prior:g}; "
                 "0.01 is 1 %"
             )
+        self.rate_table(RateTable())
+
+    def rate_table(self, stated: RateTable) -> RateTable:
+        """Return how good the rate table is: as the session states it, save for what these settings state."""
+        names = ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg")
+        chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return replace(stated, **chosen)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -28,6 +28,7 @@ from undrift.calibration.checks import (
     missing_faces,
 )
 from undrift.calibration.observe import Observed, Outcome, with_offset
+from undrift.calibration.table_axis import mountings
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -72,19 +73,27 @@ _GRID = 120
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
 
-def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: ForwardFit) -> tuple[ForwardFit, float]:
-    """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad."""
+def fit_tilted(
+    up: FloatArray, reading: FloatArray, noise: FloatArray, plain: ForwardFit, stated: FloatArray | None = None
+) -> tuple[ForwardFit, float]:
+    """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad.
+
+    A pose has its stated tilt (P,), rad, beside that of all.
+    """
+    stated = np.zeros(len(up)) if stated is None else stated
     inverse = np.linalg.inv(plain.matrix)
     level = (reading - plain.offset) @ inverse.T
     sigma = np.sqrt(noise**2 @ (inverse**2).T)
     gravity = float(np.linalg.norm(up, axis=1).max())
-    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity)
+    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity, stated)
     best = int(np.argmax(likelihood))
-    if reading.size <= 12 or best == 0:
+    if reading.size <= 12 or (best == 0 and not stated.any()):
         return plain, 0.0
     small = float(np.median(sigma)) / gravity
     over = (tilts + small, tilts + _SMALL_TILT * small)
-    theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
+    theta, covariance = thetas[0], covariances[0]
+    if best > 0:
+        theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
     jacobian = np.zeros((12, 12))
     jacobian[:9, :9], jacobian[9:, 9:] = np.kron(plain.matrix, np.eye(3)), plain.matrix
     matrix = plain.matrix @ theta[:9].reshape(3, 3)
@@ -97,20 +106,23 @@ def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: Fo
     return fit, geometric_peak(tilts, likelihood, best) if shows else 0.0
 
 
-def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float) -> FloatArray:
-    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad: up and noise (P, 3), gain per g."""
+def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float | FloatArray) -> FloatArray:
+    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad, of all or of each (P, 1).
+
+    up and noise (P, 3), gain per g.
+    """
     return np.asarray(np.hypot(noise, gain * np.where(up != 0.0, tilt * tilt, tilt)))
 
 
 def _solved(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float
+    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float, stated: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
     smallest = 0.02 * float(np.median(noise)) / length
     tilts = np.concatenate(([0.0], np.geomspace(max(smallest, 1e-9), _LARGEST, _GRID)))
     design = np.column_stack((up / length, np.ones(len(up))))
     unit = np.array([length, length, length, 1.0])
-    sigma = np.stack([tilted_sigma(up, noise, length, float(t)) for t in tilts])
+    sigma = np.stack([tilted_sigma(up, noise, length, np.hypot(t, stated)[:, None]) for t in tilts])
     theta, covariance, likelihood = np.zeros((len(tilts), 12)), np.zeros((len(tilts), 12, 12)), np.zeros(len(tilts))
     for row in range(3):
         weight = 1.0 / sigma[:, :, row] ** 2
@@ -142,6 +154,8 @@ class FaceMeans:
     faces: tuple[Face, ...]  # Axis that points up in each
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None when it is not known
     unit: str = "m/s2"  # Unit of the readings
+    # (P,), stated standard uncertainty of the tilt of each beside what the readings show, rad; levelled mode alone uses it
+    tilt: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,7 +175,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     plain, tilt = fit_forward(up, reading, known), float("nan")
     forward = plain
     if known is not None and mode != "affine":
-        forward, tilt = fit_tilted(up, reading, known, plain)
+        forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt)
     found = Verdict.of(*_judged(poses, plain, known, tilt, mode))
     if mode == "paper":
         fit, tilt = fit_paper(up, reading, noise, **names), float("nan")
@@ -272,6 +286,8 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     found: tuple[Finding, ...] = ()
     if used == "levelled" and poses.noise is None:
         used, found = "affine", (finding("six_face.short_faces", "warn"),)
+    if used == "levelled":
+        poses = _by_mounting(seen, poses)
     offset = None
     if used == "paper" and own.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
@@ -284,3 +300,27 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
         fit = with_offset(fit, offset, variance)
     return Outcome(fit=fit, method="six-face", findings=found)
+
+
+def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
+    """Return poses in which the rests of one mounting on a rate table are one.
+
+    Where the other rests show all six faces by themselves, a mounting is off level as stated; else all show alike how far they are.
+    """
+    turns = [turn for turn in seen.session.turns if turn.turn_rate is not None]
+    of_rest = mountings([*seen.faced, *turns])[: len(poses.faces)]
+    if poses.noise is None or not (of_rest >= 0).any():
+        return poses
+    table = seen.settings.rate_table(seen.session.rate_table)
+    groups = [[n] for n in np.flatnonzero(of_rest < 0)]
+    groups += [list(np.flatnonzero(of_rest == mounting)) for mounting in np.unique(of_rest[of_rest >= 0])]
+    weight = 1.0 / np.maximum(poses.noise, 1e-300) ** 2
+    alone = not missing_faces([face for face, mounting in zip(poses.faces, of_rest, strict=True) if mounting < 0])
+    tilt = float(alone) * np.hypot(table.mount_tilt_deg, table.table_level_deg) * RADIAN_PER_DEGREE
+    return replace(
+        poses,
+        reading=np.array([np.average(poses.reading[rows], axis=0, weights=weight[rows]) for rows in groups]),
+        faces=tuple(poses.faces[rows[0]] for rows in groups),
+        noise=np.array([weight[rows].sum(axis=0) ** -0.5 for rows in groups]),
+        tilt=np.array([tilt if of_rest[rows[0]] >= 0 else 0.0 for rows in groups]),
+    )

@@ -1,7 +1,10 @@
 """``undrift calibrate``: fit what a session, or bare recordings, allow."""
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+
+from cyclopts import Parameter
 
 from undrift.cli.common import (
     Details,
@@ -31,6 +34,29 @@ if TYPE_CHECKING:
     from undrift.record import Session
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """How good the rate table of a session is, in place of what the session states.
+
+    Parameters
+    ----------
+    table_level_deg : float or None
+        Standard uncertainty of the rate table's axis against the vertical, deg; as the session states, else 0.1.
+    mount_tilt_deg : float or None
+        Standard uncertainty of the mounting on the table about each axis, deg; as the session states, else 0.1.
+    rate_uncertainty : float or None
+        Standard uncertainty of the stated rates in common, relative; as the session states, else 0.0001.
+    wobble_deg : float or None
+        Standard uncertainty of the table's axis from dwell to dwell, deg; as the session states, else 0.01.
+    """
+
+    table_level_deg: float | None = None
+    mount_tilt_deg: float | None = None
+    rate_uncertainty: float | None = None
+    wobble_deg: float | None = None
+
+
 def calibrate(
     *files: Files,
     place: Place = Place(),
@@ -50,6 +76,7 @@ def calibrate(
     polynomial_degree: int = 1,
     spline_cutoff_hz: float | None = None,
     cross_axis_prior: float = 0.01,
+    table: Table = Table(),
     rests: Rests = Rests(),
     figure: Path | None = None,
     details: Details = False,
@@ -95,6 +122,8 @@ def calibrate(
         Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    table : Table
+        How good the rate table is.
     rests : Rests
         How stretches at rest are found where the session states none.
     figure : Path or None
@@ -107,7 +136,7 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrate as fit
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.io.store import calibration_json, write_calibration
+    from undrift.io.store import calibration_json
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map))
     check_output(report, endings=(".html",))
@@ -125,14 +154,13 @@ def calibrate(
         remove_offset=not keep_offset,
         identify_adc=adc == "auto",
         cross_axis_prior=cross_axis_prior,
+        **asdict(table),
     )
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
         made = fit(held, accel=accel, gyro=gyro, mode=mode, settings=settings)
-    if output is not None:
-        write_calibration(made, output)
+    _keep(made, output, report)
     _draw(held, settings, made, f"{name_of(files[0])}: used", figure)
-    _report(made, report)
     if json:
         write_json(calibration_json(made), "calibrate")
     else:
@@ -151,13 +179,19 @@ def _say_next(files: tuple[Path, ...], output: Path | None, pictures: tuple[Path
         say_next("correct", recording, "--calibration", output, "-o", "corrected.parquet")
 
 
-def _report(made: "Calibration", path: Path | None) -> None:
-    if path is None:
-        return
-    from undrift.report.page import calibration_sections, write_page
+def _keep(made: "Calibration", path: Path | None, report: Path | None) -> None:
+    """Write a calibration and its page, where they are wanted."""
+    if path is not None:
+        from undrift.io.store import write_calibration
 
-    title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
-    write_page(path, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict)
+        write_calibration(made, path)
+    if report is not None:
+        from undrift.report.page import calibration_sections, write_page
+
+        title, sections = f"Calibration of {made.device or 'a device'}", calibration_sections(made)
+        write_page(
+            report, title=title, lead=f"{_heading(made)}; {_pieces(made)}", sections=sections, verdict=made.verdict
+        )
 
 
 def _draw(held: "Session", settings: "CalibrateSettings", made: "Calibration", title: str, path: Path | None) -> None:
