@@ -541,7 +541,9 @@ class TemperatureSensitivity:
     accel_offset_mg_per_k: float = 0.5  # Of the zero-g offset, mg/K
     gyro_scale_percent_per_k: float = 0.02  # Of the gyroscopes' scale factor, %/K
     accel_scale_percent_per_k: float = 0.02  # Of the accelerometers' scale factor, %/K
-    unrecorded_span_k: float = 1.0  # Change of temperature in a session that records none and whose rests drift, K
+    unrecorded_span_k: float = (
+        1.0  # Change of temperature in a session that records none, nor rests in deg/s that show it, K
+    )
     span_limit_k: float = 2.0  # A larger change within a session is a finding, K
 
     def __post_init__(self) -> None:
