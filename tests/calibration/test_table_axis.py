@@ -9,7 +9,7 @@ from testkit.cramer_rao import white_device
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
-from undrift.calibration.table_axis import Dwells, rate_unevenness, table_axes
+from undrift.calibration.table_axis import Dwells, mountings, rate_unevenness, table_axes
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Turn
 from undrift.sim.motion.bench import BenchSettings, TableErrors
@@ -38,7 +38,12 @@ def dwells_of(session, device):
     record = session.records[0]
     parts = [record.gyro[t.start + 20 : t.stop].mean(axis=0) for t in session.turns]
     return Dwells(
-        records=session.records, turns=session.turns, reading=np.array(parts), up=np.ones(len(parts)), settle_s=0.3
+        records=session.records,
+        turns=session.turns,
+        mounting=mountings(session.turns),
+        reading=np.array(parts),
+        up=np.ones(len(parts)),
+        settle_s=0.3,
     )
 
 
@@ -91,7 +96,7 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
     first = session.turns[0]
     gyro[first.stop + 3] = np.nan  # in the ramp, between two dwells about x
     gap = Record(time=record.time, gyro=gyro, accel=record.accel, gyro_unit="count", accel_unit="count")
-    held = Dwells(records=(gap,), turns=dwells.turns, reading=dwells.reading, up=dwells.up, settle_s=0.3)
+    held = replace(dwells, records=(gap,))
     found = table_axes(held, RateTable(), true_accel(device), G)
     about_x = np.array([turn.axis == "x" for turn in session.turns])
     assert np.isnan(found.off[about_x]).all()
@@ -112,7 +117,8 @@ def rippled(theta, ripple=0.004, late=0.0, phase=0.7, n=600):
             pieces.append(gyro)
     record = Record(time=np.arange(n * 6) / 100.0, gyro=np.vstack(pieces))
     reading = np.array([piece.mean(axis=0) for piece in pieces])
-    return Dwells(records=(record,), turns=turns, reading=reading, up=np.ones(6), settle_s=0.0)
+    mounting = np.repeat([0, 1, 2], 2)
+    return Dwells(records=(record,), turns=turns, mounting=mounting, reading=reading, up=np.ones(6), settle_s=0.0)
 
 
 def test_a_ripple_leaves_less_over_whole_turns_than_over_a_part():

@@ -10,6 +10,7 @@ Nearest and floor differ by half a step everywhere, which an offset takes up: co
 not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,6 +99,32 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
         codes = np.round(nodes / step)
         step = float(nodes @ codes / (codes @ codes))
     return float(step), phase
+
+
+def code_steps(records: Sequence[Record], *, rate: bool) -> FloatArray:
+    """Return the step between neighbouring codes of each gyroscope or accelerometer (3,), NaN where readings lie on no grid."""
+    parts = [values for record in records if (values := record.gyro if rate else record.accel) is not None]
+    return np.array([code_grid(column)[0] for column in np.concatenate(parts).T]) if parts else np.full(3, np.nan)
+
+
+# ---- what rounding to codes leaves in a mean reading
+#
+# A reading x + n, n normal of variance s^2, that is rounded to steps q has a mean off x by sum_k q/(pi k) sin(2 pi k x / q)
+# exp(-2 pi^2 k^2 s^2 / q^2), whose variance over all places x between two codes is Q; the readings themselves scatter by S:
+#
+#     Q = sum_k q^2 / (2 pi^2 k^2) exp(-4 pi^2 k^2 s^2 / q^2)       q^2 / 12 without noise
+#     S = s^2 + q^2 / 12 - Q
+
+_NOISES = np.linspace(0.0, 1.0, 201)  # s / q
+_HARMONICS = np.arange(1, 200)[:, None]
+
+
+def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
+    """Return Q for steps q and variances S of single readings (3,); 0 where the step is not known."""
+    left = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(axis=0)
+    shown = _NOISES**2 + 1.0 / 12.0 - left
+    square = np.where(step > 0.0, step, np.inf) ** 2
+    return np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, shown, left)
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:

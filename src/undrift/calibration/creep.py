@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import FloatArray
 from undrift.calibration.observe import Observed, middles, piece_temperatures
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import block_size, noise_of_means
@@ -68,9 +68,11 @@ class Creep:
         """True where no piece is off the reference temperature."""
         return not self.warmth.any()
 
-    def only(self, rows: IntArray | BoolArray | list[int]) -> "Creep":
-        """Return the same of some of the pieces."""
-        return replace(self, warmth=self.warmth[rows])
+    def averaged(self, groups: Sequence[Sequence[int]], weight: FloatArray) -> "Creep":
+        """Return the same of weighted means over groups of pieces."""
+        return replace(
+            self, warmth=np.array([np.average(self.warmth[g], weights=weight[g]) for g in map(list, groups)])
+        )
 
     def findings(self) -> tuple[Finding, ...]:
         """Return what a span above the limit costs, and what to do."""

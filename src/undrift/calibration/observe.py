@@ -12,6 +12,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import code_steps
 from undrift.calibration.checks import check_gravity
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
@@ -214,6 +215,8 @@ def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
         limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
     elif len(seen) > 2:
         limit = max(_OTHERS * float(np.median(seen)), 1e-300)
+        if (seen > limit).any():  # a reading at rest may toggle between two codes
+            limit = max(limit, float(np.nan_to_num(code_steps(session.records, rate=rate)).max()))
     return spreads, limit, unit
 
 

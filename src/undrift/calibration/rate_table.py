@@ -16,9 +16,10 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale, check_saturation
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
-from undrift.calibration.table_axis import Dwells, TableAxes, table_axes, table_findings, with_table
+from undrift.calibration.table_axis import Dwells, TableAxes, mountings, table_axes, table_findings, with_table
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -58,6 +59,8 @@ class DwellMeans:
     unit: str = "rad/s"  # Unit of the readings
     # (N,), middle of each dwell on one clock, s: recordings follow each other. None when it is not known
     time: FloatArray | None = None
+    step: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), step of the codes, ``unit``; 0 or NaN for none
+    codes: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), variance that they leave in a mean; in ``noise`` too
     axes: TableAxes | None = None  # About which axes the table turned the case; None takes ``axis`` as true
     # Standard uncertainties of the table's axis from dwell to dwell and of the mounting, rad; used with ``axes`` alone
     wobble: float = 0.0
@@ -88,14 +91,19 @@ def dwell_means(
         w if cutoff_hz is None else spline_filter(part.time, w, cutoff_hz)
         for part, w in zip(parts, windows, strict=True)
     ]
+    noise = _noise(windows, [blocks[t.recording] for t in used], [AXES.index(t.axis or "x") for t in used])
+    step = code_steps([records[k] for k in blocks], rate=True)
+    codes = code_variance(step, np.median([w.var(axis=0) for w in windows], axis=0)) if used else np.zeros(3)
     return DwellMeans(
         reading=np.array([w.mean(axis=0) for w in smooth]).reshape(-1, 3),
         turn_rate=np.array([t.turn_rate for t in used], float),
         axis=tuple(t.axis for t in used if t.axis is not None),
-        noise=_noise(windows, [blocks[t.recording] for t in used], [AXES.index(t.axis or "x") for t in used]),
+        noise=None if noise is None else np.hypot(noise, np.sqrt(codes)),
         up=np.array([_points_up(part, AXES.index(t.axis or "x")) for part, t in zip(parts, used, strict=True)]),
         unit=unit,
         time=middles(records, used),
+        step=step,
+        codes=codes,
     )
 
 
@@ -500,11 +508,29 @@ def fit_with_rests(
         found = _walks(full, readings, sigma, time)
         size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
         if size > _chance(9) * _excess(found, readings.size - 21):
-            return _refined(fit, dwells, full, readings, found)
+            return _refined(fit, dwells, full, readings, _with_codes(dwells, full, sigma, found))
     found, by_axis = _walks(plain, readings, sigma, time), None
     if rests is None and time is not None and any(one.walk > 0.0 for one in found):
         by_axis = _by_axis(dwells, plain[:, :3], sigma, time)
-    return _refined(fit, dwells, plain, readings, found, by_axis)
+    return _refined(fit, dwells, plain, readings, _with_codes(dwells, plain, sigma, found), by_axis)
+
+
+def _with_codes(dwells: DwellMeans, design: FloatArray, sigma: FloatArray, found: list[WalkFit]) -> list[WalkFit]:
+    """Return fits whose covariance also holds what the codes leave in common: means at one place between two codes err alike.
+
+    Apart by a share d of a step, d in [0, 1), errors of rounding correlate by 1 - 6 d + 6 d^2.
+    """
+    made = []
+    for k, one in enumerate(found):
+        if dwells.codes[k] > 0.0:
+            place = design @ one.theta / dwells.step[k]
+            apart = (place[:, None] - place[None, :]) % 1.0
+            shared = dwells.codes[k] * (1.0 - 6.0 * apart * (1.0 - apart))
+            np.fill_diagonal(shared, 0.0)  # that is in sigma
+            gain = np.linalg.pinv(design / sigma[:, k, None]) / sigma[:, k]
+            one = replace(one, covariance=one.covariance + gain @ shared @ gain.T)
+        made.append(one)
+    return made
 
 
 _SHOWS = 3.0  # standard errors of a scatter that grows with the rate, for it to count
@@ -755,7 +781,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         )
         return Outcome(fit=part, method="rate-table")
     dwells = _on_table(seen, dwells, None if accel is None else accel.model)
-    rests = None if accel is None else _rest_means(seen, accel.model)
+    rests = None if accel is None else _rest_means(seen, accel.model, dwells.codes)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
     if mode != "paper":
@@ -776,14 +802,20 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> D
     """Return dwells with the axes about which the table turned the case."""
     session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
     turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
-    up = np.array(dwells.up)
-    held = Dwells(records=session.records, turns=turns, reading=dwells.reading, up=up, settle_s=seen.settings.settle_s)
+    held = Dwells(
+        records=session.records,
+        turns=turns,
+        mounting=mountings([*turns, *seen.stills])[: len(turns)],
+        reading=dwells.reading,
+        up=np.array(dwells.up),
+        settle_s=seen.settings.settle_s,
+    )
     axes = table_axes(held, table, accel, session.gravity_m_s2)
     wobble, tilt = table.wobble_deg * RADIAN_PER_DEGREE, table.mount_tilt_deg * RADIAN_PER_DEGREE
     return replace(dwells, axes=axes, wobble=wobble, mount_tilt=tilt)
 
 
-def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
+def _rest_means(seen: Observed, accel: TriadModel, codes: FloatArray) -> RestMeans | None:
     """Return readings at rest and specific forces, None where a recording lacks a triad or there is no rest."""
     records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
     parts = [records[s.recording].part(s.start, s.stop) for s in rests]
@@ -803,6 +835,6 @@ def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:
         dwell_force=dwell_force,
         reading=np.array([window.mean(axis=0) for window in windows]),
         force=force,
-        noise=noise,
+        noise=np.hypot(noise, np.sqrt(codes)),
         time=middles(records, rests),
     )

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import code_grid
+from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import (
     check_faces,
     check_gravity,
@@ -30,6 +30,7 @@ from undrift.calibration.checks import (
 )
 from undrift.calibration.creep import Creep, creep_of
 from undrift.calibration.observe import Observed, Outcome, with_offset
+from undrift.calibration.table_axis import mountings
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -42,7 +43,6 @@ from undrift.fit.least_squares import (
     geometric_peak,
     noise_of_means,
     offset_verdict,
-    rounding_variance,
     triad_from_forward,
     whitened,
 )
@@ -77,12 +77,19 @@ _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
 
 def fit_tilted(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, plain: ForwardFit, shared: FloatArray | None = None
+    up: FloatArray,
+    reading: FloatArray,
+    noise: FloatArray,
+    plain: ForwardFit,
+    stated: FloatArray | None = None,
+    shared: FloatArray | None = None,
 ) -> tuple[ForwardFit, float]:
     """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad.
 
-    ``shared`` (3, P, c) are errors that the readings of one sensor have in common, in the same unit.
+    A pose has its stated tilt (P,), rad, beside that of all. ``shared`` (3, P, c) are errors that readings of one sensor have in
+    common, in their unit.
     """
+    stated = np.zeros(len(up)) if stated is None else stated
     inverse = np.linalg.inv(plain.matrix)
     level = (reading - plain.offset) @ inverse.T
     sigma = np.sqrt(noise**2 @ (inverse**2).T)
@@ -90,13 +97,15 @@ def fit_tilted(
     along = np.zeros((3, len(up), 0))
     if shared is not None:
         along = np.concatenate([inverse[:, j, None, None] * shared[j] for j in range(3)], axis=2)
-    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, along, gravity)
+    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity, stated, along)
     best = int(np.argmax(likelihood))
-    if reading.size <= 12 or best == 0:
+    if reading.size <= 12 or (best == 0 and not stated.any()):
         return plain, 0.0
     small = float(np.median(sigma)) / gravity
     over = (tilts + small, tilts + _SMALL_TILT * small)
-    theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
+    theta, covariance = thetas[0], covariances[0]
+    if best > 0:
+        theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
     jacobian = np.zeros((12, 12))
     jacobian[:9, :9], jacobian[9:, 9:] = np.kron(plain.matrix, np.eye(3)), plain.matrix
     matrix = plain.matrix @ theta[:9].reshape(3, 3)
@@ -109,20 +118,23 @@ def fit_tilted(
     return fit, geometric_peak(tilts, likelihood, best) if shows else 0.0
 
 
-def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float) -> FloatArray:
-    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad: up and noise (P, 3), gain per g."""
+def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float | FloatArray) -> FloatArray:
+    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad, of all or of each (P, 1).
+
+    up and noise (P, 3), gain per g.
+    """
     return np.asarray(np.hypot(noise, gain * np.where(up != 0.0, tilt * tilt, tilt)))
 
 
 def _solved(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, shared: FloatArray, length: float
+    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float, stated: FloatArray, shared: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
     smallest = 0.02 * float(np.median(noise)) / length
     tilts = np.concatenate(([0.0], np.geomspace(max(smallest, 1e-9), _LARGEST, _GRID)))
     design = np.column_stack((up / length, np.ones(len(up))))
     unit = np.array([length, length, length, 1.0])
-    sigma = np.stack([tilted_sigma(up, noise, length, float(t)) for t in tilts])
+    sigma = np.stack([tilted_sigma(up, noise, length, np.hypot(t, stated)[:, None]) for t in tilts])
     theta, covariance, likelihood = np.zeros((len(tilts), 12)), np.zeros((len(tilts), 12, 12)), np.zeros(len(tilts))
     for row in range(3):
         in_sigma = shared[row] / sigma[:, :, row, None]
@@ -157,6 +169,8 @@ class FaceMeans:
     faces: tuple[Face, ...]  # Axis that points up in each
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None when it is not known
     unit: str = "m/s2"  # Unit of the readings
+    # (P,), stated standard uncertainty of the tilt of each beside what the readings show, rad; levelled mode alone uses it
+    tilt: FloatArray | None = None
     creep: Creep | None = None  # Of the session's temperature
 
     def shared(self, gravity: float) -> FloatArray | None:
@@ -187,7 +201,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     plain, tilt = fit_forward(up, reading, known, shared), float("nan")
     forward = plain
     if known is not None and mode != "affine":
-        forward, tilt = fit_tilted(up, reading, known, plain, shared)
+        forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt, shared)
     found = Verdict.of(*_judged(poses, plain, known, tilt, mode, gravity))
     if mode == "paper":
         fit, tilt = fit_paper(up, reading, noise, shared, **names), float("nan")
@@ -232,21 +246,17 @@ def face_means(
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
     if noise is not None:
-        noise = np.hypot(noise, _rounding([records[k] for k in {s.recording for s in used}], [r for _, r in filtered]))
+        scatter = np.mean([rest.var(axis=0) for _, rest in filtered], axis=0)
+        noise = np.hypot(
+            noise,
+            np.sqrt(code_variance(code_steps([records[k] for k in {s.recording for s in used}], rate=False), scatter)),
+        )
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
         faces=tuple(s.face for s in used if s.face is not None),
         noise=noise,
         unit=unit,
     )
-
-
-def _rounding(records: list[Record], rests: list[FloatArray]) -> FloatArray:
-    """Return the standard deviation (3,) that rounding leaves in the mean of a face, by the readings about it."""
-    within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
-    columns = np.concatenate([np.asarray(record.accel) for record in records]).T
-    steps = [code_grid(column)[0] for column in columns]
-    return np.sqrt([rounding_variance(step, float(v)) for step, v in zip(steps, within, strict=True)])
 
 
 def _window(record: Record, still: Still, unit: str, window_s: float, degree: int) -> FloatArray:
@@ -313,6 +323,8 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     poses, found = replace(poses, creep=creep), creep.findings()
     if used == "levelled" and poses.noise is None:
         used, found = "affine", (*found, finding("six_face.short_faces", "warn"))
+    if used == "levelled":
+        poses = _by_mounting(seen, poses)
     offset = None
     if used == "paper" and own.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
@@ -327,3 +339,28 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         variance = variance + (0.0 if shared is None else ((share @ shared) ** 2).sum(axis=1))
         fit = with_offset(fit, offset, variance)
     return Outcome(fit=fit, method="six-face", findings=found)
+
+
+def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
+    """Return poses in which the rests of one mounting on a rate table are one.
+
+    Where the other rests show all six faces by themselves, a mounting is off level as stated; else all show alike how far they are.
+    """
+    turns = [turn for turn in seen.session.turns if turn.turn_rate is not None]
+    of_rest = mountings([*seen.faced, *turns])[: len(poses.faces)]
+    if poses.noise is None or not (of_rest >= 0).any():
+        return poses
+    table = seen.settings.rate_table(seen.session.rate_table)
+    groups = [[n] for n in np.flatnonzero(of_rest < 0)]
+    groups += [list(np.flatnonzero(of_rest == mounting)) for mounting in np.unique(of_rest[of_rest >= 0])]
+    weight = 1.0 / np.maximum(poses.noise, 1e-300) ** 2
+    alone = not missing_faces([face for face, mounting in zip(poses.faces, of_rest, strict=True) if mounting < 0])
+    tilt = float(alone) * np.hypot(table.mount_tilt_deg, table.table_level_deg) * RADIAN_PER_DEGREE
+    return replace(
+        poses,
+        reading=np.array([np.average(poses.reading[rows], axis=0, weights=weight[rows]) for rows in groups]),
+        faces=tuple(poses.faces[rows[0]] for rows in groups),
+        noise=np.array([weight[rows].sum(axis=0) ** -0.5 for rows in groups]),
+        tilt=np.array([tilt if of_rest[rows[0]] >= 0 else 0.0 for rows in groups]),
+        creep=poses.creep and poses.creep.averaged(groups, weight.mean(axis=1)),
+    )

@@ -78,28 +78,6 @@ def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: int) 
     return excess
 
 
-# ---- rounding: what the step q of a converter leaves in the mean of many readings
-#
-# With noise sigma before rounding, the mean of codes is off by a bias that depends on where between two codes the input lies. Over
-# all places its variance B and the mean variance v of the codes are
-#
-#     B = sum_k q^2 / (2 pi^2 k^2) exp(-4 pi^2 k^2 sigma^2 / q^2)        v = sigma^2 + q^2 / 12 - B
-#
-# q^2 / 12 without noise, next to nothing above half a step. v is what is seen; it gives sigma, and that B (Widrow and Kollar 2008).
-
-_NOISE_IN_STEPS = np.linspace(0.0, 1.5, 301)
-_HARMONICS = np.arange(1, 51)
-
-
-def rounding_variance(step: float, variance: float) -> float:
-    """Return the variance of the mean of readings that rounding makes, by the step and the variance of one reading."""
-    if not step > 0.0:
-        return 0.0
-    damped = np.exp(-((2.0 * np.pi * np.outer(_NOISE_IN_STEPS, _HARMONICS)) ** 2)) / _HARMONICS**2
-    bias = damped.sum(axis=1) / damped[0].sum() / 12.0
-    return float(np.interp(variance / step**2, _NOISE_IN_STEPS**2 + 1.0 / 12.0 - bias, bias)) * step**2
-
-
 # ---- noise of a mean reading, from the scatter of short block means within the windows
 
 BLOCK_S = 0.5  # means of this length count as independent of each other
