@@ -21,6 +21,7 @@ import numpy as np
 
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces
+from undrift.calibration.creep import creep_of
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
@@ -47,13 +48,15 @@ _LEAST_POSES = 9  # free poses of a multi-position fit
 
 def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Take the offset of the gyroscopes from rests; the scale is the unit's own. An entry of FITS."""
-    offset, variance = seen.rest_rate()
     unit = seen.session.records[0].gyro_unit
-    if np.isnan(offset).any() or not is_physical(unit):
+    if not is_physical(unit):
+        return Outcome(findings=(finding("gyro.not_observable", "warn"),))
+    factor, creep = si_factor(unit, "rate"), creep_of(seen, seen.stills, "gyro")
+    offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
+    if np.isnan(offset).any():
         return Outcome(findings=(finding("gyro.not_observable", "warn"),))
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.diag(variance)
-    factor = si_factor(unit, "rate")
     residuals = (seen.rest_means() - offset) * factor
     fit = triad_fit(
         residuals,
@@ -68,7 +71,7 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
         condition=1.0,
         valid_range=(0.0, 0.0),
     )
-    return Outcome(fit=fit, method="rest")
+    return Outcome(fit=fit, method="rest", findings=creep.findings())
 
 
 class FitMethod(NamedTuple):

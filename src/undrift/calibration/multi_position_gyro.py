@@ -4,10 +4,10 @@
                                    integrated from w = M (u - o); n_j direction of gravity in still j, from the accelerometer
 
 M is a full matrix in the accelerometer's axes. A turn shows two angles; the one about the vertical is not observable. Turns
-weigh by the covariance of the missed angles: noise of both stills (a still between two turns ties them together), uncertainty
-of the accelerometer's calibration, white noise over the turn, drift of the offset between stills, and an excess that the
-residuals show; the stills' readings are observations of the offset. With ``equal``, as published, every turn counts alike and
-the offset is the mean of the opening rest.
+weigh by the covariance of the missed angles: noise of both stills (a still between two turns ties them together), uncertainty of
+the accelerometer's calibration, white noise over the turn, drift of the offset between stills, temperature creep (creep.py), and an
+excess that the residuals show; the stills' readings are observations of the offset. With ``equal``, as published, every turn counts
+alike and the offset is the mean of the opening rest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,12 +17,13 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range
+from undrift.calibration.creep import Creep
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import MATRIX_NAMES, TriadModel, Verdict, level_of
 from undrift.record import Record, Still
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- moves between stills; direction of gravity and offset in the stills
 #
@@ -243,6 +244,7 @@ class _Problem:
     prior: OffsetPrior
     unit: float
     free: int
+    creep: tuple[Creep, Creep] | None = None  # Of accelerometers and gyroscopes in the stills
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -263,8 +265,9 @@ def fit_gyro_between_stills(
     cores: Sequence[Still] | None = None,
     equal: bool = False,
     rest_s: float | None = None,
+    creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the moves between still poses."""
+    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
     moves = cut_moves(records, stills, stills if cores is None else cores)
     if len(moves.first) < 5:
         raise NotObservable(
@@ -289,6 +292,7 @@ def fit_gyro_between_stills(
         prior=prior,
         unit=unit,
         free=9 if equal else 12,
+        creep=creep,
     )
     start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
     p, covariance, missed = _solve(problem, start)
@@ -397,9 +401,30 @@ def _covariance_of_angles(problem: _Problem, missed: _Missed, p: FloatArray) -> 
     by_offset = missed.jacobian[:, 9:] / problem.unit
     for column, drift in zip(by_offset.T, prior.drift_covariance, strict=True):
         total += np.outer(column, column) * np.kron(drift, np.ones((2, 2)))
+    if problem.creep is not None:
+        shared = np.hstack(
+            (_by_accel_creep(problem, problem.creep[0], by_still), _by_gyro_creep(problem, problem.creep[1], missed, p))
+        )
+        total += shared @ shared.T
     matrix = p[:9].reshape(3, 3) / problem.unit
     noise = float((matrix**2 @ prior.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
     return np.asarray(total + np.diag(np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2)))
+
+
+def _by_accel_creep(problem: _Problem, creep: Creep, by_still: FloatArray) -> FloatArray:
+    """Return how offset and scale of each accelerometer turn the angles (2 J, 6): by_still (J, 2, K, 3) their derivative by n."""
+    unit, jacobian, _ = problem.directions
+    columns = [creep.columns(STANDARD_GRAVITY * unit[:, j], float(problem.accel.scale_factor[j])) for j in range(3)]
+    moved = np.stack([-jacobian[:, :, 9 + j, None] * columns[j][:, None, :] for j in range(3)], axis=2)  # (K, 3, 3, 2)
+    return np.asarray(np.einsum("jeka,kabc->jebc", by_still, moved).reshape(2 * len(by_still), 6))
+
+
+def _by_gyro_creep(problem: _Problem, creep: Creep, missed: _Missed, p: FloatArray) -> FloatArray:
+    """Return how the scale of each gyroscope turns the angles (2 J, 3); the stills themselves show how its offset moves."""
+    before = problem.moves.before
+    warmth = 0.5 * (creep.warmth[before] + creep.warmth[before + 1])
+    by_scale = (missed.jacobian[:, :9] * p[:9]).reshape(-1, 3, 3).sum(axis=1)
+    return np.asarray(creep.scale_per_k * np.repeat(warmth, 2)[:, None] * by_scale)
 
 
 def _tangent(n: FloatArray) -> FloatArray:

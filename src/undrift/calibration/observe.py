@@ -275,13 +275,17 @@ def _unit(session: Session, rate: bool) -> str:
 # by one do not (flicker, a filter), blocks of an eighth of a rest show slow drift. s2 is the scatter between rests beyond that
 # (Paule and Mandel): each switch-on has an offset of its own. Few rests know their own scatter badly, so that s2 counts k times,
 # k = (t / z)^2 with t and z the 97.5 % points of Student's distribution, for one rest less than there are, and of the normal.
+# Where offsets creep with temperature (calibration/creep.py), m_p - m = c_p z + noise with z ~ N(0, 1): the shares are those of
+# V = diag(v + s2) + c c', and s2 is the scatter about the most likely c z.
 
 _LONG_BLOCKS = 8  # of one rest
 _ROUNDS = 50
 
 
-def mean_of_rests(windows: Sequence[FloatArray], sizes: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean reading over rests and its variance: windows (N, 3), block sizes -> (3,), (3,)."""
+def mean_of_rests(
+    windows: Sequence[FloatArray], sizes: Sequence[int], creep: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean reading over rests and its variance: windows (N, 3), block sizes, c (P,) -> (3,), (3,)."""
     means = np.array([w.mean(axis=0) for w in windows])
     variances = np.array([w.var(axis=0) / max(1, len(w) - 1) for w in windows])
     long = [max(size, len(w) // _LONG_BLOCKS) for w, size in zip(windows, sizes, strict=True)]
@@ -289,21 +293,28 @@ def mean_of_rests(windows: Sequence[FloatArray], sizes: Sequence[int]) -> tuple[
         noise = noise_of_means(windows, lengths)
         if noise is not None:
             variances = np.maximum(variances, noise**2)
+    c = np.zeros(len(means)) if creep is None else creep
     if len(means) == 1:
-        return means[0], variances[0]
+        return means[0], variances[0] + c[0] ** 2
     factor, mean, variance = widening_of(len(means) - 1), np.zeros(3), np.zeros(3)
     for axis in range(3):
         value, own = means[:, axis], variances[:, axis]
-        excess, middle = 0.0, float(value.mean())
+        excess, middle, moved, spent = 0.0, float(value.mean()), np.zeros(len(value)), 0.0
         for _ in range(_ROUNDS):
-            before, excess = excess, excess_variance(value - middle, own, len(value) - 1)
+            before, excess = excess, excess_variance(value - middle - moved, own, len(value) - 1 - spent)
             total = own + excess
-            weight = 1.0 / total if (total > 0.0).all() else np.ones(len(value))
-            middle = float(weight @ value / weight.sum())
+            known = (total > 0.0).all()
+            weight = 1.0 / total if known else np.ones(len(value))
+            seen = float(weight @ c**2) if known else np.inf
+            spent = seen / (1.0 + seen) if np.isfinite(seen) else float(c.any())
+            slope = weight * c / (weight @ c**2) if c.any() else c
+            share = weight - spent * slope * float(weight @ c)  # V^-1 1
+            share /= share.sum()
+            middle = float(share @ value)
+            moved = spent * float(slope @ (value - middle)) * c
             if abs(excess - before) <= 1e-6 * excess:
                 break
-        share = weight / weight.sum()
-        mean[axis], variance[axis] = middle, float(share**2 @ (own + factor * excess))
+        mean[axis], variance[axis] = middle, float(share**2 @ (own + factor * excess)) + float(share @ c) ** 2
     return mean, variance
 
 
@@ -515,17 +526,21 @@ class Observed:
         own = [(r.gyro, [s for s in self.stills if s.recording == k]) for k, r in enumerate(self.session.records)]
         return np.concatenate([still_means(gyro, stills) for gyro, stills in own if gyro is not None])
 
-    def rest_rate(self) -> tuple[FloatArray, FloatArray]:
-        """Return the mean rate reading over all rests and its variance, (3,) each."""
-        windows, sizes = [], []
-        for still in self.stills:
+    def rest_rate(self, creep: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return the mean rate reading over all rests and its variance, (3,) each; creep (P,) of each rest, unit of the reading."""
+        windows, sizes, rows = [], [], []
+        for row, still in enumerate(self.stills):
             record = self.session.records[still.recording]
             if record.gyro is not None:
                 window = record.gyro[still.start : still.stop]
-                windows.append(window[~np.isnan(window).any(axis=1)])
-                sizes.append(block_size(record.sample_rate_hz))
-        pairs = [(window, size) for window, size in zip(windows, sizes, strict=True) if len(window)]
-        return mean_of_rests(*zip(*pairs, strict=True)) if pairs else (np.full(3, np.nan), np.full(3, np.nan))
+                window = window[~np.isnan(window).any(axis=1)]
+                if len(window):
+                    windows.append(window)
+                    sizes.append(block_size(record.sample_rate_hz))
+                    rows.append(row)
+        if not windows:
+            return np.full(3, np.nan), np.full(3, np.nan)
+        return mean_of_rests(windows, sizes, None if creep is None else creep[rows])
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns."""

@@ -55,7 +55,7 @@ def scaled_condition(design: FloatArray) -> tuple[int, float]:
 # ---- excess variance: what the residuals show beyond the stated noise
 
 
-def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: int) -> float:
+def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float) -> float:
     """Return s2 >= 0 such that sum r_k^2 / (v_k + s2) = degrees of freedom, for residuals r and variances v (E,).
 
     The stated variances know the noise within a rest. A hand that sways, a table that is not quite still or a nonlinearity
