@@ -12,12 +12,13 @@ smallest summed cost over the first second of each still, which may keep few pos
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity, check_own_scale, check_range
 from undrift.calibration.creep import Creep, Kind, creep_of
 from undrift.calibration.multi_position_gyro import fit_gyro_between_stills
@@ -394,6 +395,7 @@ class StillVariance:
     at_rest: float  # Value of ``level`` at rest, raw unit squared
     sums: FloatArray  # (2, N + 1, 3), running sums of the readings less ``centre``, and of their squares
     centre: FloatArray  # (3,), raw unit
+    step: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), of the codes, raw unit; 0 or NaN for none
 
     def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
         """Return the stretches [start, stop) below a threshold."""
@@ -519,6 +521,8 @@ def fit_multi_position(
             "map the accelerometer columns and their unit"
         )
     levels = [still_variance(r, window_s=settings.window_s, rest_s=settings.rest_s) for r in records]
+    step = code_steps(records, rate=False)
+    levels = [replace(level, step=step) for level in levels]
     shortest = [max(2, round(settings.min_still_s * r.sample_rate_hz)) for r in records]
     stated = {} if stills is None else {np.nan: tuple(stills)}
     tried = stated or {m: _stills(levels, m, shortest) for m in settings.multiples}
@@ -645,7 +649,8 @@ def _poses(levels: list[StillVariance], stills: tuple[Still, ...]) -> tuple[Floa
         count = (stop - start)[:, None].astype(float)
         sums, squares = level.sums[:, stop] - level.sums[:, start]
         within = (squares - sums**2 / count).sum(axis=0) / max(1.0, float(count.sum()) - len(rows))
-        means[rows], variances[rows] = sums / count + level.centre, np.maximum(within, 0.0) / count
+        within = np.maximum(within, 0.0)
+        means[rows], variances[rows] = sums / count + level.centre, within / count + code_variance(level.step, within)
     return means, variances
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range
 from undrift.calibration.creep import Creep
 from undrift.errors import InputError, NotObservable, PoorFit
@@ -279,6 +280,8 @@ def fit_gyro_between_stills(
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     check_range(within, "gyroscope in moves between poses")
     prior = offset_prior(moves)
+    codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
+    prior = replace(prior, variance=prior.variance + codes)
     if equal:
         start = records[0].time[0]
         rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
@@ -421,10 +424,13 @@ def _by_accel_creep(problem: _Problem, creep: Creep, by_still: FloatArray) -> Fl
 
 def _by_gyro_creep(problem: _Problem, creep: Creep, missed: _Missed, p: FloatArray) -> FloatArray:
     """Return how the scale of each gyroscope turns the angles (2 J, 3); the stills themselves show how its offset moves."""
-    before = problem.moves.before
-    warmth = 0.5 * (creep.warmth[before] + creep.warmth[before + 1])
+    warmth = _warmth_of_moves(problem, creep)
     by_scale = (missed.jacobian[:, :9] * p[:9]).reshape(-1, 3, 3).sum(axis=1)
     return np.asarray(creep.scale_per_k * np.repeat(warmth, 2)[:, None] * by_scale)
+
+
+def _warmth_of_moves(problem: _Problem, creep: Creep) -> FloatArray:
+    return np.asarray(0.5 * (creep.warmth[problem.moves.before] + creep.warmth[problem.moves.before + 1]))
 
 
 def _tangent(n: FloatArray) -> FloatArray:
@@ -466,7 +472,11 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
     total = covariance * np.outer(carry, carry)
-    total[9:, 9:] += np.diag((problem.prior.drift**2).mean(axis=0))  # one offset stands for all of the session
+    drift = problem.prior.drift
+    if problem.creep is not None and not problem.creep[1].none:  # the offset is that at the reference temperature
+        warmth = _warmth_of_moves(problem, problem.creep[1])[:, None]
+        drift = drift - warmth @ np.linalg.pinv(warmth) @ drift
+    total[9:, 9:] += np.diag((drift**2).mean(axis=0))  # one offset stands for all of the session
     inside = [moves.gyro[a + 1 : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     rate = (np.concatenate(inside) - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]

@@ -12,7 +12,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import code_steps
+from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
@@ -540,7 +540,9 @@ class Observed:
                     rows.append(row)
         if not windows:
             return np.full(3, np.nan), np.full(3, np.nan)
-        return mean_of_rests(windows, sizes, None if creep is None else creep[rows])
+        mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rows])
+        scatter = np.mean([window.var(axis=0) for window in windows], axis=0)  # all rests lie at one place between two codes
+        return mean, variance + code_variance(code_steps(self.session.records, rate=True), scatter)
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns."""
