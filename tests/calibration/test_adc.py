@@ -8,6 +8,7 @@ from undrift.calibration.adc import (
     AdcFinding,
     adc_model,
     code_grid,
+    code_variance,
     identify_adc,
     identify_record_adc,
     without_truncation,
@@ -118,3 +119,16 @@ def test_code_zero_stays_zero_under_the_dust_that_a_change_of_axes_leaves() -> N
     given_back = without_truncation(codes, lsb, "toward_zero")
     assert np.array_equal(given_back[0], codes[0])
     assert given_back[1] == pytest.approx([0.0915, -0.0915, 0.1525], abs=1e-15)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.5])
+def test_the_variance_that_codes_leave_in_a_mean_is_that_of_rounded_noise(noise: float) -> None:
+    # 4,000 places between two codes, 4,000 readings each: squares of means scatter by 2.2 %, the readings by 1 in 4,000
+    rng = np.random.default_rng(4)
+    place = rng.uniform(-0.5, 0.5, 4000)
+    codes = np.round(place[:, None] + noise * rng.standard_normal((4000, 4000)))
+    square = float(((codes.mean(axis=1) - place) ** 2).mean())
+    scatter = float(codes.var(axis=1, ddof=1).mean())
+    left = code_variance(np.array([3.0, np.nan, 0.0]), 9.0 * np.full(3, scatter))
+    np.testing.assert_array_equal(left[1:], 0.0)  # a step that is not known, and none
+    assert left[0] / 9.0 == pytest.approx(square - scatter / 4000, rel=0.1, abs=3e-5)

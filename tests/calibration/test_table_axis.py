@@ -11,7 +11,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.calibration.table_axis import Dwells, mountings, rate_unevenness, table_axes
 from undrift.errors import InputError
-from undrift.record import RateTable, Record, Turn
+from undrift.record import RateTable, Record, Still, Turn
 from undrift.sim.motion.bench import BenchSettings, TableErrors
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.sessions import simulate_session
@@ -75,6 +75,86 @@ def turn_axis(session, turn):
     reading = record.gyro[turn.start + 20 : turn.stop].mean(axis=0)
     rate = np.linalg.solve(device.gyro.forward_matrix, reading - device.gyro.raw_offset)
     return rate / np.linalg.norm(rate) * np.sign(turn.turn_rate)
+
+
+def pieces_of(*words):
+    """Return pieces one after the other: rests by their face, "?" in any pose; turns by axis, or axis and "by" an angle."""
+    made = []
+    for n, word in enumerate(words):
+        span = {"start": 10 * n, "stop": 10 * n + 9}
+        if word == "?" or word[0] in "+-":
+            made.append(Still(face=None if word == "?" else word, **span))
+        else:
+            made.append(Turn(axis=word[0], **({"angle": 6.0} if "by" in word else {"turn_rate": 1.0}), **span))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("words", "numbers"),
+    [
+        ("-x +x x x ? +x", [-1, 0, 0, 0, -1, 0]),  # the rest before on the other face is a mounting of its own
+        ("+x x +y y y +x x", [0, 0, 1, 1, 1, 2, 2]),
+        ("+x x -x x", [0, 0, 1, 1]),
+        ("+x -x +y", [-1, -1, -1]),  # six faces on a plate
+        ("+x xby +x x", [-1, -1, 0, 0]),
+        ("x y", [0, 1]),
+    ],
+)
+def test_rests_and_turns_that_follow_each_other_with_one_axis_up_are_one_mounting(words, numbers):
+    found = mountings(pieces_of(*words.split()))
+    assert (found < 0).tolist() == [number < 0 for number in numbers]
+    on = found >= 0
+    alike = np.array(numbers)[:, None] == np.array(numbers)[None, :]
+    np.testing.assert_array_equal((found[:, None] == found[None, :])[np.ix_(on, on)], alike[np.ix_(on, on)])
+
+
+def test_dwells_in_recordings_of_their_own_are_one_mounting_too():
+    """A rig run writes a recording for each dwell: the azimuth is then known within each alone."""
+    device, session = turned()
+    dwells = dwells_of(session, device)
+    record = session.records[0]
+    parts = tuple(record.part(turn.start, turn.stop) for turn in session.turns)
+    turns = tuple(
+        replace(turn, recording=n, start=0, stop=turn.stop - turn.start) for n, turn in enumerate(session.turns)
+    )
+    apart = replace(dwells, records=parts, turns=turns, mounting=mountings(turns))
+    table = RateTable(mount_tilt_deg=0.5, table_level_deg=0.2)
+    lone = table_axes(apart, table, None, G)
+    off = [place for place in range(9) if place % 4]
+    np.testing.assert_allclose(np.sqrt(np.diag(lone.covariance)[off]), 0.5 * DEG, rtol=1e-9)
+    whole, found = (table_axes(one, table, true_accel(device), G) for one in (dwells, apart))
+    true = np.array([turn_axis(session, turn) for turn in session.turns])
+    error = np.abs(found.axis_b - true).max()
+    sigma = np.sqrt(np.diag(found.covariance)[off]).max()
+    # The level, 0.2 deg, is an unknown of each of six dwells; those of 20 deg/s turn by a sixth.
+    assert error < 3.0 * sigma
+    assert sigma < 0.2 * DEG
+    assert sigma > 1.5 * np.sqrt(np.diag(whole.covariance)[off]).max()
+
+
+def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_share():
+    device, session = turned(table=TableErrors(), dwell_s=6.0)
+    record = session.records[0]
+    accel = true_accel(device)
+    step = 0.1 / accel.matrix[0, 0]  # 0.1 m/s2, 10 bits of 5 g
+    coarse = replace(record, accel=np.round(record.accel / step) * step)
+    table = RateTable(mount_tilt_deg=5.0, table_level_deg=0.0, wobble_deg=0.0)
+    found = [
+        table_axes(replace(dwells_of(session, device), records=(one,)), table, accel, G) for one in (record, coarse)
+    ]
+    off = [place for place in range(9) if place % 4]
+    more = np.diag(found[1].covariance - found[0].covariance)[off]
+    assert np.all(more > 0.9 * 0.1**2 / 12.0 / G**2)  # the sensors' scales differ by some per cent
+
+
+def test_rests_on_a_table_are_no_level_faces_where_a_plate_shows_all_six():
+    device, session = turned("bench", TableErrors(mount_tilt_sd=0.5 * DEG), still_s=3.0)
+    stated = CalibrateSettings(identify_adc=False, mount_tilt_deg=0.5)
+    made = calibrate(session, settings=stated).accel
+    assert made is not None
+    away = made.matrix @ device.accel.forward_matrix - np.eye(3)
+    # The plate is level. A rest on the table taken for a face of its own has a third of 0.5 deg in it.
+    assert np.abs(away).max() < 0.02 * DEG
 
 
 def test_without_accelerometers_the_mounting_stays_in_the_covariance_in_full():

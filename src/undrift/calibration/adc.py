@@ -124,7 +124,7 @@ def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
     left = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(axis=0)
     shown = _NOISES**2 + 1.0 / 12.0 - left
     square = np.where(step > 0.0, step, np.inf) ** 2
-    return np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, shown, left)
+    return np.asarray(np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, shown, left))
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:

@@ -13,7 +13,7 @@ recording that would show it; so is what a kind of session never shows, however 
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from typing import Any, Literal, NamedTuple
 
@@ -348,11 +348,13 @@ def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: M
         turns = seen.full_turns()
     names = ("window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg")
     numbers = ((name, getattr(settings, name)) for name in names)
+    table = settings.rate_table(session.rate_table)
+    of_table = tuple((item.name, f"{getattr(table, item.name):g}") for item in fields(table) if gyro == "rate-table")
     shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(
         inputs=session.inputs,
         settings=(
-            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown),
+            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown, *of_table),
             ("gravity", session.gravity_source),
             ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
             ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),

@@ -541,7 +541,8 @@ class Observed:
         if not windows:
             return np.full(3, np.nan), np.full(3, np.nan)
         mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rows])
-        scatter = np.mean([window.var(axis=0) for window in windows], axis=0)  # all rests lie at one place between two codes
+        # All rests lie at one place between two codes
+        scatter = np.mean([window.var(axis=0) for window in windows], axis=0)
         return mean, variance + code_variance(code_steps(self.session.records, rate=True), scatter)
 
     def mean_temperature(self) -> float:

@@ -8,8 +8,8 @@ off the vertical by l, and the accelerometers are off it by an arm r. Dwell i at
     minimise  sum |residual|^2 / s^2 + |l|^2 / level^2 + |r|^2 / arm^2
 
 psi is the integral of the gyroscope of the axis within a recording, so dwells need no whole turns. All mountings share the
-accelerometers' errors; d of all is the mean of what is felt and of 0 +- mount, by their covariances. Without accelerometers d = 0 +-
-mount. The errors that are left multiply every rate: w_true = (I + D) w, so that
+accelerometers' errors; d of all is the mean of what is felt and of 0 +- mount, by their covariances, and without accelerometers
+0 +- mount. The errors that are left multiply every rate: w_true = (I + D) w, so that
 
     dM = D M        dG = D G        D = [d_x, d_y, d_z] + diag(relative error of the rate)
 
@@ -19,7 +19,7 @@ A b^2 in the mean: none over whole turns. The first half less the second, h, sho
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from undrift.calibration.adc import code_steps, code_variance
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import block_size
 from undrift.model import AXES, TriadModel, level_of
-from undrift.record import RateTable, Record, Still, Turn
+from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
 ARM_SD_M = 0.1  # m, of the accelerometers from the table's axis: half the plate of a small table
@@ -94,13 +94,14 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
     Turns about one axis at stated rates and rests with that axis up belong together as long as nothing else comes between.
     """
     runs: list[list[int]] = [[]]
-    axis = face = None
+    axis: Axis | None = None
+    face: Face | None = None
     for n in sorted(range(len(pieces)), key=lambda n: (pieces[n].recording, pieces[n].start)):
         piece = pieces[n]
         if isinstance(piece, Turn):
             up, about = None, None if piece.turn_rate is None else piece.axis
         elif piece.face is not None:
-            up, about = piece.face, piece.face[-1]
+            up, about = piece.face, AXES["xyz".index(piece.face[-1])]
         else:
             continue  # a rest in any pose
         if about is None or about != axis or (up and face and up != face):
@@ -166,9 +167,7 @@ def _accel_codes(dwells: Dwells) -> FloatArray:
     return code_variance(code_steps(dwells.records, rate=False), scatter)
 
 
-def _with_prior(
-    seen: list[_Mounted], accel: TriadModel, table: RateTable
-) -> tuple[FloatArray, FloatArray, float]:
+def _with_prior(seen: list[_Mounted], accel: TriadModel, table: RateTable) -> tuple[FloatArray, FloatArray, float]:
     """Return d of each mounting (B, 2), the covariance of all (2B, 2B), and the largest as felt in its standard deviations."""
     felt = np.concatenate([one.tilt for one in seen])
     jacobian = np.vstack([one.of_accel for one in seen])
@@ -193,7 +192,7 @@ def _felt(
     dwells: Dwells, rows: list[int], line: FloatArray, table: RateTable, accel: TriadModel, gravity_m_s2: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return d (2,) of one mounting and its covariance (2, 2), without that of the accelerometers; None where it is not seen."""
-    up, k = float(dwells.up[rows[0]]), int(dwells.own[rows[0]])
+    up = float(dwells.up[rows[0]])
     recordings = sorted({dwells.turns[n].recording for n in rows})
     parts: list[FloatArray] = []  # of each dwell, its block means: cos psi, sin psi, the two components felt
     for recording in recordings:
@@ -313,10 +312,10 @@ def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
         yield finding("rate_table.uneven_rate", level, axis=axis, uncertainty_percent=worst, wanted=wanted)
 
 
-def with_table(model: TriadModel, covariance: FloatArray) -> TriadModel:
-    """Return a model of rates whose covariance also holds what multiplies every rate, (9, 9)."""
+def table_term(model: TriadModel, covariance: FloatArray) -> FloatArray:
+    """Return what multiplies every rate, with its covariance (9, 9), as a term of that of a model."""
     jacobian = np.zeros((len(model.covariance), 9))
     jacobian[:9] = np.kron(np.eye(3), model.matrix.T)
     if model.g_sensitivity is not None:
         jacobian[12:21] = np.kron(np.eye(3), model.g_sensitivity.T)
-    return replace(model, covariance=model.covariance + jacobian @ covariance @ jacobian.T)
+    return np.asarray(jacobian @ covariance @ jacobian.T)

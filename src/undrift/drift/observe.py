@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.rate_table import dwell_means
+from undrift.calibration.dwells import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.fit.least_squares import block_size
 from undrift.record import Record, Session, Still, Turn
