@@ -350,11 +350,13 @@ def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: M
     numbers = ((name, getattr(settings, name)) for name in names)
     table = settings.rate_table(session.rate_table)
     of_table = tuple((item.name, f"{getattr(table, item.name):g}") for item in fields(table) if gyro == "rate-table")
+    sensitivity = settings.sensitivity(session.sensitivity)
+    of_creep = tuple((item.name, f"{getattr(sensitivity, item.name):g}") for item in fields(sensitivity))
     shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(
         inputs=session.inputs,
         settings=(
-            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown, *of_table),
+            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown, *of_table, *of_creep),
             ("gravity", session.gravity_source),
             ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
             ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),
