@@ -11,7 +11,7 @@ from testkit.data import data_path, show
 from testkit.stepper_jig import turned
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration
-from undrift.record import RateTable, Session
+from undrift.record import RateTable, Session, TemperatureSensitivity
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
@@ -293,6 +293,32 @@ def test_the_command_overrules_the_rate_table_of_the_session(undrift, tmp_path):
     assert "wanted mount_tilt_deg from 0 to 10, got -1" in undrift.refused(
         "calibrate", folder, "--mount-tilt-deg", "-1"
     )
+
+
+def test_the_command_overrules_the_temperature_sensitivities_of_the_session(undrift, tmp_path):
+    rng = np.random.default_rng(7)
+    device = random_device(rng)
+    session = simulate_session(
+        "six_face", device, rng=rng, settings=BenchSettings(tilt_sd=0.3 * DEG), temp_c=(22.0, 28.0)
+    )
+    folder = tmp_path / "s"
+    write_session(replace(session, sensitivity=TemperatureSensitivity(accel_offset_mg_per_k=1.0)), folder)
+    stated = undrift.good("calibrate", folder, "--json").json()
+    words = ("--accel-offset-mg-per-k", "0.25", "--span-limit-k", "8", "--accel-scale-percent-per-k", "0.03")
+    words += ("--gyro-offset-dps-per-k", "0.04", "--gyro-scale-percent-per-k", "0.01", "--unrecorded-span-k", "2")
+    asked = undrift.good("calibrate", folder, *words, "--json").json()
+    at = stated["accel"]["parameters"].index("offset_x")
+    sigma = [np.sqrt(answer["accel"]["covariance"][at][at]) for answer in (stated, asked)]
+    assert 2.0 < sigma[0] / sigma[1] < 4.0  # four times the prior; faces off level by 0.3 deg hardly narrow it
+    codes = [{item["code"] for item in answer["verdict"]["findings"]} for answer in (stated, asked)]
+    assert ["session.temperature_creep" in found for found in codes] == [True, False]
+    held = [dict(answer["provenance"]["settings"]) for answer in (stated, asked)]
+    assert (held[0]["accel_offset_mg_per_k"], held[0]["span_limit_k"]) == ("1", "2")
+    names = ("accel_offset_mg_per_k", "span_limit_k", "accel_scale_percent_per_k", "gyro_offset_dps_per_k")
+    names += ("gyro_scale_percent_per_k", "unrecorded_span_k")
+    assert [held[1][name] for name in names] == ["0.25", "8", "0.03", "0.04", "0.01", "2"]
+    refused = undrift.refused("calibrate", folder, "--accel-offset-mg-per-k", "-1")
+    assert "wanted accel_offset_mg_per_k from 0 to 100, got -1" in refused
 
 
 @pytest.mark.parametrize(("sensor", "code"), [("bno", 0), ("lsm", 1)])

@@ -21,6 +21,7 @@ import numpy as np
 
 from undrift.calibration.adc import identify_record_adc, restored
 from undrift.calibration.checks import missing_faces
+from undrift.calibration.creep import creep_of
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
@@ -47,13 +48,15 @@ _LEAST_POSES = 9  # free poses of a multi-position fit
 
 def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Take the offset of the gyroscopes from rests; the scale is the unit's own. An entry of FITS."""
-    offset, variance = seen.rest_rate()
     unit = seen.session.records[0].gyro_unit
-    if np.isnan(offset).any() or not is_physical(unit):
+    if not is_physical(unit):
+        return Outcome(findings=(finding("gyro.not_observable", "warn"),))
+    factor, creep = si_factor(unit, "rate"), creep_of(seen, seen.stills, "gyro")
+    offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
+    if np.isnan(offset).any():
         return Outcome(findings=(finding("gyro.not_observable", "warn"),))
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.diag(variance)
-    factor = si_factor(unit, "rate")
     residuals = (seen.rest_means() - offset) * factor
     fit = triad_fit(
         residuals,
@@ -68,7 +71,7 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
         condition=1.0,
         valid_range=(0.0, 0.0),
     )
-    return Outcome(fit=fit, method="rest")
+    return Outcome(fit=fit, method="rest", findings=creep.findings())
 
 
 class FitMethod(NamedTuple):
@@ -347,11 +350,13 @@ def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: M
     numbers = ((name, getattr(settings, name)) for name in names)
     table = settings.rate_table(session.rate_table)
     of_table = tuple((item.name, f"{getattr(table, item.name):g}") for item in fields(table) if gyro == "rate-table")
+    sensitivity = settings.sensitivity(session.sensitivity)
+    of_creep = tuple((item.name, f"{getattr(sensitivity, item.name):g}") for item in fields(sensitivity))
     shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(
         inputs=session.inputs,
         settings=(
-            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown, *of_table),
+            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown, *of_table, *of_creep),
             ("gravity", session.gravity_source),
             ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
             ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),

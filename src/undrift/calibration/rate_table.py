@@ -17,6 +17,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.checks import check_axis_order, check_own_scale
+from undrift.calibration.creep import Creep, creep_of
 from undrift.calibration.dwells import SHOWS, DwellMeans, Linearity, dwell_means, imposed_rates, linearity, with_terms
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.calibration.rate_table_axes import fit_turned_axes
@@ -419,17 +420,17 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     turned = tuple(sorted(set(dwells.axis)))
     if 0 < len(turned) < 3:
         prior = own.cross_axis_prior
-        part = fit_turned_axes(
-            _on_table(seen, dwells, None), latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior
-        )
-        return Outcome(fit=part, method="rate-table")
-    dwells = _on_table(seen, dwells, None if accel is None else accel.model)
+        dwells, found = _on_table(seen, dwells, None)
+        part = fit_turned_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior)
+        return Outcome(fit=part, method="rate-table", findings=found)
+    dwells, found = _on_table(seen, dwells, None if accel is None else accel.model)
     rests = None if accel is None else _rest_means(seen, accel.model, dwells.codes)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
     if mode != "paper":
         fit = fit_rate_table(dwells, latitude_deg=latitude, scale_tolerance=tolerance)
-        return Outcome(fit=fit_with_rests(fit, dwells, rests, latitude_deg=latitude), method="rate-table")
+        fit = fit_with_rests(fit, dwells, rests, latitude_deg=latitude)
+        return Outcome(fit=fit, method="rate-table", findings=found)
     offset = None
     if own.remove_offset:
         offset, variance = seen.rest_rate()
@@ -438,11 +439,12 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
         dwells = replace(dwells, reading=dwells.reading - offset)
     paper: TriadFit = fit_rate_table(dwells, mode="paper", latitude_deg=latitude, scale_tolerance=tolerance)
-    return Outcome(fit=paper if offset is None else with_offset(paper, offset, variance), method="rate-table")
+    paper = paper if offset is None else with_offset(paper, offset, variance)
+    return Outcome(fit=paper, method="rate-table", findings=found)
 
 
-def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> DwellMeans:
-    """Return dwells with the axes about which the table turned the case."""
+def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> tuple[DwellMeans, tuple[Finding, ...]]:
+    """Return dwells with the axes about which the table turned the case, and what the temperature did."""
     session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
     turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
     held = Dwells(
@@ -454,8 +456,17 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> D
         settle_s=seen.settings.settle_s,
     )
     axes = table_axes(held, table, accel, session.gravity_m_s2)
+    creep = creep_of(seen, turns, "gyro")
+    axes = replace(axes, covariance=axes.covariance + _scale_creep(dwells, creep))
     wobble, tilt = table.wobble_deg * RADIAN_PER_DEGREE, table.mount_tilt_deg * RADIAN_PER_DEGREE
-    return replace(dwells, axes=axes, wobble=wobble, mount_tilt=tilt)
+    return replace(dwells, axes=axes, wobble=wobble, mount_tilt=tilt), creep.findings()
+
+
+def _scale_creep(dwells: DwellMeans, creep: Creep) -> FloatArray:
+    """Return the covariance (9, 9) of what creep of the scale multiplies rates by: its slope by the mean warmth of an axis."""
+    square = np.where(np.array(dwells.axis)[:, None] == np.array(AXES), dwells.turn_rate[:, None] ** 2, 0.0)
+    warmth = creep.warmth @ square / np.maximum(square.sum(axis=0), 1e-300)
+    return np.diag(np.diag(creep.scale_per_k * warmth).reshape(9) ** 2)
 
 
 def _rest_means(seen: Observed, accel: TriadModel, codes: FloatArray) -> RestMeans | None:

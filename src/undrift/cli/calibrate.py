@@ -15,6 +15,7 @@ from undrift.cli.common import (
     OptionalOutput,
     Place,
     Rests,
+    Sensitivity,
     check_figure,
     check_output,
     name_of,
@@ -77,6 +78,7 @@ def calibrate(
     spline_cutoff_hz: float | None = None,
     cross_axis_prior: float = 0.01,
     table: Table = Table(),
+    sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
     figure: Path | None = None,
     details: Details = False,
@@ -124,6 +126,8 @@ def calibrate(
         Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
     table : Table
         How good the rate table is.
+    sensitivity : Sensitivity
+        How far the device may follow its temperature.
     rests : Rests
         How stretches at rest are found where the session states none.
     figure : Path or None
@@ -155,6 +159,7 @@ def calibrate(
         identify_adc=adc == "auto",
         cross_axis_prior=cross_axis_prior,
         **asdict(table),
+        **asdict(sensitivity),
     )
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)
