@@ -10,6 +10,7 @@ Nearest and floor differ by half a step everywhere, which an offset takes up: co
 not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,6 +99,30 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
         codes = np.round(nodes / step)
         step = float(nodes @ codes / (codes @ codes))
     return float(step), phase
+
+
+def mean_rounding(windows: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return the step of the codes at rest, and the standard deviation that rounding leaves in a mean: windows (N, 3) -> (3,), (3,).
+
+    Noise of standard deviation s spreads readings over the codes, and the rounding averages out. What stays is::
+
+        sum_k (q / (pi k))^2 / 2 exp(-(2 pi k s / q)^2)        q^2 / 12 without noise
+    """
+    values, order = np.concatenate(windows), np.arange(1, 41)
+    steps, left = np.zeros(3), np.zeros(3)
+    for axis, column in enumerate(values.T):
+        distinct = np.unique(column)
+        gaps = np.diff(distinct)
+        gaps = gaps[gaps > _DUST * max(float(np.abs(distinct).max(initial=0.0)), 1e-300)]
+        if not len(gaps):
+            continue
+        grid = code_grid(column)[0]
+        step = float(gaps.min()) if np.isnan(grid) else grid
+        within = float(np.mean([window[:, axis].var() for window in windows]))
+        noise = max(0.0, within - step**2 / 12.0)
+        terms = (step / (np.pi * order)) ** 2 / 2.0 * np.exp(-noise * (2.0 * np.pi * order / step) ** 2)
+        steps[axis], left[axis] = step, np.sqrt(terms.sum())
+    return steps, left
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:

@@ -622,7 +622,8 @@ def _of_session(seen: Observed, axes: TriadFit | None = None) -> MultiPositionFi
 
 def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its free poses; an entry of FITS."""
-    return Outcome(fit=_of_session(seen).accel, method="multi-position")
+    fit = _of_session(seen)
+    return Outcome(fit=fit.accel, method="multi-position", used=fit.stills)
 
 
 def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:

@@ -658,6 +658,7 @@ class Outcome:
     fit: TriadFit | None = None
     method: str = "none"
     findings: tuple[Finding, ...] = ()
+    used: tuple[Still, ...] = ()  # stills behind the fit, where it is of an accelerometer
 
     def after(self, *findings: Finding) -> "Outcome":
         """Return the same outcome with findings put before its own."""

@@ -283,4 +283,4 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
         fit = with_offset(fit, offset, variance)
-    return Outcome(fit=fit, method="six-face", findings=found)
+    return Outcome(fit=fit, method="six-face", findings=found, used=seen.faced)
