@@ -7,7 +7,7 @@ Ranges are sample numbers, half-open [start, stop). A face names the sensor axis
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -529,6 +529,28 @@ class FileMap:
     text: str  # One JSON object
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureSensitivity:
+    """How far a device may follow temperature: standard deviations of its sensitivities, from data sheets.
+
+    The defaults are those of consumer parts: MPU-6050, ICM-20948 and BMI160 state +-0.05 deg/s/K and +-0.8 to 1 mg/K of offset,
+    and +-0.02 to 0.05 %/K of sensitivity; of accelerometers and scale factors the bound counts as two standard deviations.
+    """
+
+    gyro_offset_dps_per_k: float = 0.05  # Of the zero-rate output, deg/s/K
+    accel_offset_mg_per_k: float = 0.5  # Of the zero-g offset, mg/K
+    gyro_scale_percent_per_k: float = 0.02  # Of the gyroscopes' scale factor, %/K
+    accel_scale_percent_per_k: float = 0.02  # Of the accelerometers' scale factor, %/K
+    unrecorded_span_k: float = 1.0  # Change of temperature in a session that records none and whose rests drift, K
+    span_limit_k: float = 2.0  # A larger change within a session is a finding, K
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not 0.0 <= value <= 100.0:
+                raise InputError(f"temperature: wanted {item.name} from 0 to 100, got {value:g}; correct it")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
     """The recordings of one device and what was done to it.
@@ -553,6 +575,8 @@ class Session:
         How its files are read, where one map serves all of them; None where they need none.
     gravity_source : str
         "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
+    sensitivity : TemperatureSensitivity
+        How far the device may follow temperature.
 
     Examples
     --------
@@ -573,6 +597,7 @@ class Session:
     inputs: tuple[tuple[str, str], ...] = ()
     file_map: FileMap | None = None
     gravity_source: GravitySource = "stated"
+    sensitivity: TemperatureSensitivity = TemperatureSensitivity()
 
     def __post_init__(self) -> None:
         if not self.records:

@@ -6,7 +6,7 @@ reading counts twice. ``at_one_temperature`` keeps the pieces of one set-point: 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -18,7 +18,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.model import AXES, Verdict, level_of
-from undrift.record import FACES, Record, Session, Still, Turn
+from undrift.record import FACES, Record, Session, Still, TemperatureSensitivity, Turn
 from undrift.segments import (
     BENCH_ACCEL_LIMIT,
     BENCH_RATE_LIMIT,
@@ -354,6 +354,15 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
     return np.array(temps)
 
 
+def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
+    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
+    clocks = [record.time - record.time[0] for record in records]
+    return np.array(
+        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
+    )
+
+
 # ---- settings, and what a session shows
 
 _FULL_TURN = 2.0 * np.pi  # rad
@@ -393,6 +402,15 @@ class CalibrateSettings:
         Look for the step and rounding of the codes.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that a session does not show, relative to the scale factor.
+    gyro_offset_dps_per_k, accel_offset_mg_per_k : float or None
+        Standard deviation of the sensitivity of offsets to temperature, deg/s/K and mg/K; None takes the session's, 0.05 and 0.5 by
+        default.
+    gyro_scale_percent_per_k, accel_scale_percent_per_k : float or None
+        The same of scale factors, %/K; None likewise, 0.02.
+    unrecorded_span_k : float or None
+        How far the temperature of a session that records none changes, K, where its rests drift; None likewise, 1.
+    span_limit_k : float or None
+        Largest change of temperature within a session without a finding, K; None likewise, 2.
 
     Examples
     --------
@@ -413,6 +431,12 @@ class CalibrateSettings:
     remove_offset: bool = True
     identify_adc: bool = True
     cross_axis_prior: float = 0.01
+    gyro_offset_dps_per_k: float | None = None
+    accel_offset_mg_per_k: float | None = None
+    gyro_scale_percent_per_k: float | None = None
+    accel_scale_percent_per_k: float | None = None
+    unrecorded_span_k: float | None = None
+    span_limit_k: float | None = None
 
     def __post_init__(self) -> None:
         latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
@@ -434,6 +458,12 @@ class CalibrateSettings:
                 f"calibrate: wanted cross_axis_prior above 0 and up to 0.2 of the scale factor, got {self.cross_axis_prior:g}; "
                 "0.01 is 1 %"
             )
+        self.sensitivity(TemperatureSensitivity())
+
+    def sensitivity(self, stated: TemperatureSensitivity) -> TemperatureSensitivity:
+        """Return how the device follows temperature: as the session states it, save for what these settings state."""
+        names = [item.name for item in fields(TemperatureSensitivity)]
+        return replace(stated, **{name: getattr(self, name) for name in names if getattr(self, name) is not None})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

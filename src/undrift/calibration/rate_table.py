@@ -17,7 +17,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale, check_saturation
-from undrift.calibration.observe import Observed, Outcome, with_offset
+from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -36,7 +36,7 @@ from undrift.fit.least_squares import (
     triad_from_forward,
 )
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict, level_of
-from undrift.record import Axis, Record, Still, Turn
+from undrift.record import Axis, Record, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- dwells: the steady stretches, filtered and averaged
@@ -91,15 +91,6 @@ def dwell_means(
         up=np.array([_points_up(part, AXES.index(t.axis or "x")) for part, t in zip(parts, used, strict=True)]),
         unit=unit,
         time=middles(records, used),
-    )
-
-
-def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return the middle of each stretch (P,), s, on one clock on which the recordings follow each other."""
-    begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
-    clocks = [record.time - record.time[0] for record in records]
-    return np.array(
-        [begins[p.recording] + 0.5 * (clocks[p.recording][p.start] + clocks[p.recording][p.stop - 1]) for p in pieces]
     )
 
 
