@@ -541,7 +541,8 @@ class TemperatureSensitivity:
     accel_offset_mg_per_k: float = 0.5  # Of the zero-g offset, mg/K
     gyro_scale_percent_per_k: float = 0.02  # Of the gyroscopes' scale factor, %/K
     accel_scale_percent_per_k: float = 0.02  # Of the accelerometers' scale factor, %/K
-    unrecorded_span_k: float = 1.0  # Change of temperature in a session that records none and whose rests drift, K
+    # Change of temperature in a session that records none, nor rests in deg/s that would show it, K
+    unrecorded_span_k: float = 1.0
     span_limit_k: float = 2.0  # A larger change within a session is a finding, K
 
     def __post_init__(self) -> None:
@@ -549,6 +550,22 @@ class TemperatureSensitivity:
             value = getattr(self, item.name)
             if not 0.0 <= value <= 100.0:
                 raise InputError(f"temperature: wanted {item.name} from 0 to 100, got {value:g}; correct it")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateTable:
+    """Standard uncertainties of a rate table and of the mounting on it; an axis that gravity shows is measured instead."""
+
+    table_level_deg: float = 0.1  # Of the table's axis against the vertical, about each horizontal axis, deg
+    mount_tilt_deg: float = 0.1  # Of the device against the table's axis, about each axis across it, deg
+    rate_uncertainty: float = 1e-4  # Of all stated rates in common, relative: a crystal and a gear
+    wobble_deg: float = 0.01  # Of the table's axis from dwell to dwell, about each axis across it, deg
+
+    def __post_init__(self) -> None:
+        for name in ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg"):
+            value, most = getattr(self, name), 0.1 if name == "rate_uncertainty" else 10.0
+            if not 0.0 <= value <= most:
+                raise InputError(f"rate table: wanted {name} from 0 to {most:g}, got {value:g}; correct it")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -577,6 +594,8 @@ class Session:
         "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
     sensitivity : TemperatureSensitivity
         How far the device may follow temperature.
+    rate_table : RateTable
+        How good the rate table and the mounting are.
 
     Examples
     --------
@@ -598,6 +617,7 @@ class Session:
     file_map: FileMap | None = None
     gravity_source: GravitySource = "stated"
     sensitivity: TemperatureSensitivity = TemperatureSensitivity()
+    rate_table: RateTable = RateTable()
 
     def __post_init__(self) -> None:
         if not self.records:

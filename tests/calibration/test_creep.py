@@ -80,11 +80,14 @@ def test_without_a_temperature_the_rests_drift_tells() -> None:
     assert creep_of(steady, steady.stills, "accel").none
     seen = seen_of(None, gyro_drift_dps=0.15)  # as 3 K would by the data sheet's 0.05 deg/s/K, in all three axes
     creep = creep_of(seen, seen.stills, "accel")
-    # three axes and the stated span of 1 K: sqrt((3 x 9 + 1) / 4), by 11 of 12 parts from the first middle to the last
-    assert creep.span_k == pytest.approx(7.0**0.5 * 11.0 / 12.0, rel=0.1)
+    # 11 of 12 parts of 3 K from the first middle to the last; three observations: 3.18, Student's 97.5 % point, over 1.96
+    assert creep.span_k == pytest.approx(3.0 * 11.0 / 12.0, rel=0.05)
+    assert np.ptp(creep.warmth) == pytest.approx(creep.span_k * 3.182 / 1.96, rel=1e-3)
     assert not creep.recorded
     (found,) = creep.findings()
     assert (found.code, found.level) == ("session.offset_creep", "warn")
+    blind = replace(seen, session=replace(seen.session, records=(replace(seen.session.records[0], gyro=None),)))
+    assert creep_of(blind, blind.stills, "accel").span_k == pytest.approx(1.0)  # as stated: nothing could show it
 
 
 def test_a_span_above_the_limit_is_a_finding_with_its_cost() -> None:

@@ -9,8 +9,8 @@ data sheets (``record.TemperatureSensitivity``). So the readings of one sensor h
 two columns C. A fit that weighs by noise + P estimates both slopes with their prior: rests at several temperatures narrow them.
 
 w comes from the temperature column or from stated set-points. Where the pieces differ by no more than the thermometer's noise and
-steps make, w is 0. Without temperatures w is even in time, where the gyroscopes' rests drift: its span is the mean square of the
-drift over the prior of its slope, with the stated span for one more observation.
+steps make, w is 0. Without temperatures w is even in time where the gyroscopes' rests drift. Its span is then the drift of three
+axes over the prior of their slope, widened for three observations. In counts, and without gyroscopes, it is the stated span.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.observe import Observed, middles, piece_temperatures
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import block_size, noise_of_means, student_variance
+from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.record import Still, TemperatureSensitivity, Turn
 from undrift.segments import still_means
@@ -31,7 +31,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 _SHOWS = 3.0  # standard deviations of a mean square by which pieces differ in temperature
 _DITHER = 0.3  # of a step of the thermometer: with less noise the mean keeps the error of rounding
 _DRIFTS = 7.81  # 95 %: chi-square of three axes
-_WITH_FORCE = 7  # rests: with fewer, drift and g-sensitivity cannot be told apart
+_WITH_FORCE = 6  # rests: with fewer, drift and g-sensitivity cannot be told apart
+_FEW = 2  # rests beyond the unknowns: with no more, their scatter is too uncertain to widen by
 
 Kind = Literal["accel", "gyro"]
 
@@ -51,8 +52,8 @@ class Creep:
     def columns(self, of_scale: FloatArray, gain: float = 1.0, of_offset: FloatArray | float = 1.0) -> FloatArray:
         """Return C (P, 2) of one sensor, unit of the reading: of offset and of scale, one standard deviation each.
 
-        ``of_scale`` (P,) is what the sensor measures in each piece, SI, ``of_offset`` what a unit offset adds to the reading: 1 for a
-        mean; for the integral over a turn its angle and its duration. ``gain`` is S, unit of the reading per SI unit.
+        ``of_scale`` (P,) is what the sensor measures in each piece, SI; ``of_offset`` what a unit offset adds to the reading, 1 for
+        a mean. For the integral over a turn they are its angle and its duration. ``gain`` is S, unit of the reading per SI unit.
         """
         parts = np.stack((self.offset_per_k * of_offset * np.ones(len(self.warmth)), self.scale_per_k * of_scale))
         return np.asarray((gain * self.warmth * parts).T)
@@ -98,14 +99,14 @@ def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Cree
     every: tuple[Still | Turn, ...] = (*seen.stills, *seen.session.turns)
     every = every or tuple(pieces)
     reference = seen.mean_temperature()
-    recorded = bool(np.isfinite(reference))
+    recorded, widened = bool(np.isfinite(reference)), 1.0
     if recorded:
         temps = np.concatenate([piece_temperatures(seen.session, part) for part in (every, pieces)])
         away: FloatArray = np.nan_to_num(temps - reference)
         away = away * _share_of_temperature(away[: len(every)], _thermometer_variance(seen, every)) ** 0.5
     else:
-        away = _even_in_time(seen, every, pieces, prior)
-    span = float(np.ptp(away[: len(every)])) if every else 0.0
+        away, widened = _even_in_time(seen, every, pieces, prior)
+    span = float(np.ptp(away[: len(every)])) / widened if every else 0.0
     return Creep(
         warmth=away[len(every) :], offset_per_k=offset, scale_per_k=0.01 * percent, span_k=span,
         limit_k=prior.span_limit_k, kind=kind, recorded=recorded,
@@ -147,39 +148,42 @@ def _thermometer_variance(seen: Observed, pieces: Sequence[Still | Turn]) -> Flo
 
 def _even_in_time(
     seen: Observed, every: Sequence[Still | Turn], pieces: Sequence[Still | Turn], prior: TemperatureSensitivity
-) -> FloatArray:
-    """Return the temperature less its mean, K, that an even rise would have in every piece and then in the chosen ones."""
+) -> tuple[FloatArray, float]:
+    """Return the temperature less its mean, K, of an even rise in every piece, then in the chosen ones, and how it is widened."""
     time = middles(seen.session.records, (*every, *pieces))
     own = time[: len(every)]
     length = float(np.ptp(own)) if len(own) else 0.0
     if length == 0.0:
-        return np.zeros(len(time))
+        return np.zeros(len(time)), 1.0
     tau = (time - own.mean()) / length
-    return np.asarray(tau * _rest_span(seen, tau[: len(seen.stills)], prior))
+    span, widened = _rest_span(seen, tau[: len(seen.stills)], prior)
+    return np.asarray(tau * span * widened), widened
 
 
-def _rest_span(seen: Observed, tau: FloatArray, prior: TemperatureSensitivity) -> float:
+def _rest_span(seen: Observed, tau: FloatArray, prior: TemperatureSensitivity) -> tuple[float, float]:
+    """Return the span that the drift of the gyroscopes' rests stands for, K, else the stated one, and how uncertain: a factor."""
     records = seen.session.records
-    with_gyro = [k for k, s in enumerate(seen.stills) if records[s.recording].gyro is not None]
-    stills = [seen.stills[k] for k in with_gyro]
-    with_force = len(stills) >= _WITH_FORCE and all(records[s.recording].accel is not None for s in stills)
-    design = np.column_stack((np.ones(len(stills)), tau[with_gyro]))
-    if with_force:
+    rows = [k for k, s in enumerate(seen.stills) if records[s.recording].gyro is not None]
+    if not rows:
+        return prior.unrecorded_span_k, 1.0
+    stills, design = [seen.stills[k] for k in rows], np.column_stack((np.ones(len(rows)), tau[rows]))
+    if len(rows) >= _WITH_FORCE and all(records[s.recording].accel is not None for s in stills):
         force = np.concatenate([still_means(np.asarray(records[s.recording].accel), [s]) for s in stills])
         design = np.column_stack((design, force))
-    spare = len(stills) - design.shape[1]
+    spare = len(rows) - design.shape[1]
     if spare < 1 or np.linalg.matrix_rank(design) < design.shape[1]:
-        return 0.0
-    means = np.concatenate([still_means(np.asarray(records[s.recording].gyro), [s]) for s in stills])
-    solver = np.linalg.pinv(design)
+        return 0.0, 1.0
+    windows = [np.asarray(records[s.recording].gyro)[s.start : s.stop] for s in stills]
+    windows = [window[~np.isnan(window).any(axis=1)] for window in windows]
+    means, solver = np.array([window.mean(axis=0) for window in windows]), np.linalg.pinv(design)
     drift, left = (solver @ means)[1], means - design @ (solver @ means)
-    scatter = [student_variance(column, spare + 2) * widening_of(spare) for column in left.T]
-    variance = np.array(scatter) * float(solver[1] @ solver[1])
+    noise = noise_of_means(windows, [block_size(records[s.recording].sample_rate_hz) for s in stills])
+    scatter = (left**2).sum(axis=0) / spare * (widening_of(spare) if noise is None or spare > _FEW else 1.0)
+    variance = float(solver[1] @ solver[1]) * np.fmax(scatter, 0.0 if noise is None else (noise**2).mean(axis=0))
     if float((drift**2 / np.maximum(variance, 1e-300)).sum()) <= _DRIFTS:
-        return 0.0
-    stated, unit = prior.unrecorded_span_k, records[stills[0].recording].gyro_unit
+        return 0.0, 1.0
+    unit = records[stills[0].recording].gyro_unit
     if not is_physical(unit) or prior.gyro_offset_dps_per_k == 0.0:
-        return stated
+        return prior.unrecorded_span_k, 1.0
     slope = prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE / si_factor(unit, "rate")
-    square = float(np.maximum(drift**2 - variance, 0.0).sum()) / slope**2
-    return float(np.sqrt((stated**2 + square) / 4.0))
+    return float(np.sqrt(np.mean(drift**2))) / slope, widening_of(3) ** 0.5

@@ -18,7 +18,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.model import AXES, Verdict, level_of
-from undrift.record import FACES, Record, Session, Still, TemperatureSensitivity, Turn
+from undrift.record import FACES, RateTable, Record, Session, Still, TemperatureSensitivity, Turn
 from undrift.segments import (
     BENCH_ACCEL_LIMIT,
     BENCH_RATE_LIMIT,
@@ -408,9 +408,18 @@ class CalibrateSettings:
     gyro_scale_percent_per_k, accel_scale_percent_per_k : float or None
         The same of scale factors, %/K; None likewise, 0.02.
     unrecorded_span_k : float or None
-        How far the temperature of a session that records none changes, K, where its rests drift; None likewise, 1.
+        Change of temperature in a session that records none, nor rests in deg/s that would show it, K; None likewise, 1.
     span_limit_k : float or None
         Largest change of temperature within a session without a finding, K; None likewise, 2.
+    table_level_deg : float or None
+        Standard uncertainty of a rate table's axis against the vertical, deg; None takes the session's, 0.1 by default.
+    mount_tilt_deg : float or None
+        Standard uncertainty of the device's mounting on it about each axis, deg; None likewise, 0.1. It stays in the
+        covariance in full where accelerometers do not show the table's axis.
+    rate_uncertainty : float or None
+        Standard uncertainty of all its stated rates in common, relative; None likewise, 0.0001.
+    wobble_deg : float or None
+        Standard uncertainty of its axis from dwell to dwell, deg; None likewise, 0.01. Scatter that shows more counts instead.
 
     Examples
     --------
@@ -437,6 +446,10 @@ class CalibrateSettings:
     accel_scale_percent_per_k: float | None = None
     unrecorded_span_k: float | None = None
     span_limit_k: float | None = None
+    table_level_deg: float | None = None
+    mount_tilt_deg: float | None = None
+    rate_uncertainty: float | None = None
+    wobble_deg: float | None = None
 
     def __post_init__(self) -> None:
         latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
@@ -459,11 +472,18 @@ class CalibrateSettings:
                 "0.01 is 1 %"
             )
         self.sensitivity(TemperatureSensitivity())
+        self.rate_table(RateTable())
 
     def sensitivity(self, stated: TemperatureSensitivity) -> TemperatureSensitivity:
         """Return how the device follows temperature: as the session states it, save for what these settings state."""
         names = [item.name for item in fields(TemperatureSensitivity)]
         return replace(stated, **{name: getattr(self, name) for name in names if getattr(self, name) is not None})
+
+    def rate_table(self, stated: RateTable) -> RateTable:
+        """Return how good the rate table is: as the session states it, save for what these settings state."""
+        names = ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg")
+        chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return replace(stated, **chosen)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -18,6 +18,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale, check_saturation
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
+from undrift.calibration.table_axis import Dwells, TableAxes, table_axes, table_findings, with_table
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -57,6 +58,10 @@ class DwellMeans:
     unit: str = "rad/s"  # Unit of the readings
     # (N,), middle of each dwell on one clock, s: recordings follow each other. None when it is not known
     time: FloatArray | None = None
+    axes: TableAxes | None = None  # About which axes the table turned the case; None takes ``axis`` as true
+    # Standard uncertainties of the table's axis from dwell to dwell and of the mounting, rad; used with ``axes`` alone
+    wobble: float = 0.0
+    mount_tilt: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.axis)
@@ -87,11 +92,26 @@ def dwell_means(
         reading=np.array([w.mean(axis=0) for w in smooth]).reshape(-1, 3),
         turn_rate=np.array([t.turn_rate for t in used], float),
         axis=tuple(t.axis for t in used if t.axis is not None),
-        noise=noise_of_means(windows, [blocks[t.recording] for t in used]),
+        noise=_noise(windows, [blocks[t.recording] for t in used], [AXES.index(t.axis or "x") for t in used]),
         up=np.array([_points_up(part, AXES.index(t.axis or "x")) for part, t in zip(parts, used, strict=True)]),
         unit=unit,
         time=middles(records, used),
     )
+
+
+def _noise(windows: list[FloatArray], sizes: list[int], own: list[int]) -> FloatArray | None:
+    """Return the noise of each mean; a sensor whose own dwells scatter more, since the rate ripples, by its other dwells."""
+    noise = noise_of_means(windows, sizes)
+    for k in range(3):
+        rows = [n for n, axis in enumerate(own) if axis != k]
+        others = noise_of_means([windows[n] for n in rows], [sizes[n] for n in rows])
+        if noise is None or others is None:
+            continue
+        spare = sum(len(windows[n]) // sizes[n] - 1 for n in rows)
+        ratio = float((others[:, k] ** 2).sum() / max(float((noise[rows, k] ** 2).sum()), 1e-300))
+        if ratio * (1.0 + _SHOWS * (2.0 / spare) ** 0.5) < 1.0:
+            noise[:, k] *= ratio**0.5
+    return noise
 
 
 def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> FloatArray:
@@ -247,7 +267,7 @@ def fit_rate_table(
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
     rows = [np.array(dwells.axis) == axis for axis in AXES]
     return RateTableFit(
-        model=fit.model,
+        model=fit.model if dwells.axes is None else with_table(fit.model, dwells.axes.covariance),
         residuals=fit.residuals,
         verdict=verdict,
         turn_rate=dwells.turn_rate,
@@ -280,6 +300,7 @@ def fit_turned_axes(
     shown = fit_rate_axes(dwells, latitude_deg=latitude_deg, scale_tolerance=scale_tolerance)
     axes = tuple(fit.axis for fit in shown)
     turned = [AXES.index(axis) for axis in axes]
+    own = dwells.axes
     dwells = _only(dwells, [k for k, axis in enumerate(dwells.axis) if axis in axes])
     rates = imposed_rates(dwells, latitude_deg)
     design = np.column_stack((rates[:, turned], np.ones(len(rates))))
@@ -327,7 +348,9 @@ def fit_turned_axes(
         unit_in=dwells.unit,
         unit_out="rad/s",
     )
-    return replace(fit, verdict=Verdict.of(_axes_missing(axes), prior, *map(axis_finding, shown)))
+    uneven = () if own is None else table_findings(own, dwells.mount_tilt)
+    verdict = Verdict.of(_axes_missing(axes), prior, *map(axis_finding, shown), *uneven)
+    return replace(fit, model=fit.model if own is None else with_table(fit.model, own.covariance), verdict=verdict)
 
 
 def fit_rate_axis(
@@ -417,14 +440,15 @@ def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Ver
 def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     """Return the true rate of each dwell in b (N, 3), rad/s: L of eq. 4, transposed."""
     earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
-    return np.asarray(axis_vectors(dwells.axis) * (dwells.turn_rate + earth * dwells.up)[:, None])
+    axis_b = axis_vectors(dwells.axis) if dwells.axes is None else dwells.axes.axis_b
+    return np.asarray(axis_b * (dwells.turn_rate + earth * dwells.up)[:, None])
 
 
 def _only(dwells: DwellMeans, rows: list[int]) -> DwellMeans:
     whole = {name: getattr(dwells, name) for name in ("reading", "turn_rate", "noise", "time")}
     cut: dict[str, Any] = {name: None if values is None else values[rows] for name, values in whole.items()}
     axis, up = tuple(dwells.axis[k] for k in rows), np.broadcast_to(dwells.up, len(dwells.axis))[rows]
-    return replace(dwells, axis=axis, up=up, **cut)
+    return replace(dwells, axis=axis, up=up, axes=None, **cut)
 
 
 # ---- dwells and rests together: offsets that drift during the session, and g-sensitivity
@@ -467,7 +491,7 @@ def fit_with_rests(
     if dwells.noise is None:
         return fit
     plain, full, readings = _equations(dwells, imposed_rates(dwells, latitude_deg), rests)
-    sigma, time = np.broadcast_to(dwells.noise, dwells.reading.shape), dwells.time
+    sigma, time = _with_scatter(dwells, plain, readings), dwells.time
     if rests is not None:
         sigma = np.vstack((sigma, rests.noise))
         time = None if time is None else np.concatenate((time, rests.time))
@@ -476,11 +500,57 @@ def fit_with_rests(
         found = _walks(full, readings, sigma, time)
         size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
         if size > _chance(9) * _excess(found, readings.size - 21):
-            return _refined(fit, full, readings, found)
+            return _refined(fit, dwells, full, readings, found)
     found, by_axis = _walks(plain, readings, sigma, time), None
     if rests is None and time is not None and any(one.walk > 0.0 for one in found):
         by_axis = _by_axis(dwells, plain[:, :3], sigma, time)
-    return _refined(fit, plain, readings, found, by_axis)
+    return _refined(fit, dwells, plain, readings, found, by_axis)
+
+
+_SHOWS = 3.0  # standard errors of a scatter that grows with the rate, for it to count
+
+
+def _with_scatter(dwells: DwellMeans, plain: FloatArray, readings: FloatArray) -> FloatArray:
+    """Return the standard deviation (N, 3) of each mean: noise, and what grows with the rate, wobble or uneven rates.
+
+    A wobble of the axis moves what sensors across it read by (K_kk w)^2 omega^2, an uneven rate its own sensor by (K_kk w)^2 rho^2.
+    Both come from the residuals, where they show; wobble is never less than stated.
+    """
+    noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
+    if dwells.axes is None:
+        return noise
+    theta = np.linalg.lstsq(plain, readings, rcond=None)[0]
+    square = (readings - plain @ theta)[: len(noise)] ** 2
+    drive = (np.abs(np.diag(theta[:3])) * np.abs(dwells.turn_rate)[:, None]) ** 2  # (N, 3), (K_kk w)^2
+    own = np.array(dwells.axis)[:, None] == np.array(AXES)[None, :]
+    variance = noise**2
+    for which, stated in ((own, 0.0), (~own, dwells.wobble**2)):
+        share = max(stated, _share(drive[which], square[which], square[~which]))
+        variance = variance + np.where(which, drive * share, 0.0)
+    return np.asarray(np.sqrt(variance))
+
+
+def _share(drive: FloatArray, square: FloatArray, others: FloatArray) -> float:
+    """Return the share of ``drive`` in squared residuals (E,), 0 where it does not show.
+
+    It shows where they grow with it, or where they exceed those of the other sensors, which the same drift of offsets moves.
+    The squares of normal residuals scatter by root two of their mean.
+    """
+    root_two, found = 2.0**0.5, [0.0]
+    more = float(square.mean() - others.mean())
+    error = root_two * np.hypot(square.mean() / len(square) ** 0.5, others.mean() / len(others) ** 0.5)
+    if more > _SHOWS * error:
+        found.append(more / float(drive.mean()))
+    design = np.column_stack((drive, np.ones_like(drive)))
+    if scaled_condition(design)[0] == 2:
+        mean = np.full_like(square, square.mean())
+        for _ in range(3):  # the weights follow the fitted mean
+            weighted = design / mean[:, None]
+            slope, floor = np.linalg.lstsq(weighted, square / mean, rcond=None)[0]
+            spread = root_two * float(np.linalg.inv(weighted.T @ weighted)[0, 0]) ** 0.5
+            mean = np.maximum(slope * drive + floor, 0.1 * square.mean())
+        found.append(float(slope) if slope > _SHOWS * spread else 0.0)
+    return max(found)
 
 
 def _equations(
@@ -521,6 +591,7 @@ def _excess(found: list[WalkFit], spare: int) -> float:
 
 def _refined(
     fit: RateTableFit,
+    dwells: DwellMeans,
     design: FloatArray,
     readings: FloatArray,
     found: list[WalkFit],
@@ -530,20 +601,26 @@ def _refined(
     residuals = (readings - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     rank, condition = scaled_condition(design)
     widen = _excess(found, readings.size - theta.size)
+    model = _model(fit.model, theta, [one.covariance * widen for one in found])
     model = replace(
-        _model(fit.model, theta, [one.covariance * widen for one in found]),
+        model if dwells.axes is None else with_table(model, dwells.axes.covariance),
         rms_residual=float(np.sqrt((residuals**2).mean())),
         count=readings.size,
         rank=3 * rank,
         condition=condition,
     )
     residual = 100.0 * model.rms_residual / float(np.abs(fit.turn_rate).max())
-    verdict = fit.verdict.also(Verdict.of(*_judged(model, found, by_axis, widen, residual)))
+    verdict = fit.verdict.also(Verdict.of(*_judged(dwells, model, found, by_axis, widen, residual)))
     return replace(fit, model=model, residuals=residuals, verdict=verdict)
 
 
 def _judged(
-    model: TriadModel, found: list[WalkFit], by_axis: list[WalkFit] | None, widen: float, residual: float
+    dwells: DwellMeans,
+    model: TriadModel,
+    found: list[WalkFit],
+    by_axis: list[WalkFit] | None,
+    widen: float,
+    residual: float,
 ) -> Iterator[Finding]:
     if model.g_sensitivity is not None:
         size = float(np.abs(model.g_sensitivity).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
@@ -561,6 +638,8 @@ def _judged(
         level, wanted = level_of(residual, RESIDUAL_PERCENT), RESIDUAL_PERCENT[0]
         yield finding("rate_table.scatter", level, ratio=widen**0.5, residual_percent=residual, wanted=wanted)
     uncertain = 100.0 * model.relative_uncertainty
+    if dwells.axes is not None:
+        yield from table_findings(dwells.axes, dwells.mount_tilt)
     if uncertain > UNCERTAIN_PERCENT[0]:
         level = level_of(uncertain, UNCERTAIN_PERCENT)
         yield finding("rate_table.uncertainty", level, uncertainty_percent=uncertain, wanted=UNCERTAIN_PERCENT[0])
@@ -623,15 +702,19 @@ def check_dwells(
     away = (reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error = np.linalg.norm(away, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
-    limit = max(SCATTERS * typical, SHARE * float(np.abs(rates).max()))
-    wrong = np.flatnonzero(error[: len(rates)] > limit)
+    size = np.linalg.norm(rates, axis=1)
+    with_rate = (
+        np.median(error[: len(rates)] / np.maximum(size, 1e-300)) * size
+    )  # a table that wobbles errs with its rate
+    limits = np.maximum(SCATTERS * np.maximum(typical, with_rate), SHARE * float(np.abs(rates).max()))
+    wrong = np.flatnonzero(error[: len(rates)] > limits)
     if len(wrong):
         numbers = tuple(range(1, len(rates) + 1)) if numbers is None else numbers
         named = "; ".join(_named(dwells, rates[k] + away[k], k, numbers[k]) for k in wrong[:3])
         more = f"; and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         raise Implausible(
-            f"rate table: wanted dwells that agree within {limit / RADIAN_PER_DEGREE:.2g} deg/s, got {named}{more}; check its "
-            "sign, value, axis and times, or leave it out",
+            f"rate table: wanted dwells that agree within {limits[wrong[0]] / RADIAN_PER_DEGREE:.2g} deg/s, "
+            f"got {named}{more}; check its sign, value, axis and times, or leave it out",
             turns=tuple(numbers[k] for k in wrong),
         )
 
@@ -667,8 +750,11 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     turned = tuple(sorted(set(dwells.axis)))
     if 0 < len(turned) < 3:
         prior = own.cross_axis_prior
-        part = fit_turned_axes(dwells, latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior)
+        part = fit_turned_axes(
+            _on_table(seen, dwells, None), latitude_deg=latitude, scale_tolerance=tolerance, cross_axis_prior=prior
+        )
         return Outcome(fit=part, method="rate-table")
+    dwells = _on_table(seen, dwells, None if accel is None else accel.model)
     rests = None if accel is None else _rest_means(seen, accel.model)
     numbers = tuple(k for k, t in enumerate(session.turns, 1) if t.axis is not None and t.turn_rate is not None)
     check_dwells(dwells, imposed_rates(dwells, latitude), rests=rests, numbers=numbers)
@@ -684,6 +770,17 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         dwells = replace(dwells, reading=dwells.reading - offset)
     paper: TriadFit = fit_rate_table(dwells, mode="paper", latitude_deg=latitude, scale_tolerance=tolerance)
     return Outcome(fit=paper if offset is None else with_offset(paper, offset, variance), method="rate-table")
+
+
+def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> DwellMeans:
+    """Return dwells with the axes about which the table turned the case."""
+    session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
+    turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
+    up = np.array(dwells.up)
+    held = Dwells(records=session.records, turns=turns, reading=dwells.reading, up=up, settle_s=seen.settings.settle_s)
+    axes = table_axes(held, table, accel, session.gravity_m_s2)
+    wobble, tilt = table.wobble_deg * RADIAN_PER_DEGREE, table.mount_tilt_deg * RADIAN_PER_DEGREE
+    return replace(dwells, axes=axes, wobble=wobble, mount_tilt=tilt)
 
 
 def _rest_means(seen: Observed, accel: TriadModel) -> RestMeans | None:

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import code_grid
 from undrift.calibration.checks import (
     check_faces,
     check_gravity,
@@ -27,6 +28,7 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
 )
+from undrift.calibration.creep import Creep, creep_of
 from undrift.calibration.observe import Observed, Outcome, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -40,7 +42,9 @@ from undrift.fit.least_squares import (
     geometric_peak,
     noise_of_means,
     offset_verdict,
+    rounding_variance,
     triad_from_forward,
+    whitened,
 )
 from undrift.model import Verdict
 from undrift.record import Face, Record, Still
@@ -72,13 +76,21 @@ _GRID = 120
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
 
 
-def fit_tilted(up: FloatArray, reading: FloatArray, noise: FloatArray, plain: ForwardFit) -> tuple[ForwardFit, float]:
-    """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad."""
+def fit_tilted(
+    up: FloatArray, reading: FloatArray, noise: FloatArray, plain: ForwardFit, shared: FloatArray | None = None
+) -> tuple[ForwardFit, float]:
+    """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad.
+
+    ``shared`` (3, P, c) are errors that the readings of one sensor have in common, in the same unit.
+    """
     inverse = np.linalg.inv(plain.matrix)
     level = (reading - plain.offset) @ inverse.T
     sigma = np.sqrt(noise**2 @ (inverse**2).T)
     gravity = float(np.linalg.norm(up, axis=1).max())
-    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity)
+    along = np.zeros((3, len(up), 0))
+    if shared is not None:
+        along = np.concatenate([inverse[:, j, None, None] * shared[j] for j in range(3)], axis=2)
+    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, along, gravity)
     best = int(np.argmax(likelihood))
     if reading.size <= 12 or best == 0:
         return plain, 0.0
@@ -103,7 +115,7 @@ def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float) ->
 
 
 def _solved(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float
+    up: FloatArray, reading: FloatArray, noise: FloatArray, shared: FloatArray, length: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
     smallest = 0.02 * float(np.median(noise)) / length
@@ -113,16 +125,19 @@ def _solved(
     sigma = np.stack([tilted_sigma(up, noise, length, float(t)) for t in tilts])
     theta, covariance, likelihood = np.zeros((len(tilts), 12)), np.zeros((len(tilts), 12, 12)), np.zeros(len(tilts))
     for row in range(3):
-        weight = 1.0 / sigma[:, :, row] ** 2
-        normal = (design.T * weight[:, None, :]) @ design
+        in_sigma = shared[row] / sigma[:, :, row, None]
+        inner = np.eye(shared.shape[2]) + in_sigma.transpose(0, 2, 1) @ in_sigma
+        left = np.eye(len(up)) - in_sigma @ np.linalg.solve(inner, in_sigma.transpose(0, 2, 1))  # Woodbury
+        weight = left / sigma[:, :, row, None] / sigma[:, None, :, row]
+        normal = design.T @ weight @ design
         inverse = np.linalg.inv(normal)
-        own = np.einsum("tij,tj->ti", inverse, (weight * reading[:, row]) @ design)
+        own = np.einsum("tij,tj->ti", inverse, (weight @ reading[:, row]) @ design)
         residual = reading[:, row] - own @ design.T
         places = np.array([3 * row, 3 * row + 1, 3 * row + 2, 9 + row])
         theta[:, places] = own / unit
         covariance[:, places[:, None], places] = inverse / np.outer(unit, unit)
-        likelihood -= 0.5 * ((weight * residual**2).sum(axis=1) - np.log(weight).sum(axis=1))
-        likelihood -= 0.5 * np.linalg.slogdet(normal)[1]
+        likelihood -= 0.5 * np.einsum("ti,tij,tj->t", residual, weight, residual) + np.log(sigma[:, :, row]).sum(axis=1)
+        likelihood -= 0.5 * (np.linalg.slogdet(inner)[1] + np.linalg.slogdet(normal)[1])
     return tilts, theta, covariance, likelihood
 
 
@@ -142,6 +157,16 @@ class FaceMeans:
     faces: tuple[Face, ...]  # Axis that points up in each
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None when it is not known
     unit: str = "m/s2"  # Unit of the readings
+    creep: Creep | None = None  # Of the session's temperature
+
+    def shared(self, gravity: float) -> FloatArray | None:
+        """Return the errors that the readings of one sensor have in common by creep (3, P, 2), ``unit``."""
+        if self.creep is None or self.creep.none:
+            return None
+        up = gravity * face_vectors(self.faces)
+        design = np.column_stack((up, np.ones(len(up))))
+        gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
+        return np.stack([self.creep.columns(up[:, j], float(gain[j])) for j in range(3)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,13 +183,14 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
     names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     known = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
-    plain, tilt = fit_forward(up, reading, known), float("nan")
+    shared = poses.shared(gravity)
+    plain, tilt = fit_forward(up, reading, known, shared), float("nan")
     forward = plain
     if known is not None and mode != "affine":
-        forward, tilt = fit_tilted(up, reading, known, plain)
-    found = Verdict.of(*_judged(poses, plain, known, tilt, mode))
+        forward, tilt = fit_tilted(up, reading, known, plain, shared)
+    found = Verdict.of(*_judged(poses, plain, known, tilt, mode, gravity))
     if mode == "paper":
-        fit, tilt = fit_paper(up, reading, noise, **names), float("nan")
+        fit, tilt = fit_paper(up, reading, noise, shared, **names), float("nan")
         found = offset_verdict(fit, up, reading, noise).also(found)
     else:
         fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
@@ -173,7 +199,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
 
 
 def _judged(
-    poses: FaceMeans, plain: ForwardFit, noise: FloatArray | None, tilt: float, mode: SixFaceMode
+    poses: FaceMeans, plain: ForwardFit, noise: FloatArray | None, tilt: float, mode: SixFaceMode, gravity: float
 ) -> Iterator[Finding]:
     tilt_deg, spare = tilt / RADIAN_PER_DEGREE, plain.residuals.size - 12
     if mode == "paper":  # the closed form assumes level faces, and so does its covariance
@@ -187,7 +213,10 @@ def _judged(
     elif tilt > 0.0:
         yield finding("six_face.tilt_small", "info", tilt_deg=tilt_deg)
     if mode == "affine" and noise is not None and spare > 0:
-        ratio = float(np.sqrt(((plain.residuals / noise) ** 2).sum() / spare))
+        shared = poses.shared(gravity)
+        rows = (None, None, None) if shared is None else shared
+        left = [whitened(plain.residuals[:, [j]], noise[:, j], rows[j]) for j in range(3)]
+        ratio = float(np.sqrt((np.square(left)).sum() / spare))
         if ratio >= 3.0:
             yield finding("six_face.scatter", "warn", ratio=ratio)
 
@@ -201,12 +230,23 @@ def face_means(
     windows = [_window(records[s.recording], s, unit, window_s, polynomial_degree) for s in used]
     filtered = [polynomial_filter(window, polynomial_degree) for window in windows]
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
+    noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
+    if noise is not None:
+        noise = np.hypot(noise, _rounding([records[k] for k in {s.recording for s in used}], [r for _, r in filtered]))
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
         faces=tuple(s.face for s in used if s.face is not None),
-        noise=noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1),
+        noise=noise,
         unit=unit,
     )
+
+
+def _rounding(records: list[Record], rests: list[FloatArray]) -> FloatArray:
+    """Return the standard deviation (3,) that rounding leaves in the mean of a face, by the readings about it."""
+    within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
+    columns = np.concatenate([np.asarray(record.accel) for record in records]).T
+    steps = [code_grid(column)[0] for column in columns]
+    return np.sqrt([rounding_variance(step, float(v)) for step, v in zip(steps, within, strict=True)])
 
 
 def _window(record: Record, still: Still, unit: str, window_s: float, degree: int) -> FloatArray:
@@ -269,18 +309,21 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     poses = face_means(
         seen.session.records, seen.stills, window_s=own.window_s, polynomial_degree=own.polynomial_degree
     )
-    found: tuple[Finding, ...] = ()
+    creep = creep_of(seen, seen.faced, "accel")
+    poses, found = replace(poses, creep=creep), creep.findings()
     if used == "levelled" and poses.noise is None:
-        used, found = "affine", (finding("six_face.short_faces", "warn"),)
+        used, found = "affine", (*found, finding("six_face.short_faces", "warn"))
     offset = None
     if used == "paper" and own.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
-        faces = np.array(poses.faces)
-        offset = np.mean([poses.reading[faces == face].mean(axis=0) for face in sorted(set(poses.faces))], axis=0)
+        faces, shared = np.array(poses.faces), poses.shared(seen.session.gravity_m_s2)
+        share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
+        offset = share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
     fit: TriadFit = fit_six_face(poses, gravity=seen.session.gravity_m_s2, mode=used)  # type: ignore[arg-type]
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", own.scale_tolerance, "accelerometer")
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
+        variance = variance + (0.0 if shared is None else ((share @ shared) ** 2).sum(axis=1))
         fit = with_offset(fit, offset, variance)
     return Outcome(fit=fit, method="six-face", findings=found, used=seen.faced)

@@ -1,5 +1,6 @@
 """``undrift calibrate``: fit what a session, or bare recordings, allow."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,6 +13,7 @@ from undrift.cli.common import (
     OptionalOutput,
     Place,
     Rests,
+    Sensitivity,
     check_figure,
     check_output,
     name_of,
@@ -50,6 +52,11 @@ def calibrate(
     polynomial_degree: int = 1,
     spline_cutoff_hz: float | None = None,
     cross_axis_prior: float = 0.01,
+    table_level_deg: float | None = None,
+    mount_tilt_deg: float | None = None,
+    rate_uncertainty: float | None = None,
+    wobble_deg: float | None = None,
+    sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
     figure: Path | None = None,
     details: Details = False,
@@ -95,6 +102,16 @@ def calibrate(
         Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    table_level_deg : float or None
+        Standard uncertainty of the rate table's axis against the vertical, deg; as the session states, else 0.1.
+    mount_tilt_deg : float or None
+        Standard uncertainty of the mounting on the table about each axis, deg; as the session states, else 0.1.
+    rate_uncertainty : float or None
+        Standard uncertainty of the stated rates in common, relative; as the session states, else 0.0001.
+    wobble_deg : float or None
+        Standard uncertainty of the table's axis from dwell to dwell, deg; as the session states, else 0.01.
+    sensitivity : Sensitivity
+        How far the device may follow its temperature.
     rests : Rests
         How stretches at rest are found where the session states none.
     figure : Path or None
@@ -125,6 +142,11 @@ def calibrate(
         remove_offset=not keep_offset,
         identify_adc=adc == "auto",
         cross_axis_prior=cross_axis_prior,
+        table_level_deg=table_level_deg,
+        mount_tilt_deg=mount_tilt_deg,
+        rate_uncertainty=rate_uncertainty,
+        wobble_deg=wobble_deg,
+        **asdict(sensitivity),
     )
     with waiting("reading and fitting"):
         held = session_of(files, place, opening)

@@ -4,6 +4,18 @@
 kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
 gravity_m_s2 = 9.81                 # or latitude_deg and height_m
+[rate_table]                        # standard uncertainties; may be left out, and so may each key: the defaults
+table_level_deg = 0.1               # axis of the table against the vertical
+mount_tilt_deg = 0.1                # device against that axis, about each axis across
+rate_uncertainty = 0.0001           # of all rates in common, relative
+wobble_deg = 0.01                   # axis of the table from dwell to dwell
+[temperature]                       # how far the device may follow it, standard deviations; the defaults, of consumer parts
+gyro_offset_dps_per_k = 0.05
+accel_offset_mg_per_k = 0.5
+gyro_scale_percent_per_k = 0.02
+accel_scale_percent_per_k = 0.02
+unrecorded_span_k = 1.0             # change of temperature where neither a column nor rests in deg/s show it
+span_limit_k = 2.0                  # a larger change within the session is a finding
 [[recording]]
 file = "session.csv"                # and the keys of a map; none for undrift's own names and known formats
 [[recording]]                       # files side by side, one time base: as many tables of columns as files
@@ -29,7 +41,7 @@ clock = "file"       # or "regular" for stamps of a host; columns.counter names 
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -42,7 +54,19 @@ from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, s
 from undrift.io.columns import Clock, ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
-from undrift.record import Axis, Face, FileMap, GravitySource, Kind, Record, Session, Still, Turn
+from undrift.record import (
+    Axis,
+    Face,
+    FileMap,
+    GravitySource,
+    Kind,
+    RateTable,
+    Record,
+    Session,
+    Still,
+    TemperatureSensitivity,
+    Turn,
+)
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
 # ---- column maps
@@ -284,6 +308,26 @@ class HeadEntry(Entry):
     height_m: Finite | None = None
 
 
+class RateTableEntry(Entry):
+    """[rate_table]: standard uncertainties of table and mounting."""
+
+    table_level_deg: Finite = RateTable().table_level_deg  # Of the table's axis against the vertical, deg
+    mount_tilt_deg: Finite = RateTable().mount_tilt_deg  # Of the device against that axis, about each axis across, deg
+    rate_uncertainty: Finite = RateTable().rate_uncertainty  # Of all stated rates in common, relative
+    wobble_deg: Finite = RateTable().wobble_deg  # Of the table's axis from dwell to dwell, deg
+
+
+class TemperatureEntry(Entry):
+    """[temperature]: how far the device may follow it, standard deviations; the defaults are those of consumer parts."""
+
+    gyro_offset_dps_per_k: Finite = TemperatureSensitivity().gyro_offset_dps_per_k  # deg/s/K
+    accel_offset_mg_per_k: Finite = TemperatureSensitivity().accel_offset_mg_per_k  # mg/K
+    gyro_scale_percent_per_k: Finite = TemperatureSensitivity().gyro_scale_percent_per_k  # %/K
+    accel_scale_percent_per_k: Finite = TemperatureSensitivity().accel_scale_percent_per_k  # %/K
+    unrecorded_span_k: Finite = TemperatureSensitivity().unrecorded_span_k  # Where nothing shows the temperature, K
+    span_limit_k: Finite = TemperatureSensitivity().span_limit_k  # A larger change within the session is a finding, K
+
+
 class RecordingEntry(KeptEntry):
     """[[recording]]: these keys and those of a map."""
 
@@ -317,6 +361,8 @@ class SessionFile(Entry):
     """The whole file."""
 
     session: HeadEntry  # Of which device, and where
+    rate_table: RateTableEntry = Field(default_factory=RateTableEntry)  # May be left out
+    temperature: TemperatureEntry = Field(default_factory=TemperatureEntry)
     recording: list[RecordingEntry] = Field(min_length=1)  # One or more
     still: list[StillEntry] = Field(default_factory=list)  # May be left out
     turn: list[TurnEntry] = Field(default_factory=list)
@@ -373,6 +419,10 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     for number, turn in enumerate(held.turn):
         with _at(path, text, "turn", number):
             turns.append(_turn(turn, clocks))
+    with _at(path, text, "rate_table"):
+        table = RateTable(**held.rate_table.model_dump())
+    with _at(path, text, "temperature"):
+        sensitivity = TemperatureSensitivity(**held.temperature.model_dump())
     with _at(path, text, "session"):
         return Session(
             kind=held.session.kind,
@@ -384,6 +434,8 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             inputs=tuple(inputs),
             file_map=shared_map(held.recording),
             gravity_source="stated" if held.session.gravity_m_s2 is not None else "latitude and height",
+            rate_table=table,
+            sensitivity=sensitivity,
         )
 
 
@@ -459,6 +511,10 @@ def write_session(session: Session, folder: str | Path) -> None:
     quoted = json.dumps(session.serial, ensure_ascii=False).replace("\x7f", "\\u007f")
     lines = ["[session]", f'kind = "{session.kind}"', f"serial = {quoted}"]
     lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
+    for name, stated in (("rate_table", session.rate_table), ("temperature", session.sensitivity)):
+        if stated != type(stated)():
+            lines += ["", f"[{name}]"]
+            lines += [f"{item.name} = {float(getattr(stated, item.name))!r}" for item in fields(stated)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for number, record in enumerate(session.records):
