@@ -17,9 +17,11 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.findings import Finding, finding
+from undrift.fit.least_squares import rounding_variance
 from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
+_LEAST_CODES = 4  # distinct readings that show a grid
 _MOST_CODES = 200_000  # distinct readings looked at when the step is sought
 _GRID_MISS = 0.15  # of a step: how far readings may be off the grid; files round to a tenth of a step
 _DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: float rounding, not a step
@@ -75,11 +77,11 @@ def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | N
 def code_grid(column: FloatArray) -> tuple[float, float]:
     """Return the step between neighbouring codes of one axis (N,), and the phase of the grid."""
     distinct = np.unique(column[np.isfinite(column)])
-    if not 4 <= len(distinct) <= _MOST_CODES:
+    if not _LEAST_CODES <= len(distinct) <= _MOST_CODES:
         return float("nan"), float("nan")
     largest = float(np.abs(distinct).max())
     nodes = distinct[np.concatenate(([True], np.diff(distinct) > _DUST * largest))]
-    if len(nodes) < 4:
+    if len(nodes) < _LEAST_CODES:
         return float("nan"), float("nan")
     gaps = np.diff(nodes)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
@@ -101,28 +103,15 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
     return float(step), phase
 
 
-def mean_rounding(windows: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Return the step of the codes at rest, and the standard deviation that rounding leaves in a mean: windows (N, 3) -> (3,), (3,).
-
-    Noise of standard deviation s spreads readings over the codes, and the rounding averages out. What stays is::
-
-        sum_k (q / (pi k))^2 / 2 exp(-(2 pi k s / q)^2)        q^2 / 12 without noise
-    """
-    values, order = np.concatenate(windows), np.arange(1, 41)
-    steps, left = np.zeros(3), np.zeros(3)
-    for axis, column in enumerate(values.T):
-        distinct = np.unique(column)
-        gaps = np.diff(distinct)
-        gaps = gaps[gaps > _DUST * max(float(np.abs(distinct).max(initial=0.0)), 1e-300)]
-        if not len(gaps):
-            continue
-        grid = code_grid(column)[0]
-        step = float(gaps.min()) if np.isnan(grid) else grid
-        within = float(np.mean([window[:, axis].var() for window in windows]))
-        noise = max(0.0, within - step**2 / 12.0)
-        terms = (step / (np.pi * order)) ** 2 / 2.0 * np.exp(-noise * (2.0 * np.pi * order / step) ** 2)
-        steps[axis], left[axis] = step, np.sqrt(terms.sum())
-    return steps, left
+def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
+    """Return the standard deviation (3,) that rounding leaves in a mean at rest: all readings and those at rest, (N, 3) each."""
+    within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
+    steps = []
+    for column in np.concatenate(values).T:
+        step, distinct = code_grid(column)[0], np.unique(column[np.isfinite(column)])
+        few = np.isnan(step) and 1 < len(distinct) < _LEAST_CODES
+        steps.append(float(np.diff(distinct).min()) if few else step)
+    return np.sqrt([rounding_variance(step, float(v)) for step, v in zip(steps, within, strict=True)])
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:

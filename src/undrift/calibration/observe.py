@@ -213,8 +213,16 @@ def _sways(session: Session, stills: tuple[Still, ...], rate: bool) -> _Figure:
     if is_physical(unit):
         limit = (BENCH_RATE_LIMIT if rate else BENCH_ACCEL_LIMIT) / si_factor(unit, "rate" if rate else "accel")
     elif len(seen) > 2:
-        limit = max(_OTHERS * float(np.median(seen)), 1e-300)
+        limit = max(_OTHERS * float(np.median(seen)), _step(session, stills, rate), 1e-300)
     return spreads, limit, unit
+
+
+def _step(session: Session, stills: tuple[Still, ...], rate: bool) -> float:
+    """Return the smallest step between readings at rest: one code more or less is no motion."""
+    triads = [(r.gyro if rate else r.accel) for r in session.records]
+    parts = [np.asarray(triads[s.recording])[s.start : s.stop] for s in stills if triads[s.recording] is not None]
+    gaps = [np.diff(np.unique(column[np.isfinite(column)])) for column in np.concatenate(parts).T]
+    return min((float(gap.min()) for gap in gaps if len(gap)), default=0.0)
 
 
 def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
@@ -392,6 +400,9 @@ class CalibrateSettings:
         For the Earth's rate on a rate table, deg; None leaves it out.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
+    axis_uncertainty_deg : float
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg; the same for all turns about
+        one axis, as a fixture or a straight edge errs.
     turn_angle_deg : float or None
         Angle of the turns between rests of a session that states none, deg; None takes three full turns, where there are.
     scale_tolerance : float
@@ -435,6 +446,7 @@ class CalibrateSettings:
     spline_cutoff_hz: float | None = None
     latitude_deg: float | None = None
     angle_uncertainty_deg: float = 1.0
+    axis_uncertainty_deg: float = 0.5
     turn_angle_deg: float | None = None
     scale_tolerance: float = 0.25
     remove_offset: bool = True

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import code_grid
+from undrift.calibration.adc import mean_rounding
 from undrift.calibration.checks import (
     check_faces,
     check_gravity,
@@ -42,7 +42,6 @@ from undrift.fit.least_squares import (
     geometric_peak,
     noise_of_means,
     offset_verdict,
-    rounding_variance,
     triad_from_forward,
     whitened,
 )
@@ -232,21 +231,14 @@ def face_means(
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
     if noise is not None:
-        noise = np.hypot(noise, _rounding([records[k] for k in {s.recording for s in used}], [r for _, r in filtered]))
+        every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
+        noise = np.hypot(noise, mean_rounding(every, [rest for _, rest in filtered]))
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
         faces=tuple(s.face for s in used if s.face is not None),
         noise=noise,
         unit=unit,
     )
-
-
-def _rounding(records: list[Record], rests: list[FloatArray]) -> FloatArray:
-    """Return the standard deviation (3,) that rounding leaves in the mean of a face, by the readings about it."""
-    within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
-    columns = np.concatenate([np.asarray(record.accel) for record in records]).T
-    steps = [code_grid(column)[0] for column in columns]
-    return np.sqrt([rounding_variance(step, float(v)) for step, v in zip(steps, within, strict=True)])
 
 
 def _window(record: Record, still: Still, unit: str, window_s: float, degree: int) -> FloatArray:

@@ -123,7 +123,7 @@ def _lengths(
     within = np.array([w.std(axis=0) / np.sqrt(len(w)) for w in windows])
     blocks = noise_of_means(windows, sizes)
     noise = within if blocks is None else np.maximum(within, blocks)
-    noise = np.hypot(noise, mean_rounding(windows)[1])
+    noise = np.hypot(noise, mean_rounding(windows, windows))
     apart = np.array([w.mean(axis=0) for w in windows]) - model.offset
     force = apart @ model.matrix.T
     length = np.linalg.norm(force, axis=1)
