@@ -1,7 +1,8 @@
 """Known rotation: temperature creep, low-pass, 10 bit, flicker, clock, angle and axis by hand, each alone and all together.
 
-Gyroscopes drift by 0.05 deg/s/K and 0.02 %/K at one standard deviation; they flicker by 8 deg/h as a data sheet states it, and their
-offset is then that of the whole session; 10 bits span +-500 deg/s. Angle and axis are stated as the hand errs, 0 where it does not.
+Gyroscopes drift by 0.05 deg/s/K and 0.02 %/K at one standard deviation; they flicker by 8 deg/h as a data sheet states it, and
+their offset is then that of the whole session. 10 bits span +-500 deg/s. Angle and axis are stated as the hand errs, 0 where it does
+not.
 """
 
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
-from undrift.record import Session
+from undrift.record import Session, Still, Turn
 from undrift.sim.device.effects import Adc, BiasInstability, LowPass, ThermalScale
 from undrift.sim.device.presets import FLOOR, random_device
 from undrift.sim.device.simulate import simulate_device
@@ -71,9 +72,10 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     """Yield the rows of one case."""
     case, rng, tally = CASES[name], np.random.default_rng(seed), Tally("known rotation", name)
-    stated = {"angle_uncertainty_deg": ANGLE_DEG, "axis_uncertainty_deg": AXIS_DEG}
     settings = CalibrateSettings(
-        identify_adc=False, **(stated if case.by_hand else dict.fromkeys(stated, 0.0))
+        identify_adc=False,
+        angle_uncertainty_deg=ANGLE_DEG * case.by_hand,
+        axis_uncertainty_deg=AXIS_DEG * case.by_hand,
     )
     for _ in range(devices):
         session, matrix, offset = drawn(case, rng)
@@ -106,9 +108,7 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     )
     accel = replace(device.accel, adc=None, random_walk=None, low_pass=low_pass)
     device = replace(device, gyro=gyro, accel=accel)
-    bench = BenchSettings(
-        sample_rate_hz=50.0, tilt_sd=case.level, hand_tilt_sd=AXIS_DEG * DEG if case.by_hand else 0.0
-    )
+    bench = BenchSettings(sample_rate_hz=50.0, tilt_sd=case.level, hand_tilt_sd=AXIS_DEG * DEG if case.by_hand else 0.0)
     motion = bench_motion("ferraris", rng=rng, settings=bench)
     temp_c = np.linspace(25.0 - 0.5 * case.creep_c, 25.0 + 0.5 * case.creep_c, len(motion))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
@@ -123,7 +123,7 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
         stills=motion.stills,
         turns=tuple(replace(t, angle=(t.angle or 0.0) + float(d)) for t, d in zip(motion.turns, off, strict=True)),
     )
-    pieces = (*motion.stills, *motion.turns)
+    pieces: tuple[Still | Turn, ...] = (*motion.stills, *motion.turns)
     mean_c = float(np.mean([temp_c[piece.start : piece.stop].mean() for piece in pieces]))
     truth = true_calibration(device, temp_c=mean_c).gyro
     assert truth is not None

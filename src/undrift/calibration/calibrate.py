@@ -346,7 +346,10 @@ def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: M
     settings, turns = seen.settings, seen.session.turns
     if gyro == "known-rotation" and not turns:
         turns = seen.full_turns()
-    names = ("window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg")
+    names = (
+        "window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg",
+        "axis_uncertainty_deg",
+    )  # fmt: skip
     numbers = ((name, getattr(settings, name)) for name in names)
     shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
     return Provenance(

@@ -6,7 +6,10 @@ At rest on face p the mean reading is b + G a_p. Over the turn about axis j by t
 b T + G A_j, T its duration and A_j the integral of the calibrated specific force.
 
     paper      G from half the difference of opposite faces, b from the mean of all samples at rest, K from the turns [1]_
-    affine     G and b by least squares over the faces, weighted by their samples: free of bias for windows of unequal length
+    affine     K, b and G by weighted least squares over faces, turns and the other rests, whose specific force is measured
+
+What moves more than sample noise is in the weights and in the covariance: noise of block means, temperature creep, flicker, what
+rounding leaves, the angle of each turn, jitter of the clock, and the axis of the turns against the case.
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
@@ -169,7 +172,9 @@ def rotation_data(
         free=FaceMeans(reading=means[size:], faces=(), noise=rest_noise[size:], unit=unit) if number > size else None,
         rest_force=np.array(force)[kept].reshape(-1, 3),
         span=_spans(records, [*rests, *used]),
-        rounding=mean_rounding([_both(records[k])[0] for k in {s.recording for s in rests}], windows) if number else None,
+        rounding=mean_rounding([_both(records[k])[0] for k in {s.recording for s in rests}], windows)
+        if number
+        else None,
         pieces=(*rests, *used),
     )
 
@@ -222,7 +227,10 @@ def _turn_sums(
 def _spans(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
     begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
     spans = [
-        [begins[p.recording] + records[p.recording].time[at] - records[p.recording].time[0] for at in (p.start, p.stop - 1)]
+        [
+            begins[p.recording] + records[p.recording].time[at] - records[p.recording].time[0]
+            for at in (p.start, p.stop - 1)
+        ]
         for p in pieces
     ]
     return np.array(spans).reshape(-1, 2)
@@ -246,7 +254,11 @@ def _moved_apart(
         chunk = max(1, round(_CHUNK_S * record.sample_rate_hz))
         rest = _quiet(still, _both(record)[0][still.start : still.stop], chunk)
         for k, turn in enumerate(moved):
-            if turn.recording == still.recording and 0 <= still.start - turn.stop <= _BESIDE and rest.start > still.start:
+            if (
+                turn.recording == still.recording
+                and 0 <= still.start - turn.stop <= _BESIDE
+                and rest.start > still.start
+            ):
                 moved[k] = replace(moved[k], stop=rest.start)
             if turn.recording == still.recording and 0 <= turn.start - still.stop <= _BESIDE and rest.stop < still.stop:
                 moved[k] = replace(moved[k], start=rest.stop)
@@ -287,7 +299,7 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
 
 _TIMES_S = np.geomspace(1.0, 1e4, 9)
 _SIZES = np.concatenate(([0.0], np.geomspace(0.05, 300.0, 60)))  # q in units of the median noise of a rest
-_SMALL_SIZE, _LARGE_SIZE = 0.1, 3.0  # E1 and E0 take 1 / (q + 0.1) and 1 / (1 + (q / 3)^2)
+_SMALL_SIZE, _LARGE_SIZE = 0.1, 0.5  # E1 takes 1 / (q + 0.1), and both 1 / (1 + (q / 0.5)^2): a mild prior
 _ROUNDED = 0.5  # of an offset's variance: more by rounding is a finding
 
 
@@ -315,7 +327,9 @@ class _Errors:
 
 
 _ROUNDING = 1e-12  # of the largest reading: no mean is known better than its arithmetic
-_ORDER = np.array([*(7 * i + k for i in range(3) for k in range(3)), 3, 10, 17, *(7 * i + 4 + k for i in range(3) for k in range(3))])
+_ORDER = np.array(
+    [*(7 * i + k for i in range(3) for k in range(3)), 3, 10, 17, *(7 * i + 4 + k for i in range(3) for k in range(3))]
+)
 
 
 def _errors(data: RotationData, forward: FloatArray, sigma: tuple[float, float], creep: Creep | None) -> _Errors:
@@ -326,7 +340,11 @@ def _errors(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
         samples = data.rest_samples.mean() / data.rest_samples
         noise = np.sqrt(np.concatenate((samples, np.ones(rests - len(samples)), data.duration)))[:, None] * np.ones(3)
     else:
-        of_rests = data.rest.noise if data.free is None or data.free.noise is None else np.vstack((data.rest.noise, data.free.noise))
+        of_rests = (
+            data.rest.noise
+            if data.free is None or data.free.noise is None
+            else np.vstack((data.rest.noise, data.free.noise))
+        )
         noise = np.maximum(np.vstack((of_rests, data.noise)), _ROUNDING * np.abs(data.means).max() * extent[:, None])
     own = np.stack([np.diag(column**2) for column in noise.T])
     if data.rounding is not None:
@@ -346,7 +364,9 @@ def _errors(data: RotationData, forward: FloatArray, sigma: tuple[float, float],
     if data.span is not None:
         flicker = np.outer(extent, extent) * _flicker(data.span)
         length = np.diff(data.span, axis=1)[:, 0]
-        apart = np.eye(len(extent)) - np.outer(extent, length / extent) / length.sum()  # the offset is the mean of the session
+        apart = (
+            np.eye(len(extent)) - np.outer(extent, length / extent) / length.sum()
+        )  # the offset is the mean of the session
         flicker = apart @ flicker @ apart.T
     return _Errors(own=own, shared=shared, flicker=flicker, size=float(np.median(noise[:rests])))
 
@@ -382,7 +402,9 @@ def _flicker(span: FloatArray) -> FloatArray:
     return total
 
 
-def _averaged(design: FloatArray, reading: FloatArray, start: FloatArray, errors: _Errors) -> tuple[FloatArray, FloatArray, float]:
+def _averaged(
+    design: FloatArray, reading: FloatArray, start: FloatArray, errors: _Errors
+) -> tuple[FloatArray, FloatArray, float]:
     """Return theta (3, 7), its covariance and the mean q^2 over all sizes of flicker: start (3, 7) is near the solution."""
     left = reading - design @ start.T
     sizes = _SIZES if errors.flicker.any() else _SIZES[:1]
@@ -433,7 +455,7 @@ def fit_known_rotation(
     rests = np.column_stack((np.ones(len(force)), force))
     design = np.block([[np.zeros((len(rests), 3)), rests], [turns, leak]])
     reading = np.vstack((data.means, data.reading))
-    closed = _closed_form(data, up, gravity, turns, leak, mode)
+    closed = _closed_form(data, up, gravity, turns, leak)
     theta = (closed @ reading).T
     _check_turns(theta[:, :3], data, scale_tolerance)
     errors = _errors(data, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
@@ -463,17 +485,10 @@ def fit_known_rotation(
     )
 
 
-def _closed_form(
-    data: RotationData, up: FloatArray, gravity: float, turns: FloatArray, leak: FloatArray, mode: KnownRotationMode
-) -> FloatArray:
+def _closed_form(data: RotationData, up: FloatArray, gravity: float, turns: FloatArray, leak: FloatArray) -> FloatArray:
     """Return (7, E): K, b and G of one sensor from its means and sums, b and G from the faces alone."""
     samples, count = data.rest_samples, len(data.rest.faces)
-    if mode == "paper":  # half differences, repeated faces averaged
-        to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
-    else:
-        design = np.column_stack((np.ones(len(up)), gravity * up))
-        weighted = design * samples[:, None]
-        to_rest = np.linalg.solve(weighted.T @ design, weighted.T)
+    to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))  # repeated faces averaged
     per_turn, made = np.linalg.pinv(turns), np.zeros((7, len(data.means) + len(turns)))
     made[:3, :count], made[:3, len(data.means) :] = -per_turn @ leak @ to_rest, per_turn
     made[3:, :count] = to_rest

@@ -20,7 +20,7 @@ from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import TriadModel, level_of
-from undrift.record import Record, Session, Still
+from undrift.record import Record, Session, Still, Turn
 from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -36,7 +36,9 @@ def check_accel(seen: Observed, model: TriadModel, used: Sequence[Still]) -> Ite
     angles = np.arccos(np.clip(np.diag(model.sensor_axes), -1.0, 1.0)) / RADIAN_PER_DEGREE
     worst = int(np.argmax(angles))
     if angles[worst] > LARGEST_ANGLE_DEG:
-        yield finding("accel.cross_axis", "fail", axis="xyz"[worst], angle_deg=angles[worst], limit_deg=LARGEST_ANGLE_DEG)
+        yield finding(
+            "accel.cross_axis", "fail", axis="xyz"[worst], angle_deg=angles[worst], limit_deg=LARGEST_ANGLE_DEG
+        )
     stills = unused_stills(seen, used)
     if stills:
         yield from check_gravity_length(seen.session, stills, model)
@@ -49,7 +51,8 @@ def unused_stills(seen: Observed, used: Sequence[Still]) -> tuple[Still, ...]:
         for number, record in enumerate(session.records):
             with suppress(InputError):  # shorter than a window
                 found += find_still(record, replace(seen.settings.still, adapt=False), recording=number).stills
-    taken = [(piece.recording, piece.start, piece.stop) for piece in (*used, *session.turns)]
+    pieces: tuple[Still | Turn, ...] = (*used, *session.turns)
+    taken = [(piece.recording, piece.start, piece.stop) for piece in pieces]
     kept: list[Still] = []
     for still in found:
         shares = any(r == still.recording and a < still.stop and still.start < b for r, a, b in taken)
