@@ -220,11 +220,11 @@ def test_settings_of_the_fit_are_options(undrift, bench, tmp_path):
     def made(*words):
         return undrift.good("calibrate", bench / "session", *words, "--json").json()
 
-    words = ["--window-s", "4", "--settle-s", "0.5", "--angle-uncertainty-deg", "2"]
+    words = ["--window-s", "4", "--settle-s", "0.5", "--angle-uncertainty-deg", "2", "--axis-uncertainty-deg", "1"]
     plain, chosen = made(), made(*words)
-    names = ("window_s", "settle_s", "angle_uncertainty_deg")
-    assert [dict(plain["provenance"]["settings"])[name] for name in names] == ["6", "0.3", "1"]
-    assert [dict(chosen["provenance"]["settings"])[name] for name in names] == ["4", "0.5", "2"]
+    names = ("window_s", "settle_s", "angle_uncertainty_deg", "axis_uncertainty_deg")
+    assert [dict(plain["provenance"]["settings"])[name] for name in names] == ["6", "0.3", "1", "0.5"]
+    assert [dict(chosen["provenance"]["settings"])[name] for name in names] == ["4", "0.5", "2", "1"]
     assert plain["accel"]["offset"] != chosen["accel"]["offset"]
     assert plain["gyro"]["offset"] != chosen["gyro"]["offset"]
 

@@ -20,6 +20,7 @@ from undrift.findings import Finding, finding
 from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
+_LEAST_CODES = 4  # distinct readings that show a grid
 _MOST_CODES = 200_000  # distinct readings looked at when the step is sought
 _GRID_MISS = 0.15  # of a step: how far readings may be off the grid; files round to a tenth of a step
 _DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: float rounding, not a step
@@ -75,11 +76,11 @@ def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | N
 def code_grid(column: FloatArray) -> tuple[float, float]:
     """Return the step between neighbouring codes of one axis (N,), and the phase of the grid."""
     distinct = np.unique(column[np.isfinite(column)])
-    if not 4 <= len(distinct) <= _MOST_CODES:
+    if not _LEAST_CODES <= len(distinct) <= _MOST_CODES:
         return float("nan"), float("nan")
     largest = float(np.abs(distinct).max())
     nodes = distinct[np.concatenate(([True], np.diff(distinct) > _DUST * largest))]
-    if len(nodes) < 4:
+    if len(nodes) < _LEAST_CODES:
         return float("nan"), float("nan")
     gaps = np.diff(nodes)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
@@ -125,6 +126,19 @@ def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
     shown = _NOISES**2 + 1.0 / 12.0 - left
     square = np.where(step > 0.0, step, np.inf) ** 2
     return np.asarray(np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, shown, left))
+
+
+def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
+    """Return the standard deviation (3,) that rounding leaves in a mean at rest: all readings and those at rest, (N, 3) each."""
+    within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
+    steps = np.array([_step(column) for column in np.concatenate(values).T])
+    return np.sqrt(code_variance(steps, within))
+
+
+def _step(column: FloatArray) -> float:
+    distinct = np.unique(column[np.isfinite(column)])
+    few = 1 < len(distinct) < _LEAST_CODES  # too few for a grid: the nearest two are a step apart
+    return float(np.diff(distinct).min()) if few else code_grid(column)[0]
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:

@@ -28,6 +28,7 @@ from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.six_face import calibrate_faces
+from undrift.calibration.unused_stills import check_accel
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
@@ -171,6 +172,8 @@ def calibrate(
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc, seen = _observed(session, settings)
     of_accel = _calibrate_accel(seen, accel, mode)
+    if of_accel.fit is not None:
+        of_accel = of_accel.after(*check_accel(seen, of_accel.fit.model, of_accel.used))
     of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
     triads: tuple[tuple[Triad, Outcome], ...] = (("accelerometer", of_accel), ("gyroscope", of_gyro))
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
@@ -346,7 +349,10 @@ def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: M
     settings, turns = seen.settings, seen.session.turns
     if gyro == "known-rotation" and not turns:
         turns = seen.full_turns()
-    names = ("window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg")
+    names = (
+        "window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg",
+        "axis_uncertainty_deg",
+    )  # fmt: skip
     numbers = ((name, getattr(settings, name)) for name in names)
     table = settings.rate_table(session.rate_table)
     of_table = tuple((item.name, f"{getattr(table, item.name):g}") for item in fields(table) if gyro == "rate-table")

@@ -696,7 +696,8 @@ def _of_session(seen: Observed, axes: TriadFit | None = None) -> MultiPositionFi
 def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its free poses; an entry of FITS."""
     made = _of_session(seen)
-    return Outcome(fit=made.accel, method="multi-position", findings=creep_of(seen, made.stills, "accel").findings())
+    found = creep_of(seen, made.stills, "accel").findings()
+    return Outcome(fit=made.accel, method="multi-position", findings=found, used=made.stills)
 
 
 def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:

@@ -406,6 +406,9 @@ class CalibrateSettings:
         For the Earth's rate on a rate table, deg; None leaves it out.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
+    axis_uncertainty_deg : float
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg; the same for all turns
+        about one axis, as a fixture or a straight edge errs.
     turn_angle_deg : float or None
         Angle of the turns between rests of a session that states none, deg; None takes three full turns, where there are.
     scale_tolerance : float
@@ -449,6 +452,7 @@ class CalibrateSettings:
     spline_cutoff_hz: float | None = None
     latitude_deg: float | None = None
     angle_uncertainty_deg: float = 1.0
+    axis_uncertainty_deg: float = 0.5
     turn_angle_deg: float | None = None
     scale_tolerance: float = 0.25
     remove_offset: bool = True
@@ -480,6 +484,10 @@ class CalibrateSettings:
             raise InputError(
                 f"calibrate: wanted spline_cutoff_hz above 0 Hz, got {cutoff:g}; None leaves the filter out"
             )
+        for name in ("angle_uncertainty_deg", "axis_uncertainty_deg"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 90.0:
+                raise InputError(f"calibrate: wanted {name} from 0 to 90, got {value:g}; 0 for exact turns")
         if not 0.0 < self.cross_axis_prior <= 0.2:
             raise InputError(
                 f"calibrate: wanted cross_axis_prior above 0 and up to 0.2 of the scale factor, got {self.cross_axis_prior:g}; "
@@ -729,6 +737,7 @@ class Outcome:
     fit: TriadFit | None = None
     method: str = "none"
     findings: tuple[Finding, ...] = ()
+    used: tuple[Still, ...] = ()  # stills behind the fit, where it is of an accelerometer
 
     def after(self, *findings: Finding) -> "Outcome":
         """Return the same outcome with findings put before its own."""

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import code_steps, code_variance
+from undrift.calibration.adc import mean_rounding
 from undrift.calibration.checks import (
     check_faces,
     check_gravity,
@@ -246,11 +246,8 @@ def face_means(
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
     if noise is not None:
-        scatter = np.mean([rest.var(axis=0) for _, rest in filtered], axis=0)
-        noise = np.hypot(
-            noise,
-            np.sqrt(code_variance(code_steps([records[k] for k in {s.recording for s in used}], rate=False), scatter)),
-        )
+        every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
+        noise = np.hypot(noise, mean_rounding(every, [rest for _, rest in filtered]))
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
         faces=tuple(s.face for s in used if s.face is not None),
@@ -338,7 +335,7 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
         variance = variance + (0.0 if shared is None else ((share @ shared) ** 2).sum(axis=1))
         fit = with_offset(fit, offset, variance)
-    return Outcome(fit=fit, method="six-face", findings=found)
+    return Outcome(fit=fit, method="six-face", findings=found, used=seen.faced)
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:

@@ -73,6 +73,7 @@ def calibrate(
     window_s: float = 6.0,
     settle_s: float = 0.3,
     angle_uncertainty_deg: float = 1.0,
+    axis_uncertainty_deg: float = 0.5,
     scale_tolerance: float = 0.25,
     polynomial_degree: int = 1,
     spline_cutoff_hz: float | None = None,
@@ -116,6 +117,8 @@ def calibrate(
         Start of each dwell at a known rate that is left out, s.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
+    axis_uncertainty_deg : float
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg.
     scale_tolerance : float
         Largest relative difference of a scale factor from the stated unit; physical units only.
     polynomial_degree : int
@@ -151,6 +154,7 @@ def calibrate(
         settle_s=settle_s,
         latitude_deg=place.latitude_deg,
         angle_uncertainty_deg=angle_uncertainty_deg,
+        axis_uncertainty_deg=axis_uncertainty_deg,
         turn_angle_deg=turn_deg,
         scale_tolerance=scale_tolerance,
         polynomial_degree=polynomial_degree,
