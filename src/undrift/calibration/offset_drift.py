@@ -4,8 +4,8 @@ Means m_r of rests at times t_r, one axis at a time::
 
     m_r = o + d (t_r - mean t) / T + h a_r + e_r        T from the first rest to the last, d the change over the session
 
-by least squares; h a_r, g-sensitivity times specific force, for the directions of gravity that the poses change, where eight rests or
-more bear it. var e is the scatter of the rests that is left, no less than what noise within the rests makes. A change counts where
+by least squares; h a_r, g-sensitivity times specific force, for the directions of gravity that the poses change, where eight
+rests or more bear it. var e is the scatter of the rests that is left, no less than what noise within the rests makes. A change counts where
 chance alone makes one as large on any of three axes in less than one session in a hundred.
 
 Recordings have no common clock; they are taken to follow each other without pauses.
@@ -17,7 +17,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.observe import Observed, piece_temperatures
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import AXES
 from undrift.units import RADIAN_PER_DEGREE
@@ -76,7 +76,7 @@ def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
         "rests": count,
         "minutes": span / 60.0,
     }
-    level = "warn" if abs(change[axis]) * gain > _LARGE else "info"
+    level: Level = "warn" if abs(change[axis]) * gain > _LARGE else "info"
     first, last = rests.temp_c[0], rests.temp_c[-1]
     if not abs(last - first) >= _WARMER_C:  # or unknown
         return (finding("session.offset_drift", level, **values),)
