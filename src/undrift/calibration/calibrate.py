@@ -25,6 +25,7 @@ from undrift.calibration.creep import creep_of
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
+from undrift.calibration.offset_drift import offset_drift
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.six_face import calibrate_faces
@@ -179,7 +180,9 @@ def calibrate(
     unused = tuple(item for triad, outcome in triads for item in _mode_not_used(mode, triad, outcome))
     if session.gravity_source == "standard" and of_accel.fit is not None:
         other_temperatures += (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),)
-    found = each_once((*other_temperatures, *seen.findings, *of_accel.findings, *of_gyro.findings, *unused))
+    drifted = () if of_gyro.fit is None else offset_drift(seen, float(np.linalg.norm(of_gyro.fit.model.matrix, 2)))
+    of_session = (*other_temperatures, *seen.findings, *drifted)
+    found = each_once((*of_session, *of_accel.findings, *of_gyro.findings, *unused))
     if of_accel.fit is None and of_gyro.fit is None:
         reasons = "; ".join(item.text for item in found)
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that can be used: {reasons}")

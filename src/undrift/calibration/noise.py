@@ -6,6 +6,7 @@ N angle (velocity) random walk, B bias instability, K rate (acceleration) random
 octaves of tau are fitted by generalised least squares, linear in Q^2, N^2, B^2, K^2 >= 0: variances from the equivalent degrees of
 freedom, correlations from the spectrum of the model itself (neighbouring octaves share half their samples). A term that is not two
 standard deviations above zero is not observable and gets an upper limit: a short record does not show the rise at long tau.
+Intervals of B and K are those of the profile likelihood, with every other term free.
 
 .. [1] C. A. Greenhall and W. J. Riley, "Uncertainty of stability variances based on finite differences", PTTI 2003.
 .. [2] W. J. Riley, "Handbook of frequency stability analysis", NIST SP 1065, 2008, sections 5.2-5.5.
@@ -520,8 +521,9 @@ def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidenc
 
     tau = curve.taus_s
     design = np.column_stack((3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER), tau / 3.0))
-    kept, squares, errors, misfit = _fit(curve, design, record)
+    kept, squares, errors, departures, misfit = _fit(curve, design, record)
     wide = float(ndtri(0.5 + 0.5 * confidence))
+    likelihood = _Likelihood.of(curve, design, departures, wide)
     rows: tuple[tuple[int, str, str, Finding], ...] = (
         (0, "quantization", f"{unit} s", finding("noise.no_quantization", "info")),
         (1, "angle_random_walk", f"{unit}/sqrt(Hz)", finding("noise.no_random_walk", "info")),
@@ -530,21 +532,26 @@ def _axis(curve: AllanDeviation, axis: str, unit: str, record: Record, confidenc
     )
     found: dict[str, NoiseCoefficient] = {}
     for term, name, of, why in rows:
-        if term in kept:
-            value = float(np.sqrt(squares[term]))
-            relative = 0.5 * wide * errors[term] / squares[term]  # of the root; limits by the logarithm stay positive
-            interval = (value * float(np.exp(-relative)), value * float(np.exp(relative)))
-            found[name] = NoiseCoefficient(value=value, interval=interval, unit=of)
+        if term in _LONG:
+            low, high = likelihood.interval(term)
+        elif term in kept:  # limits by the logarithm stay positive
+            low, high = np.sqrt(squares[term]) * np.exp(np.array([-0.5, 0.5]) * wide * errors[term] / squares[term])
         else:
             high = float(np.sqrt(max(squares[term], 0.0) + wide * errors[term]))
+        if term in kept:
+            value = float(np.sqrt(squares[term]))
+            found[name] = NoiseCoefficient(
+                value=value, interval=(min(float(low), value), max(float(high), value)), unit=of
+            )
+        else:
             found[name] = NoiseCoefficient(value=np.nan, interval=(0.0, high), unit=of, finding=why)
     return AxisNoise(axis=axis, model_error=misfit, **found)
 
 
 def _fit(
     curve: AllanDeviation, design: FloatArray, record: Record
-) -> tuple[tuple[int, ...], FloatArray, FloatArray, float]:
-    """Return the terms kept, the squares of the coefficients, their standard errors, and the model error."""
+) -> tuple[tuple[int, ...], FloatArray, FloatArray, FloatArray, float]:
+    """Return the terms kept, squares of the coefficients, their standard errors, relative covariance (M, M), and model error."""
     measured = curve.deviation**2
     spectra, squared_gain = _spectra(curve.taus_s, record)
     covariance: FloatArray = np.diag(2.0 * measured**2 / curve.edf)
@@ -561,7 +568,99 @@ def _fit(
         errors[term] = float(np.sqrt(cov[at, at]))
         if term not in kept:
             squares[term] = float(value[at])
-    return kept, squares, errors, misfit
+    return kept, squares, errors, total / np.outer(model, model), misfit
+
+
+# ---- intervals of what long averaging times show
+#
+# Flicker and random walk explain the same few points, each of few degrees of freedom. The logarithm of an Allan variance s2 with edf
+# of them about its expectation m is taken as normal with the limits of chi-square at the confidence asked, whatever m is, and with
+# the correlations of the fit. With r the departures,
+#
+#     c(q) = r' C^-1 r,    q = Q^2, N^2, B^2, K^2 >= 0
+#
+# and the interval of a coefficient holds those values at which the least c over the other three exceeds the least of all by no more
+# than the square of the normal's quantile: a rise that another term may explain as well widens it.
+
+_LONG = (2, 3)
+_STEPS = 30
+_SETTLED = 1e-3  # of c
+_LEAST_SHARE = 1e-12  # of the measured variance
+_WIDEST = 1e6  # of the coefficient's square: the search for a limit ends there
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Likelihood:
+    """Departures of logarithmic Allan variances, M averaging times."""
+
+    white: FloatArray  # (M, M), inverse root of their covariance
+    value: FloatArray  # (M,), middle of log m less log s2
+    design: FloatArray  # (M, 4), over s2, columns scaled to one
+    unit: FloatArray  # (4,), those scales
+    wide: float  # quantile of the normal
+
+    @classmethod
+    def of(cls, curve: AllanDeviation, design: FloatArray, relative: FloatArray, wide: float) -> "_Likelihood":
+        """Take the fit's covariance relative to the model, (M, M), with the spread of the logarithm of chi-square."""
+        from scipy.special import chdtri, ndtr
+
+        ends = np.log(curve.edf / chdtri(curve.edf, ndtr(np.array([[-wide], [wide]]))))
+        spread = (ends[1] - ends[0]) / (2.0 * wide) / np.sqrt(2.0 / curve.edf)
+        white = np.linalg.inv(np.linalg.cholesky(relative * np.outer(spread, spread)))
+        scaled = design / curve.deviation[:, None] ** 2
+        unit = scaled.max(axis=0)
+        return cls(white=white, value=0.5 * (ends[0] + ends[1]), design=scaled / unit, unit=unit, wide=wide)
+
+    def interval(self, term: int) -> tuple[float, float]:
+        """Return the limits of one coefficient."""
+        from scipy.optimize import brentq
+
+        every = np.arange(4)
+        best, least = self._least(every, np.full(4, 0.1))
+        others, limit = every[every != term], least + self.wide**2
+
+        def over(log_square: float) -> float:
+            q = best.copy()
+            q[term] = np.exp(log_square)
+            return self._least(others, q)[1] - limit
+
+        middle = float(np.log(max(best[term], 1e-9)))
+        end, far = middle, float(np.log(_WIDEST))
+        while end < far and over(end) < 0.0:
+            end += 1.0
+        high = float(brentq(over, end - 1.0, end, xtol=0.01)) if middle < end < far else end
+        low = -np.inf
+        if best[term] > 0.0 and over(-far) > 0.0:
+            low = float(brentq(over, -far, middle, xtol=0.01))
+        lower, upper = np.sqrt(np.exp((low, high)) / self.unit[term])
+        return float(lower), float(upper)
+
+    def _least(self, free: IntArray, q: FloatArray) -> tuple[FloatArray, float]:
+        """Return the free ones of q (4,) at the least c, the others as given, and c: Gauss-Newton steps that stay positive."""
+        from scipy.optimize import nnls
+
+        fixed = np.setdiff1d(np.arange(4), free)
+        q, (cost, model) = np.array(q), self._cost(q)
+        for _ in range(_STEPS):
+            target = self.value - np.log(model) + 1.0 - (self.design[:, fixed] @ q[fixed]) / model
+            wanted, step = q.copy(), 1.0
+            wanted[free] = nnls(self.white @ (self.design[:, free] / model[:, None]), self.white @ target)[0]
+            for step in 0.5 ** np.arange(10):
+                trial = q + step * (wanted - q)
+                new, changed = self._cost(trial)
+                if new < cost:
+                    break
+            else:
+                return q, cost
+            q, model, gain, cost = trial, changed, cost - new, new
+            if gain < _SETTLED:
+                break
+        return q, cost
+
+    def _cost(self, q: FloatArray) -> tuple[float, FloatArray]:
+        model: FloatArray = np.maximum(self.design @ q, _LEAST_SHARE)
+        departure = self.white @ (self.value - np.log(model))
+        return float(departure @ departure), model
 
 
 def _stretched(

@@ -170,22 +170,28 @@ def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2
     motion, rate = match.at(delay_s, gravity_m_s2), match.record.sample_rate_hz
     lever, tables, times = lever_matrix(motion), [], []
     for rows in stretches(match, motion, readings):
-        u, r_nb = readings[rows], rotation(motion.q_nb[rows]).as_matrix()
-        slope = np.gradient(u, axis=0) * rate @ matrix.T
-        turned = [
-            (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9),
-            -r_nb,
-            -(r_nb @ lever[rows]),
-            np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
-            np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
-        ]
-        done, kept = smoothed(np.concatenate(turned, axis=2).reshape(len(u), -1), cutoff_hz, rate)
+        slope = np.gradient(readings[rows], axis=0) * rate @ matrix.T
+        columns = force_columns(readings[rows], motion, lever, rows, slope)
+        done, kept = smoothed(columns.reshape(len(columns), -1), cutoff_hz, rate)
         tables.append(done.reshape(len(kept), 3, 17))
         times.append(match.record.time[rows][kept])
     if not tables:
         raise NotObservable("accel fit: wanted a second of motion with known poses, got none; record longer motion")
     table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)
     return AccelRows(design=table[:, :, :16], force=table[:, :, 16], block=block)
+
+
+def force_columns(u: FloatArray, motion: Motion, lever: FloatArray, rows: slice, slope: FloatArray) -> FloatArray:
+    """Return columns of matrix row by row, c, lever arm, delay, and p'' + g z of a stretch, frame n, (K, 3, 17); u, slope (K, 3)."""
+    r_nb = rotation(motion.q_nb[rows]).as_matrix()
+    turned = [
+        (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9),
+        -r_nb,
+        -(r_nb @ lever[rows]),
+        np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
+        np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
+    ]
+    return np.concatenate(turned, axis=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
