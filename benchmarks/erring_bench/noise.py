@@ -1,4 +1,4 @@
-"""Coefficients of ``fit_noise``: white noise, flicker, random walk and a converter of 10 to 16 bit, one or six tenths of an hour at rest.
+"""Coefficients of ``fit_noise``: white noise, flicker, random walk and a converter of 10 to 16 bit, 10 or 60 min at rest.
 
 The converter's rounding is white at these noise levels, LSB^2 / 12 over the sample rate: it belongs to N, as the readings have it.
 A term that is not observable has the interval from zero to its upper limit, which counts as any other.

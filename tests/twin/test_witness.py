@@ -39,7 +39,7 @@ class Errors:
 def seen(share: float, seed: int, *, scale: float = 1.0, origin_m: float = 0.0) -> Match:
     """Return a recording whose optics hold this share of the errors' square.
 
-    The split does not know the ``scale`` of the accelerometers, nor how far the optical origin is from the markers' middle, along z.
+    The split does not know the ``scale`` of the accelerometers, nor how far along z the optical origin is from the markers' middle.
     """
     rng = np.random.default_rng(seed)
     task = draw_task("free", rng=rng, rest_s=12.0)

@@ -573,9 +573,9 @@ def _fit(
 
 # ---- intervals of what long averaging times show
 #
-# Flicker and random walk explain the same few points, each of few degrees of freedom. The logarithm of an Allan variance s2 with edf
-# of them about its expectation m is taken as normal with the limits of chi-square at the confidence asked, whatever m is, and with
-# the correlations of the fit. With r the departures,
+# Flicker and random walk explain the same few points, each of few degrees of freedom. The logarithm of an Allan variance s2 with
+# edf of them about its expectation m is taken as normal with the limits of chi-square at the confidence asked, whatever m is, and
+# with the correlations of the fit. With r the departures,
 #
 #     c(q) = r' C^-1 r,    q = Q^2, N^2, B^2, K^2 >= 0
 #

@@ -5,8 +5,8 @@ Means m_r of rests at times t_r, one axis at a time::
     m_r = o + d (t_r - mean t) / T + h a_r + e_r        T from the first rest to the last, d the change over the session
 
 by least squares; h a_r, g-sensitivity times specific force, for the directions of gravity that the poses change, where eight
-rests or more bear it. var e is the scatter of the rests that is left, no less than what noise within the rests makes. A change counts where
-chance alone makes one as large on any of three axes in less than one session in a hundred.
+rests or more bear it. var e is the scatter of the rests that is left, no less than what noise within the rests makes. A change
+counts where chance alone makes one as large on any of three axes in less than one session in a hundred.
 
 Recordings have no common clock; they are taken to follow each other without pauses.
 """

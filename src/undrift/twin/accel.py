@@ -182,7 +182,7 @@ def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2
 
 
 def force_columns(u: FloatArray, motion: Motion, lever: FloatArray, rows: slice, slope: FloatArray) -> FloatArray:
-    """Return columns of matrix row by row, c, lever arm, delay, and p'' + g z of a stretch, frame n, (K, 3, 17); u, slope (K, 3)."""
+    """Return columns of matrix row by row, c, lever arm, delay, and p'' + g z of a stretch, frame n, (K, 3, 17), of u and slope."""
     r_nb = rotation(motion.q_nb[rows]).as_matrix()
     turned = [
         (r_nb[:, :, :, None] * u[:, None, None, :]).reshape(len(u), 3, 9),

@@ -29,7 +29,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.findings import Finding, finding
-from undrift.frames import quaternion_conjugate, quaternion_product, rotation_vector
+from undrift.frames import quaternion_conjugate, quaternion_product, rotation, rotation_vector
 from undrift.orientation import integrate_strapdown
 from undrift.twin.accel import Match, force_columns, lever_matrix, stretches
 from undrift.twin.fit import Prepared, Twin
@@ -146,7 +146,7 @@ def _without(nuisance: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _rows(match: Match, gyro: Gyro, accel_delay: float, gravity_m_s2: float) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield for each stretch d x F, the force's error, d'' x k for k along b's axes, and the nuisance, (K, 3, 21), and times (K,)."""
+    """Yield for each stretch d x F, the force's error, d'' x k for three k, and the nuisance, (K, 3, 21), and times (K,)."""
     (matrix, offset, delay), readings = gyro, match.record.accel
     if readings is None or match.reference.position is None:
         return
