@@ -3,7 +3,8 @@
 Every row but the ideal one draws what a fit takes as usual unless stated otherwise: 0.1 deg of mounting about each axis, 0.1 deg
 of level, 0.01 deg of wobble, rates wrong by 1e-4 in common. Ripple, settling, codes, flicker and a larger wobble are not stated. A
 consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its accelerometers, by six faces on a level
-plate, and without. The true offset is that of the middle of the session, or of all of it where it flickers.
+plate, and without. The true offset is that of the middle of the session, without accelerometers that of the middle of its turns;
+flicker counts by its mean.
 """
 
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.erring_bench import Row, Tally
+from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Session, Still, Turn
@@ -70,8 +72,8 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     case, rng = CASES[name], np.random.default_rng(seed)
     tallies = Tally("rate table, six faces", name), Tally("rate table alone", name)
     for _ in range(devices):
-        device, session, offset = drawn(case, rng)
-        for tally, given in zip(tallies, (session, _without_accel(session)), strict=True):
+        device, session, offsets = drawn(case, rng)
+        for tally, given, offset in zip(tallies, (session, _without_accel(session)), offsets, strict=True):
             made = calibrate(given, settings=case.settings)
             assert made.gyro is not None
             away = made.gyro.matrix - np.linalg.inv(device.gyro.forward_matrix)
@@ -88,8 +90,8 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         yield from tally.rows()
 
 
-def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, np.ndarray]:
-    """Return a device, its session, and the offset of its gyroscopes in it, raw."""
+def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, list[FloatArray]]:
+    """Return a device, its session, and the raw offset of its gyroscopes in all of it and in its turns."""
     device = random_device(rng)
     flicker = FLICKER if case.flicker else (None, None)
     device = replace(
@@ -112,10 +114,13 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, n
         kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(shown.record,),
         stills=motion.stills, turns=motion.turns,
     )  # fmt: skip
-    pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
-    middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
-    moved = shown.gyro.of("instability").mean(axis=0) + shown.gyro.of("random_walk")[middle]
-    return device, session, device.gyro.raw_offset + device.gyro.gain * moved
+    walk, offsets = shown.gyro.of("random_walk"), []
+    dwells: list[Still | Turn] = [*motion.turns]
+    for pieces in ([*dwells, *motion.stills], dwells):  # rests count where accelerometers do
+        middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
+        moved = shown.gyro.of("instability").mean(axis=0) + walk[middle]
+        offsets.append(device.gyro.raw_offset + device.gyro.gain * moved)
+    return device, session, offsets
 
 
 def _chain(chain: SensorChain, case: Case, flicker: float | None, span: float, **more: Any) -> SensorChain:

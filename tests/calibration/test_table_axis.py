@@ -9,7 +9,7 @@ from testkit.cramer_rao import white_device
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
-from undrift.calibration.table_axis import Dwells, mountings, rate_unevenness, table_axes
+from undrift.calibration.table_axis import Dwells, mountings, rate_unevenness, table_axes, table_term
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
 from undrift.sim.motion.bench import BenchSettings, TableErrors
@@ -254,3 +254,12 @@ def test_settings_overrule_the_session():
     assert "rate_table.mounting" in codes(
         calibrate(turned("bench")[1], settings=CalibrateSettings(identify_adc=False)).verdict.findings
     )
+
+
+def test_what_multiplies_every_rate_multiplies_the_matrix_from_the_left():
+    rng = np.random.default_rng(2)
+    matrix, D = rng.normal(size=(2, 3, 3))
+    model = replace(true_accel(turned()[0]), matrix=matrix)
+    made = (D @ matrix).ravel()
+    term = table_term(model, np.outer(D.ravel(), D.ravel()))
+    np.testing.assert_allclose(term[:9, :9], np.outer(made, made), rtol=1e-12)
