@@ -455,7 +455,7 @@ def fit_known_rotation(
     rests = np.column_stack((np.ones(len(force)), force))
     design = np.block([[np.zeros((len(rests), 3)), rests], [turns, leak]])
     reading = np.vstack((data.means, data.reading))
-    closed = _closed_form(data, up, gravity, turns, leak)
+    closed = _closed_form(data, up, gravity, turns, leak, mode)
     theta = (closed @ reading).T
     _check_turns(theta[:, :3], data, scale_tolerance)
     errors = _errors(data, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
@@ -485,10 +485,17 @@ def fit_known_rotation(
     )
 
 
-def _closed_form(data: RotationData, up: FloatArray, gravity: float, turns: FloatArray, leak: FloatArray) -> FloatArray:
+def _closed_form(
+    data: RotationData, up: FloatArray, gravity: float, turns: FloatArray, leak: FloatArray, mode: KnownRotationMode
+) -> FloatArray:
     """Return (7, E): K, b and G of one sensor from its means and sums, b and G from the faces alone."""
     samples, count = data.rest_samples, len(data.rest.faces)
-    to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))  # repeated faces averaged
+    if mode == "paper":  # half differences, repeated faces averaged
+        to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
+    else:
+        design = np.column_stack((np.ones(len(up)), gravity * up))
+        weighted = design * samples[:, None]
+        to_rest = np.linalg.solve(weighted.T @ design, weighted.T)
     per_turn, made = np.linalg.pinv(turns), np.zeros((7, len(data.means) + len(turns)))
     made[:3, :count], made[:3, len(data.means) :] = -per_turn @ leak @ to_rest, per_turn
     made[3:, :count] = to_rest
