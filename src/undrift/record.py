@@ -448,6 +448,7 @@ def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quan
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]
 Kind = Literal["calibration", "thermal", "static"]
+Mounting = Literal["each", "one"]
 GravitySource = Literal["stated", "latitude and height", "standard"]
 FACES: tuple[Face, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 
@@ -553,6 +554,9 @@ class Session:
         How its files are read, where one map serves all of them; None where they need none.
     gravity_source : str
         "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
+    mounting : str or None
+        Of a fit to references: "one" states that device and reference body were mounted once for all recordings, "each" that a
+        small rotation is fitted for each; None where it is not stated.
 
     Examples
     --------
@@ -573,6 +577,7 @@ class Session:
     inputs: tuple[tuple[str, str], ...] = ()
     file_map: FileMap | None = None
     gravity_source: GravitySource = "stated"
+    mounting: Mounting | None = None
 
     def __post_init__(self) -> None:
         if not self.records:

@@ -25,7 +25,7 @@ from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc, fit_reference
 from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
@@ -377,11 +377,12 @@ def calibrate_to_references(
     Parameters
     ----------
     records : sequence of Record
-        Raw recordings of one device in one mounting; each begins with a rest.
+        Raw recordings of one device; each begins with a rest.
     references : sequence of Reference
         One for each record.
     adc : str
-        "auto" corrects the ADC's rounding where it is identified; "none" leaves the codes.
+        "auto" corrects the ADC's rounding where it is identified and, from three recordings on, where that lowers the
+        cross-validated error; "none" leaves the codes.
     method : str
         reference, or a fit that another package adds.
     settings : ReferenceSettings
@@ -400,6 +401,7 @@ def calibrate_to_references(
         All that ``fit_reference`` raises.
     """
     rounding = device_adc(records) if adc == "auto" else None
+    rounding, why = cross_validated_adc(records, references, rounding, settings=settings, lag_settings=lag_settings)
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     return Calibration(
@@ -408,7 +410,7 @@ def calibrate_to_references(
         gravity_m_s2=STANDARD_GRAVITY,
         gyro=fit.triad.model,
         adc=rounding,
-        verdict=fit.triad.verdict,
+        verdict=fit.triad.verdict if why is None else fit.triad.verdict.also(Verdict.of(why)),
     )
 
 

@@ -4,6 +4,7 @@
 kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
 gravity_m_s2 = 9.81                 # or latitude_deg and height_m
+mounting = "one"                    # of a fit to references: one mounting for all recordings; each its own without it
 [[recording]]
 file = "session.csv"                # and the keys of a map; none for undrift's own names and known formats
 [[recording]]                       # files side by side, one time base: as many tables of columns as files
@@ -42,7 +43,7 @@ from undrift.files import Entry, checked_file, entry_name, line_of, read_toml, s
 from undrift.io.columns import Clock, ColumnMap, Gaps, ReadSettings, Scale, TempFile, TextLayout, Trim
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
-from undrift.record import Axis, Face, FileMap, GravitySource, Kind, Record, Session, Still, Turn
+from undrift.record import Axis, Face, FileMap, GravitySource, Kind, Mounting, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
 # ---- column maps
@@ -282,6 +283,7 @@ class HeadEntry(Entry):
     gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two
     latitude_deg: Finite | None = None  # Where it was recorded
     height_m: Finite | None = None
+    mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
 
 
 class RecordingEntry(KeptEntry):
@@ -384,6 +386,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             inputs=tuple(inputs),
             file_map=shared_map(held.recording),
             gravity_source="stated" if held.session.gravity_m_s2 is not None else "latitude and height",
+            mounting=held.session.mounting,
         )
 
 
@@ -459,6 +462,7 @@ def write_session(session: Session, folder: str | Path) -> None:
     quoted = json.dumps(session.serial, ensure_ascii=False).replace("\x7f", "\\u007f")
     lines = ["[session]", f'kind = "{session.kind}"', f"serial = {quoted}"]
     lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
+    lines += [] if session.mounting is None else [f'mounting = "{session.mounting}"']
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for number, record in enumerate(session.records):
