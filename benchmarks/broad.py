@@ -1,6 +1,6 @@
 """BROAD trials at hand: what each step of the correction leaves, what was expected, and what devices of a model share.
 
-``python -m benchmarks.broad`` prints three tables (some minutes):
+``python -m benchmarks.broad`` prints three tables (some minutes), or those that are named: steps, expected, nested.
 
 1. End error and root-mean-square error of each device, raw to calibrated on the *other* trials of the device.
 2. Expected against observed errors, over every fit to a part of a device's trials that is judged on another trial. Its prior
@@ -11,6 +11,7 @@ D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust iner
 """
 
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
@@ -23,7 +24,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.io.mocap import read_broad
-from undrift.model import Calibration
+from undrift.model import AdcModel, Calibration
 from undrift.record import Record, Reference
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import Validation, summed, validate_leave_one_out, validate_trials
@@ -70,18 +71,18 @@ def floor(numbers: tuple[str, ...]) -> Validation:
 
 
 @cache
-def single(number: str, adc: object) -> ReferenceFit:
+def single(number: str, adc: AdcModel | None) -> ReferenceFit:
     """Return the fit to one trial."""
-    return fit_reference([trial(number)[0]], [trial(number)[1]], adc=adc)  # type: ignore[arg-type]
+    return fit_reference([trial(number)[0]], [trial(number)[1]], adc=adc)
 
 
-def _calibration(fit: ReferenceFit, adc: object) -> Calibration:
+def _calibration(fit: ReferenceFit, adc: AdcModel | None) -> Calibration:
     return Calibration(
         device="",
         reference_temp_c=float("nan"),
         gravity_m_s2=STANDARD_GRAVITY,
         gyro=fit.triad.model,
-        adc=adc,  # type: ignore[arg-type]
+        adc=adc,
         verdict=fit.triad.verdict,
     )
 
@@ -89,11 +90,17 @@ def _calibration(fit: ReferenceFit, adc: object) -> Calibration:
 # ---- 2. expected and observed
 
 
+@cache
+def adc_of(device: str) -> AdcModel | None:
+    """Return how the codes of a device were rounded."""
+    return device_adc([trial(n)[0] for n in DEVICES[device]])
+
+
 def estimates(devices: Sequence[str]) -> list[list[tuple[FloatArray, FloatArray]]]:
     """Return what each trial of each device gives by itself: matrix and change to motion (12,), and their covariance."""
     each = []
     for device in devices:
-        adc = device_adc([trial(n)[0] for n in DEVICES[device]])
+        adc = adc_of(device)
         fits = [single(n, adc) for n in DEVICES[device]]
         each.append(
             [(np.append(f.triad.model.matrix.ravel(), f.motion_offset), f.triad.model.covariance) for f in fits]
@@ -147,6 +154,66 @@ def expected(device: str, prior: ErrorPrior) -> Iterator[tuple[int, Validation]]
             yield count, validate_leave_one_out(pairs(numbers), settings=TrialSettings(prior=prior), names=numbers)
 
 
+# ---- 3. hierarchical prior: x of a recording = x of the device + N(0, within); x of the device = common + N(0, between)
+
+VARIANTS = ("pooled", "recordings weighed", "and devices shared")
+
+
+def held_out(variant: str, device: str, number: str, others: Sequence[str]) -> Figures:
+    """Return the errors of a trial by its device's other trials, and for the prior by other devices alone."""
+    numbers, adc = DEVICES[device], adc_of(device)
+    left = [n for n in numbers if n != number]
+    if variant == "pooled":
+        fit = _pooled(tuple(left), device)
+        model = fit.model_at_rest_offset(single(number, adc).rest_offsets[0])
+    else:
+        parts = [e for n, e in zip(numbers, estimates([device])[0], strict=True) if n != number]
+        x = _posterior(parts, others, shared=variant == VARIANTS[2])
+        model = single(left[0], adc).triad.model
+        offset = single(number, adc).rest_offsets[0] + x[9:]  # the rest alone is taken from the held-out trial
+        model = replace(model, matrix=x[:9].reshape(3, 3), offset=offset)
+    made = Calibration(device="", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=model, adc=adc)
+    return validate_trial(*trial(number), calibration=made).figures
+
+
+@cache
+def _pooled(numbers: tuple[str, ...], device: str) -> ReferenceFit:
+    held, adc = pairs(numbers), adc_of(device)
+    return fit_reference([p[0] for p in held], [p[1] for p in held], adc=adc)
+
+
+def _posterior(parts: list[tuple[FloatArray, FloatArray]], others: Sequence[str], *, shared: bool) -> FloatArray:
+    prior = learnt(others)
+    within = np.diag(np.repeat((prior.matrix**2, prior.motion_offset**2), (9, 3)))
+    weights = [np.linalg.inv(covariance + within) for _, covariance in parts]
+    normal, total = sum(weights), sum(w @ x for w, (x, _) in zip(weights, parts, strict=True))
+    if shared:
+        means = np.array([np.mean([x for x, _ in group], axis=0) for group in estimates(others)])
+        nominal = np.append(np.eye(3).ravel(), means[:, 9:].mean(axis=0))
+        apart = means - nominal
+        between = np.repeat((np.mean(apart[:, :9] ** 2), np.mean(means[:, 9:] ** 2)), (9, 3))
+        normal, total = normal + np.diag(1.0 / between), total + nominal / between
+    return np.linalg.solve(normal, total)
+
+
+def nested() -> Iterator[tuple[str, dict[str, list[Figures]], str]]:
+    """Yield each device with the errors of its trials by each variant, and the variant that the other devices choose."""
+    for device, numbers in DEVICES.items():
+        others = [d for d in DEVICES if d != device]
+        inner = {
+            variant: np.mean(
+                [
+                    held_out(variant, d, n, [e for e in others if e != d]).end_total_deg
+                    for d in others
+                    for n in DEVICES[d]
+                ]
+            )
+            for variant in VARIANTS
+        }
+        outer = {variant: [held_out(variant, device, n, others) for n in numbers] for variant in VARIANTS}
+        yield device, outer, min(inner, key=lambda name: inner[name])
+
+
 # ---- tables
 
 
@@ -158,10 +225,32 @@ def _row(name: str, figures: Sequence[Figures]) -> str:
 
 def main() -> None:
     """Print the tables."""
+    for part in sys.argv[1:] or ("steps", "expected", "nested"):
+        {"steps": print_steps, "expected": print_expected, "nested": print_nested}[part]()
+
+
+def print_nested() -> None:
+    """Print the hierarchical prior against the pooled fit, all choices made on other devices."""
+    chosen, every = [], {variant: [] for variant in VARIANTS}
+    for device, outer, best in nested():
+        for variant, figures in outer.items():
+            print(_row(f"{device}, {variant}" + " (chosen)" * (variant == best), figures), flush=True)
+            every[variant] += figures
+        chosen += outer[best]
+    for variant, figures in (*every.items(), ("chosen by the other devices", chosen)):
+        print(_row(f"all, {variant}", figures))
+
+
+def print_steps() -> None:
+    """Print what each step leaves."""
     for device, numbers in DEVICES.items():
         print(f"device {device}: {' '.join(numbers)}")
         for name, result in (*steps(numbers), ("each fitted on itself", floor(numbers))):
             print(_row(name, [t.figures for t in result.trials]), flush=True)
+
+
+def print_expected() -> None:
+    """Print expected against observed errors, and how many lie inside 95 %."""
     inside, seen = np.zeros(2, int), np.zeros(2, int)
     for device in DEVICES:
         prior = learnt([other for other in DEVICES if other != device])

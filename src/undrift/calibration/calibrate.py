@@ -26,6 +26,7 @@ from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, ca
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc, fit_reference
+from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
@@ -372,7 +373,9 @@ def calibrate_to_references(
     settings: ReferenceSettings = ReferenceSettings(),
     lag_settings: LagSettings = LagSettings(),
 ) -> Calibration:
-    """Calibrate the gyroscopes of one device from recordings with an orientation reference.
+    """Calibrate one device from recordings with an orientation reference.
+
+    Accelerometers need rests in several poses, or a reference that gives the position too.
 
     Parameters
     ----------
@@ -393,7 +396,7 @@ def calibrate_to_references(
     Returns
     -------
     Calibration
-        Gyroscopes only: a reference of orientation does not measure specific force.
+        Gyroscopes, and accelerometers where all recordings have them; the verdict names what neither rests nor motion show.
 
     Raises
     ------
@@ -403,15 +406,42 @@ def calibrate_to_references(
     rounding = device_adc(records) if adc == "auto" else None
     rounding, why = cross_validated_adc(records, references, rounding, settings=settings, lag_settings=lag_settings)
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
+    accel, more = _accel_of(records, references, rounding, fit, lag_settings)
+    more += () if why is None else (why,)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     return Calibration(
         device=records[0].device,
         reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
         gravity_m_s2=STANDARD_GRAVITY,
         gyro=fit.triad.model,
+        accel=None if accel is None else accel.model,
         adc=rounding,
-        verdict=fit.triad.verdict if why is None else fit.triad.verdict.also(Verdict.of(why)),
+        verdict=fit.triad.verdict.also(Verdict.of(*more) if accel is None else Verdict.of(*more).also(accel.verdict)),
     )
+
+
+def _accel_of(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    adc: AdcModel | None,
+    fit: ReferenceFit,
+    lag_settings: LagSettings,
+) -> tuple[TriadFit | None, tuple[Finding, ...]]:
+    """Return the accelerometers' fit to the references, or why there is none."""
+    if any(record.accel is None for record in records):
+        return None, ()
+    try:
+        made = fit_reference_accel(
+            [restored(record, adc) for record in records],
+            references,
+            fit.triad.model,
+            mountings=fit.mountings,
+            gravity_m_s2=STANDARD_GRAVITY,
+            lag_settings=lag_settings,
+        )
+        return made, ()
+    except (CalibrationError, InputError) as error:
+        return None, (finding("reference.accel_failed", "info", reason=str(error)),)
 
 
 def device_adc(records: Sequence[Record]) -> AdcModel | None:
