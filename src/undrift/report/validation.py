@@ -205,8 +205,8 @@ def expected_rows(trials: "Sequence[Trial]") -> list[tuple[str, ...]]:
 def coverage_text(coverage: "Coverage") -> str:
     """Return how many of the expected intervals hold what was observed."""
     return (
-        f"inside the expected 95 %: end error {coverage.end_inside} of {coverage.ends}, total error over the motion "
-        f"{coverage.rmse_inside} of {coverage.trials}"
+        f"inside the expected 95 %: end error {coverage.end_inside} of {coverage.ends} ({coverage.end_above} above), total error "
+        f"over the motion {coverage.rmse_inside} of {coverage.trials} ({coverage.rmse_above} above)"
     )
 
 

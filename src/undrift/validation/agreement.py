@@ -186,8 +186,10 @@ class Coverage:
 
     trials: int  # With an expectation
     rmse_inside: int
+    rmse_above: int  # Larger than expected; what is neither is smaller
     ends: int  # Of those, with an end error
     end_inside: int
+    end_above: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -209,7 +211,15 @@ class Validation(Shown):
         ends = [(made.end_interval_deg, seen.end_total_deg) for made, seen in pairs if np.isfinite(seen.end_total_deg)]
         totals = [(made.rmse_interval_deg, seen.rmse_total_deg) for made, seen in pairs]
         inside = [sum(low <= seen <= high for (low, high), seen in each) for each in (ends, totals)]
-        return Coverage(trials=len(pairs), rmse_inside=inside[1], ends=len(ends), end_inside=inside[0])
+        above = [sum(seen > high for (_, high), seen in each) for each in (ends, totals)]
+        return Coverage(
+            trials=len(pairs),
+            rmse_inside=inside[1],
+            rmse_above=above[1],
+            ends=len(ends),
+            end_inside=inside[0],
+            end_above=above[0],
+        )
 
     def _rows(self) -> dict[str, str]:
         each = {trial.recording: f"total {trial.figures.rmse_total_deg:.2f} deg rms" for trial in self.trials}
