@@ -448,6 +448,7 @@ def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quan
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]
 Kind = Literal["calibration", "thermal", "static"]
+Mounting = Literal["each", "one"]
 GravitySource = Literal["stated", "latitude and height", "standard"]
 FACES: tuple[Face, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 
@@ -596,6 +597,9 @@ class Session:
         How far the device may follow temperature.
     rate_table : RateTable
         How good the rate table and the mounting are.
+    mounting : str or None
+        Of a fit to references: "one" states that device and reference body were mounted once for all recordings, "each" that a
+        small rotation is fitted for each; None where it is not stated.
 
     Examples
     --------
@@ -618,6 +622,7 @@ class Session:
     gravity_source: GravitySource = "stated"
     sensitivity: TemperatureSensitivity = TemperatureSensitivity()
     rate_table: RateTable = RateTable()
+    mounting: Mounting | None = None
 
     def __post_init__(self) -> None:
         if not self.records:

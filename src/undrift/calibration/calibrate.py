@@ -27,7 +27,8 @@ from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, ca
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.offset_drift import offset_drift
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings, cross_validated_adc, fit_reference
+from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.calibration.six_face import calibrate_faces
 from undrift.calibration.unused_stills import check_accel
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
@@ -388,16 +389,19 @@ def calibrate_to_references(
     settings: ReferenceSettings = ReferenceSettings(),
     lag_settings: LagSettings = LagSettings(),
 ) -> Calibration:
-    """Calibrate the gyroscopes of one device from recordings with an orientation reference.
+    """Calibrate one device from recordings with an orientation reference.
+
+    Accelerometers need rests in several poses, or a reference that gives the position too.
 
     Parameters
     ----------
     records : sequence of Record
-        Raw recordings of one device in one mounting; each begins with a rest.
+        Raw recordings of one device; each begins with a rest.
     references : sequence of Reference
         One for each record.
     adc : str
-        "auto" corrects the ADC's rounding where it is identified; "none" leaves the codes.
+        "auto" corrects the ADC's rounding where it is identified and, from three recordings on, where that lowers the
+        cross-validated error; "none" leaves the codes.
     method : str
         reference, or a fit that another package adds.
     settings : ReferenceSettings
@@ -408,7 +412,7 @@ def calibrate_to_references(
     Returns
     -------
     Calibration
-        Gyroscopes only: a reference of orientation does not measure specific force.
+        Gyroscopes, and accelerometers where all recordings have them; the verdict names what neither rests nor motion show.
 
     Raises
     ------
@@ -416,16 +420,44 @@ def calibrate_to_references(
         All that ``fit_reference`` raises.
     """
     rounding = device_adc(records) if adc == "auto" else None
+    rounding, why = cross_validated_adc(records, references, rounding, settings=settings, lag_settings=lag_settings)
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
+    accel, more = _accel_of(records, references, rounding, fit, lag_settings)
+    more += () if why is None else (why,)
     temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
     return Calibration(
         device=records[0].device,
         reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
         gravity_m_s2=STANDARD_GRAVITY,
         gyro=fit.triad.model,
+        accel=None if accel is None else accel.model,
         adc=rounding,
-        verdict=fit.triad.verdict,
+        verdict=fit.triad.verdict.also(Verdict.of(*more) if accel is None else Verdict.of(*more).also(accel.verdict)),
     )
+
+
+def _accel_of(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    adc: AdcModel | None,
+    fit: ReferenceFit,
+    lag_settings: LagSettings,
+) -> tuple[TriadFit | None, tuple[Finding, ...]]:
+    """Return the accelerometers' fit to the references, or why there is none."""
+    if any(record.accel is None for record in records):
+        return None, ()
+    try:
+        made = fit_reference_accel(
+            [restored(record, adc) for record in records],
+            references,
+            fit.triad.model,
+            mountings=fit.mountings,
+            gravity_m_s2=STANDARD_GRAVITY,
+            lag_settings=lag_settings,
+        )
+        return made, ()
+    except (CalibrationError, InputError) as error:
+        return None, (finding("reference.accel_failed", "info", reason=str(error)),)
 
 
 def device_adc(records: Sequence[Record]) -> AdcModel | None:

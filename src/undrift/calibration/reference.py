@@ -7,7 +7,8 @@ rotation that an error of M or o causes does. Recordings of one device are poole
 drift with the pose; where pose and reading noise are white, ``weights="noise"`` reaches the least error that the poses allow, a
 quarter less. Offsets at rest and in motion differ (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s), so a recording's
 offset is its own mean at rest plus a change to motion that all recordings share, fitted with M: a new recording needs its own
-rest alone.
+rest alone. Each recording has a small rotation R of its own between device and body, w = R (M (u - o) - G a), whose mean over the
+recordings is none: markers are put on anew, and clusters are defined anew. Where one mounting is stated it is the same for all.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,9 +22,9 @@ from undrift.calibration.adc import without_truncation
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, scaled_condition
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
-from undrift.record import Record, Reference
+from undrift.record import Mounting, Record, Reference
 from undrift.sync import LONGEST_STEP, Lag, LagSettings, Motion, box_sums, find_lag, find_motion, native_poses
 
 # ---- settings and results
@@ -47,6 +48,8 @@ class ReferenceSettings:
     # "windows": long windows, each alike. "noise": after the first windows, neighbouring poses as one chain weighed
     # by the white noise of poses and readings
     weights: Weights = "windows"
+    # "each": device and reference body are turned against each other anew in each recording. "one": by the matrix alone
+    mounting: Mounting = "each"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.stride_s <= self.window_s <= self.longest_window_s:
@@ -72,6 +75,7 @@ class ReferenceFit:
     window_s: float  # Length of the longest windows that the recordings were long enough for, s
     window_rms: float  # Robust standard deviation of the residual rotation of the longest windows, rad
     offset_mode: Offset  # As in the settings
+    mountings: FloatArray  # (R, 3), rotation vector of each recording from the mean mounting to its own body, rad
 
     def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
         """Return the model for a recording that reads ``rest_offset`` (3,) at rest."""
@@ -92,6 +96,8 @@ class HeldOut:
     before: float  # with the rest offset alone
     after: float  # with the model
     extrapolation: Finding | None  # Where the held-out rates exceed what the others saw
+    adc: AdcModel | None  # What the readings were corrected for
+    rounding: Finding | None  # Why that was chosen, where the others could be cross-validated
 
 
 # ---- window equations: rotation of the gyroscope against rotation of the reference
@@ -129,7 +135,8 @@ class Windows:
     """Equations of one recording."""
 
     turn: FloatArray  # (n, 3), y, rad
-    design: FloatArray  # (n, 3, P), J: matrix row by row, then d, then G where accel readings are given
+    # (n, 3, P), J: matrix row by row, then d, then G where accel readings are given, then the rotations of the recordings
+    design: FloatArray
     first: IntArray  # (n,), number of the pose at which each window starts
 
 
@@ -431,18 +438,80 @@ def leave_one_out(
     lag_settings: LagSettings = LagSettings(),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
-    """Fit each recording's model to all others of the device, and evaluate it there; progress takes what is done, and 0 to 1."""
+    """Fit each recording's model to all others of the device, and evaluate it there; progress takes what is done, and 0 to 1.
+
+    Whether the readings are corrected for ``adc`` is cross-validated among the others each time.
+    """
     if len(records) < 2:
         raise InputError(
             f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
         )
-    prepared = prepare_all(records, references, settings, adc, lag_settings)
+    plain = corrected = prepare_all(records, references, settings, None, lag_settings)
+    errors = None
+    if adc is not None:
+        progress("cross-validating the correction of the ADC", 0.0)
+        corrected = prepare_all(records, references, settings, adc, lag_settings)
+        errors = _adc_errors((plain, corrected), settings, records[0].gyro_unit)
     unit, held = records[0].gyro_unit, list[HeldOut]()
-    for i in range(len(prepared)):
-        progress(f"fit without recording {i + 1} of {len(prepared)}", i / len(prepared))
+    for i in range(len(records)):
+        progress(f"fit without recording {i + 1} of {len(records)}", i / len(records))
+        keep, why = _adc_choice(errors, without=i)
+        prepared = corrected if keep else plain
         fit = _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit)
-        held.append(_held_out(i, prepared[i], fit, settings))
+        held.append(_held_out(i, prepared[i], fit, settings, (adc if keep else None, why)))
     return tuple(held)
+
+
+def cross_validated_adc(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    adc: AdcModel | None,
+    *,
+    settings: ReferenceSettings = ReferenceSettings(),
+    lag_settings: LagSettings = LagSettings(),
+) -> tuple[AdcModel | None, Finding | None]:
+    """Return the ADC model where correcting for it lowers the error on recordings that a fit has not seen, and the evidence."""
+    if adc is None or len(records) < 2:
+        return adc, None
+    both = [prepare_all(records, references, settings, one, lag_settings) for one in (None, adc)]
+    keep, why = _adc_choice(_adc_errors((both[0], both[1]), settings, records[0].gyro_unit), without=None)
+    return adc if keep else None, why
+
+
+def _adc_errors(
+    variants: tuple[list[Recording], list[Recording]], settings: ReferenceSettings, unit: str
+) -> FloatArray | None:
+    """Return the rms rotation, rad, that a fit to recording i alone leaves in j, (2, R, R), codes as they are and corrected.
+
+    None where single recordings are too short for a fit.
+    """
+    count = len(variants[0])
+    errors = np.full((2, count, count), np.nan)
+    for which, prepared in enumerate(variants):
+        mounted = _first_mountings(prepared, settings)
+        for i in range(count if count > 2 else 0):
+            try:
+                fit = _fit([prepared[i]], settings, unit)
+            except NotObservable:
+                return None
+            for j in range(count):
+                if i != j:
+                    model = fit.model_at_rest_offset(prepared[j].rest_offset)
+                    errors[which, i, j] = _left(prepared[j], model, mounted[j] @ mounted[i].T, fit.window_s, settings)
+    return errors
+
+
+def _adc_choice(errors: FloatArray | None, *, without: int | None) -> tuple[bool, Finding | None]:
+    """Return whether to correct, by the recordings other than one; where they are fewer than two, as the codes say."""
+    if errors is None:
+        return True, None
+    seen = errors if without is None else np.delete(np.delete(errors, without, axis=1), without, axis=2)
+    if seen.shape[1] < 2 or np.isnan(seen).all():
+        return True, None
+    plain, corrected = np.sqrt(np.nanmean(seen**2, axis=(1, 2)))
+    degrees = {"with_deg": float(np.degrees(corrected)), "without_deg": float(np.degrees(plain))}
+    keep = bool(corrected <= plain)
+    return keep, finding("reference.adc", "info", choice="kept" if keep else "left out", **degrees)
 
 
 def prepare_all(
@@ -467,29 +536,81 @@ def prepare_all(
 
 def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) -> ReferenceFit:
     offsets = [np.zeros(3) if settings.offset == "common" else p.rest_offset for p in prepared]
-    guess = _first_guess(prepared, settings)
-    kept = np.arange(21 if settings.g_sensitivity else 12)
+    mounted = _first_mountings(prepared, settings)
+    guess = _first_guess(prepared, mounted, settings)
+    count = len(prepared) if settings.mounting == "each" else 1
+    own = 3 * (count - 1)
+    kept = np.arange(len(guess) + own)
     if settings.offset == "rest":
         kept = np.delete(kept, np.s_[9:12])
     solution, used = None, settings.window_s
+
+    def equations(reach: int) -> list[Windows]:
+        each = zip(prepared, mounted, offsets, strict=True)
+        return [_of_device(p, guess, r, o, reach, (i, count)) for i, (p, r, o) in enumerate(each)]
+
+    def step(found: Solution) -> None:
+        moved = np.zeros(len(guess) + own)
+        moved[kept] = found.step
+        guess[:] += moved[: len(guess)]
+        turns = moved[len(guess) :].reshape(-1, 3)
+        for i, turn in enumerate((*turns, -turns.sum(axis=0)) if own else ()):
+            mounted[i] = rotate(quaternion_of(turn), mounted[i].T).T
+
     for length in _lengths(settings):
         reach = max(1, round(length / settings.stride_s))
-        windows = [window_equations(p, guess, o, reach) for p, o in zip(prepared, offsets, strict=True)]
+        windows = equations(reach)
         if solution is not None and independent_windows(windows, reach) <= len(kept) / 3.0:
             break  # too short for longer windows: stay with the last ones
         solution, used = solve(windows, kept=kept, reach=reach), length
-        guess[kept] += solution.step
+        step(solution)
     for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
-        windows = [window_equations(p, guess, o, 1) for p, o in zip(prepared, offsets, strict=True)]
-        solution, used = solve_chain(prepared, windows, kept=kept), settings.stride_s
-        guess[kept] += solution.step
+        solution, used = solve_chain(prepared, equations(1), kept=kept), settings.stride_s
+        step(solution)
     determinant = np.linalg.det(guess[:9].reshape(3, 3))
     if solution is None or determinant <= 0.0:
         raise Implausible(
             f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
-    return _result(prepared, settings, unit, guess, kept, solution, used)
+    size = len(kept) - own
+    common = replace(solution, covariance=solution.covariance[:size, :size])
+    return _result(prepared, mounted, settings, unit, guess, kept[:size], common, used)
+
+
+def _of_device(
+    recording: Recording, guess: FloatArray, mounted: FloatArray, offset: FloatArray, reach: int, place: tuple[int, int]
+) -> Windows:
+    """Return a recording's equations in the device's parameters and, after them, in the turns of all recordings but the last.
+
+    ``place`` is the number of the recording, and how many there are that turn; the last turns back what the others do.
+    """
+    (number, count), size = place, len(guess)
+    to_body = np.stack([_turned(unit, mounted) for unit in np.eye(size)], axis=1)
+    made = window_equations(recording, to_body @ guess, offset, reach)
+    if count < 2:
+        return replace(made, design=made.design @ to_body)
+    cross = [np.cross(axis, np.eye(3)).T for axis in np.eye(3)]
+    turns = np.stack([_turned(to_body @ guess, each) for each in cross], axis=1)  # (P, 3): by a rotation of the body
+    columns = np.zeros((size, size + 3 * (count - 1)))
+    columns[:, :size] = to_body
+    if number < count - 1:
+        columns[:, size + 3 * number : size + 3 * number + 3] = turns
+    else:
+        columns[:, size:] = np.tile(-turns, count - 1)
+    return replace(made, design=made.design @ columns)
+
+
+def _rotation_vectors(matrices: FloatArray) -> FloatArray:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+
+
+def _turned(parameters: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return M, d and G, one after the other, turned by a matrix (3, 3)."""
+    parts = parameters[:9], parameters[9:12], parameters[12:]
+    return np.concatenate([(rotation @ part.reshape(3, -1)).reshape(-1) for part in parts])
 
 
 def _lengths(settings: ReferenceSettings) -> list[float]:
@@ -501,23 +622,40 @@ def _lengths(settings: ReferenceSettings) -> list[float]:
     return lengths + [lengths[-1]] * _REFINEMENTS
 
 
-def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> FloatArray:
-    # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
+def _first_mountings(prepared: Sequence[Recording], settings: ReferenceSettings) -> FloatArray:
+    """Return the rotation from the first recording's body to each one's, (R, 3, 3), where single fits show one; else none."""
+    none = np.tile(np.eye(3), (len(prepared), 1, 1))
     matrices = np.array([p.lag.matrix for p in prepared])
-    matrix = matrices.mean(axis=0)
-    size = float(np.linalg.norm(matrix, 2))
-    worst = float(np.abs(matrices - matrix).max()) / size
+    if settings.mounting == "one" or _difference(matrices) <= _MOUNTING:
+        return none
+    left, _, right = np.linalg.svd(matrices @ np.linalg.pinv(matrices[0]))
+    turned = left @ right
+    return turned if (np.linalg.det(turned) > 0.0).all() else none
+
+
+def _difference(matrices: FloatArray) -> float:
+    """Return how far matrices (R, 3, 3) are from their mean, as a share of its size."""
+    mean = matrices.mean(axis=0)
+    return float(np.abs(matrices - mean).max()) / float(np.linalg.norm(mean, 2))
+
+
+def _first_guess(prepared: Sequence[Recording], mounted: FloatArray, settings: ReferenceSettings) -> FloatArray:
+    # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
+    back = np.swapaxes(mounted, 1, 2)
+    matrices = back @ np.array([p.lag.matrix for p in prepared])
+    matrix, worst = matrices.mean(axis=0), _difference(matrices)
     if worst > _MOUNTING:
         raise AlignmentError(
-            f"reference: wanted one mounting for all recordings, got matrices that differ by {worst:.0%}; fit recordings with "
-            "other marker clusters or other sensors apart",
+            f"reference: wanted one {'mounting' if settings.mounting == 'one' else 'device'} for all recordings, got matrices that "
+            f"differ by {worst:.0%}{'' if settings.mounting == 'one' else ' apart from a rotation'}; fit recordings with other "
+            "marker clusters (--mounting one) or other sensors apart",
             difference=worst,
         )
     constants = [
         np.zeros(3)
         if settings.offset == "rest"
-        else -p.lag.constant - matrix @ p.rest_offset * (settings.offset == "motion")
-        for p in prepared
+        else -r @ p.lag.constant - matrix @ p.rest_offset * (settings.offset == "motion")
+        for p, r in zip(prepared, back, strict=True)
     ]
     g = np.zeros(9 if settings.g_sensitivity else 0)
     return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), g))
@@ -525,6 +663,7 @@ def _first_guess(prepared: Sequence[Recording], settings: ReferenceSettings) -> 
 
 def _result(
     prepared: Sequence[Recording],
+    mounted: FloatArray,
     settings: ReferenceSettings,
     unit: str,
     guess: FloatArray,
@@ -572,6 +711,7 @@ def _result(
         window_s=window_s,
         window_rms=solution.scale,
         offset_mode=settings.offset,
+        mountings=_rotation_vectors(mounted),
     )
 
 
@@ -588,16 +728,26 @@ def _judged(model: TriadModel, rest: FloatArray, settings: ReferenceSettings) ->
         yield finding("reference.g_sensitivity", "warn")
 
 
-def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: ReferenceSettings) -> HeldOut:
-    model = fit.model_at_rest_offset(recording.rest_offset)
-    reach = max(1, round(settings.window_s / settings.stride_s))
+def _left(
+    recording: Recording, model: TriadModel, turn: FloatArray, window_s: float, settings: ReferenceSettings
+) -> float:
+    """Return the rms rotation that a model leaves over the windows of a recording, rad; ``turn`` leads from the model's body."""
     g = np.zeros(0) if model.g_sensitivity is None else model.g_sensitivity.reshape(-1)
-    plain = np.concatenate((_rigid(model.matrix).reshape(-1), np.zeros(3), 0.0 * g))
-    fitted = np.concatenate((model.matrix.reshape(-1), np.zeros(3), g))
-    before, after = (
-        float(np.sqrt((window_equations(recording, guess, offset, reach).turn ** 2).sum(axis=1).mean()))
-        for guess, offset in ((plain, recording.rest_offset), (fitted, model.offset))
-    )
+    parameters = _turned(np.concatenate((model.matrix.reshape(-1), np.zeros(3), g)), turn)
+    windows = window_equations(recording, parameters, model.offset, max(1, round(window_s / settings.stride_s)))
+    return float(np.sqrt((windows.turn**2).sum(axis=1).mean()))
+
+
+def _held_out(
+    number: int,
+    recording: Recording,
+    fit: ReferenceFit,
+    settings: ReferenceSettings,
+    adc: tuple[AdcModel | None, Finding | None],
+) -> HeldOut:
+    model = fit.model_at_rest_offset(recording.rest_offset)
+    plain = replace(model, matrix=_rigid(model.matrix), offset=recording.rest_offset)
+    before, after = (_left(recording, one, np.eye(3), settings.window_s, settings) for one in (plain, model))
     rate = np.abs((recording.gyro[recording.moving] - model.offset) @ model.matrix.T)
     limit = max(abs(model.valid_range[0]), abs(model.valid_range[1]))
     beyond = float((rate > limit).any(axis=1).mean())
@@ -608,7 +758,16 @@ def _held_out(number: int, recording: Recording, fit: ReferenceFit, settings: Re
         names = ("most_dps", "rms_dps", "seen_dps", "seen_rms_dps")
         rates = zip(names, np.degrees((rate.max(), rms, limit, most)), strict=True)
         extrapolation = finding("validate.extrapolated", "warn", **dict(rates))
-    return HeldOut(recording=number, fit=fit, model=model, before=before, after=after, extrapolation=extrapolation)
+    return HeldOut(
+        recording=number,
+        fit=fit,
+        model=model,
+        before=before,
+        after=after,
+        extrapolation=extrapolation,
+        adc=adc[0],
+        rounding=adc[1],
+    )
 
 
 def _rigid(matrix: FloatArray) -> FloatArray:

@@ -328,6 +328,19 @@ def recording_of(files: tuple[Path, ...]) -> Path | None:
     return folder / first if isinstance(first, str) else None
 
 
+def recordings_of(files: tuple[Path, ...], opening: Opening) -> "tuple[tuple[Path, ...], Session | None]":
+    """Return the recordings that are named, or those of the session that is named, and that session."""
+    from undrift.files import read_toml
+    from undrift.io.session import NAME, SessionFile
+
+    folder = files[0] if files[0].is_dir() else files[0].parent
+    if files[0].name != NAME and not (files[0] / NAME).is_file():
+        return files, None
+    held = session_of(files, Place(), opening)
+    stated = (entry.file for entry in read_toml(folder / NAME, SessionFile).recording)
+    return tuple(folder / (file if isinstance(file, str) else file[0]) for file in stated), held
+
+
 def say_next(*words: object) -> None:
     """Print the command to type next, as it works in this folder."""
     say("Next: undrift " + shlex.join(map(str, words)))
@@ -399,8 +412,10 @@ class Optics:
     markers: str | None = None
     reference_up: Up = None
 
-    def pairs(self, records: tuple[Path, ...], opening: Opening, *, command: str) -> list[tuple["Record", "Reference"]]:
-        """Read recordings and the reference of each."""
+    def pairs(
+        self, records: tuple[Path, ...], opening: Opening, *, command: str, session: "Session | None" = None
+    ) -> list[tuple["Record", "Reference"]]:
+        """Read recordings, unless a session holds them, and the reference of each."""
         from undrift.io.formats import detect
 
         paths = self.reference
@@ -412,7 +427,8 @@ class Optics:
                 "say --reference once for each, in the same order"
             )
         labels, up = labels_of(self.markers), self.reference_up
-        return [(opening.read(record), _poses(path, labels, up)) for record, path in zip(records, paths, strict=True)]
+        read = [opening.read(record) for record in records] if session is None else session.records
+        return [(record, _poses(path, labels, up)) for record, path in zip(read, paths, strict=True)]
 
 
 def _poses(path: Path, labels: tuple[str, ...] | None, up: Up) -> "Reference":

@@ -4,6 +4,7 @@
 kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
 gravity_m_s2 = 9.81                 # or latitude_deg and height_m
+mounting = "one"                    # of a fit to references: one mounting for all recordings; each its own without it
 [rate_table]                        # standard uncertainties; may be left out, and so may each key: the defaults
 table_level_deg = 0.1               # axis of the table against the vertical
 mount_tilt_deg = 0.1                # device against that axis, about each axis across
@@ -60,6 +61,7 @@ from undrift.record import (
     FileMap,
     GravitySource,
     Kind,
+    Mounting,
     RateTable,
     Record,
     Session,
@@ -306,6 +308,7 @@ class HeadEntry(Entry):
     gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two
     latitude_deg: Finite | None = None  # Where it was recorded
     height_m: Finite | None = None
+    mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
 
 
 class RateTableEntry(Entry):
@@ -436,6 +439,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             gravity_source="stated" if held.session.gravity_m_s2 is not None else "latitude and height",
             rate_table=table,
             sensitivity=sensitivity,
+            mounting=held.session.mounting,
         )
 
 
@@ -511,6 +515,7 @@ def write_session(session: Session, folder: str | Path) -> None:
     quoted = json.dumps(session.serial, ensure_ascii=False).replace("\x7f", "\\u007f")
     lines = ["[session]", f'kind = "{session.kind}"', f"serial = {quoted}"]
     lines += [f"gravity_m_s2 = {float(session.gravity_m_s2)!r}"]
+    lines += [] if session.mounting is None else [f'mounting = "{session.mounting}"']
     for name, stated in (("rate_table", session.rate_table), ("temperature", session.sensitivity)):
         if stated != type(stated)():
             lines += ["", f"[{name}]"]
