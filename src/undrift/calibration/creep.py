@@ -15,7 +15,7 @@ axes over the prior of their slope, widened for three observations. In counts, a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class Creep:
         """True where no piece is off the reference temperature."""
         return not self.warmth.any()
 
-    def averaged(self, groups: Sequence[Sequence[int]], weight: FloatArray) -> "Creep":
+    def averaged(self, groups: Sequence[Sequence[Any]], weight: FloatArray) -> "Creep":
         """Return the same of weighted means over groups of pieces."""
         return replace(
             self, warmth=np.array([np.average(self.warmth[g], weights=weight[g]) for g in map(list, groups)])
