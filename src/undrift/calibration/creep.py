@@ -15,7 +15,7 @@ axes over the prior of their slope, widened for three observations. In counts, a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 _SHOWS = 3.0  # standard deviations of a mean square by which pieces differ in temperature
 _DITHER = 0.3  # of a step of the thermometer: with less noise the mean keeps the error of rounding
 _DRIFTS = 7.81  # 95 %: chi-square of three axes
-_WITH_FORCE = 6  # rests: with fewer, drift and g-sensitivity cannot be told apart
+_WITH_FORCE = 6  # rests: with fewer, drift and g-sensitivity cannot be separated
 _FEW = 2  # rests beyond the unknowns: with no more, their scatter is too uncertain to widen by
 
 Kind = Literal["accel", "gyro"]
@@ -68,7 +68,7 @@ class Creep:
         """True where no piece is off the reference temperature."""
         return not self.warmth.any()
 
-    def averaged(self, groups: Sequence[Sequence[int]], weight: FloatArray) -> "Creep":
+    def averaged(self, groups: Sequence[Sequence[Any]], weight: FloatArray) -> "Creep":
         """Return the same of weighted means over groups of pieces."""
         return replace(
             self, warmth=np.array([np.average(self.warmth[g], weights=weight[g]) for g in map(list, groups)])
@@ -80,14 +80,20 @@ class Creep:
             return ()
         accel = self.kind == "accel"
         unit = 1e-3 * STANDARD_GRAVITY if accel else RADIAN_PER_DEGREE
-        cost = {
+        cost: dict[str, Any] = {
             "offset": 0.5 * self.span_k * self.offset_per_k / unit,
             "unit": "mg" if accel else "deg/s",
             "scale_percent": 50.0 * self.span_k * self.scale_per_k,
         }
-        code = "session.temperature_creep" if self.recorded else "session.offset_creep"
-        triad = "accelerometer" if accel else "gyroscope"
-        return (finding(code, "warn", span_k=self.span_k, limit_k=self.limit_k, triad=triad, **cost),)
+        shown = {
+            "span_k": self.span_k,
+            "limit_k": self.limit_k,
+            "triad": "accelerometer" if accel else "gyroscope",
+            **cost,
+        }
+        if self.recorded:
+            return (finding("session.temperature_creep", "warn", **shown),)
+        return (finding("session.offset_creep", "warn", **shown),)
 
 
 def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:

@@ -500,6 +500,9 @@ class MultiPositionFit:
 _Attempt = tuple[ThresholdTrial, tuple[Still, ...], FloatArray, NormFit | None]  # the third: readings that were fitted
 
 
+_NO_LENGTH = "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
+
+
 def fit_multi_position(
     recorded: Record | Sequence[Record],
     *,
@@ -536,32 +539,21 @@ def fit_multi_position(
             attempts, (trial, used, reading, fit) = known, better
     if fit is None:
         check_count(reading, 9 if settings.cross_axis else 6, known_noise=True)
-        raise PoorFit(
-            "multi-position: wanted poses of one length, got none that a linear sensor could give; check the columns"
-        )
-    of_accel = None if creep is None or settings.rule == "published" else creep(used, "accel")
-    if of_accel is not None and not of_accel.none:
+        raise PoorFit(_NO_LENGTH)
+    if creep is not None and settings.rule != "published" and not (moved := creep(used, "accel")).none:
         held = settings if len(fit.prior) else plain
-        trial, used, reading, fit = _attempt(levels, used, trial.multiple, gravity, held, shortest, of_accel)
+        trial, used, reading, fit = _attempt(levels, used, trial.multiple, gravity, held, shortest, moved)
         if fit is None:
-            raise PoorFit(
-                "multi-position: wanted poses of one length, got none that creeps as stated; check the temperature"
-            )
+            raise PoorFit(_NO_LENGTH)
     check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
     accel = judged(fit, reading, records[0].accel_unit)
     gyro: TriadFit | None = None
     missing: tuple[Finding, ...] = ()
     if settings.gyro and all(r.gyro is not None for r in records):
-        published = settings.rule == "published"
-        cores = used if published or stills is not None else _cores(levels, used, shortest)
-        rest_s = settings.rest_s if published else None
+        cores = used if settings.rule == "published" or stills is not None else _cores(levels, used, shortest)
         try:
             model = axes if axes is not None and len(fit.prior) else accel.model
-            ordered = sorted(used, key=lambda still: (still.recording, still.start))
-            both = None if creep is None or published else (creep(ordered, "accel"), creep(ordered, "gyro"))
-            gyro = fit_gyro_between_stills(
-                records, used, model, cores=cores, equal=published, rest_s=rest_s, creep=both
-            )
+            gyro = _fit_gyro(records, used, cores, model, settings, creep)
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     verdict = accel.verdict if gyro is None else accel.verdict.also(gyro.verdict)
@@ -574,6 +566,21 @@ def fit_multi_position(
         verdict=verdict.also(Verdict.of(*missing)),
         missing=missing,
     )
+
+
+def _fit_gyro(
+    records: Sequence[Record],
+    used: Sequence[Still],
+    cores: Sequence[Still],
+    model: TriadModel,
+    settings: MultiPositionSettings,
+    creep: Callable[[Sequence[Still], Kind], Creep] | None,
+) -> TriadFit:
+    if settings.rule == "published":
+        return fit_gyro_between_stills(records, used, model, cores=cores, equal=True, rest_s=settings.rest_s)
+    ordered = sorted(used, key=lambda still: (still.recording, still.start))
+    both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
+    return fit_gyro_between_stills(records, used, model, cores=cores, creep=both)
 
 
 def _stills(levels: list[StillVariance], multiple: float, shortest: list[int]) -> tuple[Still, ...]:

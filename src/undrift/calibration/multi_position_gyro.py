@@ -281,7 +281,7 @@ def fit_gyro_between_stills(
     check_range(within, "gyroscope in moves between poses")
     prior = offset_prior(moves)
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
-    prior = replace(prior, variance=prior.variance + codes)
+    prior = replace(prior, variance=prior.variance + codes, noise=prior.noise + codes)  # in motion it is noise again
     if equal:
         start = records[0].time[0]
         rest = None if rest_s is None else records[0].between(start, start + rest_s).gyro
@@ -472,11 +472,13 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     matrix, offset = p[:9].reshape(3, 3) / problem.unit, problem.prior.mean + p[9:] * problem.unit
     carry = np.array([1.0 / problem.unit] * 9 + [problem.unit] * 3)
     total = covariance * np.outer(carry, carry)
-    drift = problem.prior.drift
+    left, known = problem.prior.drift, np.zeros(3)
     if problem.creep is not None and not problem.creep[1].none:  # the offset is that at the reference temperature
         warmth = _warmth_of_moves(problem, problem.creep[1])[:, None]
-        drift = drift - warmth @ np.linalg.pinv(warmth) @ drift
-    total[9:, 9:] += np.diag((drift**2).mean(axis=0))  # one offset stands for all of the session
+        left = left - warmth @ np.linalg.pinv(warmth) @ left
+        known = np.diagonal(problem.prior.drift_covariance, axis1=1, axis2=2).mean(axis=1)
+    # one offset stands for all of the session
+    total[9:, 9:] += np.diag(np.maximum((left**2).mean(axis=0) - known, 0.0))
     inside = [moves.gyro[a + 1 : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     rate = (np.concatenate(inside) - offset) @ matrix.T
     residuals = missed.angle.reshape(-1, 2) / moves.duration_s[:, None]

@@ -299,7 +299,8 @@ def mean_of_rests(
     factor, mean, variance = widening_of(len(means) - 1), np.zeros(3), np.zeros(3)
     for axis in range(3):
         value, own = means[:, axis], variances[:, axis]
-        excess, middle, moved, spent = 0.0, float(value.mean()), np.zeros(len(value)), 0.0
+        excess, middle, spent = 0.0, float(value.mean()), 0.0
+        moved: FloatArray = np.zeros(len(value))
         for _ in range(_ROUNDS):
             before, excess = excess, excess_variance(value - middle - moved, own, len(value) - 1 - spent)
             total = own + excess

@@ -74,7 +74,7 @@ def fit_rate_table(
     rates = imposed_rates(dwells, latitude_deg)
     verdict, names = Verdict(), {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
     if mode == "paper":
-        fit = fit_paper(rates, dwells.reading, dwells.noise, **names)
+        fit = fit_paper(rates, dwells.reading, dwells.noise, None, **names)
         verdict = offset_verdict(fit, rates, dwells.reading, dwells.noise)
     else:
         span = (float(rates.min()), float(rates.max()))
