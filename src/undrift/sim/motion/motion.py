@@ -241,18 +241,6 @@ UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # a hand that hes
 Path = tuple[Course, Course, Course]
 
 
-class Angle(Protocol):
-    """An angle over local time s in [0, 1], rad, and its derivatives."""
-
-    def __call__(self, s: FloatArray) -> FloatArray:
-        """Return the angle at s."""
-        ...
-
-    def deriv(self, order: int) -> "Angle":
-        """Return a derivative with respect to s."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class UnevenAngle:
     """The angle of a dwell whose rate ripples once a turn and settles late.
@@ -284,6 +272,9 @@ class UnevenAngle:
     def deriv(self, order: int) -> "UnevenAngle":
         """Return the first or second derivative with respect to s."""
         return replace(self, order=self.order + order)
+
+
+Angle = Polynomial | UnevenAngle  # over local time s in [0, 1], rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
