@@ -84,14 +84,7 @@ def fit_turned_axes(
             share = NOMINAL_SD[physical] if axis == row else cross_axis_prior
             covariance[3 * row + axis, 3 * row + axis] = (nominal * share) ** 2
     rank, condition = scaled_condition(design)
-    prior = finding(
-        "rate_table.nominal_kept",
-        "warn",
-        axes=[axis for axis in AXES if axis not in axes],
-        source="the unit's own" if physical else "that of the turned axes",
-        scale_percent=100.0 * NOMINAL_SD[physical],
-        cross_percent=100.0 * cross_axis_prior,
-    )
+    prior = _nominal_kept(axes, cross_axis_prior, physical=physical)
     fit = triad_from_forward(
         ForwardFit(
             matrix=forward,
@@ -109,6 +102,17 @@ def fit_turned_axes(
     uneven = () if whole.axes is None else table_findings(whole.axes, whole.mount_tilt)
     verdict = Verdict.of(_axes_missing(axes), prior, *map(axis_finding, shown), *uneven)
     return replace(fit, model=with_terms(fit.model, whole), verdict=verdict)
+
+
+def _nominal_kept(axes: tuple[Axis, ...], cross_axis_prior: float, *, physical: bool) -> Finding:
+    return finding(
+        "rate_table.nominal_kept",
+        "warn",
+        axes=[axis for axis in AXES if axis not in axes],
+        source="the unit's own" if physical else "that of the turned axes",
+        scale_percent=100.0 * NOMINAL_SD[physical],
+        cross_percent=100.0 * cross_axis_prior,
+    )
 
 
 def fit_rate_axis(

@@ -58,6 +58,41 @@ class Table:
     wobble_deg: float | None = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Fitting:
+    """How readings are averaged and fitted.
+
+    Parameters
+    ----------
+    window_s : float
+        Longest stretch of each face that is averaged, s.
+    settle_s : float
+        Start of each dwell at a known rate that is left out, s.
+    angle_uncertainty_deg : float
+        Standard uncertainty of a turn by a known angle, deg.
+    axis_uncertainty_deg : float
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg.
+    scale_tolerance : float
+        Largest relative difference of a scale factor from the stated unit; physical units only.
+    polynomial_degree : int
+        Degree of the polynomial in time that filters each face before it is averaged.
+    spline_cutoff_hz : float or None
+        Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
+    cross_axis_prior : float
+        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    """
+
+    window_s: float = 6.0
+    settle_s: float = 0.3
+    angle_uncertainty_deg: float = 1.0
+    axis_uncertainty_deg: float = 0.5
+    scale_tolerance: float = 0.25
+    polynomial_degree: int = 1
+    spline_cutoff_hz: float | None = None
+    cross_axis_prior: float = 0.01
+
+
 def calibrate(
     *files: Files,
     place: Place = Place(),
@@ -70,14 +105,7 @@ def calibrate(
     mode: Literal["paper", "affine", "levelled"] | None = None,
     keep_offset: Flag = False,
     adc: Literal["auto", "none"] = "auto",
-    window_s: float = 6.0,
-    settle_s: float = 0.3,
-    angle_uncertainty_deg: float = 1.0,
-    axis_uncertainty_deg: float = 0.5,
-    scale_tolerance: float = 0.25,
-    polynomial_degree: int = 1,
-    spline_cutoff_hz: float | None = None,
-    cross_axis_prior: float = 0.01,
+    fitting: Fitting = Fitting(),
     table: Table = Table(),
     sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
@@ -111,22 +139,8 @@ def calibrate(
         Mode paper, whose matrix has no offset column: the readings are free of it, remove none.
     adc : str
         "auto" looks for the step and rounding of the codes; "none" leaves them.
-    window_s : float
-        Longest stretch of each face that is averaged, s.
-    settle_s : float
-        Start of each dwell at a known rate that is left out, s.
-    angle_uncertainty_deg : float
-        Standard uncertainty of a turn by a known angle, deg.
-    axis_uncertainty_deg : float
-        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg.
-    scale_tolerance : float
-        Largest relative difference of a scale factor from the stated unit; physical units only.
-    polynomial_degree : int
-        Degree of the polynomial in time that filters each face before it is averaged.
-    spline_cutoff_hz : float or None
-        Low-pass each dwell at a known rate by a spline with this cut-off, Hz; no filter by default.
-    cross_axis_prior : float
-        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+    fitting : Fitting
+        How readings are averaged and fitted.
     table : Table
         How good the rate table is.
     sensitivity : Sensitivity
@@ -150,18 +164,11 @@ def calibrate(
     check_figure(figure, reads=files)
     settings = CalibrateSettings(
         still=rests.settings(),
-        window_s=window_s,
-        settle_s=settle_s,
         latitude_deg=place.latitude_deg,
-        angle_uncertainty_deg=angle_uncertainty_deg,
-        axis_uncertainty_deg=axis_uncertainty_deg,
         turn_angle_deg=turn_deg,
-        scale_tolerance=scale_tolerance,
-        polynomial_degree=polynomial_degree,
-        spline_cutoff_hz=spline_cutoff_hz,
         remove_offset=not keep_offset,
         identify_adc=adc == "auto",
-        cross_axis_prior=cross_axis_prior,
+        **asdict(fitting),
         **asdict(table),
         **asdict(sensitivity),
     )

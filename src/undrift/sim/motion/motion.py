@@ -263,9 +263,9 @@ class UnevenAngle:
         wave_at = self.azimuth + turned
         if self.order == 0:
             ripple = self.ripple * (math.cos(self.azimuth) - np.cos(wave_at))
-            return turned + ripple + w * self.excess * self.settle_s * (1.0 - late)
+            return np.asarray(turned + ripple + w * self.excess * self.settle_s * (1.0 - late))
         if self.order == 1:
-            return w * self.duration_s * (1.0 + self.ripple * np.sin(wave_at) + self.excess * late)
+            return np.asarray(w * self.duration_s * (1.0 + self.ripple * np.sin(wave_at) + self.excess * late))
         slope = self.ripple * w * np.cos(wave_at) - self.excess / self.settle_s * late
         return np.asarray(w * self.duration_s**2 * slope)
 
@@ -400,7 +400,7 @@ class Script:
         stop = start + round(duration_s * self.sample_rate_hz)
         self.pieces.append(Piece(start, stop, self.q, axis_b, angle))
         if angle is not REST:
-            self.q = quaternion_product(self.q, turn_quaternion(axis_b, np.array(angle(1.0))))
+            self.q = quaternion_product(self.q, turn_quaternion(axis_b, np.asarray(angle(np.array(1.0)))))
             self.q = self.q / np.linalg.norm(self.q)
         return start, stop
 
