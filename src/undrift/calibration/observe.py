@@ -738,7 +738,7 @@ class Outcome:
     fit: TriadFit | None = None
     method: str = "none"
     findings: tuple[Finding, ...] = ()
-    used: tuple[Still, ...] = ()  # stills behind the fit, where it is of an accelerometer
+    used: tuple[Still, ...] = ()  # stills behind the fit, for an accelerometer
 
     def after(self, *findings: Finding) -> "Outcome":
         """Return the same outcome with findings put before its own."""
