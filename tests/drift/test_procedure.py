@@ -12,6 +12,7 @@ from undrift.drift.checks import static_verdict, verdict_before
 from undrift.drift.fit import DriftSettings, fit_drift
 from undrift.drift.static import StaticSettings
 from undrift.errors import InputError, NotObservable
+from undrift.export.autopilots import export_ardupilot, export_px4
 from undrift.findings import finding
 from undrift.model import Verdict
 from undrift.sim.device.presets import preset
@@ -224,10 +225,22 @@ def test_without_a_calibration_physical_units_keep_their_scale():
     assert found.calibration.gyro.method == "nominal"
     assert "calibration.nominal" in {item.code for item in found.verdict.findings}
     assert "drift.no_turns" in {item.code for item in found.verdict.findings}
+    low, high = found.gyro_summary.seen_c
+    assert found.calibration.reference_temp_c == pytest.approx(np.clip(25.0, low, high), abs=0.5)  # a node
+    assert low - 0.5 <= found.calibration.reference_temp_c <= high + 0.5
     with pytest.raises(
         NotObservable, match="wanted a calibration, or gyroscope readings in a physical unit, got count"
     ):
         fit_drift([session])
+
+
+def test_tables_without_a_calibration_can_be_exported_where_matrix_and_offset_are_over_temperature(session):
+    rate = (session.records[0].gyro - CALIBRATION.gyro.offset) @ np.degrees(CALIBRATION.gyro.matrix).T
+    alone = with_record(session, gyro=rate, gyro_unit="dps", accel=None)
+    found = fit_drift([alone], settings=DriftSettings(tables="scale")).calibration
+    assert found.reference_temp_c == pytest.approx(25.0)
+    for write in (export_px4, export_ardupilot):  # both read the matrix at the reference temperature
+        assert write(found).text
 
 
 def test_the_nodes_are_those_asked_for_or_what_was_seen(session):

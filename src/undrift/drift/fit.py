@@ -45,6 +45,7 @@ from undrift.model import Calibration, DriftTables, Provenance, Verdict
 from undrift.record import Session
 from undrift.views import Shown
 
+ROOM_C = 25.0  # constants are stated at it where no calibration says at which temperature
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 _WIDE = 0.8  # of the note's range: sessions that saw less have tables over what they saw
@@ -393,4 +394,20 @@ def _calibrated(
         versions=held.versions or tuple((name, version(name)) for name in ("undrift", "numpy", "scipy")),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
-    return replace(device, drift=tables, verdict=device.verdict.also(verdict), provenance=provenance)
+    return replace(
+        device,
+        reference_temp_c=_reference_of(device, tables),
+        drift=tables,
+        verdict=device.verdict.also(verdict),
+        provenance=provenance,
+    )
+
+
+def _reference_of(device: Calibration, tables: DriftTables) -> float:
+    """Return the reference temperature: the device's own, or where none is known the one seen that is nearest to a room's, degC."""
+    static = tables.static
+    if np.isfinite(device.reference_temp_c) or static is None:
+        return device.reference_temp_c
+    far = static.gyro_extrapolated
+    seen = static.temp_c if far is None or far.all() else static.temp_c[~far]
+    return float(np.clip(ROOM_C, seen[0], seen[-1]))
