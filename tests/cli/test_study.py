@@ -78,6 +78,8 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
         "none_max_deg",
         "static_max_deg",
         "full_max_deg",
+        "rest_max_deg",
+        "full_and_rest_max_deg",
         "decrease_deg",
         "simulated_actual_max_deg",
     }
@@ -254,7 +256,10 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
         return compare_rivals(**words | {"units": 1, "methods": ("data_sheet", "rate_table", "mocap")})
 
     monkeypatch.setattr(outcome_module, "compare_rivals", few)
-    told = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
+    words = ("study", plan, "-o", tmp_path / "out", "--workers", "1", "--json", "--drawn-units")
+    assert "drawn-units: wanted 0, or two or more" in undrift.refused(*words, "1")
+    told = done(undrift, *words, "2").json()
+    assert [row["correction"] for row in told["figure3_drawn"]] == told["figure3"]["compared"]
     assert asked == [{"kind": "enc03j_3031", "seed": 0, "tasks": ("sit_to_stand",)}]
     assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]
     assert told["rivals"][1]["error_rms_deg"]["median"] < told["rivals"][2]["error_rms_deg"]["median"]
@@ -266,6 +271,8 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
     assert "Discussion as an experiment: other ways to calibrate" in page
     assert "optics see orientation, not specific force" in page
     assert "Figure 3: simulated against actual, effect by effect" in page
+    assert "Largest error of 2 units drawn from the kind" in page
+    assert "slope over temperature was inferred from the note" in page
     done(undrift, "study", plan, "-o", tmp_path / "quick", "--workers", "1", "--quick")
     assert len(asked) == 1
 

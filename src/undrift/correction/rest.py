@@ -4,10 +4,10 @@
 
     w'(t) = w(t) - r        r = mean of w over the rest        var r = var of the mean, with the correlation between samples
 
-It removes the offset of that moment, whatever its cause (turn-on, ageing, hysteresis), and with it any true slow turn; it removes
-no scale or rate-dependent error, and no offset that changes afterwards. The rest is the first still phase of the corrected readings,
-or a named stretch. It is looked for in the first ten minutes, and in twice as much until one ends there; so a stream that is read in
-chunks finds the one that the whole recording shows.
+It removes the offset of that moment, whatever its cause (turn-on, ageing, hysteresis), and with it any true slow turn. It removes
+no scale or rate-dependent error, and no offset that changes afterwards. The rest is the first still phase of the corrected
+readings, or a named stretch. It is looked for in the first ten minutes, and in twice as much until one ends there: a stream that
+is read in chunks finds the one that the whole recording shows.
 """
 
 from collections.abc import Callable, Iterator

@@ -20,7 +20,7 @@ from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
 from undrift.study import judge, run
 from undrift.study.case import Unit, run_unit, seeded, typical_unit, units_of
-from undrift.study.figure3 import EffectRow, Figure3, effect_table, figure3
+from undrift.study.figure3 import DRAWN_UNITS, DrawnRow, EffectRow, Figure3, drawn_cohort, effect_table, figure3
 from undrift.study.plan import DEVICE, TABLE_1, TURN_RATES, Study, StudyTask, Untried
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
 from undrift.study.rivals import TASKS, DesignRow, RivalRow, compare_rivals, design_rows
@@ -35,13 +35,15 @@ StageName = Literal[
     "rates to dwell at",
     "Figure 3",
     "Figure 3, effect by effect",
+    "Figure 3, drawn units",
     "rival methods",
     "real recordings",
 ]
 POOL_S = 3.0  # workers start
 DESIGNS_S = 0.4  # a task
-FIGURE3_S = 4.0
-EFFECTS_S = 15.0
+FIGURE3_S = 5.0
+EFFECTS_S = 18.0
+DRAWN_S = 6.0  # a unit of the drawn cohort: its thermal fit
 RIVALS_S = 20.0  # units are calibrated by every method once, for all tasks
 TRIAL_S, WORN_S, ROWS_S = 2.5, 3.5, 0.3  # a real trial; the device worn in captures; a capture or stance
 
@@ -53,7 +55,9 @@ class Stage(NamedTuple):
     seconds: float
 
 
-def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None) -> tuple[Stage, ...]:
+def forecast(
+    study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None, drawn_units: int = DRAWN_UNITS
+) -> tuple[Stage, ...]:
     """Return the stages of a study with their times; what is on the disk already costs nothing."""
     store, halving = run.RunStore(folder, study), study.search == "halving"
     units = units_of(study)
@@ -79,6 +83,7 @@ def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: Re
         Stage("rates to dwell at", DESIGNS_S * len(study.tasks)),
         Stage("Figure 3", FIGURE3_S if figured else 0.0),
         Stage("Figure 3, effect by effect", EFFECTS_S if figured and rivals else 0.0),
+        Stage("Figure 3, drawn units", drawn_units * DRAWN_S / workers if figured and rivals else 0.0),
         Stage("rival methods", RIVALS_S if rivals else 0.0),
         Stage("real recordings", real_s),
     )
@@ -146,6 +151,8 @@ class StudyOutcome:
     figure3_missing: Finding | None  # Why there is none
     # Differences of its two devices, effect by effect; empty where the rivals were not asked for either
     figure3_effects: tuple[EffectRow, ...] = ()
+    # Largest errors of drawn units, one row for each compensation; empty where the rivals were not asked for
+    figure3_drawn: tuple[DrawnRow, ...] = ()
     designs: tuple[DesignRow, ...] = ()  # D- and I-optimal rates and the uniform grid, by task
     rivals: tuple[RivalRow, ...] = ()  # Other ways to calibrate; empty where they were not asked for
     rivals_missing: Finding | None = None  # Why there are none
@@ -159,6 +166,7 @@ def judge_study(
     *,
     advance: Callable[[int, int], None] = lambda done, total: None,
     rivals: bool = False,
+    drawn_units: int = DRAWN_UNITS,
     real: RealData | None = None,
     begin: Callable[[StageName], None] = lambda stage: None,
     tell: Callable[[str], None] = lambda text: None,
@@ -187,11 +195,19 @@ def judge_study(
     if _has_figure3(study):
         figure, missing = tried("Figure 3", lambda: figure3(unit, seed=study.seed, excursion_k=warmer))
     effects: tuple[EffectRow, ...] | None = None
+    drawn: tuple[DrawnRow, ...] | None = None
     rows: tuple[RivalRow, ...] | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
     if rivals and figure is not None:
         begin("Figure 3, effect by effect")
         effects, _ = tried("Figure 3", lambda: effect_table(unit, seed=study.seed, excursion_k=warmer, back=False))
+    if rivals and figure is not None and drawn_units:
+        begin("Figure 3, drawn units")
+        kind = DEVICE if study.worn else study.device
+        drawn, _ = tried(
+            "Figure 3",
+            lambda: drawn_cohort(kind, units=drawn_units, seed=study.seed, excursion_k=warmer, executor=executor),
+        )
     if rivals:
         begin("rival methods")
         rows, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study))
@@ -205,6 +221,7 @@ def judge_study(
         figure3=figure,
         figure3_missing=missing,
         figure3_effects=effects or (),
+        figure3_drawn=drawn or (),
         designs=designs,
         rivals=rows or (),
         rivals_missing=rivals_missing,
