@@ -225,7 +225,12 @@ def fit_drift(
         Verdict() if accel is None else checks.without_figures(accel.verdict)
     )
     verdict = agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(g_estimated)
-    verdict = verdict.also(of_sweep).also(of_accel).also(checks.lag_verdict(lag, lags_s[0]))
+    verdict = (
+        verdict.also(of_sweep)
+        .also(checks.set_point_verdict(sessions))
+        .also(of_accel)
+        .also(checks.lag_verdict(lag, lags_s[0]))
+    )
     return DriftFit(
         calibration=_calibrated(device, _tables(static, choice, accel, lags_s), verdict, sessions, settings, choice),
         static=static,
