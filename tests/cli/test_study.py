@@ -12,6 +12,7 @@ import pytest
 from testkit.command_line import contents
 from testkit.data import data_path
 from undrift.study import outcome as outcome_module
+from undrift.study.figure3 import COMPARED, DrawnRow
 from undrift.study.rivals import compare_rivals
 
 pytestmark = pytest.mark.usefixtures("computed_once")
@@ -256,9 +257,15 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
         return compare_rivals(**words | {"units": 1, "methods": ("data_sheet", "rate_table", "mocap")})
 
     monkeypatch.setattr(outcome_module, "compare_rivals", few)
-    words = ("study", plan, "-o", tmp_path / "out", "--workers", "1", "--json", "--drawn-units")
-    assert "drawn-units: wanted 0, or two or more" in undrift.refused(*words, "1")
-    told = done(undrift, *words, "2").json()
+
+    def drawn(kind, **words):
+        assert (kind, words["seed"], words["excursion_k"]) == ("enc03j_3031", 0, 12.5)
+        return tuple(
+            DrawnRow(correction=name, units=2, lower_deg=0.1, median_deg=0.2, upper_deg=0.3) for name in COMPARED
+        )
+
+    monkeypatch.setattr(outcome_module, "drawn_cohort", drawn)  # drawn_cohort itself: study/test_figure3.py
+    told = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
     assert [row["correction"] for row in told["figure3_drawn"]] == told["figure3"]["compared"]
     assert asked == [{"kind": "enc03j_3031", "seed": 0, "tasks": ("sit_to_stand",)}]
     assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]

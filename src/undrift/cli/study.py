@@ -46,7 +46,6 @@ def study(
     workers: int | None = None,
     scheduler: str | None = None,
     no_rivals: Flag = False,
-    drawn_units: int = 30,
     real: Path | None = None,
     json: Json = False,
 ) -> int:
@@ -75,9 +74,7 @@ def study(
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
     no_rivals : bool
         Leave out the other ways to calibrate, which the note's Discussion names, about 20 s, and Figure 3 effect by effect, about
-        15 s, and its drawn units. --quick implies it.
-    drawn_units : int
-        Units drawn from the kind's spread beside Figure 3's typical one, about 6 s each: two or more, or 0 for none.
+        15 s, and its 30 drawn units, 6 s each on one processor. --quick implies it.
     real : Path or None
         real.toml: real recordings to judge too. See docs/study.md.
     """
@@ -91,8 +88,6 @@ def study(
         raise InputError(f"study: wanted a study.toml or --preset note, got {both}; name one")
     if seed is not None and seed < 0:
         raise InputError(f"seed: wanted 0 or more, got {seed}; give another")
-    if drawn_units < 0 or drawn_units == 1:
-        raise InputError(f"drawn-units: wanted 0, or two or more for quartiles, got {drawn_units}; 30 is the default")
     planned = _planned(plan, quick, subjects, seed, search)
     with waiting("reading real recordings"):
         held = None if real is None else read_real(real)
@@ -104,7 +99,7 @@ def study(
             f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
         )
     RunStore(output, planned)  # refuses the folder of another study before anything is computed
-    stages = forecast(planned, output, workers=workers, rivals=rivals, real=held, drawn_units=drawn_units)
+    stages = forecast(planned, output, workers=workers, rivals=rivals, real=held)
     _announce(planned, stages, workers, json)
     shown = _Progress(planned, stages)
     with shown.display:
@@ -114,7 +109,6 @@ def study(
             output,
             advance=shown.advance,
             rivals=rivals,
-            drawn_units=drawn_units,
             real=held,
             begin=shown.begin,
             tell=shown.tell,

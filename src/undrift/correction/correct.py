@@ -20,7 +20,7 @@ finds what it does not cover, and stream.py does the same chunk by chunk.
 
 import copy
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -271,7 +271,7 @@ def correct_checked(
     (0, 0)
     """
     plans, carry = plan_record(record, calibration), carry_at_start(float(record.time[0]), power_on_s)
-    return correct_planned(
+    done = correct_planned(
         record,
         calibration,
         plans,
@@ -280,8 +280,24 @@ def correct_checked(
         reference_span_c=reference_span_c,
         threads=threads,
         carry=carry,
-        offset=offset,
     )
+    return re_zeroed(done, offset, threads)
+
+
+def re_zeroed(done: Corrected, offset: Offset, threads: int | None = None) -> Corrected:
+    """Subtract what is left at a rest from a record that was just corrected, in its own buffer: step 6."""
+    rate = done.record.gyro
+    rest = find_rest_offset(done.record) if offset == "rest" else offset if isinstance(offset, RestOffset) else None
+    if rest is None or rate is None:
+        return done
+
+    def subtract(start: int, stop: int) -> None:
+        rate[start:stop] -= rest.rate
+
+    rate.flags.writeable = True
+    in_pieces(subtract, len(rate), threads)
+    rate.flags.writeable = False
+    return replace(done, rest=rest, findings=(*done.findings, rest.finding))
 
 
 def correct_planned(
@@ -294,7 +310,6 @@ def correct_planned(
     reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
     carry: Carry = Carry(),
-    offset: Offset = "none",
 ) -> Corrected:
     """Correct a record with plans made beforehand, as a stream has them."""
     temp_c, since, coming = conditions_of(record, calibration, plans, carry)
@@ -313,10 +328,6 @@ def correct_planned(
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    done = _adopted(record, plans, outputs)
-    rest = find_rest_offset(done) if offset == "rest" else offset if isinstance(offset, RestOffset) else None
-    if rest is not None and plans[0] is not None:
-        in_pieces(lambda start, stop: _less(outputs[0], rest.rate, start, stop), len(record), threads)  # step 6
     span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
     reach = coverage.Reach(
         temp_c=span_c,
@@ -328,23 +339,17 @@ def correct_planned(
         seconds_without_temperature=coverage.seconds_of(missing, record.time, before),
     )
     return Corrected(
-        record=done,
+        record=_adopted(record, plans, outputs),
         outside=outside,
         extrapolated=extrapolated,
         missing=missing,
         findings=(
             *coverage.coverage_findings(reach, calibration, reference_span_c),
             *coverage.model_findings(record, calibration, power_on_known=carry.power_on_time is not None),
-            *(() if rest is None else (rest.finding,)),
         ),
         reach=reach,
         carry=coming,
-        rest=rest,
     )
-
-
-def _less(values: FloatArray, rate: FloatArray, start: int, stop: int) -> None:
-    values[start:stop] -= rate
 
 
 def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:

@@ -10,7 +10,14 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from undrift.correction.correct import REFERENCE_SPAN_C, Corrected, DriftRangeWarning, Policy, correct_planned
+from undrift.correction.correct import (
+    REFERENCE_SPAN_C,
+    Corrected,
+    DriftRangeWarning,
+    Policy,
+    correct_planned,
+    re_zeroed,
+)
 from undrift.correction.coverage import Reach, coverage_findings
 from undrift.correction.plan import Carry, Plans, carry_at_start, plan_record
 from undrift.correction.rest import RestOffset
@@ -142,9 +149,9 @@ class Corrector:
             self._plans[key],
             policy=self._policy,
             reference_span_c=self._span,
-            offset="none" if self._offset is None else self._offset,
             carry=self.state.carry if begun else carry_at_start(float(chunk.time[0]), self._power_on_s),
         )
+        done = done if self._offset is None else re_zeroed(done, self._offset)
         self.state = CorrectorState(
             samples=self.state.samples + len(chunk),
             samples_outside=self.state.samples_outside + int(done.outside.sum()),

@@ -221,16 +221,10 @@ def fit_drift(
     gyro = checks.summarise_gyro(static, device)
     of_offsets = checks.with_set_points(checks.static_verdict(static, accel), wide, rests, device)
     of_sweep = checks.single_sweep_verdict(gyro, rests, warm_up_fitted=static.table.warm_up is not None)
-    of_accel = checks.poses_verdict(accel, device).also(
-        Verdict() if accel is None else checks.without_figures(accel.verdict)
-    )
+    of_accel = checks.poses_verdict(accel, device).also(checks.without_figures(accel.verdict) if accel else Verdict())
+    of_sweep = of_sweep.also(checks.set_point_verdict(sessions))
     verdict = agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(g_estimated)
-    verdict = (
-        verdict.also(of_sweep)
-        .also(checks.set_point_verdict(sessions))
-        .also(of_accel)
-        .also(checks.lag_verdict(lag, lags_s[0]))
-    )
+    verdict = verdict.also(of_sweep).also(of_accel).also(checks.lag_verdict(lag, lags_s[0]))
     return DriftFit(
         calibration=_calibrated(device, _tables(static, choice, accel, lags_s), verdict, sessions, settings, choice),
         static=static,

@@ -55,9 +55,7 @@ class Stage(NamedTuple):
     seconds: float
 
 
-def forecast(
-    study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None, drawn_units: int = DRAWN_UNITS
-) -> tuple[Stage, ...]:
+def forecast(study: Study, folder: Path, *, workers: int, rivals: bool, real: RealData | None) -> tuple[Stage, ...]:
     """Return the stages of a study with their times; what is on the disk already costs nothing."""
     store, halving = run.RunStore(folder, study), study.search == "halving"
     units = units_of(study)
@@ -83,7 +81,7 @@ def forecast(
         Stage("rates to dwell at", DESIGNS_S * len(study.tasks)),
         Stage("Figure 3", FIGURE3_S if figured else 0.0),
         Stage("Figure 3, effect by effect", EFFECTS_S if figured and rivals else 0.0),
-        Stage("Figure 3, drawn units", drawn_units * DRAWN_S / workers if figured and rivals else 0.0),
+        Stage("Figure 3, drawn units", DRAWN_UNITS * DRAWN_S / workers if figured and rivals else 0.0),
         Stage("rival methods", RIVALS_S if rivals else 0.0),
         Stage("real recordings", real_s),
     )
@@ -166,7 +164,6 @@ def judge_study(
     *,
     advance: Callable[[int, int], None] = lambda done, total: None,
     rivals: bool = False,
-    drawn_units: int = DRAWN_UNITS,
     real: RealData | None = None,
     begin: Callable[[StageName], None] = lambda stage: None,
     tell: Callable[[str], None] = lambda text: None,
@@ -194,20 +191,11 @@ def judge_study(
     missing: Finding | None = finding("study.no_sit_to_stand", "info")
     if _has_figure3(study):
         figure, missing = tried("Figure 3", lambda: figure3(unit, seed=study.seed, excursion_k=warmer))
-    effects: tuple[EffectRow, ...] | None = None
-    drawn: tuple[DrawnRow, ...] | None = None
+    effects, drawn = tuple[EffectRow, ...](), tuple[DrawnRow, ...]()
     rows: tuple[RivalRow, ...] | None = None
     rivals_missing: Finding | None = finding("study.rivals_not_asked", "info")
     if rivals and figure is not None:
-        begin("Figure 3, effect by effect")
-        effects, _ = tried("Figure 3", lambda: effect_table(unit, seed=study.seed, excursion_k=warmer, back=False))
-    if rivals and figure is not None and drawn_units:
-        begin("Figure 3, drawn units")
-        kind = DEVICE if study.worn else study.device
-        drawn, _ = tried(
-            "Figure 3",
-            lambda: drawn_cohort(kind, units=drawn_units, seed=study.seed, excursion_k=warmer, executor=executor),
-        )
+        effects, drawn = _beside_figure3(study, warmer, executor, begin)
     if rivals:
         begin("rival methods")
         rows, rivals_missing = tried("Other ways to calibrate", lambda: _rivals(study))
@@ -220,8 +208,8 @@ def judge_study(
         cohorts=(judge.cohort_of(study), judge.cohort_of(judge.other_study(study))),
         figure3=figure,
         figure3_missing=missing,
-        figure3_effects=effects or (),
-        figure3_drawn=drawn or (),
+        figure3_effects=effects,
+        figure3_drawn=drawn,
         designs=designs,
         rivals=rows or (),
         rivals_missing=rivals_missing,
@@ -233,6 +221,19 @@ def _designs(study: Study, task: StudyTask, surface: run.TaskSurface, optimum: j
     dps = {name: round(float(getattr(surface, f"{name}_dps")[optimum.best]), 9) for name in TURN_RATES}
     rates: dict[str, Any] = {name: rate * RADIAN_PER_DEGREE for name, rate in dps.items()}
     return design_rows(study, task, replace(task.base, **rates))
+
+
+def _beside_figure3(
+    study: Study, excursion_k: float, executor: run.Executor, begin: Callable[[StageName], None]
+) -> tuple[tuple[EffectRow, ...], tuple[DrawnRow, ...]]:
+    """Return the figure effect by effect, and over units of the study's kind, or of the note's where all wear one device."""
+    unit, kind = typical_unit(study), DEVICE if study.worn else study.device
+    words: Any = {"seed": study.seed, "excursion_k": excursion_k}
+    begin("Figure 3, effect by effect")
+    effects, _ = tried("Figure 3", lambda: effect_table(unit, back=False, **words))
+    begin("Figure 3, drawn units")
+    drawn, _ = tried("Figure 3", lambda: drawn_cohort(kind, executor=executor, **words))
+    return effects or (), drawn or ()
 
 
 def _rivals(study: Study) -> tuple[RivalRow, ...]:
