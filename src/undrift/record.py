@@ -447,7 +447,7 @@ def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quan
 
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]
-Kind = Literal["calibration", "thermal", "static"]
+Kind = Literal["calibration", "thermal", "static", "set-points"]
 Mounting = Literal["each", "one"]
 GravitySource = Literal["stated", "latitude and height", "standard"]
 FACES: tuple[Face, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -570,13 +570,36 @@ class RateTable:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SetPointMeans:
+    """What a table of means states beside its readings: a row is the mean over a set-point, not a sample; N rows."""
+
+    count: FloatArray  # (N,), readings in each mean; NaN where not stated
+    rate_b: FloatArray  # (N, 3), imposed rate, rad/s; 0 at rest
+    gyro_uncertainty: FloatArray  # (N, 3), standard uncertainty of the mean, in ``gyro_unit``; NaN where not stated
+    accel_uncertainty: FloatArray  # (N, 3), likewise
+    gyro_unit: str
+    accel_unit: str
+    from_spread: bool = False  # Whether uncertainties are spread over the root of the count: noise taken as white
+
+    def __post_init__(self) -> None:
+        shapes: tuple[tuple[str, tuple[int | None, ...]], ...] = (
+            ("count", (None,)),
+            ("rate_b", (len(self.count), 3)),
+            ("gyro_uncertainty", (len(self.count), 3)),
+            ("accel_uncertainty", (len(self.count), 3)),
+        )
+        for name, shape in shapes:
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"SetPointMeans.{name}"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
     """The recordings of one device and what was done to it.
 
     Parameters
     ----------
     kind : str
-        calibration, thermal or static.
+        calibration, thermal or static; set-points where each row of the records is a mean over a set-point.
     serial : str
         Device serial number.
     gravity_m_s2 : float
@@ -600,6 +623,8 @@ class Session:
     mounting : str or None
         Of a fit to references: "one" states that device and reference body were mounted once for all recordings, "each" that a
         small rotation is fitted for each; None where it is not stated.
+    means : tuple of SetPointMeans
+        Of a session of set-points: what the rows of each record state; else empty.
 
     Examples
     --------
@@ -623,10 +648,16 @@ class Session:
     sensitivity: TemperatureSensitivity = TemperatureSensitivity()
     rate_table: RateTable = RateTable()
     mounting: Mounting | None = None
+    means: tuple[SetPointMeans, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.records:
             raise InputError("session: wanted one recording or more, got none; add a [[recording]] to session.toml")
+        if (self.kind == "set-points") != bool(self.means) or (self.means and len(self.means) != len(self.records)):
+            raise InputError(
+                f"session: wanted a table of means for each recording of kind set-points, and none for others, got kind "
+                f"{self.kind} with {len(self.means)} for {len(self.records)}; state set_points in the map"
+            )
         if not 9.7 < self.gravity_m_s2 < 9.9:
             raise InputError(
                 f"session: wanted local gravity between 9.7 and 9.9 m/s2, got {self.gravity_m_s2:g}; "

@@ -166,7 +166,7 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         (
             'kind = "calibration" ',
             'kind = "party"',
-            r"line 2: \[session\], kind: wanted 'calibration', 'thermal' or 'static'",
+            r"line 2: \[session\], kind: wanted 'calibration', 'thermal', 'static' or 'set-points'",
         ),
         (
             "gravity_m_s2 = 9.80665\n",

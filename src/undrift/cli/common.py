@@ -285,7 +285,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         bare = [file for file in files if file.is_dir() and not _is_recording(file)]
         if bare:  # says what a folder must hold
             read_session(bare[0])
-        return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
+        return _recorded(session_from_files(files, opening.file_map(), kind=kind, **asdict(place)), files[0])
     if len(files) > 1:
         raise InputError(
             f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
@@ -303,7 +303,14 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         raise InputError(
             f"{stated[0]}: wanted none of {', '.join(used)} beside a session, got {len(used)}; its session.toml states them"
         )
-    return read_session(stated[0], clock=opening.clock)
+    return _recorded(read_session(stated[0], clock=opening.clock), stated[0])
+
+
+def _recorded(session: "Session", path: Path) -> "Session":
+    """Refuse means of set-points where samples are wanted."""
+    if session.means:
+        raise InputError(f"{path}: wanted recordings, got a table of set-points; it is for undrift drift")
+    return session
 
 
 def _is_recording(folder: Path) -> bool:

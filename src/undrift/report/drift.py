@@ -128,9 +128,11 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
 
 
 def draw_scale(summary: "ScaleSummary") -> "Figure":
-    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated."""
-    figure, panels = new_figure(3, height=1.8)
-    for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated; axes that turned."""
+    turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
+    figure, panels = new_figure(len(turned), height=1.8)
+    for k, axes in zip(turned, panels, strict=True):
+        axis = AXES[k]
         value, doubt = summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
         _shade(axes, summary.temp_c, summary.extrapolated)
         temp = summary.temp_c
@@ -150,18 +152,20 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
 
 
 def draw_dynamic(drift: "DynamicDrift") -> "Figure":
-    """Draw dynamic drift over the measured rate for a few temperatures."""
-    figure, panels = new_figure(1, height=3.0, columns=3)
+    """Draw dynamic drift over the measured rate for a few temperatures; axes that turned."""
+    turned = [k for k in range(3) if drift.error[:, :, k].any()]
+    figure, panels = new_figure(1, height=3.0, columns=len(turned))
     chosen = np.unique(np.linspace(0, len(drift.temp_c) - 1, min(_CURVES, len(drift.temp_c))).round().astype(int))
     rate = drift.turn_rate / RADIAN_PER_DEGREE
-    for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+    for k, axes in zip(turned, panels, strict=True):
+        axis = AXES[k]
         for place, row in enumerate(chosen):
             share = place / max(len(chosen) - 1, 1)
             colour = (0.17 + 0.59 * share, 0.38 - 0.15 * share, 0.70 - 0.47 * share)
             error = drift.error[row, :, k] / RADIAN_PER_DEGREE
             axes.plot(rate, error, color=colour, linestyle=":", linewidth=1.0)
             near = error if drift.extrapolated is None else np.where(drift.extrapolated[row], np.nan, error)
-            name = f"{drift.temp_c[row]:.0f} degC" if k == 0 else None
+            name = f"{drift.temp_c[row]:.0f} degC" if k == turned[0] else None
             axes.plot(rate, near, color=colour, marker=".", markersize=3.0, label=name)
         axes.set_title(axis, loc="left", fontsize=10)
         axes.set_xlabel("measured rate (deg/s)")
@@ -271,10 +275,28 @@ def write_drift_report(fit: "DriftFit", path: Path) -> None:
     write_page(
         path,
         title=f"Thermal drift of {device}",
-        lead=f"{len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates.",
+        lead=drift_lead(fit),
         sections=drift_sections(fit),
         verdict=fit.verdict,
     )
+
+
+def drift_lead(fit: "DriftFit") -> str:
+    """Return before and after in degrees over a stated motion, and the answer."""
+    from undrift.validation.table_worth import expected_errors
+
+    data = f"{len(fit.rests)} blocks of rest, {len(fit.steps)} dwells at known rates."
+    known = np.isfinite(fit.rests.gyro_variance).all(axis=1)
+    variance = np.median(fit.rests.gyro_variance[known], axis=0) if known.any() else np.zeros(3)
+    found = expected_errors(fit.calibration, rest_variance=variance)
+    if found is None:
+        return data
+    before = f"{found.constant_deg:.2f} deg with constants"
+    after = f"{found.tables_deg:.2f} deg with these tables"
+    if found.turned:
+        before += f", {found.rest_deg:.2f} deg re-zeroed at a rest before the motion"
+        after += f", {found.both_deg:.2f} deg with both"
+    return f"Before: {before}. After: {after} (95 %, as stated). Largest error of {found.motion}. {found.answer}. Fitted to {data}"
 
 
 def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
@@ -290,16 +312,17 @@ def drift_sections(fit: "DriftFit") -> tuple[Section, ...]:
         for name, summary in (("Gyroscopes", fit.gyro_summary), ("Accelerometers", fit.accel_summary))
         if summary is not None
     ]
-    if fit.scale_summary is not None:
+    if fit.scale_summary is not None and np.isfinite(fit.scale_summary.soak_percent).any():
         drawn, rows = svg_of(draw_scale(fit.scale_summary)), scale_rows(fit)
         sections.append(Section(title="Scale over temperature", columns=SCALE_HEADS, rows=rows, pictures=(drawn,)))
     drift = fit.calibration.drift
-    if drift is not None and drift.dynamic is not None:
+    if drift is not None and drift.dynamic is not None and drift.dynamic.error.any():
         sections.append(Section(title="Dynamic drift", pictures=(svg_of(draw_dynamic(drift.dynamic)),)))
     if fit.choice is not None:
         held = fit.choice.alternatives
-        drawn, rows = svg_of(draw_alternatives(held)), choice_rows(held)
+        judged = int(np.isfinite(held.left_out_rms_dps).sum()) > 1  # one mark compares nothing
+        pictures, rows = (svg_of(draw_alternatives(held)),) if judged else (), choice_rows(held)
         sections.append(
-            Section(title="Which tables", text=(held.reason,), columns=CHOICE_HEADS, rows=rows, pictures=(drawn,))
+            Section(title="Which tables", text=(held.reason,), columns=CHOICE_HEADS, rows=rows, pictures=pictures)
         )
     return tuple(sections)
