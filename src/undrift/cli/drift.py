@@ -137,7 +137,7 @@ def _fit(
         held = []
         for k, path in enumerate(sessions):
             shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
-            held.append((_read(path, opening, model), detect(path) == "session"))
+            held.append((read_thermal(path, opening, model), detect(path) == "session"))
         check_once([session for session, _ in held])
         bare = [session for session, stated in held if not stated]
         temps = held[0][0].records[0].temp_c
@@ -166,7 +166,7 @@ def _range(text: str) -> tuple[float, float]:
     return ends
 
 
-def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
+def read_thermal(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
     """Read a session; a recording by itself is a session of one."""
     from undrift.files import sha256_of
     from undrift.io.formats import detect
