@@ -137,7 +137,7 @@ def _fit(
         held = []
         for k, path in enumerate(sessions):
             shown.update(task, description=f"reading {path.name}", completed=0.4 * k / len(sessions))
-            session = _read(path, opening, model)
+            session = read_thermal(path, opening, model)
             held.append((session, detect(path) == "session" or bool(session.means)))
         check_once([session for session, _ in held])
         bare = [session for session, stated in held if not stated]
@@ -167,7 +167,7 @@ def _range(text: str) -> tuple[float, float]:
     return ends
 
 
-def _read(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
+def read_thermal(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
     """Read a session; a recording by itself is a session of one."""
     from dataclasses import replace
 

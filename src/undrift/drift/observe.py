@@ -106,7 +106,7 @@ def observe_rests(
             continue
         begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
         steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
-        stills = _rests(session)
+        stills = find_rests(session)
         numbers = poses + _poses(session, stills)
         poses = int(numbers.max()) + 1
         for still, pose in zip(stills, numbers.tolist(), strict=True):
@@ -160,7 +160,8 @@ def _check_lengths(session: Session, temps: Sequence[FloatArray]) -> None:
 # ---- rests and their poses
 
 
-def _rests(session: Session) -> tuple[Still, ...]:
+def find_rests(session: Session) -> tuple[Still, ...]:
+    """Return the rests that a session states, else those found in it, in order of time."""
     if session.stills:
         return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
     turning = [(t.recording, t.start, t.stop) for t in session.turns]

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from undrift.arrays import BoolArray, FloatArray
     from undrift.drift.checks import ScaleSummary, TriadSummary
     from undrift.drift.fit import DriftFit
+    from undrift.drift.learn import LearnFit
     from undrift.drift.select import Alternatives
     from undrift.model import DynamicDrift
 
@@ -125,6 +126,62 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
     for k, (start, stop) in enumerate(stretches(extrapolated)):
         low, high = max(temp_c[start] - half, temp_c[0]), min(temp_c[stop] + half, temp_c[-1])
         axes.axvspan(float(low), float(high), label="extrapolated" if k == 0 else None, **hatched)
+
+
+def draw_learnt(fit: "LearnFit") -> "Figure":
+    """Draw the offsets before and now with the 95 % band of a switch-on to come, and the rests, each axis less its mean."""
+    figure, panels = new_figure(3, height=2.0)
+    for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
+        level = float(fit.after[:, k].mean())
+        before, after, rests = ((v[:, k] - level) / RADIAN_PER_DEGREE for v in (fit.before, fit.after, fit.rest_offset))
+        doubt = NORMAL_95 * fit.after_uncertainty[:, k] / RADIAN_PER_DEGREE
+        _shade(axes, fit.temp_c, fit.extrapolated)
+        axes.fill_between(fit.temp_c, after - doubt, after + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %")
+        axes.plot(fit.temp_c, before, color=LIMIT, linestyle="--", linewidth=0.9, label="before")
+        axes.plot(fit.temp_c, after, color="black", linewidth=0.9, label="now")
+        kept = fit.rest_kept
+        axes.scatter(fit.rest_temp_c[kept], rests[kept], color=DEVICE, label="rests", s=9.0, linewidths=0.0, zorder=3)
+        if not kept.all():
+            marked: Any = {"marker": "x", "s": 16.0, "linewidths": 0.9, "color": ERROR}
+            axes.scatter(fit.rest_temp_c[~kept], rests[~kept], label="left out", **marked)
+        near = ~fit.extrapolated if not fit.extrapolated.all() else fit.extrapolated
+        every = np.concatenate(((after - doubt)[near], (after + doubt)[near], rests[kept]))
+        margin = 0.08 * max(float(np.ptp(every)), 1e-12)
+        axes.set_ylim(float(every.min()) - margin, float(every.max()) + margin)
+        axes.set_xlim(float(fit.temp_c[0]), float(fit.temp_c[-1]))
+        axes.set_ylabel(f"{axis} (deg/s)")
+    panels[-1].set_xlabel("temperature (degC)")
+    panels[0].set_title("gyroscope offset less the mean of the table", loc="left", fontsize=10)
+    _legend_below(figure, panels[0])
+    return figure
+
+
+LEARN_HEADS = (
+    "temperature (degC)",
+    "offset (deg/s)",
+    "change (deg/s)",
+    "uncertainty before (deg/s)",
+    "uncertainty (deg/s)",
+)
+
+
+def learn_rows(fit: "LearnFit", most: int = 9) -> tuple[tuple[str, ...], ...]:
+    """Return one row of cells for some of the nodes: x, y and z in each."""
+    chosen = np.unique(np.linspace(0, len(fit.temp_c) - 1, min(most, len(fit.temp_c))).round().astype(int))
+
+    def cells(value: "FloatArray", form: str) -> str:
+        return " ".join(format(x, form) for x in value / RADIAN_PER_DEGREE)
+
+    return tuple(
+        (
+            f"{fit.temp_c[k]:g}{' extrapolated' if fit.extrapolated[k] else ''}",
+            cells(fit.after[k], "+.3f"),
+            cells(fit.after[k] - fit.before[k], "+.3f"),
+            cells(fit.before_uncertainty[k], ".3f"),
+            cells(fit.after_uncertainty[k], ".3f"),
+        )
+        for k in chosen
+    )
 
 
 def draw_scale(summary: "ScaleSummary") -> "Figure":
