@@ -282,13 +282,13 @@ def _doubt(base: Calibration, temp_c: FloatArray, settings: LearnSettings) -> Fl
     table, model = None if base.drift is None else base.drift.static, base.gyro
     shared = np.full(len(temp_c), settings.turn_on)
     if model is None or table is None or table.gyro_offset is None:
-        return np.hypot(shared, UNKNOWN)
+        return np.asarray(np.hypot(shared, UNKNOWN))
     beyond = np.abs(temp_c - np.clip(temp_c, table.temp_c[0], table.temp_c[-1]))
-    doubt = np.hypot(shared, settings.slope * beyond)
+    doubt: FloatArray = np.hypot(shared, settings.slope * beyond)
     if table.gyro_uncertainty is None:
         return doubt
     own = table.gyro_uncertainty * _si(model, model.unit_in, "rate")
-    return np.hypot(doubt, np.interp(temp_c, table.temp_c, np.nan_to_num(own).max(axis=1)))
+    return np.asarray(np.hypot(doubt, np.interp(temp_c, table.temp_c, np.nan_to_num(own).max(axis=1))))
 
 
 def _warm_up(base: Calibration, blocks: RestBlocks, power_on_s: float | None) -> FloatArray:

@@ -33,6 +33,7 @@ from undrift.correction.coverage import find_beyond
 from undrift.drift.sessions import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
+from undrift.correction.rest import mean_variance
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.model import AdcModel, Calibration
 from undrift.orientation import (
@@ -41,7 +42,6 @@ from undrift.orientation import (
     inclination_of,
     initial_tilt,
     integrate_strapdown,
-    mean_variance,
     sagittal_pitch,
     shortest_rotation_up,
 )
