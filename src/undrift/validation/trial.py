@@ -30,10 +30,10 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.adc import identify_record_adc
 from undrift.correction.correct import Policy, correct_checked
 from undrift.correction.coverage import find_beyond
+from undrift.correction.rest import mean_variance
 from undrift.drift.sessions import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
-from undrift.correction.rest import mean_variance
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.model import AdcModel, Calibration
 from undrift.orientation import (
