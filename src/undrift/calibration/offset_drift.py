@@ -27,8 +27,8 @@ _LEAST_WITH_POSES = 8
 _LEAST_CHANGE = 0.5  # g, root sum of squares over the rests: poses that differ less show no g-sensitivity
 _CHANCE = 0.01
 _LARGE = (
-    0.02 * RADIAN_PER_DEGREE
-)  # rad/s: half of it, the error of a mean offset at either end, makes 0.6 deg in a minute
+    0.05 * RADIAN_PER_DEGREE
+)  # rad/s: what 1 K makes of a consumer part; a mean offset is off by half of it at either end
 _WARMER_C = 0.3
 
 
