@@ -172,18 +172,18 @@ def _summary(fit: "LearnFit", output: Path | None) -> dict[str, object]:
 
 
 def _show(fit: "LearnFit") -> None:
-    from undrift.report.drift import LEARN_HEADS, learn_rows, plus_minus
+    from undrift.report.drift import LEARN_HEADS, learn_rows
     from undrift.units import RADIAN_PER_DEGREE
 
     device = fit.calibration.device or "device without a serial number"
     cells, left = len(fit.rest_kept), int((~fit.rest_kept).sum())
-    say(f"{device}: {cells - left} rests of {fit.recordings} recordings, {left} left out")
+    say(f"{device}: {cells - left} stretches at rest in {fit.recordings} recordings, {left} left out")
     show_table("gyroscope offset, x y z, uncertainty of a switch-on to come", LEARN_HEADS, learn_rows(fit))
     rows = [
         (
             axis,
-            plus_minus(fit.turn_on[k] / RADIAN_PER_DEGREE, fit.turn_on_uncertainty[k] / RADIAN_PER_DEGREE),
-            plus_minus(fit.ageing[k] / RADIAN_PER_DEGREE, fit.ageing_uncertainty[k] / RADIAN_PER_DEGREE),
+            f"{fit.turn_on[k] / RADIAN_PER_DEGREE:.2g} +- {fit.turn_on_uncertainty[k] / RADIAN_PER_DEGREE:.1g}",
+            f"{fit.ageing[k] / RADIAN_PER_DEGREE:.2g} +- {fit.ageing_uncertainty[k] / RADIAN_PER_DEGREE:.1g}",
         )
         for k, axis in enumerate("xyz")
     ]
