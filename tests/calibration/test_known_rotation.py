@@ -350,8 +350,8 @@ def test_one_code_at_rest_leaves_its_rounding_in_the_offset_and_is_a_finding():
     coarse = data(rounding=np.full(3, 3.0), rest=replace(data().rest, noise=np.full((6, 3), 1e-3)))
     fit = fit_known_rotation(coarse, gravity=G)
     assert (fit.model.standard_uncertainty[9:12] > 3.0).all()  # all rests may err alike: no average over six
-    item = only(fit.verdict.findings, "known_rotation.rounding")
+    item = only(fit.verdict.findings, "session.rounding")
     assert item.level == "warn"
     assert item.values["uncertainty"] == 3.0
     fine = fit_known_rotation(replace(coarse, rounding=np.full(3, 1e-5)), gravity=G)
-    assert "known_rotation.rounding" not in codes(fine.verdict.findings)
+    assert "session.rounding" not in codes(fine.verdict.findings)

@@ -10,8 +10,9 @@ Nearest and floor differ by half a step everywhere, which an offset takes up: co
 not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -105,7 +106,16 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
 def code_steps(records: Sequence[Record], *, rate: bool) -> FloatArray:
     """Return the step between neighbouring codes of each gyroscope or accelerometer (3,), NaN where readings lie on no grid."""
     parts = [values for record in records if (values := record.gyro if rate else record.accel) is not None]
-    return np.array([code_grid(column)[0] for column in np.concatenate(parts).T]) if parts else np.full(3, np.nan)
+    return _steps(parts) if parts else np.full(3, np.nan)
+
+
+def _steps(values: Sequence[FloatArray]) -> FloatArray:
+    steps = []
+    for column in np.concatenate(values).T:
+        distinct = np.unique(column[np.isfinite(column)])
+        few = 1 < len(distinct) < _LEAST_CODES  # too few for a grid: the nearest two are a step apart
+        steps.append(float(np.diff(distinct).min()) if few else code_grid(column)[0])
+    return np.array(steps)
 
 
 # ---- what rounding to codes leaves in a mean reading
@@ -118,6 +128,7 @@ def code_steps(records: Sequence[Record], *, rate: bool) -> FloatArray:
 
 _NOISES = np.linspace(0.0, 1.0, 201)  # s / q
 _HARMONICS = np.arange(1, 200)[:, None]
+_MOST_OF = 0.5
 
 
 def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
@@ -131,14 +142,16 @@ def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
     """Return the standard deviation (3,) that rounding leaves in a mean at rest: all readings and those at rest, (N, 3) each."""
     within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
-    steps = np.array([_step(column) for column in np.concatenate(values).T])
-    return np.sqrt(code_variance(steps, within))
+    return np.sqrt(code_variance(_steps(values), within))
 
 
-def _step(column: FloatArray) -> float:
-    distinct = np.unique(column[np.isfinite(column)])
-    few = 1 < len(distinct) < _LEAST_CODES  # too few for a grid: the nearest two are a step apart
-    return float(np.diff(distinct).min()) if few else code_grid(column)[0]
+def limited_by_codes(
+    triad: Literal["gyroscope", "accelerometer"], codes: FloatArray, variance: FloatArray, unit: str
+) -> Iterator[Finding]:
+    """Report where rounding, of variance ``codes`` (3,), is most of a variance (3,): its error is no normal one."""
+    if (codes > _MOST_OF * np.maximum(variance, 1e-300)).any():
+        uncertainty = float(np.sqrt(codes.max()))
+        yield finding("session.rounding", "warn", triad=triad, uncertainty=uncertainty, unit=unit)
 
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:

@@ -147,12 +147,11 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     return np.asarray(axis_b * (dwells.turn_rate + earth * dwells.up)[:, None])
 
 
-def with_terms(model: TriadModel, dwells: DwellMeans) -> TriadModel:
-    """Return a model whose covariance also holds what the scatter of the readings does not show, a term for each cause."""
-    terms: list[FloatArray] = []
-    if dwells.axes is not None:
-        terms.append(table_term(model, dwells.axes.covariance))
-    return replace(model, covariance=sum(terms, model.covariance))
+def with_table_errors(model: TriadModel, dwells: DwellMeans) -> TriadModel:
+    """Return a model whose covariance also holds what the scatter of the readings does not show: table, mounting, creep."""
+    if dwells.axes is None:
+        return model
+    return replace(model, covariance=model.covariance + table_term(model, dwells.axes.covariance))
 
 
 # ---- linearity of one axis (IEEE Std 1431, clause 12 terms)

@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import mean_rounding
+from undrift.calibration.adc import limited_by_codes, mean_rounding
 from undrift.calibration.checks import (
     axis_vectors,
     cause_by_gravity,
@@ -300,7 +300,6 @@ def _both(record: Record) -> tuple[FloatArray, FloatArray]:
 _TIMES_S = np.geomspace(1.0, 1e4, 9)
 _SIZES = np.concatenate(([0.0], np.geomspace(0.05, 300.0, 60)))  # q in units of the median noise of a rest
 _SMALL_SIZE, _LARGE_SIZE = 0.1, 0.5  # E1 takes 1 / (q + 0.1), and both 1 / (1 + (q / 0.5)^2): a mild prior
-_ROUNDED = 0.5  # of an offset's variance: more by rounding is a finding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -509,10 +508,7 @@ def _judged(data: RotationData, angle: float, creep: Creep | None, variance: Flo
     if creep is not None:
         yield from creep.findings()
     if data.rounding is not None:
-        share = data.rounding**2 / np.maximum(variance, 1e-300)
-        if share.max() > _ROUNDED:
-            unit = data.rest.unit
-            yield finding("known_rotation.rounding", "warn", uncertainty=float(data.rounding.max()), unit=unit)
+        yield from limited_by_codes("gyroscope", data.rounding**2, variance, data.rest.unit)
 
 
 def _of_inverse(covariance: FloatArray, matrix: FloatArray, g_forward: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.adc import code_steps, code_variance
+from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range
 from undrift.calibration.creep import Creep
 from undrift.errors import InputError, NotObservable, PoorFit
@@ -245,6 +245,7 @@ class _Problem:
     prior: OffsetPrior
     unit: float
     free: int
+    codes: FloatArray  # (3,), variance that rounding leaves in the mean offset, raw unit squared
     creep: tuple[Creep, Creep] | None = None  # Of accelerometers and gyroscopes in the stills
 
 
@@ -296,6 +297,7 @@ def fit_gyro_between_stills(
         unit=unit,
         free=9 if equal else 12,
         creep=creep,
+        codes=codes,
     )
     start = np.concatenate((rough_matrix(moves, accel, prior.mean).reshape(-1) * unit, np.zeros(3)))
     p, covariance, missed = _solve(problem, start)
@@ -488,7 +490,10 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
     drift = float(np.abs(np.ptp(problem.prior.drift @ matrix.T, axis=0)).max()) / RADIAN_PER_DEGREE
     fit = triad_fit(
         residuals,
-        Verdict.of(*_judged(rms_angle, uncertain, drift)),
+        Verdict.of(
+            *_judged(rms_angle, uncertain, drift),
+            *limited_by_codes("gyroscope", problem.codes, np.diag(total)[9:], unit_in),
+        ),
         method="multi-position",
         unit_in=unit_in,
         unit_out="rad/s",

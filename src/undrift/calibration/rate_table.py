@@ -16,9 +16,18 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.adc import limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale
 from undrift.calibration.creep import Creep, creep_of
-from undrift.calibration.dwells import SHOWS, DwellMeans, Linearity, dwell_means, imposed_rates, linearity, with_terms
+from undrift.calibration.dwells import (
+    SHOWS,
+    DwellMeans,
+    Linearity,
+    dwell_means,
+    imposed_rates,
+    linearity,
+    with_table_errors,
+)
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.calibration.rate_table_axes import fit_turned_axes
 from undrift.calibration.table_axis import Dwells, mountings, table_axes, table_findings
@@ -83,7 +92,7 @@ def fit_rate_table(
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
     rows = [np.array(dwells.axis) == axis for axis in AXES]
     return RateTableFit(
-        model=with_terms(fit.model, dwells),
+        model=with_table_errors(fit.model, dwells),
         residuals=fit.residuals,
         verdict=verdict,
         turn_rate=dwells.turn_rate,
@@ -273,7 +282,7 @@ def _refined(
     widen = _excess(found, readings.size - theta.size)
     model = _model(fit.model, theta, [one.covariance * widen for one in found])
     model = replace(
-        with_terms(model, dwells),
+        with_table_errors(model, dwells),
         rms_residual=float(np.sqrt((residuals**2).mean())),
         count=readings.size,
         rank=3 * rank,
@@ -307,6 +316,7 @@ def _judged(
     if widen > 1.0 or residual > RESIDUAL_PERCENT[0]:
         level, wanted = level_of(residual, RESIDUAL_PERCENT), RESIDUAL_PERCENT[0]
         yield finding("rate_table.scatter", level, ratio=widen**0.5, residual_percent=residual, wanted=wanted)
+    yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     uncertain = 100.0 * model.relative_uncertainty
     if dwells.axes is not None:
         yield from table_findings(dwells.axes, dwells.mount_tilt)

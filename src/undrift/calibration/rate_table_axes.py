@@ -13,7 +13,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.checks import check_own_scale
-from undrift.calibration.dwells import DwellMeans, Linearity, imposed_rates, linearity, with_terms
+from undrift.calibration.dwells import DwellMeans, Linearity, imposed_rates, linearity, with_table_errors
 from undrift.calibration.table_axis import table_findings
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -101,7 +101,7 @@ def fit_turned_axes(
     )
     uneven = () if whole.axes is None else table_findings(whole.axes, whole.mount_tilt)
     verdict = Verdict.of(_axes_missing(axes), prior, *map(axis_finding, shown), *uneven)
-    return replace(fit, model=with_terms(fit.model, whole), verdict=verdict)
+    return replace(fit, model=with_table_errors(fit.model, whole), verdict=verdict)
 
 
 def _nominal_kept(axes: tuple[Axis, ...], cross_axis_prior: float, *, physical: bool) -> Finding:

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import mean_rounding
+from undrift.calibration.adc import limited_by_codes, mean_rounding
 from undrift.calibration.checks import (
     check_faces,
     check_gravity,
@@ -168,6 +168,7 @@ class FaceMeans:
     reading: FloatArray  # (P, 3), mean of each pose, ``unit``
     faces: tuple[Face, ...]  # Axis that points up in each
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None when it is not known
+    rounding: FloatArray | None = None  # (3,), what the codes leave in each mean, in ``noise`` too, ``unit``
     unit: str = "m/s2"  # Unit of the readings
     # (P,), stated standard uncertainty of the tilt of each beside what the readings show, rad; levelled mode alone uses it
     tilt: FloatArray | None = None
@@ -202,7 +203,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
     forward = plain
     if known is not None and mode != "affine":
         forward, tilt = fit_tilted(up, reading, known, plain, poses.tilt, shared)
-    found = Verdict.of(*_judged(poses, plain, known, tilt, mode, gravity))
+    found = Verdict.of(*_judged(poses, plain, known, tilt, mode, shared))
     if mode == "paper":
         fit, tilt = fit_paper(up, reading, noise, shared, **names), float("nan")
         found = offset_verdict(fit, up, reading, noise).also(found)
@@ -213,8 +214,15 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "level
 
 
 def _judged(
-    poses: FaceMeans, plain: ForwardFit, noise: FloatArray | None, tilt: float, mode: SixFaceMode, gravity: float
+    poses: FaceMeans,
+    plain: ForwardFit,
+    noise: FloatArray | None,
+    tilt: float,
+    mode: SixFaceMode,
+    shared: FloatArray | None,
 ) -> Iterator[Finding]:
+    if poses.rounding is not None and poses.noise is not None:
+        yield from limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
     tilt_deg, spare = tilt / RADIAN_PER_DEGREE, plain.residuals.size - 12
     if mode == "paper":  # the closed form assumes level faces, and so does its covariance
         if tilt > 0.0:
@@ -227,7 +235,6 @@ def _judged(
     elif tilt > 0.0:
         yield finding("six_face.tilt_small", "info", tilt_deg=tilt_deg)
     if mode == "affine" and noise is not None and spare > 0:
-        shared = poses.shared(gravity)
         rows = (None, None, None) if shared is None else shared
         left = [whitened(plain.residuals[:, [j]], noise[:, j], rows[j]) for j in range(3)]
         ratio = float(np.sqrt((np.square(left)).sum() / spare))
@@ -245,13 +252,16 @@ def face_means(
     filtered = [polynomial_filter(window, polynomial_degree) for window in windows]
     sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
+    rounding = None
     if noise is not None:
         every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
-        noise = np.hypot(noise, mean_rounding(every, [rest for _, rest in filtered]))
+        rounding = mean_rounding(every, [rest for _, rest in filtered])
+        noise = np.hypot(noise, rounding)
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
         faces=tuple(s.face for s in used if s.face is not None),
         noise=noise,
+        rounding=rounding,
         unit=unit,
     )
 
