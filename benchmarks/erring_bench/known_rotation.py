@@ -10,20 +10,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import Session, Still, Turn
-from undrift.sim.device.effects import Adc, BiasInstability, LowPass, ThermalScale
+from undrift.sim.device.effects import LowPass
 from undrift.sim.device.presets import FLOOR, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
-SCALE_PER_K = 2e-4
 FLICKER = 8.0 * DEG / 3600.0 / FLOOR  # rad/s
 RANGE = 500.0 * DEG  # of 10 bits, rad/s
 ANGLE_DEG, AXIS_DEG = 1.0, 0.5
@@ -83,34 +82,24 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         accel = calibrate_faces(seen, None)
         made = calibrate_turns(seen, None, accel.fit)
         assert made.fit is not None
-        model = made.fit.model
-        away, sigma, own = model.matrix - matrix, model.standard_uncertainty, np.eye(3, dtype=bool)
-        of_matrix, size = sigma[:9].reshape(3, 3), float(np.diag(matrix).mean())
-        tally.add(
-            Verdict.of(*seen.findings, *made.findings).also(made.fit.verdict),
-            scale=(away[own] / size, of_matrix[own] / size),
-            cross_axis=(away[~own] / size, of_matrix[~own] / size),
-            offset=((model.offset - offset) * size, sigma[9:12] * size),
-        )
+        verdict = Verdict.of(*seen.findings, *made.findings).also(made.fit.verdict)
+        tally.add_model(verdict, made.fit.model, matrix, offset)
     yield from tally.rows()
 
 
 def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray]:
     """Return the session of a device, and its matrix and offset at the mean temperature of its rests and turns."""
     device = random_device(rng)
-    slope = ThermalScale(per_k=rng.normal(0.0, SCALE_PER_K, (1, 3)))
-    adc = None if case.bits is None else Adc(bits=case.bits, reference=RANGE * device.gyro.gain, codes=False)
-    instability = BiasInstability(instability=np.full(3, FLICKER)) if case.flicker else None
+    slope, flicker = drawn_slope(rng), FLICKER if case.flicker else None
     low_pass = None if case.cutoff_hz is None else LowPass(cutoff_hz=np.full(3, case.cutoff_hz))
     walk = device.gyro.random_walk if case.whole_walk else None
-    gyro = replace(
-        device.gyro, adc=adc, random_walk=walk, instability=instability, thermal_scale=slope, low_pass=low_pass
-    )
+    more = {"random_walk": walk, "thermal_scale": slope, "low_pass": low_pass}
+    gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE, flicker=flicker, **more)
     accel = replace(device.accel, adc=None, random_walk=None, low_pass=low_pass)
     device = replace(device, gyro=gyro, accel=accel)
     bench = BenchSettings(sample_rate_hz=50.0, tilt_sd=case.level, hand_tilt_sd=AXIS_DEG * DEG if case.by_hand else 0.0)
     motion = bench_motion("ferraris", rng=rng, settings=bench)
-    temp_c = np.linspace(25.0 - 0.5 * case.creep_c, 25.0 + 0.5 * case.creep_c, len(motion))
+    temp_c = even_rise(case.creep_c, len(motion))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
     record = replace(record, time=record.time + case.jitter_s * rng.standard_normal(len(record)))

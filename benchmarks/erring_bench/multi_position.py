@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally
+from benchmarks.erring_bench import ACROSS, Row, Tally, chain_that_errs, drawn_slope, even_rise
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Session
-from undrift.sim.device.effects import Adc, BiasInstability, SensorChain, ThermalScale
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -21,7 +20,6 @@ from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 from undrift.units import STANDARD_GRAVITY as G
 
-SCALE_PER_K = 2e-4
 FLICKER = (8.0 * DEG / 3600.0, 5e-5 * G)
 RANGE = (500.0 * DEG, 2.0 * G)  # of 10 bits
 COUNTS_PER_DPS = 16.4
@@ -64,15 +62,8 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         made = calibrate(session, accel="multi-position", gyro="multi-position", settings=SETTINGS)
         for tally, model, (matrix, offset) in zip(tallies, (made.accel, made.gyro), truth, strict=True):
             assert model is not None
-            away, sigma, own = model.matrix - matrix, model.standard_uncertainty, np.eye(3, dtype=bool)
-            seen = ~own if model is made.gyro else np.triu(~own)
-            stated, size = sigma[:9].reshape(3, 3), float(np.diag(matrix).mean())
-            tally.add(
-                made.verdict,
-                scale=(away[own] / size, stated[own] / size),
-                cross_axis=(away[seen] / size, stated[seen] / size),
-                offset=((model.offset - offset) * size, sigma[9:12] * size),
-            )
+            seen = ACROSS if model is made.gyro else np.triu(ACROSS)
+            tally.add_model(made.verdict, model, matrix, offset, seen)
     for tally in tallies:
         yield from tally.rows()
 
@@ -80,14 +71,17 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
 def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.ndarray, np.ndarray]]]:
     """Return the session of a device, and matrix and offset of accelerometers and gyroscopes at its mean temperature."""
     device = random_device(rng)
+    flicker = FLICKER if case.flicker else (None, None)
     gyro, accel = (
-        _chain(chain, case, k, ThermalScale(per_k=rng.normal(0.0, SCALE_PER_K, (1, 3))))
+        chain_that_errs(
+            chain, bits=case.bits, span=RANGE[k], flicker=flicker[k], random_walk=None, thermal_scale=drawn_slope(rng)
+        )
         for k, chain in enumerate((device.gyro, device.accel))
     )
     device = replace(device, gyro=replace(gyro, g_sensitivity=None), accel=accel)
     bench = BenchSettings(sample_rate_hz=50.0, poses=18, still_s=4.0, first_still_s=10.0)
     motion = bench_motion("multi_position", rng=rng, settings=bench)
-    temp_c = np.linspace(25.0 - 0.5 * case.creep_c, 25.0 + 0.5 * case.creep_c, len(motion))
+    temp_c = even_rise(case.creep_c, len(motion))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     assert shown.record.gyro is not None
     record = replace(shown.record, gyro=shown.record.gyro / COUNTS_PER_DPS, gyro_unit="dps")
@@ -110,9 +104,3 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.
     ]
     upper, in_accel = sign[:, None] * upper, (turned * sign).T @ truth.gyro.matrix * COUNTS_PER_DPS
     return session, [(upper, offsets[0]), (in_accel, offsets[1] / COUNTS_PER_DPS)]
-
-
-def _chain(chain: SensorChain, case: Case, which: int, slope: ThermalScale) -> SensorChain:
-    adc = None if case.bits is None else Adc(bits=case.bits, reference=RANGE[which] * chain.gain, codes=False)
-    instability = BiasInstability(instability=np.full(3, FLICKER[which])) if case.flicker else None
-    return replace(chain, adc=adc, random_walk=None, instability=instability, thermal_scale=slope)

@@ -9,16 +9,14 @@ flicker counts by its mean.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally
+from benchmarks.erring_bench import Row, Tally, chain_that_errs
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Session, Still, Turn
-from undrift.sim.device.effects import Adc, BiasInstability, SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
@@ -76,16 +74,7 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         for tally, given, offset in zip(tallies, (session, _without_accel(session)), offsets, strict=True):
             made = calibrate(given, settings=case.settings)
             assert made.gyro is not None
-            away = made.gyro.matrix - np.linalg.inv(device.gyro.forward_matrix)
-            sigma, own = made.gyro.standard_uncertainty, np.eye(3, dtype=bool)
-            stated = sigma[:9].reshape(3, 3)
-            size = float(np.abs(np.diag(made.gyro.matrix)).mean())
-            tally.add(
-                made.verdict,
-                scale=(away[own] / size, stated[own] / size),
-                cross_axis=(away[~own] / size, stated[~own] / size),
-                offset=((made.gyro.offset - offset) * size, sigma[9:12] * size),
-            )
+            tally.add_model(made.verdict, made.gyro, np.linalg.inv(device.gyro.forward_matrix), offset)
     for tally in tallies:
         yield from tally.rows()
 
@@ -94,17 +83,12 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, l
     """Return a device, its session, and the raw offset of its gyroscopes in all of it and in its turns."""
     device = random_device(rng)
     flicker = FLICKER if case.flicker else (None, None)
-    device = replace(
-        device,
-        gyro=_chain(
-            device.gyro,
-            case,
-            flicker[0],
-            RANGE[0],
-            g_sensitivity=device.gyro.g_sensitivity if case.g_sensitivity else None,
-        ),
-        accel=_chain(device.accel, case, flicker[1], RANGE[1]),
+    gyro, accel = (
+        chain_that_errs(chain, bits=case.bits, span=RANGE[k], flicker=flicker[k])
+        for k, chain in enumerate((device.gyro, device.accel))
     )
+    gyro = gyro if case.g_sensitivity else replace(gyro, g_sensitivity=None)
+    device = replace(device, gyro=gyro, accel=accel)
     bench = BenchSettings(
         sample_rate_hz=50.0, turn_rates=RATES, table=case.table, lever_arm_b=ARM_M, tilt_sd=case.tilt_sd
     )
@@ -121,14 +105,6 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, l
         moved = shown.gyro.of("instability").mean(axis=0) + walk[middle]
         offsets.append(device.gyro.raw_offset + device.gyro.gain * moved)
     return device, session, offsets
-
-
-def _chain(chain: SensorChain, case: Case, flicker: float | None, span: float, **more: Any) -> SensorChain:
-    adc = None
-    if case.bits is not None:
-        adc = Adc(bits=case.bits, reference=span * chain.gain, codes=False)
-    instability = None if flicker is None else BiasInstability(instability=np.full(3, flicker))
-    return replace(chain, adc=adc, instability=instability, **more)
 
 
 def _without_accel(session: Session) -> Session:

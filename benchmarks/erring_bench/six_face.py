@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import Session
-from undrift.sim.device.effects import Adc, BiasInstability, ThermalScale
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -23,7 +22,6 @@ from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 from undrift.units import STANDARD_GRAVITY as G
 
-SCALE_PER_K = 2e-4
 FLICKER = 5e-5 * G  # m/s2
 RANGE = 2.0 * G  # of 10 bits
 COUNTS_PER_DPS = 16.4
@@ -69,28 +67,21 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         seen = observe(session, SETTINGS)
         made = calibrate_faces(seen, None)
         assert made.fit is not None
-        model = made.fit.model
-        away, sigma, own = model.matrix - matrix, model.standard_uncertainty, np.eye(3, dtype=bool)
-        stated, size = sigma[:9].reshape(3, 3), float(np.diag(matrix).mean())
-        tally.add(
-            Verdict.of(*seen.findings, *made.findings).also(made.fit.verdict),
-            scale=(away[own] / size, stated[own] / size),
-            cross_axis=(away[~own] / size, stated[~own] / size),
-            offset=((model.offset - offset) * size, sigma[9:12] * size),
-        )
+        verdict = Verdict.of(*seen.findings, *made.findings).also(made.fit.verdict)
+        tally.add_model(verdict, made.fit.model, matrix, offset)
     yield from tally.rows()
 
 
 def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray]:
     """Return the session of a device, and its matrix and offset at the mean temperature of its faces."""
     device = random_device(rng)
-    slope = ThermalScale(per_k=rng.normal(0.0, SCALE_PER_K, (1, 3)))
-    adc = None if case.bits is None else Adc(bits=case.bits, reference=RANGE * device.accel.gain, codes=False)
-    instability = BiasInstability(instability=np.full(3, FLICKER)) if case.flicker else None
-    accel = replace(device.accel, adc=adc, random_walk=None, instability=instability, thermal_scale=slope)
+    flicker = FLICKER if case.flicker else None
+    accel = chain_that_errs(
+        device.accel, bits=case.bits, span=RANGE, flicker=flicker, random_walk=None, thermal_scale=drawn_slope(rng)
+    )
     device = replace(device, accel=accel)
     motion = bench_motion("six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, tilt_sd=case.level))
-    temp_c = np.linspace(25.0 - 0.5 * case.creep_c, 25.0 + 0.5 * case.creep_c, len(motion))
+    temp_c = even_rise(case.creep_c, len(motion))
     shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
     assert record.gyro is not None
