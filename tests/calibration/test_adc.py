@@ -1,5 +1,7 @@
 """ADC: step and rounding from the codes; correct by construction, and never guessed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,12 @@ from undrift.calibration.adc import (
     identify_record_adc,
     without_truncation,
 )
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.observe import CalibrateSettings
 from undrift.record import Record
+from undrift.sim.device.effects import Adc
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 
 LSB = 0.061
 ROUNDINGS = {"nearest": np.round, "floor": np.floor, "toward_zero": np.trunc}
@@ -132,3 +139,27 @@ def test_the_variance_that_codes_leave_in_a_mean_is_that_of_rounded_noise(noise:
     left = code_variance(np.array([3.0, np.nan, 0.0]), 9.0 * np.full(3, scatter))
     np.testing.assert_array_equal(left[1:], 0.0)  # a step that is not known, and none
     assert left[0] / 9.0 == pytest.approx(square - scatter / 4000, rel=0.1, abs=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "methods", "triads"),
+    [
+        ("bench", {}, {"gyroscope", "accelerometer"}),
+        ("multi_position", {"accel": "multi-position", "gyro": "multi-position"}, {"gyroscope"}),
+        ("ferraris", {}, {"gyroscope", "accelerometer"}),
+    ],
+)
+def test_every_fit_to_rests_of_a_coarse_converter_names_its_steps(kind, methods, triads):
+    found = {}
+    for bits in (10, 16):
+        device = random_device(np.random.default_rng(5))
+        gyro, accel = (
+            replace(chain, adc=Adc(bits=bits, reference=span * chain.gain, codes=False))
+            for chain, span in ((device.gyro, np.radians(500.0)), (device.accel, 19.6))
+        )
+        session = simulate_session(kind, replace(device, gyro=gyro, accel=accel), rng=np.random.default_rng(6))
+        made = calibrate(session, settings=CalibrateSettings(identify_adc=False), **methods)
+        found[bits] = [item.values["triad"] for item in made.verdict.findings if item.code == "session.rounding"]
+    named = {word for text in found[10] for word in text.split(" and ")}
+    assert named == triads
+    assert found[16] == []
