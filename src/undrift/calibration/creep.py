@@ -21,11 +21,11 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.observe import Observed, middles, piece_temperatures
+from undrift.calibration.offset_drift import rest_drift
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.fit.smooth import widening_of
 from undrift.record import Still, TemperatureSensitivity, Turn
-from undrift.segments import still_means
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 _SHOWS = 3.0  # standard deviations of a mean square by which pieces differ in temperature
@@ -149,9 +149,7 @@ def _thermometer_variance(seen: Observed, pieces: Sequence[Still | Turn]) -> Flo
     return variance
 
 
-# ---- without temperatures: the drift of the gyroscopes' rests over time
-#
-#     m_p = b + d tau_p [+ G f_p] + e_p        tau from -1/2 to 1/2 over the session; f_p the mean specific force
+# ---- without temperatures: an even rise, as large as the drift of the gyroscopes' rests shows (offset_drift.py)
 
 
 def _even_in_time(
@@ -163,35 +161,24 @@ def _even_in_time(
     length = float(np.ptp(own)) if len(own) else 0.0
     if length == 0.0:
         return np.zeros(len(time)), 1.0
-    tau = (time - own.mean()) / length
-    span, widened = _rest_span(seen, tau[: len(seen.stills)], prior)
-    return np.asarray(tau * span * widened), widened
+    span, widened = _rest_span(seen, length, prior)
+    return np.asarray((time - own.mean()) / length * span * widened), widened
 
 
-def _rest_span(seen: Observed, tau: FloatArray, prior: TemperatureSensitivity) -> tuple[float, float]:
+def _rest_span(seen: Observed, length_s: float, prior: TemperatureSensitivity) -> tuple[float, float]:
     """Return the span that the drift of the gyroscopes' rests stands for, K, else the stated one, and how uncertain: a factor."""
-    records = seen.session.records
-    rows = [k for k, s in enumerate(seen.stills) if records[s.recording].gyro is not None]
-    if not rows:
+    units = [record.gyro_unit for record in seen.session.records if record.gyro is not None]
+    if not units or not seen.stills:
         return prior.unrecorded_span_k, 1.0
-    stills, design = [seen.stills[k] for k in rows], np.column_stack((np.ones(len(rows)), tau[rows]))
-    if len(rows) >= _WITH_FORCE and all(records[s.recording].accel is not None for s in stills):
-        force = np.concatenate([still_means(np.asarray(records[s.recording].accel), [s]) for s in stills])
-        design = np.column_stack((design, force))
-    spare = len(rows) - design.shape[1]
-    if spare < 1 or np.linalg.matrix_rank(design) < design.shape[1]:
+    made = rest_drift(seen)
+    if made is None:
         return 0.0, 1.0
-    windows = [np.asarray(records[s.recording].gyro)[s.start : s.stop] for s in stills]
-    windows = [window[~np.isnan(window).any(axis=1)] for window in windows]
-    means, solver = np.array([window.mean(axis=0) for window in windows]), np.linalg.pinv(design)
-    drift, left = (solver @ means)[1], means - design @ (solver @ means)
-    noise = noise_of_means(windows, [block_size(records[s.recording].sample_rate_hz) for s in stills])
-    scatter = (left**2).sum(axis=0) / spare * (widening_of(spare) if noise is None or spare > _FEW else 1.0)
-    variance = float(solver[1] @ solver[1]) * np.fmax(scatter, 0.0 if noise is None else (noise**2).mean(axis=0))
-    if float((drift**2 / np.maximum(variance, 1e-300)).sum()) <= _DRIFTS:
+    few = made.noise.any() and made.free <= _FEW
+    scatter = made.scatter * (1.0 if few else widening_of(made.free))
+    if float((made.change**2 / np.maximum(made.lever * np.fmax(scatter, made.noise), 1e-300)).sum()) <= _DRIFTS:
         return 0.0, 1.0
-    unit = records[stills[0].recording].gyro_unit
-    if not is_physical(unit) or prior.gyro_offset_dps_per_k == 0.0:
+    if not is_physical(units[0]) or prior.gyro_offset_dps_per_k == 0.0:
         return prior.unrecorded_span_k, 1.0
-    slope = prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE / si_factor(unit, "rate")
+    drift = made.change * length_s / float(np.ptp(made.time))
+    slope = prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE / si_factor(units[0], "rate")
     return float(np.sqrt(np.mean(drift**2))) / slope, widening_of(3) ** 0.5
