@@ -60,7 +60,7 @@ class Dwells:
     up: FloatArray  # (N,), 1 where +axis points up, -1 down, 0 where it is not vertical
     settle_s: float  # Start of each that is left out, s
 
-    def windows(self, k: int) -> slice:
+    def settled(self, k: int) -> slice:
         """Return the settled samples of a dwell."""
         turn = self.turns[k]
         time = self.records[turn.recording].time[turn.start : turn.stop]
@@ -162,7 +162,7 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
 def _accel_codes(dwells: Dwells) -> FloatArray:
     """Return the variance that rounding to codes leaves in a mean of each accelerometer (3,), its unit squared."""
     windows = [dwells.records[turn.recording].accel for turn in dwells.turns]
-    parts = [np.asarray(values)[dwells.windows(n)] for n, values in enumerate(windows) if values is not None]
+    parts = [np.asarray(values)[dwells.settled(n)] for n, values in enumerate(windows) if values is not None]
     scatter = np.nanmedian([np.nanvar(part, axis=0) for part in parts], axis=0) if parts else np.zeros(3)
     return code_variance(code_steps(dwells.records, rate=False), scatter)
 
@@ -229,7 +229,7 @@ def _across(
     azimuth = np.concatenate(([0.0], np.cumsum(step)))
     size, found = block_size(record.sample_rate_hz), []
     for n in rows:
-        window = dwells.windows(n)
+        window = dwells.settled(n)
         force = gain * (np.asarray(record.accel[window]) - accel.offset) @ accel.matrix.T
         angle = azimuth[window.start - begin : window.stop - begin]
         parts = np.column_stack((np.cos(angle), np.sin(angle), force[:, [(k + 1) % 3, (k + 2) % 3]]))
@@ -286,13 +286,13 @@ def rate_unevenness(dwells: Dwells, scale: FloatArray) -> FloatArray:
 
 
 def _duration(dwells: Dwells, n: int, sample_rates: Mapping[int, float]) -> float:
-    window = dwells.windows(n)
+    window = dwells.settled(n)
     return float(window.stop - window.start) / sample_rates[dwells.turns[n].recording]
 
 
 def _block_means(dwells: Dwells, n: int, sample_rates: Mapping[int, float]) -> FloatArray:
     recording = dwells.turns[n].recording
-    values = np.asarray(dwells.records[recording].gyro)[dwells.windows(n)]
+    values = np.asarray(dwells.records[recording].gyro)[dwells.settled(n)]
     size = block_size(sample_rates[recording])
     count = len(values) // size
     return np.asarray(values[: count * size].reshape(count, size, 3).mean(axis=1))
