@@ -84,6 +84,24 @@ def test_counts_are_told_in_degrees_and_recordings_follow_each_other():
     assert counts.values["minutes"] == pytest.approx(one.values["minutes"], rel=1e-3)  # a recording ends a sample early
 
 
+@pytest.mark.parametrize("unit", ["m/s2", "g", "count"])
+def test_poses_that_change_a_reading_by_g_sensitivity_are_no_drift_in_any_unit(unit):
+    made = seen(np.random.default_rng(5))
+    record, poses = made.session.records[0], np.vstack((np.eye(3), -np.eye(3), np.ones((2, 3)) / 3.0**0.5))
+    accel, gyro = np.array(record.accel), np.array(record.gyro)
+    for still, up in zip(made.stills, poses, strict=True):
+        accel[still.start : still.stop] = 9.81 * up
+        gyro[still.start : still.stop] += (
+            DPS * 0.1 * up[::-1]
+        )  # 0.1 deg/s/g: the last poses read otherwise than the first
+    scale, shift = {"m/s2": (1.0, 0.0), "g": (1.0 / 9.81, 0.0), "count": (330.0, 32768.0)}[unit]
+    turned = replace(record, accel=scale * accel + shift, gyro=gyro, accel_unit=unit)
+    assert offset_drift(replace(made, session=replace(made.session, records=(turned,))), 1.0) == ()
+    still_drifts = replace(turned, gyro=gyro + DPS * 0.5 * np.outer(record.time / record.time[-1], [0.0, 0.0, 1.0]))
+    (found,) = offset_drift(replace(made, session=replace(made.session, records=(still_drifts,))), 1.0)
+    assert found.values["axis"] == "z"
+
+
 def test_thermal_sessions_and_few_rests_have_no_such_finding():
     made = seen(np.random.default_rng(1), drift_dps=0.5)
     assert offset_drift(replace(made, session=replace(made.session, kind="thermal")), 1.0) == ()

@@ -20,7 +20,7 @@ from undrift.calibration.observe import Observed, middles, piece_temperatures
 from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import AXES
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 _LEAST_RESTS = 4
 _LEAST_WITH_POSES = 6
@@ -59,10 +59,10 @@ def rest_drift(seen: Observed) -> RestDrift | None:
             force.append(accel.mean(axis=0) if len(accel) else np.full(3, np.nan))
             windows.append(window)
             kept.append(still)
-    time = middles(records, kept)
+    time, unit = middles(records, kept), records[0].accel_unit
     if not kept or np.ptp(time) <= 0.0:
         return None
-    design = np.column_stack(((time - time.mean()) / np.ptp(time), np.ones(len(kept)), _poses(np.array(force))))
+    design = np.column_stack(((time - time.mean()) / np.ptp(time), np.ones(len(kept)), _poses(np.array(force), unit)))
     free = len(kept) - design.shape[1]
     if free < 1 or np.linalg.matrix_rank(design) < design.shape[1]:
         return None
@@ -80,13 +80,15 @@ def rest_drift(seen: Observed) -> RestDrift | None:
     )
 
 
-def _poses(force: FloatArray) -> FloatArray:
+def _poses(force: FloatArray, unit: str) -> FloatArray:
     """Return orthonormal columns (P, 0 to 3): specific force (P, 3) less its mean along the directions that the poses change."""
     if len(force) < _LEAST_WITH_POSES or np.isnan(force).any():
         return np.empty((len(force), 0))
-    force = force / np.median(np.linalg.norm(force, axis=1))
     left, size, _ = np.linalg.svd(force - force.mean(axis=0), full_matrices=False)
-    return np.asarray(left[:, size > _LEAST_CHANGE])
+    gravity = (
+        STANDARD_GRAVITY / si_factor(unit, "accel") if is_physical(unit) else size[0]
+    )  # counts may have any offset
+    return np.asarray(left[:, size > _LEAST_CHANGE * gravity])
 
 
 def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
