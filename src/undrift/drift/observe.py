@@ -102,7 +102,7 @@ def observe_rests(
         _check_lengths(session, temps)
         if session.means:
             parts.append(set_point_rests(session, temps, number=number, first_pose=poses))
-            poses = max(poses, int(parts[-1].pose.max(initial=poses - 1)) + 1)
+            poses = int(parts[-1].pose.max(initial=poses - 1)) + 1
             continue
         begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
         steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
@@ -139,7 +139,7 @@ def observe_steps(
         _check_lengths(session, temps)
         if session.means:
             parts.append(set_point_steps(session, temps, number=number, first_soak=soaks, soak_c=settings.soak_c))
-            soaks = max(soaks, int(parts[-1].soak.max(initial=soaks - 1)) + 1)
+            soaks = int(parts[-1].soak.max(initial=soaks - 1)) + 1
             continue
         turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
         if turns:
@@ -422,8 +422,8 @@ def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
 # ---- tables of set-points: rows that are means already, as chamber software writes them
 #
 # A row at rest becomes a block of rest, a row with an imposed rate a dwell. What a row states counts as its uncertainty; where it
-# states none, the usual one of the others does, and where no row does, one step of the readings, q / sqrt(12): what differs
-# from row to row beyond that is found by the fits from the scatter about the curves.
+# states none, the usual one of the others does, and where no row does, the resolution of the readings, q / sqrt(12): what
+# differs from row to row beyond that is found by the fits from the scatter about the curves.
 
 
 def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: int, first_pose: int) -> RestBlocks:
@@ -507,9 +507,16 @@ def _readings(record: Record, means: SetPointMeans, quantity: Quantity) -> tuple
 
 
 def _resolution(values: FloatArray) -> float:
-    """Return the variance of one step between values that differ, uniform over it."""
-    steps = np.diff(np.unique(values[np.isfinite(values)]))
-    return float(steps.min()) ** 2 / 12.0 if len(steps) else 0.0
+    """Return the variance of one step of the readings, uniform over it: the largest that divides all their differences.
+
+    The least difference is no step: rows of a steep offset lie far apart.
+    """
+    known = np.unique(values[np.isfinite(values)])
+    nothing, step = 1e-9 * float(np.abs(known).max(initial=0.0)), 0.0
+    for rest in np.diff(known).tolist():  # Euclid's algorithm
+        while rest > nothing:
+            step, rest = rest, step % rest
+    return step**2 / 12.0
 
 
 def _pose_among(shown: list[FloatArray | None], accel: FloatArray) -> int:
