@@ -7,6 +7,7 @@ import pytest
 
 from testkit.data import show
 from undrift.drift.fit import fit_drift
+from undrift.drift.observe import observe_steps
 from undrift.errors import InputError
 from undrift.io.session import read_file_map, read_session, session_from_files, write_session
 
@@ -93,6 +94,10 @@ def test_rows_with_a_rate_give_the_scale_over_temperature(tmp_path):
     fit = fit_drift([session])
     assert len(fit.steps) == 4 * len(TEMPS)
     assert len(np.unique(fit.steps.soak)) == len(TEMPS)
+    (temps,) = (record.temp_c.copy() for record in session.records)
+    temps[0] = np.nan  # a first row without temperature
+    steps = observe_steps([session], temperatures=[[temps]])
+    np.testing.assert_array_equal(steps.soak, fit.steps.soak)
     assert fit.scale_summary is not None
     slope = np.polyfit(fit.scale_summary.soak_temp_c, fit.scale_summary.soak_percent[:, 2], 1)[0]
     # 0.01 % per degC is simulated; a soak knows its scale to 0.003 deg/s over 90 deg/s, eleven of them over 50 degC
