@@ -17,6 +17,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift, TriadModel
 from undrift.record import Record, Session, Still
+from undrift.report.drift import draw_learnt
 from undrift.sim.daily_use import DailyUseSettings, draw_day, simulate_daily_use
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
@@ -361,6 +362,9 @@ def test_the_turn_of_a_rest_is_its_uncertainty_and_too_much_of_it_leaves_it_out(
     )
     assert (np.sqrt(held.gyro_variance[0]) < 0.004).all()
     np.testing.assert_allclose(np.sqrt(held.gyro_variance[1]), 1.0 / 20.0 / 2.0**0.5, rtol=0.1)
+    (bars,) = draw_learnt(fit).axes[0].containers[0].lines[2]  # of x, deg/s
+    drawn = [np.ptp(bar[:, 1]) / 2.0 for bar in bars.get_segments()]
+    np.testing.assert_allclose(drawn, 1.96 * np.sqrt(held.gyro_variance[:, 0]))
     nodes = np.array([15.0, 35.0])
     static = StaticDrift(temp_c=nodes, gyro_offset=np.zeros((2, 3)), gyro_uncertainty=np.full((2, 3), 0.01))
     fit = learn_drift([swaying(rng, 5.0)], replace(model, drift=DriftTables(static=static)), dates=on_days([0]))
