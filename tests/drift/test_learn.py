@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.plain_triad import plain_triad
 from undrift.correction.correct import DriftRangeWarning, correct
 from undrift.drift.daily_rests import LearnSettings
 from undrift.drift.fit import fit_drift
 from undrift.drift.learn import learn_drift
 from undrift.errors import InputError, NotObservable
 from undrift.io.store import read_calibration, write_calibration
-from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift, TriadModel
+from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift
 from undrift.record import Record, Session, Still
 from undrift.report.drift import draw_learnt
 from undrift.sim.daily_use import DailyUseSettings, draw_day, simulate_daily_use
@@ -290,21 +291,7 @@ def made_day(rng, nominal, per_k, shift, temp_c):
 
 
 def nominal(offset_dps, sigma_dps):
-    covariance = np.zeros((12, 12))
-    covariance[9:12, 9:12] = np.eye(3) * sigma_dps**2
-    model = TriadModel(
-        method="known-rotation",
-        unit_in="dps",
-        unit_out="rad/s",
-        matrix=np.eye(3) * DPS,
-        offset=offset_dps,
-        covariance=covariance,
-        rms_residual=0.0,
-        count=1,
-        rank=12,
-        condition=1.0,
-        valid_range=(-10.0, 10.0),
-    )
+    model = plain_triad("dps", "rad/s", offset=offset_dps, offset_sigma=sigma_dps)
     return Calibration(device="A", reference_temp_c=25.0, gravity_m_s2=STANDARD_GRAVITY, gyro=model)
 
 
