@@ -1,9 +1,9 @@
 """Error over temperature after days of use, against a chamber calibration of the same device.
 
-``python -m benchmarks.learning [--devices 12] [--preset mpu6050] [--seed 1]`` draws devices with turn-on shifts and ageing,
-calibrates each at one temperature and in a chamber (a ramp from 0 to 40 degC and back, in another switch-on), and learns from
-simulated days of use. The error is the table's less the true offset of that day (the mean over switch-ons), rms over axes and over
-the devices whose table reaches there.
+``python -m benchmarks.learning [--devices 4] [--preset mpu6050] [--lag-s S] [--seed 1]`` draws devices with turn-on shifts and
+ageing, calibrates each at one temperature and in a chamber (a ramp from 0 to 40 degC and back, in another switch-on), and learns
+from simulated days of use. The error is the table's less the true offset of that day (the mean over switch-ons), rms over axes and
+over the devices whose table reaches there.
 """
 
 import argparse
@@ -27,8 +27,11 @@ CHAMBERS = {"no chamber": None, "chamber": RampSettings(low_c=0.0, high_c=40.0, 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--devices", type=int, default=12)
+    parser.add_argument("--devices", type=int, default=4)
     parser.add_argument("--preset", default="mpu6050", help="mpu6050 drifts in a straight line, enc03j_3031 in a curve")
+    parser.add_argument(
+        "--lag-s", type=float, help="of the thermometer; by default that of the preset, ten times shorter"
+    )
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
@@ -37,6 +40,8 @@ def main() -> int:
     errors: dict[str, list[FloatArray]] = {}
     for _ in range(given.devices):
         device = drawn_device(given.preset, rng, hysteresis=False)
+        if given.lag_s is not None:
+            device = replace(device, thermometer=replace(device.thermometer, lag_s=given.lag_s))
         days = list(simulate_daily_use(device, rng=rng, settings=use, motions=pool))
         models = {name: calibrated(device, rng, use, chamber=ramp) for name, ramp in CHAMBERS.items()}
         for name, model in models.items():

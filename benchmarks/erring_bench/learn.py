@@ -130,8 +130,9 @@ def a_new_day(
         angular_acceleration_b=np.zeros_like(motion.rate_b),
     )
     shift = last.aged + use.turn_on * rng.standard_normal(3)
-    quiet = replace(shifted(device, shift).without_noise())
-    record = simulate_device(quiet, still, rng=rng, temp_c=board_temperature(still, rng, use)).record
+    record = simulate_device(
+        shifted(device, shift).without_noise(), still, rng=rng, temp_c=board_temperature(still, rng, use)
+    ).record
     model = fit.calibration.gyro
     assert model is not None
     assert record.gyro is not None

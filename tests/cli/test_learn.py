@@ -49,7 +49,7 @@ def test_recordings_become_a_table_that_corrects_and_exports(folder, tmp_path, c
         call(*recordings(folder), "--calibration", folder / "c.json", "-o", made, "--figure", tmp_path / "c.svg") == 0
     )
     out = capsys.readouterr().out
-    assert "stretches at rest in 4 recordings, 0 left out" in out
+    assert "stretches at rest, each within 2 degC, in 4 recordings, 0 left out" in out
     assert "verdict: good" in out
     assert "Next: undrift correct" in out
     assert (tmp_path / "c.svg").stat().st_size > 10_000

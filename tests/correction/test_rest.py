@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.plain_triad import plain_triad
 from undrift.correction import rest as rest_module
 from undrift.correction.correct import correct, correct_checked
 from undrift.correction.rest import find_rest_offset, find_rest_offset_in
 from undrift.correction.stream import Corrector
 from undrift.errors import InputError
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Calibration, TriadModel
+from undrift.model import Calibration
 from undrift.orientation import OrientSettings, orient
 from undrift.record import Record
 
@@ -19,25 +20,12 @@ FS = 100.0
 LEFT = np.array([0.02, -0.01, 0.005])  # rad/s
 
 
-def unity(unit):
-    return TriadModel(
-        method="test",
-        unit_in=unit,
-        unit_out=unit,
-        matrix=np.eye(3),
-        offset=np.zeros(3),
-        covariance=np.zeros((12, 12)),
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
-        rms_residual=0.0,
-        count=1,
-        rank=12,
-        condition=1.0,
-        valid_range=(-100.0, 100.0),
-    )
-
-
 CALIBRATION = Calibration(
-    device="a", reference_temp_c=25.0, gravity_m_s2=9.81, gyro=unity("rad/s"), accel=unity("m/s2")
+    device="a",
+    reference_temp_c=25.0,
+    gravity_m_s2=9.81,
+    gyro=plain_triad("rad/s", "rad/s"),
+    accel=plain_triad("m/s2", "m/s2", "accel"),
 )
 
 

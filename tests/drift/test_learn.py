@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.plain_triad import plain_triad
 from undrift.correction.correct import DriftRangeWarning, correct
 from undrift.drift.daily_rests import LearnSettings
 from undrift.drift.fit import fit_drift
 from undrift.drift.learn import learn_drift
 from undrift.errors import InputError, NotObservable
 from undrift.io.store import read_calibration, write_calibration
-from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift, TriadModel
+from undrift.model import Calibration, DriftTables, ScaleDrift, StaticDrift
 from undrift.record import Record, Session, Still
+from undrift.report.drift import draw_learnt
 from undrift.sim.daily_use import DailyUseSettings, draw_day, simulate_daily_use
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
@@ -84,6 +86,7 @@ def test_eight_days_of_use_show_the_offset_over_temperature_without_a_chamber(us
 def test_turn_on_repeatability_is_found_and_stated(learnt):
     show("turn-on, deg/s", learnt.turn_on / DPS, "drawn with 0.03")
     assert (np.abs(learnt.turn_on / DPS - 0.03) < 0.02).all()
+    assert (learnt.turn_on_uncertainty / DPS < 0.015).all()  # the prior alone states 0.023
     assert (learnt.after_uncertainty > learnt.curve_uncertainty).all()
 
 
@@ -288,21 +291,7 @@ def made_day(rng, nominal, per_k, shift, temp_c):
 
 
 def nominal(offset_dps, sigma_dps):
-    covariance = np.zeros((12, 12))
-    covariance[9:12, 9:12] = np.eye(3) * sigma_dps**2
-    model = TriadModel(
-        method="known-rotation",
-        unit_in="dps",
-        unit_out="rad/s",
-        matrix=np.eye(3) * DPS,
-        offset=offset_dps,
-        covariance=covariance,
-        rms_residual=0.0,
-        count=1,
-        rank=12,
-        condition=1.0,
-        valid_range=(-10.0, 10.0),
-    )
+    model = plain_triad("dps", "rad/s", offset=offset_dps, offset_sigma=sigma_dps)
     return Calibration(device="A", reference_temp_c=25.0, gravity_m_s2=STANDARD_GRAVITY, gyro=model)
 
 
@@ -337,6 +326,19 @@ def test_one_recording_states_that_the_repeatability_is_a_prior():
     assert (wider.after_uncertainty[at] > 1.5 * fit.after_uncertainty[at]).all()
 
 
+@pytest.mark.parametrize("drawn_dps", [0.006, 0.08])
+def test_the_repeatability_is_that_of_the_device_where_it_is_far_from_the_prior(drawn_dps):
+    rng = np.random.default_rng(1)
+    sessions = [made_day(rng, np.zeros(3), np.zeros(3), rng.normal(0.0, drawn_dps, 3), 25.0) for _ in range(20)]
+    fit = learn_drift(sessions, nominal(np.zeros(3), 0.02), dates=on_days(range(20)))
+    found, stated = fit.turn_on / DPS, fit.turn_on_uncertainty / DPS
+    show("turn-on, deg/s", (np.round(found, 4), np.round(stated, 4)), f"drawn with {drawn_dps}")
+    # of 20 values a standard deviation is known to 1 / sqrt(40) = 0.16 of itself; of the small one the rest's scatter is part
+    assert (np.abs(np.log(found / drawn_dps)) < 3.0 * 0.16).all()
+    assert (stated / found > 0.5 * 0.16).all()
+    assert (stated / found < (0.4 if drawn_dps < 0.01 else 2.0 * 0.16)).all()
+
+
 def swaying(rng, tilt_deg):
     """Return 30 s at rest and 20 s of a slow tilt, twenty samples a second, deg/s and g, both stated as rests."""
     time = np.arange(1000) / 20.0
@@ -361,6 +363,9 @@ def test_the_turn_of_a_rest_is_its_uncertainty_and_too_much_of_it_leaves_it_out(
     )
     assert (np.sqrt(held.gyro_variance[0]) < 0.004).all()
     np.testing.assert_allclose(np.sqrt(held.gyro_variance[1]), 1.0 / 20.0 / 2.0**0.5, rtol=0.1)
+    (bars,) = draw_learnt(fit).axes[0].containers[0].lines[2]  # of x, deg/s
+    drawn = [np.ptp(bar[:, 1]) / 2.0 for bar in bars.get_segments()]
+    np.testing.assert_allclose(drawn, 1.96 * np.sqrt(held.gyro_variance[:, 0]))
     nodes = np.array([15.0, 35.0])
     static = StaticDrift(temp_c=nodes, gyro_offset=np.zeros((2, 3)), gyro_uncertainty=np.full((2, 3), 0.01))
     fit = learn_drift([swaying(rng, 5.0)], replace(model, drift=DriftTables(static=static)), dates=on_days([0]))
@@ -377,7 +382,10 @@ def test_ageing_is_followed_to_the_last_day():
     at = np.array([np.interp(25.0, fit.temp_c, column) for column in fit.after.T]) / DPS
     show("offset after 95 days, deg/s", at, "0.38, their mean 0.19")
     assert (np.abs(at - 0.38) < 0.05).all()
-    assert (fit.ageing / DPS > 0.02).all()  # 0.12 in 30 days
+    # 19 steps of 0.02: 0.049 in 30 days, known to 1 / sqrt(38) = 0.16 of itself
+    show("ageing in 30 days, deg/s", (fit.ageing / DPS, fit.ageing_uncertainty / DPS), "0.049, 0.008")
+    assert (np.abs(np.log(fit.ageing / DPS / 0.049)) < 3.0 * 0.16).all()
+    assert (np.abs(np.log(fit.ageing_uncertainty / DPS / 0.008)) < np.log(2.0)).all()
 
 
 # ---- the given logs cut into days

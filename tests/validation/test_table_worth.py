@@ -5,16 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.model import (
-    MATRIX_NAMES,
-    OFFSET_NAMES,
-    Calibration,
-    DriftTables,
-    DynamicDrift,
-    ScaleDrift,
-    StaticDrift,
-    TriadModel,
-)
+from testkit.plain_triad import plain_triad
+from undrift.model import Calibration, DriftTables, DynamicDrift, ScaleDrift, StaticDrift
 from undrift.validation.table_worth import LEAN, MOTION_S, expected_errors
 
 NODES = np.array([20.0, 25.0, 30.0, 37.5, 50.0])
@@ -23,20 +15,7 @@ U = 0.002  # deg/s, standard uncertainty of the table
 
 
 def calibration(**tables):
-    gyro = TriadModel(
-        method="rate-table",
-        unit_in="dps",
-        unit_out="rad/s",
-        matrix=np.radians(np.eye(3)),
-        offset=np.zeros(3),
-        covariance=np.zeros((12, 12)),
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
-        rms_residual=0.0,
-        count=1,
-        rank=12,
-        condition=1.0,
-        valid_range=(-10.0, 10.0),
-    )
+    gyro = plain_triad("dps", "rad/s")
     offset = np.stack([SLOPE * (NODES - 25.0), 0.0 * NODES, 0.0 * NODES], axis=1)
     static = StaticDrift(
         temp_c=NODES,

@@ -172,12 +172,15 @@ def _summary(fit: "LearnFit", output: Path | None) -> dict[str, object]:
 
 
 def _show(fit: "LearnFit") -> None:
+    from undrift.drift.daily_rests import CELL_C
     from undrift.report.drift import LEARN_HEADS, learn_rows
     from undrift.units import RADIAN_PER_DEGREE
 
     device = fit.calibration.device or "device without a serial number"
     cells, left = len(fit.rest_kept), int((~fit.rest_kept).sum())
-    say(f"{device}: {cells - left} stretches at rest in {fit.recordings} recordings, {left} left out")
+    say(
+        f"{device}: {cells - left} stretches at rest, each within {CELL_C:g} degC, in {fit.recordings} recordings, {left} left out"
+    )
     show_table("gyroscope offset, x y z, uncertainty of a switch-on to come", LEARN_HEADS, learn_rows(fit))
     rows = [
         (

@@ -69,7 +69,7 @@ def simulate(
     draw : bool
         Draw a unit of the preset within its tolerances; the typical one otherwise.
     sample_rate_hz : float
-        Samples per second; 100 where not given, 50 in a thermal session.
+        Samples per second; 100 where not given, 50 in a thermal session, 25 in daily_use.
     temp_c : float or None
         Temperature of the board, degC; the device's reference temperature where not given.
     power_on_s : float

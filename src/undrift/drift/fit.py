@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.observe import in_one_unit
+from undrift.calibration.observe import ROOM_C, in_one_unit
 from undrift.drift import checks
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks, observe_rests, observe_steps
@@ -45,7 +45,6 @@ from undrift.model import Calibration, DriftTables, Provenance, Verdict
 from undrift.record import Session
 from undrift.views import Shown
 
-ROOM_C = 25.0  # constants are stated at it where no calibration says at which temperature
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 _WIDE = 0.8  # of the note's range: sessions that saw less have tables over what they saw

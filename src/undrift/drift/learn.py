@@ -83,6 +83,7 @@ class LearnFit:
     rest_scatter: FloatArray  # (3,), r, rad/s
     rest_temp_c: FloatArray  # (m,), degC
     rest_offset: FloatArray  # (m, 3), rad/s
+    rest_uncertainty: FloatArray  # (m, 3), standard uncertainty by noise and the turn of a body, rad/s
     rest_kept: BoolArray  # (m,), false where it was left out
     recordings: int  # behind the table, earlier ones included
     verdict: Verdict
@@ -132,6 +133,7 @@ def learn_drift(
         rest_scatter=np.array([axis.rest for axis in axes]) * si,
         rest_temp_c=evidence.temp_c,
         rest_offset=evidence.gyro_offset * si,
+        rest_uncertainty=np.sqrt(evidence.gyro_variance) * si,
         rest_kept=kept,
         recordings=len(evidence.recordings),
         verdict=Verdict(),
@@ -344,7 +346,8 @@ def _learnt(prior: _Prior, evidence: Learnt, axis: int, used: BoolArray) -> _Axi
         if last:
             break
         centre = z @ weight
-        least = 0.5 * width * np.array([axis_steps[1] - axis_steps[0] for axis_steps in steps])
+        # halves the step of an axis of three points about a peak narrower than it, which would seem exact else
+        least = 0.25 * width * np.array([axis_steps[1] - axis_steps[0] for axis_steps in steps])
         width = np.maximum(np.sqrt((z - centre[:, None]) ** 2 @ weight), least)
         z = centre[:, None] + width[:, None] * unit
     d = len(prior.x)

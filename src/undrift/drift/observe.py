@@ -102,7 +102,7 @@ def observe_rests(
         _check_lengths(session, temps)
         if session.means:
             parts.append(set_point_rests(session, temps, number=number, first_pose=poses))
-            poses = max(poses, int(parts[-1].pose.max(initial=poses - 1)) + 1)
+            poses = int(parts[-1].pose.max(initial=poses - 1)) + 1
             continue
         begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in session.records])))
         steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
@@ -139,7 +139,7 @@ def observe_steps(
         _check_lengths(session, temps)
         if session.means:
             parts.append(set_point_steps(session, temps, number=number, first_soak=soaks, soak_c=settings.soak_c))
-            soaks = max(soaks, int(parts[-1].soak.max(initial=soaks - 1)) + 1)
+            soaks = int(parts[-1].soak.max(initial=soaks - 1)) + 1
             continue
         turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
         if turns:
@@ -392,11 +392,12 @@ def _steps(
         values = session.records[turn.recording].accel
         if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
             accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
+    stated = np.array([np.nan if turn.temp_c is None else turn.temp_c for turn in turns])
     imposed = np.zeros((count, 3))
     imposed[np.arange(count), ["xyz".index(axis) for axis in dwells.axis]] = dwells.turn_rate
     return RateSteps(
         session=np.full(count, session_number, np.int64),
-        soak=first_soak + _soaks(turns, temp, settings.soak_c),
+        soak=first_soak + _soaks(temp, settings.soak_c, stated),
         time=dwells.time if dwells.time is not None else np.zeros(count),
         temp_c=temp,
         rate_b=imposed,
@@ -406,14 +407,13 @@ def _steps(
     )
 
 
-def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
+def _soaks(temp_c: FloatArray, apart_c: float, stated_c: FloatArray | None = None) -> IntArray:
     """Return which soak each dwell belongs to: by the temperature that is stated where one is, else by the thermometer."""
-    numbers = np.zeros(len(turns), np.int64)
-    first = 0
-    for k in range(1, len(turns)):
-        here, there = turns[k].temp_c, turns[first].temp_c
+    numbers, first = np.zeros(len(temp_c), np.int64), 0
+    for k in range(1, len(temp_c)):
         apart = abs(temp_c[k] - temp_c[first]) - apart_c
-        another = bool((apart if here is None or there is None else abs(here - there) - _STATED_C) > 0.0)
+        stated = np.nan if stated_c is None else abs(stated_c[k] - stated_c[first]) - _STATED_C
+        another = bool((apart if np.isnan(stated) else stated) > 0.0)
         first = k if another else first
         numbers[k] = numbers[k - 1] + another
     return numbers
@@ -422,8 +422,8 @@ def _soaks(turns: list[Turn], temp_c: FloatArray, apart_c: float) -> IntArray:
 # ---- tables of set-points: rows that are means already, as chamber software writes them
 #
 # A row at rest becomes a block of rest, a row with an imposed rate a dwell. What a row states counts as its uncertainty; where it
-# states none, the usual one of the others does, and where no row does, one step of the readings, q / sqrt(12): what differs
-# from row to row beyond that is found by the fits from the scatter about the curves.
+# states none, the usual one of the others does, and where no row does, the resolution of the readings, q / sqrt(12): what
+# differs from row to row beyond that is found by the fits from the scatter about the curves.
 
 
 def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: int, first_pose: int) -> RestBlocks:
@@ -460,13 +460,14 @@ def set_point_steps(
     """Return the rows with an imposed rate of a session of set-points."""
     parts, begin_s = list[RateSteps](), 0.0
     for record, means, temp_c in zip(session.records, session.means, temps, strict=True):
-        rows = np.flatnonzero((means.rate_b != 0.0).any(axis=1) & np.isfinite(temp_c))
+        known = np.flatnonzero(np.isfinite(temp_c))
+        soak, turning = _soaks(temp_c[known], soak_c), (means.rate_b[known] != 0.0).any(axis=1)
+        rows = known[turning]
         gyro, variance = _readings(record, means, "rate")
-        soak = _set_points(temp_c, soak_c)
         parts.append(
             RateSteps(
                 session=np.full(len(rows), number, np.int64),
-                soak=first_soak + soak[rows],
+                soak=first_soak + soak[turning],
                 time=record.time[rows] - record.time[0] + begin_s,
                 temp_c=temp_c[rows],
                 rate_b=means.rate_b[rows],
@@ -475,18 +476,8 @@ def set_point_steps(
                 gyro_variance=variance[rows],
             )
         )
-        first_soak, begin_s = first_soak + int(soak.max()) + 1, begin_s + record.duration_s
+        first_soak, begin_s = first_soak + int(soak.max(initial=-1)) + 1, begin_s + record.duration_s
     return parts[0].followed_by(parts[1:])
-
-
-def _set_points(temp_c: FloatArray, apart_c: float) -> IntArray:
-    """Return which set-point each row belongs to: another begins where the temperature leaves that of its first row."""
-    numbers, first = np.zeros(len(temp_c), np.int64), 0
-    for k in range(1, len(temp_c)):
-        another = bool(abs(temp_c[k] - temp_c[first]) > apart_c)
-        first = k if another else first
-        numbers[k] = numbers[k - 1] + another
-    return numbers
 
 
 def _readings(record: Record, means: SetPointMeans, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
@@ -507,9 +498,16 @@ def _readings(record: Record, means: SetPointMeans, quantity: Quantity) -> tuple
 
 
 def _resolution(values: FloatArray) -> float:
-    """Return the variance of one step between values that differ, uniform over it."""
-    steps = np.diff(np.unique(values[np.isfinite(values)]))
-    return float(steps.min()) ** 2 / 12.0 if len(steps) else 0.0
+    """Return the variance of one step of the readings, uniform over it: the largest that divides all their differences.
+
+    The least difference is no step: rows of a steep offset lie far apart.
+    """
+    known = np.unique(values[np.isfinite(values)])
+    nothing, step = 1e-9 * float(np.abs(known).max(initial=0.0)), 0.0
+    for rest in np.diff(known).tolist():  # Euclid's algorithm
+        while rest > nothing:
+            step, rest = rest, step % rest
+    return step**2 / 12.0
 
 
 def _pose_among(shown: list[FloatArray | None], accel: FloatArray) -> int:

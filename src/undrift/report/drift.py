@@ -129,18 +129,21 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
 
 
 def draw_learnt(fit: "LearnFit") -> "Figure":
-    """Draw the offsets before and now with the 95 % band of a switch-on to come, and the rests, each axis less its mean."""
+    """Draw the offsets before and now with the 95 % band of a switch-on to come, and the rests with theirs; less the axis' mean."""
     figure, panels = new_figure(3, height=2.0)
     for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
         level = float(fit.after[:, k].mean())
         before, after, rests = ((v[:, k] - level) / RADIAN_PER_DEGREE for v in (fit.before, fit.after, fit.rest_offset))
         doubt = NORMAL_95 * fit.after_uncertainty[:, k] / RADIAN_PER_DEGREE
         _shade(axes, fit.temp_c, fit.extrapolated)
-        axes.fill_between(fit.temp_c, after - doubt, after + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="95 %")
+        axes.fill_between(
+            fit.temp_c, after - doubt, after + doubt, color=LIMIT, alpha=0.3, linewidth=0.0, label="now, 95 %"
+        )
         axes.plot(fit.temp_c, before, color=LIMIT, linestyle="--", linewidth=0.9, label="before")
         axes.plot(fit.temp_c, after, color="black", linewidth=0.9, label="now")
-        kept = fit.rest_kept
-        axes.scatter(fit.rest_temp_c[kept], rests[kept], color=DEVICE, label="rests", s=9.0, linewidths=0.0, zorder=3)
+        kept, bars = fit.rest_kept, NORMAL_95 * fit.rest_uncertainty[:, k] / RADIAN_PER_DEGREE
+        style: Any = {"fmt": ".", "markersize": 4.5, "color": DEVICE, "linewidth": 0.6, "alpha": 0.7}
+        axes.errorbar(fit.rest_temp_c[kept], rests[kept], yerr=bars[kept], label="rests, 95 %", **style)
         if not kept.all():
             marked: Any = {"marker": "x", "s": 16.0, "linewidths": 0.9, "color": ERROR}
             axes.scatter(fit.rest_temp_c[~kept], rests[~kept], label="left out", **marked)

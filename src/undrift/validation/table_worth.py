@@ -32,7 +32,7 @@ _WORTH = 0.8  # of the rest's error: above it tables add little
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Expected:
+class TableWorth:
     """Largest angle error over the motion, of the worst axis, deg."""
 
     temp_c: float
@@ -64,9 +64,8 @@ class Expected:
         return "Use the tables, and correct --offset rest"
 
 
-def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> Expected | None:
-    """Return the errors to expect; None without an offset table of the gyroscopes.
-    rest_variance (3,), of the mean at a rest, raw unit."""
+def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> TableWorth | None:
+    """Return the errors to expect; None without offset tables of the gyroscopes. rest_variance (3,): of a rest's mean, raw unit."""
     drift, gyro = calibration.drift, calibration.gyro
     static = None if drift is None else drift.static
     if drift is None or gyro is None or static is None or static.gyro_offset is None or static.gyro_uncertainty is None:
@@ -81,15 +80,17 @@ def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> E
     if gyro.method == "nominal":  # what it reads at the reference temperature is all that it knows
         at = _at(static.temp_c, static.gyro_offset, float(np.clip(reference, static.temp_c[0], static.temp_c[-1])))
         constant = replace(constant, gyro=replace(gyro, g_sensitivity=None, offset=at))
-    worst = np.zeros(2)
+    motion, worst = _rate(), np.zeros(2)
+    if (at_rest := _reading(bare, np.zeros((2, 3)), temp_c)) is None:
+        return None
+    left = _corrected(constant, at_rest, temp_c)[0]
     for axis in range(3):
-        if (reading := _reading(bare, axis, temp_c)) is None:
+        if (reading := _reading(bare, motion[:, None] * np.eye(3)[axis], temp_c)) is None:
             return None
-        rate = _corrected(constant, reading, temp_c)[:, axis]
-        rest = _corrected(constant, _rest_reading(bare, temp_c), temp_c)[0, axis]
-        worst = np.maximum(worst, [_largest(rate - _rate()), _largest(rate - rest - _rate())])
+        error = _corrected(constant, reading, temp_c)[:, axis] - motion
+        worst = np.maximum(worst, [_largest(error), _largest(error - left[axis])])
     tables, both = _stated(bare, temp_c, rest_variance)
-    return Expected(
+    return TableWorth(
         temp_c=temp_c,
         reference_c=reference,
         constant_deg=float(worst[0]) / RADIAN_PER_DEGREE,
@@ -134,7 +135,7 @@ def _corrected(calibration: Calibration, reading: FloatArray, temp_c: float) -> 
     return np.zeros((n, 3)) if done is None else done
 
 
-def _found_reading(calibration: Calibration, wanted: FloatArray, temp_c: float) -> FloatArray | None:
+def _reading(calibration: Calibration, wanted: FloatArray, temp_c: float) -> FloatArray | None:
     """Return the reading that a calibration turns into wanted rates (N, 3); None where it is not found."""
     if calibration.gyro is None:
         return None
@@ -146,17 +147,6 @@ def _found_reading(calibration: Calibration, wanted: FloatArray, temp_c: float) 
         if np.abs(left).max() < _CLOSE:
             break
     return reading if np.abs(left).max() < 1e3 * _CLOSE else None
-
-
-def _reading(calibration: Calibration, axis: int, temp_c: float) -> FloatArray | None:
-    wanted = np.zeros((len(_rate()), 3))
-    wanted[:, axis] = _rate()
-    return _found_reading(calibration, wanted, temp_c)
-
-
-def _rest_reading(calibration: Calibration, temp_c: float) -> FloatArray:
-    found = _found_reading(calibration, np.zeros((2, 3)), temp_c)
-    return np.zeros((2, 3)) if found is None else found
 
 
 def _at(nodes: FloatArray, values: FloatArray, temp_c: float) -> FloatArray:
