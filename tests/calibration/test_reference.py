@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from testkit.findings import only
 from testkit.hand_turns import Device, hidden, later, make_recording
+from undrift.calibration.adc import restored_gyro
 from undrift.calibration.reference import (
     ReferenceSettings,
     cross_validated_adc,
     fit_reference,
     leave_one_out,
-    restored,
 )
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.model import AdcModel
@@ -199,10 +199,10 @@ def test_a_faster_recording_is_called_extrapolated():
 def test_rounding_is_undone_before_the_fit():
     adc = AdcModel(gyro_lsb=np.full(3, 0.1), gyro_rounding="toward_zero")
     u = np.array([[0.3, -0.2, 0.0], [1e-17, -1e-17, 0.1]])
-    assert np.allclose(restored(u, adc), [[0.35, -0.25, 0.0], [0.0, 0.0, 0.15]])
-    assert np.allclose(restored(u, replace(adc, gyro_rounding="floor")), u + 0.05)
-    assert restored(u, replace(adc, gyro_rounding="nearest")) is u
-    assert restored(u, None) is u
+    assert np.allclose(restored_gyro(u, adc), [[0.35, -0.25, 0.0], [0.0, 0.0, 0.15]])
+    assert np.allclose(restored_gyro(u, replace(adc, gyro_rounding="floor")), u + 0.05)
+    assert restored_gyro(u, replace(adc, gyro_rounding="nearest")) is u
+    assert restored_gyro(u, None) is u
     lsb = 2e-3
     record, reference = make_recording(np.random.default_rng(5), Device(forward=FORWARD, offset=REST, noise=2e-3))
     codes = replace(record, gyro=np.trunc(record.gyro / lsb) * lsb)

@@ -161,3 +161,19 @@ def test_a_calibration_from_references_holds_both_triads():
     assert made.accel is not None
     assert made.accel.unit_out == "m/s2"
     assert made.accel.offset == pytest.approx(OFFSET, abs=0.03)
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.02])
+def test_rests_that_no_pose_shows_are_compared_with_gravity(gain):
+    record, reference = recording(np.random.default_rng(8), poses=9, noise=0.01, position=False)
+    hidden = reference.time < 3.0 * EACH - 3.0  # three rests before the markers are seen
+    q = np.where(hidden[:, None], np.nan, reference.q_nb)
+    factor = np.where(record.time < 3.0 * EACH - 3.0, gain, 1.0)[:, None]
+    fit = fitted([(replace(record, accel=factor * record.accel), replace(reference, q_nb=q))])
+    assert np.abs(error_of(fit)[:9]).max() < 2e-3
+    if gain == 1.0:
+        assert fit.verdict.status == "good"
+    else:
+        found = only(fit.verdict.findings, "accel.unused_stills")
+        assert (found.level, found.values["stills"], found.values["beyond"]) == ("fail", 3, 3)
+        assert found.values["rms_m_s2"] == pytest.approx(0.02 * G, rel=0.1)

@@ -196,13 +196,18 @@ def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) 
     return np.asarray(values + 0.5 * lsb * direction)
 
 
+def restored_gyro(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
+    """Return gyroscope readings (N, 3) corrected for the half steps that the rounding took."""
+    if adc is None or adc.gyro_lsb is None:
+        return gyro
+    return without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
+
+
 def restored(record: Record, adc: AdcModel | None) -> Record:
     """Return a record corrected for the half steps that the rounding took."""
     if adc is None:
         return record
-    gyro, accel = record.gyro, record.accel
-    if gyro is not None and adc.gyro_lsb is not None:
-        gyro = without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
+    accel, gyro = record.accel, None if record.gyro is None else restored_gyro(record.gyro, adc)
     if accel is not None and adc.accel_lsb is not None:
         accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
     return replace(record, gyro=gyro, accel=accel)

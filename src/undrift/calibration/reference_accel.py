@@ -12,21 +12,23 @@ ends, and the derivatives are moved to it (integration by parts)::
 A rest is one such equation without p and r, from means. M, c, r and d are linear, but for d M. A rest errs by the pose's tilt, the
 same throughout, and the level of the reference is a parameter. Windows are weighed by Huber's rule; their covariance is the
 jackknife's over blocks of 8 s. What the recordings do not show takes a stated prior: the matrix 5 % about the mounting that the
-gyroscopes found, the offset 0.5 m/s2.
+gyroscopes found, the offset 0.5 m/s2. A rest without a valid pose enters no equation: there the length of the corrected force is
+compared with gravity.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.unused_stills import check_gravity_length
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import TriadFit, scaled_condition, triad_fit
 from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
-from undrift.record import Record, Reference
+from undrift.record import Record, Reference, Session, Still
 from undrift.segments import StillSettings, find_still
 from undrift.sync import LagSettings, RunningIntegral, find_lag, native_poses
 from undrift.units import is_physical, si_factor
@@ -68,12 +70,15 @@ def fit_reference_accel(
     if any(r.accel is None or r.accel_unit != unit for r in records):
         raise InputError("reference: wanted accelerometers in one unit in all recordings, got none in some; map them")
     left, _, right = np.linalg.svd(gyro.matrix)
-    rows = [
-        _equations(record, native_poses(reference), own, gravity_m_s2, lag_settings)
-        for record, reference, own in zip(records, references, mountings, strict=True)
-    ]
+    rows, unused = list[_Rows](), list[Still]()
+    for number, (record, reference, own) in enumerate(zip(records, references, mountings, strict=True)):
+        made, without_pose = _equations(record, native_poses(reference), own, gravity_m_s2, lag_settings)
+        rows.append(made)
+        unused += [replace(still, recording=number) for still in without_pose]
     factor = _nominal_factor(rows, unit, gravity_m_s2)
-    return _result(rows, _solve(rows, factor * left @ right, factor, gravity_m_s2), unit, factor)
+    fit = _result(rows, _solve(rows, factor * left @ right, factor, gravity_m_s2), unit, factor)
+    session = Session(kind="calibration", serial="", gravity_m_s2=gravity_m_s2, records=tuple(records))
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*check_gravity_length(session, unused, fit.model))))
 
 
 def _nominal_factor(rows: Sequence[_Rows], unit: str, gravity: float) -> float:
@@ -91,7 +96,8 @@ def _nominal_factor(rows: Sequence[_Rows], unit: str, gravity: float) -> float:
 
 def _equations(
     record: Record, poses: Reference, mounting: FloatArray, gravity: float, lag_settings: LagSettings
-) -> _Rows:
+) -> tuple[_Rows, list[Still]]:
+    """Return the equations of a recording, and its rests without a valid pose."""
     from scipy.spatial.transform import Rotation
 
     lag_s = find_lag(record, poses, lag_settings).seconds
@@ -101,7 +107,14 @@ def _equations(
     valid = inside & np.isfinite(a).all(axis=1) & np.isfinite(poses.q_nb).all(axis=1)
     turned = np.zeros((len(at), 3, 3))
     turned[valid] = (rotation(poses.q_nb[valid]) * Rotation.from_rotvec(mounting)).as_matrix()
-    parts = [_rests(record, at, np.where(valid[:, None], a, 0.0), turned, valid, gravity)]
+    posed, unused = list[BoolArray](), list[Still]()
+    for still in find_still(record, StillSettings()).stills:
+        within = valid & (at >= record.time[still.start]) & (at < record.time[still.stop - 1])
+        if within.any():
+            posed.append(within)
+        else:
+            unused.append(still)
+    parts = [_rests(posed, np.where(valid[:, None], a, 0.0), turned, gravity)]
     if poses.position is not None:
         seen = valid & np.isfinite(poses.position).all(axis=1)
         force = np.where(seen[:, None], a, 0.0)
@@ -112,7 +125,7 @@ def _equations(
         wanted=np.concatenate([p.wanted for p in parts]),
         first=np.concatenate([p.first for p in parts]),
         forces=np.concatenate([p.forces for p in parts]),
-    )
+    ), unused
 
 
 def _columns(turned: FloatArray, force: FloatArray) -> FloatArray:
@@ -121,26 +134,19 @@ def _columns(turned: FloatArray, force: FloatArray) -> FloatArray:
     return np.concatenate((matrix.reshape(len(force), 3, 9), -turned), axis=2)
 
 
-def _rests(
-    record: Record, at: FloatArray, force: FloatArray, turned: FloatArray, valid: BoolArray, gravity: float
-) -> _Rows:
-    designs, forces = [], []
-    for still in find_still(record, StillSettings()).stills:
-        inside = valid & (at >= record.time[still.start]) & (at < record.time[still.stop - 1])
-        if inside.any():
-            designs.append(_columns(turned[inside], force[inside]).mean(axis=0))
-            forces.append(force[inside].mean(axis=0))
-    count = len(designs)
-    design = np.zeros((count, 3, 15))
-    if count:
-        design[:, :, :12] = designs
+def _rests(posed: Sequence[BoolArray], force: FloatArray, turned: FloatArray, gravity: float) -> _Rows:
+    count = len(posed)
+    design, forces = np.zeros((count, 3, 15)), np.zeros((count, 3))
+    for i, within in enumerate(posed):
+        design[i, :, :12] = _columns(turned[within], force[within]).mean(axis=0)
+        forces[i] = force[within].mean(axis=0)
     wanted = np.tile((0.0, 0.0, gravity), (count, 1))
     return _Rows(
         design=design,
         delayed=np.zeros((count, 3, 9)),
         wanted=wanted,
         first=np.full(count, -1),
-        forces=np.reshape(forces, (count, 3)),
+        forces=forces,
     )
 
 

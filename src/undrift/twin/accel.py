@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.reference import restored
+from undrift.calibration.adc import restored_gyro
 from undrift.errors import AlignmentError, InputError, NotObservable
 from undrift.fit.least_squares import scaled_condition
 from undrift.frames import rotation
@@ -80,7 +80,7 @@ def match(record: Record, reference: Reference, *, adc: AdcModel | None = None, 
     frames = native_poses(reference)
     lag = find_lag(done, frames, LagSettings())
     span = find_motion(done, frames, lag_s=lag.seconds)
-    gyro = restored(done.gyro, adc)
+    gyro = restored_gyro(done.gyro, adc)
     at_rest = gyro[done.time < span.start_s - _LEAD_S]
     at_rest = at_rest[np.isfinite(at_rest).all(axis=1)]
     if not len(at_rest):

@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.reference import restored
+from undrift.calibration.adc import restored_gyro
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.orientation import integrate_strapdown, sagittal_pitch
@@ -144,7 +144,7 @@ class HeldOutMotion:
     def simulated(self, device: DeviceModel, rng: np.random.Generator) -> FloatArray:
         """Return a device's readings of the motion, (N, 3) rad/s, corrected as the real readings are."""
         adc = self.twin.adc if device.gyro.adc is not None else None
-        return self.corrected(restored(_read(device, self.motion, rng), adc), self.twin.gyro.triad.model.offset)
+        return self.corrected(restored_gyro(_read(device, self.motion, rng), adc), self.twin.gyro.triad.model.offset)
 
     def found(self, rng: np.random.Generator, length_s: float) -> WindowErrors:
         """Compare the real readings with simulated ones over every window of the motion."""
