@@ -33,7 +33,7 @@ def readings(rng: np.random.Generator, seconds: float, flicker: float, walk: flo
     spectrum[1:] = size * (rng.standard_normal((count, 3)) + 1j * rng.standard_normal((count, 3)))
     made += np.fft.irfft(spectrum, 2 * count, axis=0)[:count]
     step = 2.0 * RANGE_DPS / 2.0**bits
-    return np.radians(np.rint(made / step) * step if bits else made)
+    return np.asarray(np.radians(np.rint(made / step) * step if bits else made))
 
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
