@@ -20,7 +20,6 @@ from undrift.calibration.adc import limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale
 from undrift.calibration.creep import Creep, creep_of
 from undrift.calibration.dwells import (
-    SHOWS,
     DwellMeans,
     Linearity,
     dwell_means,
@@ -30,7 +29,8 @@ from undrift.calibration.dwells import (
 )
 from undrift.calibration.observe import Observed, Outcome, middles, with_offset
 from undrift.calibration.rate_table_axes import fit_turned_axes
-from undrift.calibration.table_axis import Dwells, mountings, table_axes, table_findings
+from undrift.calibration.table_axis import mountings, table_axes, table_findings
+from undrift.calibration.table_rate import SHOWS, Dwells
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import (
@@ -163,11 +163,11 @@ def fit_with_rests(
         found = _walks(full, readings, sigma, time)
         size = sum(float(f.theta[3:6] @ np.linalg.solve(f.covariance[3:6, 3:6], f.theta[3:6])) for f in found)
         if size > _chance(9) * _excess(found, readings.size - 21):
-            return _refined(fit, dwells, full, readings, _with_codes(dwells, full, sigma, found))
+            return _refined(fit, dwells, full, readings, _with_codes(dwells, full, sigma, found), sigma)
     found, by_axis = _walks(plain, readings, sigma, time), None
     if rests is None and time is not None and any(one.walk > 0.0 for one in found):
         by_axis = _by_axis(dwells, plain[:, :3], sigma, time)
-    return _refined(fit, dwells, plain, readings, _with_codes(dwells, plain, sigma, found), by_axis)
+    return _refined(fit, dwells, plain, readings, _with_codes(dwells, plain, sigma, found), sigma, by_axis)
 
 
 def _with_codes(dwells: DwellMeans, design: FloatArray, sigma: FloatArray, found: list[WalkFit]) -> list[WalkFit]:
@@ -192,7 +192,7 @@ def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
     """Return the standard deviation (N, 3) of each mean: noise, and what grows with the rate, wobble or uneven rates.
 
     A wobble of the axis moves what sensors across it read by (K_kk w)^2 omega^2, an uneven rate its own sensor by (K_kk w)^2 rho^2.
-    Both come from the residuals of a fit with an offset for each axis, where they show; wobble is never less than stated.
+    Both come from the residuals of a fit with an offset for each axis, where they show, and are not less than known of a dwell.
     """
     noise = np.broadcast_to(np.asarray(dwells.noise), dwells.reading.shape)
     if dwells.axes is None:
@@ -203,8 +203,8 @@ def _with_scatter(dwells: DwellMeans, rates: FloatArray) -> FloatArray:
     square = (dwells.reading - design @ theta) ** 2
     drive = (np.abs(np.diag(theta[:3])) * np.abs(dwells.turn_rate)[:, None]) ** 2  # (N, 3), (K_kk w)^2
     variance = noise**2
-    for which, stated in ((own, 0.0), (~own, dwells.wobble**2)):
-        share = max(stated, _share(drive[which], square[which], square[~which]))
+    for which in (own, ~own):
+        share = np.maximum(dwells.axes.apart, _share(drive[which], square[which], square[~which]))
         variance = variance + np.where(which, drive * share, 0.0)
     return np.asarray(np.sqrt(variance))
 
@@ -274,6 +274,7 @@ def _refined(
     design: FloatArray,
     readings: FloatArray,
     found: list[WalkFit],
+    sigma: FloatArray,
     by_axis: list[WalkFit] | None = None,
 ) -> RateTableFit:
     theta = np.array([one.theta for one in found])
@@ -282,7 +283,7 @@ def _refined(
     widen = _excess(found, readings.size - theta.size)
     model = _model(fit.model, theta, [one.covariance * widen for one in found])
     model = replace(
-        with_table_errors(model, dwells),
+        with_table_errors(model, dwells, sigma[: len(dwells.axis)]),
         rms_residual=float(np.sqrt((residuals**2).mean())),
         count=readings.size,
         rank=3 * rank,
@@ -468,8 +469,7 @@ def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadModel | None) -> t
     axes = table_axes(held, table, accel, session.gravity_m_s2)
     creep = creep_of(seen, turns, "gyro")
     axes = replace(axes, covariance=axes.covariance + _scale_creep(dwells, creep))
-    wobble, tilt = table.wobble_deg * RADIAN_PER_DEGREE, table.mount_tilt_deg * RADIAN_PER_DEGREE
-    return replace(dwells, axes=axes, wobble=wobble, mount_tilt=tilt), creep.findings()
+    return replace(dwells, axes=axes, mount_tilt=table.mount_tilt_deg * RADIAN_PER_DEGREE), creep.findings()
 
 
 def _scale_creep(dwells: DwellMeans, creep: Creep) -> FloatArray:
