@@ -56,6 +56,6 @@ def test_parameters_held_fixed_stay_and_one_bad_pose_moves_little() -> None:
     turn = design @ truth + np.diff(pose, axis=0)
     solution = solve_chain([recording(201)], [steps(design, turn, np.arange(200))], kept=np.arange(9))
     assert solution.step.shape == (9,)
-    assert solution.covariance.shape == (9, 9)
+    assert solution.covariance().shape == (9, 9)
     # Pose noise of 1e-3 over 200 steps gives 1e-4; plain least squares would err by some 0.01.
     np.testing.assert_allclose(solution.step, truth[:9], atol=6e-4)

@@ -309,7 +309,7 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
         windows = equations(reach)
         if solution is not None and independent_windows(windows, reach) <= len(kept) / 3.0:
             break  # too short for longer windows: stay with the last ones
-        solution, used = solve(windows, kept=kept, reach=reach), length
+        solution, used = solve(prepared, windows, kept=kept, reach=reach), length
         step(solution)
     for _ in range(_REFINEMENTS if settings.weights == "noise" else 0):
         solution, used = solve_chain(prepared, equations(1), kept=kept), settings.stride_s
@@ -320,9 +320,7 @@ def _fit(prepared: Sequence[Recording], settings: ReferenceSettings, unit: str) 
             f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
             "one axis of the readings or of the reference is reversed"
         )
-    size = len(kept) - own
-    common = replace(solution, covariance=solution.covariance[:size, :size])
-    return _result(prepared, mounted, settings, unit, guess, kept[:size], common, used)
+    return _result(prepared, mounted, settings, unit, guess, kept[: len(kept) - own], solution, used)
 
 
 def _of_device(
@@ -427,7 +425,7 @@ def _result(
     jacobian = np.eye(len(guess))
     jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, motion_offset)
     covariance = np.zeros((len(guess), len(guess)))
-    covariance[np.ix_(kept, kept)] = solution.covariance
+    covariance[np.ix_(kept, kept)] = solution.covariance()[: len(kept), : len(kept)]
     covariance = jacobian @ covariance @ jacobian.T
     if settings.offset != "common":
         spread = np.array([p.rest_uncertainty for p in prepared])
