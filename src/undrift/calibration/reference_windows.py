@@ -106,8 +106,9 @@ def _whole(recording: Recording, reach: int) -> BoolArray:
 #     offset      e the integral of a random walk      min(s, t)^2 (3 max(s, t) - min(s, t)) / 6
 #
 # Their sizes, none negative, are those whose sums of products p_i . p_(i + lag) are nearest to the ones seen, less what the fit
-# took of them. Scores by themselves (Newey and West 1987) would say too little: some ten windows that do not overlap hold 18
-# parameters.
+# took of them. The residuals' sum of squares is like a chi-square's of 3 tr(V)^2 / tr(V^2) degrees of freedom for a covariance V
+# (Satterthwaite 1946), but at least three times the windows that do not overlap, less the parameters. Intervals are Student's of as
+# many. Scores by themselves (Newey and West 1987) would say too little: some ten windows that do not overlap hold 18 parameters.
 
 _REWEIGHTINGS = 15
 _HUBER = 1.345  # k
@@ -147,8 +148,8 @@ def solve(recordings: Sequence[Recording], windows: Sequence[Windows], *, kept: 
     weight = weight.reshape(-1, 3)
 
     def covariance() -> FloatArray:
-        made = _covariance(recordings, windows, (a, weight * residual, weight == 1.0), reach)
-        return made * widening_of(3 * independent - len(kept))
+        made, freedom = _covariance(recordings, windows, (a, weight * residual, weight == 1.0), reach)
+        return made * widening_of(max(freedom, 3.0 * independent) - len(kept))
 
     return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 
@@ -191,8 +192,8 @@ def _covariance(
     windows: Sequence[Windows],
     equations: tuple[FloatArray, FloatArray, BoolArray],  # A (n, 3, P), p (n, 3), D (n, 3), in the body
     reach: int,
-) -> FloatArray:
-    """Return the covariance of the solution, (P, P)."""
+) -> tuple[FloatArray, float]:
+    """Return the covariance of the solution, (P, P), and the degrees of freedom of the residuals before the fit."""
     from scipy.optimize import nnls
 
     a, bounded, free = equations
@@ -201,7 +202,8 @@ def _covariance(
     table = np.concatenate((gain, free[:, :, None] * a, bounded[:, :, None]), axis=2)
     ends = np.cumsum([len(w.first) for w in windows])[:-1]
     seen, taken = np.zeros(len(lags)), np.zeros((len(lags), size, size))
-    made, carried = np.zeros((len(lags), 3)), np.zeros((3, size, size))
+    made, carried, products = np.zeros((len(lags), 3)), np.zeros((3, size, size)), np.zeros((3, 3))
+    traces = np.zeros(3)
     for recording, w, own in zip(recordings, windows, np.split(table, ends), strict=True):
         whole = _level(recording.q_nb[w.first + reach], own)
         cuts = np.flatnonzero(np.diff(w.first // _STRETCH)) + 1
@@ -210,6 +212,8 @@ def _covariance(
             shapes = _shapes(first - first[:1], reach)
             moved = [np.tensordot(shape, c, axes=1) for shape in shapes]  # cov(residuals) C^T, (n, 3, P)
             carried += [np.einsum("nap,naq->pq", c, m) for m in moved]
+            products += [[(s * t).sum() for t in shapes] for s in shapes]
+            traces += [np.trace(s) for s in shapes]
             for k, lag in enumerate(lags):
                 i, j = _apart(first, int(lag))
                 shifted = np.zeros_like(held)
@@ -220,7 +224,9 @@ def _covariance(
                 made[k] += [3.0 * s[i, j].sum() - 2.0 * (shifted * m).sum() for s, m in zip(shapes, moved, strict=True)]
     made += np.einsum("lpq,kqp->lk", taken, carried)
     length = np.maximum(np.linalg.norm(made, axis=0), 1e-300)
-    return np.tensordot(nnls(made / length, seen)[0] / length, carried, axes=1)
+    sizes = nnls(made / length, seen)[0] / length
+    freedom = 3.0 * float(traces @ sizes) ** 2 / max(float(sizes @ products @ sizes), 1e-300)
+    return np.tensordot(sizes, carried, axes=1), freedom
 
 
 def _shapes(first: IntArray, reach: int) -> list[FloatArray]:
