@@ -101,7 +101,12 @@ def _fits(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[Tr
     records, references = [p[0] for p in pairs], [p[1] for p in pairs]
     fit = fit_reference(records, references, settings=ReferenceSettings())
     known = fit_reference_accel(
-        records, references, fit.triad.model, mountings=fit.mountings, gravity_m_s2=STANDARD_GRAVITY
+        records,
+        references,
+        fit.triad.model,
+        mountings=fit.mountings,
+        gravity_m_s2=STANDARD_GRAVITY,
+        lags_s=fit.lags_s,
     )
     return fit.triad, known
 

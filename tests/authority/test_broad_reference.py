@@ -13,6 +13,7 @@ from testkit.data import show
 from undrift.calibration.reference import ReferenceSettings
 from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.model import TriadModel
+from undrift.sync import find_lag
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation import agreement
 from undrift.validation.expected import ERROR_PRIOR
@@ -129,7 +130,10 @@ def test_the_last_rests_show_a_matrix_that_is_5_percent_wrong_for_them(device, g
         hidden = (reference.time > stop)[:, None]
         references.append(replace(reference, q_nb=np.where(hidden, np.nan, reference.q_nb)))
     none = np.zeros((len(records), 3))
-    fit = fit_reference_accel(records, references, ALIGNED, mountings=none, gravity_m_s2=STANDARD_GRAVITY)
+    lags_s = np.array([find_lag(*pair).seconds for pair in zip(records, references, strict=True)])
+    fit = fit_reference_accel(
+        records, references, ALIGNED, mountings=none, gravity_m_s2=STANDARD_GRAVITY, lags_s=lags_s
+    )
     found = [f for f in fit.verdict.findings if f.code == "accel.unused_stills"]
     show(f"device {device}, last rests x {gain:g}", [f.text for f in found] or "no finding")
     if gain == 1.0:

@@ -31,7 +31,7 @@ from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Reference, Session, Still
 from undrift.segments import StillSettings, find_still
-from undrift.sync import LagSettings, RunningIntegral, find_lag, native_poses
+from undrift.sync import RunningIntegral, native_poses
 from undrift.units import is_physical, si_factor
 
 _WINDOW_S, _STRIDE_S = 1.0, 0.5
@@ -62,16 +62,19 @@ def fit_reference_accel(
     *,
     mountings: FloatArray,
     gravity_m_s2: float,
-    lag_settings: LagSettings = LagSettings(),
+    lags_s: FloatArray,
 ) -> TriadFit:
-    """Fit scale, cross-axis terms and offset of the accelerometers of one device, in the frame of its gyroscopes' fit."""
+    """Fit scale, cross-axis terms and offset of the accelerometers of one device, in the frame of its gyroscopes' fit.
+
+    ``mountings`` (R, 3), rad, and ``lags_s`` (R,) are those that the gyroscopes' fit found.
+    """
     unit = records[0].accel_unit
     if any(r.accel is None or r.accel_unit != unit for r in records):
         raise InputError("reference: wanted accelerometers in one unit in all recordings, got none in some; map them")
     left, _, right = np.linalg.svd(gyro.matrix)
     rows, unused = list[_Rows](), list[Still]()
-    for number, (record, reference, own) in enumerate(zip(records, references, mountings, strict=True)):
-        made, without_pose = _equations(record, native_poses(reference), own, gravity_m_s2, lag_settings)
+    for number, (record, reference, *own) in enumerate(zip(records, references, mountings, lags_s, strict=True)):
+        made, without_pose = _equations(record, native_poses(reference), *own, gravity_m_s2)
         rows.append(made)
         unused += [replace(still, recording=number) for still in without_pose]
     factor = _nominal_factor(rows, unit, gravity_m_s2)
@@ -94,12 +97,11 @@ def _nominal_factor(rows: Sequence[_Rows], unit: str, gravity: float) -> float:
 
 
 def _equations(
-    record: Record, poses: Reference, mounting: FloatArray, gravity: float, lag_settings: LagSettings
+    record: Record, poses: Reference, mounting: FloatArray, lag_s: float, gravity: float
 ) -> tuple[_Rows, list[Still]]:
     """Return the equations of a recording, and its rests without a valid pose."""
     from scipy.spatial.transform import Rotation
 
-    lag_s = find_lag(record, poses, lag_settings).seconds
     step = float(np.median(np.diff(poses.time)))
     at = poses.time + lag_s
     a, inside = RunningIntegral(record.time, np.asarray(record.accel)).mean(at - 0.5 * step, at + 0.5 * step)
