@@ -73,8 +73,8 @@ def fit_reference_accel(
         raise InputError("reference: wanted accelerometers in one unit in all recordings, got none in some; map them")
     left, _, right = np.linalg.svd(gyro.matrix)
     rows, unused = list[_Rows](), list[Still]()
-    for number, (record, reference, *own) in enumerate(zip(records, references, mountings, lags_s, strict=True)):
-        made, without_pose = _equations(record, native_poses(reference), *own, gravity_m_s2)
+    for number, (record, reference, own, lag_s) in enumerate(zip(records, references, mountings, lags_s, strict=True)):
+        made, without_pose = _equations(record, native_poses(reference), own, float(lag_s), gravity_m_s2)
         rows.append(made)
         unused += [replace(still, recording=number) for still in without_pose]
     factor = _nominal_factor(rows, unit, gravity_m_s2)
