@@ -10,6 +10,7 @@ import re
 import tempfile
 import tomllib
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,8 +18,33 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from undrift.errors import FileFormatError, InputError
 
+GIGABYTE = 10**9
 _GZIP = b"\x1f\x8b"
+_RATIO, _SMALL = (
+    200,
+    10**8,
+)  # A gzip that unpacks to more than so many times its size, and to more bytes than these, is no recording
 _BLOCK = 1 << 20
+
+
+@dataclass(slots=True)
+class Limits:
+    """What reading one file may take; one object, ``LIMITS``, for the whole process."""
+
+    memory_gb: float = 2.0  # Of its parser, and of the file unpacked
+    trust: bool = False  # No limits; parsers run in the caller's own process
+    start_s: float = 60.0  # Processor time of a parser for a file of any size ...
+    megabyte_s: float = 1.0  # ... and for each megabyte of it
+
+    def over(self, path: Path) -> str:
+        """Say that a file takes more memory than this."""
+        return (
+            f"{path}: wanted a file that reads within {self.memory_gb:g} GB of memory, got one that takes more; it is damaged, or "
+            f"read it with --memory-limit-gb {2.0 * self.memory_gb:g}"
+        )
+
+
+LIMITS = Limits()
 
 
 def checked_file(path: str | Path) -> Path:
@@ -50,7 +76,7 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
             with path.open("rb") as handle:
                 return handle.read(limit)
         with gzip.open(path, "rb") as packed:
-            content = packed.read(limit)
+            content = packed.read(limit) if limit >= 0 or LIMITS.trust else _unpacked(packed, path)
     except EOFError as error:
         raise FileFormatError(f"{path}: wanted a whole gzip file, got one that is cut off; copy it again") from error
     except (gzip.BadGzipFile, zlib.error) as error:
@@ -62,6 +88,21 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
     if not content:
         raise FileFormatError(f"{path}: wanted a recording, got an empty file inside the gzip; record or copy it again")
     return content
+
+
+def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
+    """Return what a gzip file holds, unless it is far more than a recording would unpack to."""
+    content, size = bytearray(), path.stat().st_size
+    while block := packed.read(_BLOCK):
+        content += block
+        if len(content) > LIMITS.memory_gb * GIGABYTE:
+            raise FileFormatError(LIMITS.over(path))
+        if len(content) > max(_RATIO * size, _SMALL):
+            raise FileFormatError(
+                f"{path}: wanted a packed recording, got a file that unpacks to more than {_RATIO} times its size; it is no "
+                "recording, or read it with --trust"
+            )
+    return bytes(content)
 
 
 def first_line(error: BaseException) -> str:

@@ -14,6 +14,7 @@ from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line
+from undrift.io.box import boxed, boxed_parts
 from undrift.io.columns import (
     READ_SETTINGS,
     ColumnMap,
@@ -33,6 +34,7 @@ _KEY = b"undrift"
 _BUFFER = 1 << 20
 
 
+@boxed("pyarrow.parquet")
 def read_parquet(
     path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS
 ) -> ReadResult:
@@ -42,6 +44,7 @@ def read_parquet(
         return build_record(_table(path, _whole(path, handle)), columns)
 
 
+@boxed_parts("pyarrow.parquet")
 def iter_parquet(
     path: str | Path,
     columns: ColumnMap | None = None,
@@ -127,18 +130,21 @@ class ParquetWriter:
         self._writer.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema))
 
 
+@boxed("pyarrow.parquet")
 def parquet_rows(path: str | Path) -> int:
     """Return the number of rows without reading them."""
     with _open(path) as handle:
         return int(handle.metadata.num_rows)
 
 
+@boxed("pyarrow.parquet")
 def parquet_names(path: str | Path) -> tuple[str, ...]:
     """Return the column names."""
     with _open(path) as handle:
         return tuple(handle.schema_arrow.names)
 
 
+@boxed("pyarrow.parquet")
 def read_parquet_table(path: str | Path) -> Table:
     """Return the columns of a Parquet file as they are."""
     with _open(path) as handle:
