@@ -3,13 +3,17 @@
 A file is written beside its place, then moved into it. Errors in TOML name the line and the entry.
 """
 
+import errno
 import gzip
 import hashlib
 import os
 import re
+import shutil
 import tempfile
 import tomllib
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from undrift.errors import FileFormatError, InputError
 
 GIGABYTE = 10**9
+_HIDDEN, _LOCK = ".undrift-", ".lock"
 _GZIP = b"\x1f\x8b"
 _RATIO, _SMALL = (
     200,
@@ -224,7 +229,62 @@ def write_whole(path: Path | str, content: bytes | str) -> None:
         part.chmod(0o644)
         part.replace(path)
     except OSError as error:
+        raise unwritten(path, error, len(data)) from error
+    finally:
         part.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: wanted to write the file, got {error.strerror}; free the name or the disk"
-        ) from error
+
+
+def unwritten(path: Path, error: OSError, size: int) -> InputError:
+    """Return what to say when `size` bytes more of a file could not be written."""
+    said = re.search(r"\[errno (\d+)\]", str(error))  # Arrow states it in its text alone
+    number = int(said[1]) if said and error.errno is None else error.errno
+    if number not in (errno.ENOSPC, errno.EDQUOT):
+        return InputError(
+            f"{path}: cannot be written: {os.strerror(number) if number else error}; check the name, the folder and its rights"
+        )
+    free = shutil.disk_usage(path.parent).free
+    lacks = f"{size - free} are missing" if size > free else "a quota is spent"
+    return InputError(
+        f"{path}: wanted room for {size} bytes more on the disk, got {free}: {lacks}; make room and run it again",
+        missing=max(size - free, 0),
+    )
+
+
+@contextmanager
+def hidden_folder(beside: Path) -> Iterator[Path]:
+    """Make a folder for files that appear together when they are whole; those that a killed run left there are deleted."""
+    for stale in beside.glob(f"{_HIDDEN}*"):
+        if _is_left(stale):
+            shutil.rmtree(stale, ignore_errors=True)
+    with tempfile.TemporaryDirectory(dir=beside, prefix=_HIDDEN) as name, _claimed(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def _claimed(folder: Path) -> Iterator[None]:
+    """Hold a lock beside a folder as long as this process works in it; the system frees it when the process dies."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: nothing is swept there
+        yield
+        return
+    with folder.with_name(folder.name + _LOCK).open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            Path(lock.name).unlink(missing_ok=True)
+
+
+def _is_left(folder: Path) -> bool:
+    """Tell a hidden folder whose process has died from one that is at work; the lock of the former is deleted."""
+    lock = folder.with_name(folder.name + _LOCK)
+    try:
+        import fcntl
+
+        with lock.open("rb") as held:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock.unlink()
+    except (ImportError, OSError):
+        return False
+    return True

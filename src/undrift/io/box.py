@@ -119,7 +119,7 @@ def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) 
     status = 1
     try:
         faulthandler.disable()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
         quiet = os.open(os.devnull, os.O_WRONLY)  # a library's own words, also those of its death
         os.dup2(quiet, 1)

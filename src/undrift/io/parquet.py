@@ -6,14 +6,14 @@ The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "fo
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, first_line
+from undrift.files import checked_file, first_line, unwritten
 from undrift.io.box import boxed, boxed_parts
 from undrift.io.columns import (
     READ_SETTINGS,
@@ -92,11 +92,13 @@ class ParquetWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._writer is not None:
-            self._writer.close()
-        if kind is None and self._writer is not None:
-            self._part.replace(self.path)
-        else:
+        try:
+            if self._writer is not None:
+                with _room(self.path, 0) if kind is None else suppress(OSError):
+                    self._writer.close()
+            if kind is None and self._writer is not None:
+                self._part.replace(self.path)
+        finally:
             self._part.unlink(missing_ok=True)
 
     def write(self, record: Record) -> None:
@@ -112,10 +114,8 @@ class ParquetWriter:
         metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
-            try:
+            with _room(self.path, 0):
                 self._writer = pq.ParquetWriter(self._part, schema, use_dictionary=False)
-            except OSError as error:
-                raise InputError(f"{self.path}: cannot be written: {error}; check the folder and its rights") from error
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(
@@ -127,7 +127,9 @@ class ParquetWriter:
                 f"{self.path}: wanted chunks in order of time, got {record.time[0]:.9g} s after {self._last:.9g} s"
             )
         self._last = float(record.time[-1])
-        self._writer.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema))
+        table = pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema)
+        with _room(self.path, table.nbytes):
+            self._writer.write_table(table)
 
 
 @boxed("pyarrow.parquet")
@@ -149,6 +151,14 @@ def read_parquet_table(path: str | Path) -> Table:
     """Return the columns of a Parquet file as they are."""
     with _open(path) as handle:
         return _table(path, _whole(path, handle))
+
+
+@contextmanager
+def _room(path: Path, size: int) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise unwritten(path, error, size) from error
 
 
 def _open(path: str | Path, *, stream: bool = False) -> Any:
