@@ -18,11 +18,10 @@ from collections import Counter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from fuzz.inputs import Outcome, Seed, damaged, limit_memory, outcome, seeds
+from fuzz.inputs import BAD, Outcome, Seed, damaged, limit_memory, outcome, seeds
 
 HERE = Path(__file__).parent
 KEPT = Path("build", "fuzz")
-BAD = ("crash", "hang", "over 1 GB", "unforeseen", "partial file")
 
 
 def content_of(seed: Seed, number: int, start: int) -> bytes:

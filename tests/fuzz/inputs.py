@@ -32,6 +32,7 @@ from undrift.sim.rig.grbl import GrblMachine, GrblSettings
 from undrift.study.plan import read_study
 from undrift.study.real import read_real
 
+BAD = ("crash", "hang", "over 1 GB", "unforeseen", "partial file")
 LONGEST, LARGEST = (
     30_000,
     1_300_000,
@@ -54,12 +55,13 @@ class Seed:
     content: bytes
     read: Callable[[Path], Outcome]
     beside: dict[str, bytes] = field(default_factory=dict)  # Other files of its folder
+    simulated: bool = True  # Made here; a public recording otherwise
 
 
 def outcome(seed: Seed, content: bytes, folder: Path) -> Outcome:
     """Put the content into a fresh folder and read it."""
+    folder.mkdir(exist_ok=True)
     for name, held in {**seed.beside, seed.name: content}.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(held)
     return seed.read(folder / seed.name)
 
@@ -216,7 +218,8 @@ sync = "aa55"
 
 def seeds() -> list[Seed]:
     """Return the sound inputs: simulated ones, and the small ones of the public recordings where these are present."""
-    made = [Seed(name, content, by_command) for name, content in _recordings()]
+    made = [Seed(name, content, by_command) for name, content in _simulated()]
+    made += [Seed(name, content, by_command, simulated=False) for name, content in _public()]
     row = b"time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n" + b"".join(
         b"%.2f,1,2,%d\n" % (k / 100, k % 5) for k in range(200)
     )
@@ -245,7 +248,7 @@ def _written(write: Callable[[Path], object]) -> bytes:
         return (Path(folder) / "made").read_bytes()
 
 
-def _recordings() -> Iterator[tuple[str, bytes]]:
+def _simulated() -> Iterator[tuple[str, bytes]]:
     rng, count = np.random.default_rng(0), 120
     record = undrift.Record(
         time=np.arange(count) / 100.0,
@@ -264,6 +267,9 @@ def _recordings() -> Iterator[tuple[str, bytes]]:
         yield "r.npz", (Path(folder) / "r.npz").read_bytes()
         np.savetxt(Path(folder) / "r.txt", np.column_stack((record.time, record.gyro)), fmt="%.4f")
         yield "r.txt", (Path(folder) / "r.txt").read_bytes()
+
+
+def _public() -> Iterator[tuple[str, bytes]]:
     for path in sorted(DATA.rglob("*")) if DATA.is_dir() else ():
         if path.is_file() and path.suffix not in (".md", ".json", ".svg", ".png") and "_motion" not in path.name:
             with path.open("rb") as held:

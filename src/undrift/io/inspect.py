@@ -410,7 +410,7 @@ def _unit_of(channel: str, names: str) -> str:
 def _by_position(text: Text) -> list[dict[str, str]]:
     """Return what a table without names may hold: a growing first column is time, another odd one temperature."""
     width = len(text.names)
-    lines = text.head.decode("utf-8", "replace").splitlines()[text.skip :][:8]
+    lines = [line for line in text.head.decode("utf-8", "replace").splitlines()[text.skip :] if line.strip()][:8]
     first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
     grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))

@@ -114,7 +114,6 @@ def save_figure(figure: "Figure", path: Path) -> None:
 
 def _saved(figure: "Figure", **how: Any) -> bytes:
     import matplotlib as mpl
-
     from matplotlib.text import Text
 
     axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis) if axis.get_scale() == "log"]
