@@ -10,10 +10,11 @@ import os
 import re
 import shutil
 import tempfile
+import time
 import tomllib
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -234,10 +235,15 @@ def write_whole(path: Path | str, content: bytes | str) -> None:
         part.unlink(missing_ok=True)
 
 
+def errno_of(error: OSError) -> int | None:
+    """Return the number of an error, which Arrow states in its text alone."""
+    said = re.search(r"\[errno (\d+)\]", str(error))
+    return int(said[1]) if said and error.errno is None else error.errno
+
+
 def unwritten(path: Path, error: OSError, size: int) -> InputError:
     """Return what to say when `size` bytes more of a file could not be written."""
-    said = re.search(r"\[errno (\d+)\]", str(error))  # Arrow states it in its text alone
-    number = int(said[1]) if said and error.errno is None else error.errno
+    number = errno_of(error)
     if number not in (errno.ENOSPC, errno.EDQUOT):
         return InputError(
             f"{path}: cannot be written: {os.strerror(number) if number else error}; check the name, the folder and its rights"
@@ -263,27 +269,40 @@ def hidden_folder(beside: Path) -> Iterator[Path]:
 @contextmanager
 def _claimed(folder: Path) -> Iterator[None]:
     """Hold a lock beside a folder as long as this process works in it; the system frees it when the process dies."""
-    try:
-        import fcntl
-    except ImportError:  # Windows: nothing is swept there
-        yield
-        return
     with folder.with_name(folder.name + _LOCK).open("wb") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        with suppress(ImportError):  # Windows: nothing is swept there
+            take_lock(lock.fileno())
         try:
             yield
         finally:
             Path(lock.name).unlink(missing_ok=True)
 
 
+def take_lock(handle: int, wait_s: float = 2.0) -> None:
+    """Lock an open file for this process (POSIX); OSError where another holds it.
+
+    A process that was forked a moment ago, to become another program or a box, holds the locks of its parent until it has closed
+    them: that is waited for.
+    """
+    import fcntl
+
+    last = time.monotonic() + wait_s
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except OSError:
+            if time.monotonic() > last:
+                raise
+            time.sleep(0.02)
+
+
 def _is_left(folder: Path) -> bool:
     """Tell a hidden folder whose process has died from one that is at work; the lock of the former is deleted."""
     lock = folder.with_name(folder.name + _LOCK)
     try:
-        import fcntl
-
         with lock.open("rb") as held:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            take_lock(held.fileno(), 0.0)
             lock.unlink()
     except (ImportError, OSError):
         return False

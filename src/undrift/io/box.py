@@ -119,6 +119,8 @@ def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) 
     status = 1
     try:
         faulthandler.disable()
+        for low, high in ((3, channel.fileno()), (channel.fileno() + 1, 1 << 16)):
+            os.closerange(low, high)  # the locks, ports and files of the caller are not this process's to hold
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
         quiet = os.open(os.devnull, os.O_WRONLY)  # a library's own words, also those of its death

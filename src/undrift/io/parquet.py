@@ -44,6 +44,12 @@ def read_parquet(
         return build_record(_table(path, _whole(path, handle)), columns)
 
 
+def read_own_parquet(path: Path) -> Record:
+    """Read a record that undrift wrote and knows by its SHA-256: without a box."""
+    with _open(path) as handle:
+        return build_record(_table(path, _whole(path, handle)), _native_map(path, handle, READ_SETTINGS)).record
+
+
 @boxed_parts("pyarrow.parquet")
 def iter_parquet(
     path: str | Path,

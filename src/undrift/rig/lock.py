@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from undrift.errors import InputError, RigError, RigFault
+from undrift.files import take_lock
 from undrift.live.transports import host_and_port
 from undrift.rig.galil import read_status
 from undrift.rig.grbl import GrblController
@@ -40,22 +41,15 @@ def place_of(address: str) -> str:
 
 
 @contextmanager
-def one_run(address: str, what: str, *, motor_on: bool = False) -> Iterator[None]:
-    """Hold the lock of a table; a second run is refused before anything is sent. `what` is said to it. The motor may be on
-    where `motor_on` says so."""
-    if parse_address(address)[0] == "manual":
-        yield
-        return
-    try:
-        import fcntl
-    except ImportError:  # Windows: the controller alone is asked
-        check_free(address, motor_on=motor_on)
+def one_run(address: str, what: str) -> Iterator[None]:
+    """Hold the lock of a table; a second run is refused before anything is sent. `what` is said to it."""
+    if parse_address(address)[0] == "manual" or os.name != "posix":  # on Windows the controller alone is asked
         yield
         return
     handle = _opened(place_of(address))
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            take_lock(handle, 0.3)
         except OSError as error:
             holder = os.pread(handle, 300, 0).decode("utf-8", "replace").strip()
             raise RigFault(
@@ -65,7 +59,6 @@ def one_run(address: str, what: str, *, motor_on: bool = False) -> Iterator[None
         with contextlib.suppress(OSError):  # a lock that another user made may be locked but not written
             os.truncate(handle, 0)
             os.pwrite(handle, f"{what} (process {os.getpid()} of {getpass.getuser()})\n".encode(), 0)
-        check_free(address, motor_on=motor_on)
         yield
     finally:
         os.close(handle)
@@ -91,7 +84,10 @@ def _opened(place: str) -> int:
 
 
 def check_free(address: str, *, motor_on: bool = False) -> None:
-    """Refuse a table that moves or whose motor is on: somebody drives it, or left it so. Nothing is set and nothing stops."""
+    """Refuse a table that somebody drives, or left so: it moves, or its motor is on where `motor_on` does not allow that.
+
+    Nothing is set and nothing stops.
+    """
     kind, url, settings = parse_address(address)
     if kind == "galil" and not url.startswith("gclib:"):
         found = read_status(address)

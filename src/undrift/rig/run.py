@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
-from undrift.io.parquet import read_parquet
+from undrift.io.parquet import read_own_parquet
 from undrift.record import Kind, Record
 from undrift.rig.chamber import Board, Mounting, Readings, ScpiChamber, mean_temp
 from undrift.rig.folder import Head, Piece, RunFolder
@@ -132,7 +132,7 @@ class _Run:
         for piece in self._folder.pieces:
             step = self._programme.steps[piece.step]
             if isinstance(step, Dwell) and step.turn_rate == 0.0:
-                self._rests.keep(step, read_parquet(self._folder.path / piece.name).record)
+                self._rests.keep(step, read_own_parquet(self._folder.path / piece.name))
 
     def all_but(self, done: frozenset[int]) -> None:
         """Do the dwells that are not done, each with the mounting and the soak that it needs."""
