@@ -94,10 +94,10 @@ class Sheet:
         """Return the time that the counters of a parsed table state, s, and what the clock notes."""
         counts = [table.numbers(k) for k in self.counters]
         for k, held in zip(self.counters, counts, strict=True):
-            if np.isnan(held).any():
+            if not np.isfinite(held).all():
                 raise FileFormatError(
-                    f"{self.path}: column {self.names[k]!r}: wanted a count in every row, got an empty cell in data row "
-                    f"{int(np.isnan(held).argmax()) + 1}; repair the file"
+                    f"{self.path}: column {self.names[k]!r}: wanted a count in every row, got none in data row "
+                    f"{int(np.isfinite(held).argmin()) + 1}; repair the file"
                 )
         return (np.empty(0), ()) if self.clock is None else self.clock(*counts)
 
