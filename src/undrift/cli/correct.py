@@ -1,7 +1,6 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
 import math
-import tempfile
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -155,15 +154,17 @@ def _correct_all(
 ) -> list[tuple[Path, Path, "CorrectorState", "Remarks"]]:
     """Correct into a hidden folder beside the targets; they appear when all are whole."""
     done = []
-    with tempfile.TemporaryDirectory(dir=targets[0].parent, prefix=".undrift-") as held, progress() as shown:
-        parts = [Path(held) / target.name for target in targets]
+    from undrift.files import hidden_folder
+
+    with hidden_folder(targets[0].parent) as held, progress() as shown:
+        parts = [held / target.name for target in targets]
         if scheduler is not None:
             done = _on_workers(list(zip(records, parts, strict=True)), correct_one, scheduler, shown)
         else:
             for record, part in zip(records, parts, strict=True):
                 task = shown.add_task(record.name, total=_rows(record))
                 done.append(correct_one(record, part, advance=partial(shown.advance, task)))
-        for part in sorted(Path(held).iterdir()):  # the recordings, and what is written beside them
+        for part in sorted(held.iterdir()):  # the recordings, and what is written beside them
             part.replace(targets[0].parent / part.name)
     return [(record, target, *one) for record, target, one in zip(records, targets, done, strict=True)]
 
