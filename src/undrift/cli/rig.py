@@ -206,10 +206,9 @@ def emulate(
     with stopping_on_signals(), start_bench(settings) as bench, suppress(KeyboardInterrupt):
         if save_device is not None:
             write_device(bench.device, save_device)
-        addresses = {"rig": bench.rig_address, "device": bench.device_address, "chamber": bench.chamber_address}
-        addresses["operator"] = bench.hands_address
-        if bench.pty_address is not None:
-            addresses["pty"] = bench.pty_address
+        addresses = {"rig": bench.rig_address, "device": bench.device_address}
+        addresses |= {"chamber": bench.chamber_address, "operator": bench.hands_address}
+        addresses |= {} if bench.pty_address is None else {"pty": bench.pty_address}
         if json:
             write_json({**addresses, "hands": bench.hands_address}, "rig emulate")  # its name in earlier releases
         else:
