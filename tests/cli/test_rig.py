@@ -9,24 +9,13 @@ import time
 import numpy as np
 import pytest
 
+from testkit.rig_bench import PROTOCOL
 from undrift.cli.app import run
 from undrift.io.store import read_calibration
 from undrift.sim.device.model import read_device
 from undrift.sim.device.truth import true_calibration
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
-PROTOCOL = """
-[protocol]
-name = "end to end"
-[faces]
-seconds = 3.0
-[rates]
-turn_rate_min_dps = 30.0
-turn_rate_max_dps = 90.0
-turn_rate_step_dps = 30.0
-seconds = 3.0
-bracket_s = 2.0
-"""
 
 
 @pytest.fixture
