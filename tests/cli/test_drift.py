@@ -359,3 +359,9 @@ def test_a_table_of_set_points_is_fitted_by_its_map_and_is_no_recording(undrift,
     assert made.file_map is None
     assert made.reference_temp_c == pytest.approx(25.0)
     assert "is for undrift drift" in undrift.refused("calibrate", *words[:3], "-o", tmp_path / "d.json")
+    seen = undrift.good("info", *words[:3]).out
+    assert "11 means over set-points, 0 of them at known rates" in seen
+    assert "20.00 to 70.00 degC" in seen
+    assert seen.splitlines()[-1].startswith("Next: undrift drift ")
+    assert "problem" not in seen
+    assert "still" not in seen

@@ -123,7 +123,7 @@ def info(
     found = describe(file, opening.columns(), settings=opening.settings(), up=reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening, json=json)
-    held = _session(file, found, opening)
+    found, held = _set_points(found, opening) or (found, _session(file, found, opening))
     stills, reason = _stills(held, rests)
     _draw(held, found, rests, figure)
     effects = _effects(file) if found.kind == "device" else {}
@@ -304,11 +304,26 @@ def _session(file: Path, found: "Description", opening: Opening) -> "Session | N
     return Session(kind="calibration", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,))
 
 
+def _set_points(found: "Description", opening: Opening) -> "tuple[Description, Session] | None":
+    """Return a table of means, as its map says; what is looked for in samples is not looked for there."""
+    from undrift.io.session import entry_of, session_from_files
+
+    stated = opening.file_map()
+    if found.kind != "recording" or stated is None or entry_of(stated).set_points is None:
+        return None
+    held = session_from_files([Path(found.path)], stated)
+    turned = int(held.means[0].rate_b.any(axis=1).sum())
+    summary = f"{found.rows} means over set-points, {turned} of them at known rates"
+    units = tuple((name, unit) for name, unit in found.units if name != "time")
+    bare = replace(found, kind="set-points", summary=summary, units=units, findings=(), duration_s=None)
+    return replace(bare, sample_rate_hz=None, usual_rate_hz=None), held
+
+
 def _stills(held: "Session | None", rests: Rests) -> tuple[list[list[float]], str]:
     """Return [start_s, stop_s] of every still phase, and why there is none; too short a recording is no error."""
     from undrift.segments import find_poses
 
-    if held is None:
+    if held is None or held.means:
         return [], ""
     stills, reason, settings = held.stills, "", rests.settings()
     if not stills:
@@ -331,7 +346,7 @@ def _draw(held: "Session | None", found: "Description", rests: Rests, path: Path
     from undrift.calibration.pieces import pieces_of
     from undrift.report.figures import draw_recording, save_figure
 
-    if held is None:
+    if held is None or held.means:
         raise InputError(f"--figure: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
     pieces, _ = pieces_of(held, CalibrateSettings(still=rests.settings()))
     save_figure(draw_recording(held.records, pieces, title=f"{name_of(Path(found.path))}: found"), path)
@@ -340,9 +355,9 @@ def _draw(held: "Session | None", found: "Description", rests: Rests, path: Path
 def _show(found: "Description", stills: list[list[float]], reason: str, opening: Opening) -> None:
     summary = found.summary.partition(", for example")[0] if found.example else found.summary
     lines = [summary, *(f"{name}: {unit}" for name, unit in found.units)]
-    if found.kind in ("recording", "session"):
+    if found.kind in ("recording", "session", "set-points"):
         lines += [f"{name}: none" for name in ("gyro", "accel") if name not in dict(found.units)]
-    if found.columns and found.kind != "recording":
+    if found.columns and found.kind not in ("recording", "set-points"):
         more = f", ... {len(found.columns)} in all" if len(found.columns) > 12 else ""
         lines.append(f"columns: {', '.join(found.columns[:12])}{more}")
     if found.temp_c:
@@ -385,6 +400,8 @@ def _next(found: "Description", stills: int, opening: Opening) -> list[object]:
         return ["info", found.path, "--sample-rate-hz", "256"]
     if found.kind == "markers" and any(item.code == "recording.up_axis" for item in found.findings):
         return ["info", found.path, "--reference-up", "y"]
+    if found.kind == "set-points":
+        return ["drift", found.path, *opening.words(), "-o", "calibration.json"]
     if found.kind == "session" and found.summary.startswith("calibration"):
         return ["calibrate", found.path, "-o", "calibration.json"]
     if found.kind == "recording" and stills >= POSES:

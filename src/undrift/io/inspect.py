@@ -454,7 +454,7 @@ class Description:
     """What a file holds."""
 
     path: str
-    # recording, reference, markers, session, calibration, device, table (needs a map), results, settings, text or
+    # recording, set-points, reference, markers, session, calibration, device, table (needs a map), results, settings, text or
     # binary
     kind: str
     format: str  # A name of io.formats.FORMATS, or of another package's
