@@ -16,6 +16,7 @@ from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import Session, Still, Turn
+from undrift.segments import StillSettings
 from undrift.sim.device.effects import LowPass
 from undrift.sim.device.presets import FLOOR, random_device
 from undrift.sim.device.simulate import simulate_device
@@ -42,6 +43,7 @@ class Case:
     level: float = 0.0  # Of each face about each horizontal axis, rad
     whole_walk: bool = False  # Rate random walk of a consumer part
     faces_alone: bool = False  # No rest beside the turns is stated
+    none_found: bool = False  # Nor does the search find one
 
 
 CASES = {
@@ -53,6 +55,7 @@ CASES = {
     "flicker 8 deg/h": Case(flicker=True),
     "rests on faces alone": Case(faces_alone=True),
     "rests on faces alone, flicker 8 deg/h": Case(faces_alone=True, flicker=True),
+    "no rest beside the turns, flicker 8 deg/h": Case(faces_alone=True, none_found=True, flicker=True),
     "time stamps jitter 2 ms": Case(jitter_s=2e-3),
     "angle 1 deg, axis 0.5 deg": Case(by_hand=True),
     "level 0.2 deg": Case(level=0.2 * DEG),
@@ -79,6 +82,8 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         angle_uncertainty_deg=ANGLE_DEG * case.by_hand,
         axis_uncertainty_deg=AXIS_DEG * case.by_hand,
     )
+    if case.none_found:
+        settings = replace(settings, still=StillSettings(window_s=10.0))  # longer than any rest
     for _ in range(devices):
         session, matrix, offset = drawn(case, rng)
         seen = observe(session, settings)

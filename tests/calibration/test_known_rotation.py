@@ -13,6 +13,7 @@ from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import FaceMeans, calibrate_faces
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.record import FACES, Record, Still, Turn
+from undrift.segments import StillSettings
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -373,6 +374,20 @@ def test_rests_beside_the_turns_count_though_the_session_states_none():
     # the search loses half a second at each end of a rest of six: a tenth of its weight
     sigma = found.fit.model.standard_uncertainty[9:12] / every.fit.model.standard_uncertainty[9:12]
     np.testing.assert_allclose(sigma, 1.0, atol=0.15)
+
+
+def test_turns_without_a_rest_beside_them_are_marginal():
+    rng = np.random.default_rng(12)
+    stated = simulate_session("ferraris", random_device(rng), rng=rng)
+    faces = replace(stated, stills=tuple(still for still in stated.stills if still.face is not None))
+    none_found = StillSettings(window_s=10.0)  # longer than any rest
+    seen = observe(faces, CalibrateSettings(identify_adc=False, still=none_found))
+    made = calibrate_turns(seen, None, calibrate_faces(seen, None).fit)
+    assert only(made.findings, "known_rotation.no_rests").level == "warn"
+    beside = observe(stated, CalibrateSettings(identify_adc=False, still=none_found))
+    assert "known_rotation.no_rests" not in codes(
+        calibrate_turns(beside, None, calibrate_faces(beside, None).fit).findings
+    )
 
 
 def test_block_means_within_the_rests_show_flicker():

@@ -249,6 +249,19 @@ def test_a_tilt_loads_cross_axes_with_its_sine_and_the_own_axis_with_its_cosine(
     np.testing.assert_allclose(sigma[0], [G * 1e-4, G * 1e-2, G * 1e-2])
 
 
+def test_a_tilt_that_shows_loads_the_offset_of_its_own_axis():
+    off = 0.01  # rad: both faces of x stand off towards +y, all others are level
+    reading = UP + 0.5 * G * off * np.eye(3)[1] * (UP[:, [0]] != 0.0)
+    reading -= 0.5 * G * off * np.eye(3)[1] * (UP[:, [1, 2]] != 0.0).any(axis=1)[:, None] * (UP[:, [1]] == 0.0)
+    fit = fit_six_face(FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 1e-7)), gravity=G)
+    sigma = fit.model.standard_uncertainty
+    cross, offset = sigma[:9].reshape(3, 3), sigma[9:12]
+    # x reads wrong by r_y (d_xy + d_yx), z by r_y of its own faces; y has no cross-axis residual on its own faces
+    expected = 0.5 * G * off * np.hypot(cross[0, 1], cross[1, 0])
+    np.testing.assert_allclose(offset[[0, 2]], expected, rtol=0.02)
+    assert offset[1] < 0.1 * expected  # what is left is of third order in the tilt
+
+
 def test_noise_counts_what_a_polynomial_took_from_each_window():
     rng = np.random.default_rng(6)
     windows = [polynomial_filter(rng.standard_normal((600, 3)), 1)[1] for _ in range(400)]

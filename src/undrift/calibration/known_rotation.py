@@ -548,6 +548,8 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         rests = (*rests, *unused_stills(seen, (*rests, *turns)))
         if len(rests) > len(seen.stills):
             found = (*found, finding("known_rotation.rests_found", "info", rests=len(rests) - len(seen.stills)))
+        else:
+            found = (*found, finding("known_rotation.no_rests", "warn"))
     data = rotation_data(seen.session.records, rests, turns, matrix=accel.model.matrix, offset=accel.model.offset)
     fit = fit_known_rotation(
         data,

@@ -70,11 +70,20 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 # E0 weighs by L / (tilt + noise / g), which leaves room for a tilt as small as the noise; E1 by L / (tilt + 0.1 noise / g), which
 # favours level faces and so loses nothing on them. Where L is greatest at no tilt at all, the faces count as level, and the fit is
 # plain least squares, which is then the best there is.
+#
+# E0 has the covariance of what the equations of own axes carry to second order. K0's cross-axis terms err by d. A face of axis i
+# that stands off by p_j, of which the residuals of cross axes show r_j and the rest is d_ji, reads on its own axis
+#
+#     -g sum_j r_j (d_ij + d_ji)        alike on both faces: in the offset
+#     +-g tilt^2                        of opposite sign: in the scale
 
 _EVIDENCE = 2.0  # twice the gain of log-likelihood of a tilt that is reported: 8 % false alarms on a level plane
 _LARGEST = 0.2  # rad
 _GRID = 120
 _SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
+_PLACES = np.array(
+    [[3 * row, 3 * row + 1, 3 * row + 2, 9 + row] for row in range(3)]
+)  # of K and b of one sensor in theta
 
 
 def fit_tilted(
@@ -137,6 +146,7 @@ def _solved(
     unit = np.array([length, length, length, 1.0])
     sigma = np.stack([tilted_sigma(up, noise, length, np.hypot(t, stated)[:, None]) for t in tilts])
     theta, covariance, likelihood = np.zeros((len(tilts), 12)), np.zeros((len(tilts), 12, 12)), np.zeros(len(tilts))
+    solvers, residuals = np.zeros((3, len(tilts), 4, len(up))), np.zeros((3, len(tilts), len(up)))
     for row in range(3):
         in_sigma = shared[row] / sigma[:, :, row, None]
         inner = np.eye(shared.shape[2]) + in_sigma.transpose(0, 2, 1) @ in_sigma
@@ -146,12 +156,34 @@ def _solved(
         inverse = np.linalg.inv(normal)
         own = np.einsum("tij,tj->ti", inverse, (weight @ reading[:, row]) @ design)
         residual = reading[:, row] - own @ design.T
-        places = np.array([3 * row, 3 * row + 1, 3 * row + 2, 9 + row])
+        solvers[row], residuals[row] = inverse @ design.T @ weight / unit[:, None], residual
+        places = _PLACES[row]
         theta[:, places] = own / unit
         covariance[:, places[:, None], places] = inverse / np.outer(unit, unit)
         likelihood -= 0.5 * np.einsum("ti,tij,tj->t", residual, weight, residual) + np.log(sigma[:, :, row]).sum(axis=1)
         likelihood -= 0.5 * (np.linalg.slogdet(inner)[1] + np.linalg.slogdet(normal)[1])
-    return tilts, theta, covariance, likelihood
+    square = length * (tilts[:, None] ** 2 + stated**2)
+    return tilts, theta, covariance + _second_order(up, solvers, residuals, square, covariance), likelihood
+
+
+def _second_order(
+    up: FloatArray, solvers: FloatArray, residuals: FloatArray, square: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """Return what to add to a covariance (T, 12, 12) that has errors of g tilt^2, ``square`` (T, P), alone on own axes."""
+    change = np.zeros_like(covariance)
+    variance = np.einsum("tii->ti", covariance)[:, :9].reshape(-1, 3, 3)
+    for row, places in enumerate(_PLACES):
+        own = up[:, row] != 0.0
+        sign = np.sign(up[own, row])
+        alike = np.outer(sign, sign) / max(1, own.sum()) - np.eye(own.sum())
+        errors = square[:, own, None] * square[:, None, own] * alike
+        for across in {0, 1, 2} - {row}:
+            size = variance[:, row, across] + variance[:, across, row]
+            seen = residuals[across][:, own]
+            errors += size[:, None, None] * seen[:, :, None] * seen[:, None, :]
+        solver = solvers[row][:, :, own]
+        change[:, places[:, None], places] = solver @ errors @ solver.transpose(0, 2, 1)
+    return change
 
 
 # ---- fit of the face means
