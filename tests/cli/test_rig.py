@@ -2,6 +2,7 @@
 
 import io
 import json
+import socket
 import subprocess
 import sys
 import time
@@ -73,10 +74,17 @@ def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emula
     assert found["gains"]["read"] == found["gains"]["held"] == {"kp": 12.5, "ki": 0.0, "kd": 245.0}
     assert {"crossover_rad_s", "phase_margin_deg"} <= found.keys()
     assert found["findings"] == found["verdict"]["findings"]
-    assert run([*call, "--limit-deg", "0.0001"]) == 1
+    assert run([*call, "--limit-deg", "0.0001", "--card-watchdog"]) == 1
     failed = json.loads(capsys.readouterr().out)
     assert (failed["error_deg"]["pass"], failed["verdict"]["status"]) == (False, "bad")
     assert [item["code"] for item in failed["findings"] if item["level"] == "fail"] == ["rig_check.error"]
+    host, port = emulated["rig"].removeprefix("galil:tcp://").split("?")[0].split(":")
+    with socket.create_connection((host, int(port)), timeout=20.0) as card:
+        card.sendall(b"MG UNDRLEFT>0;LS\r")
+        said = b""
+        while said.count(b":") < 2:
+            said += card.recv(100)
+    assert said.split() == [b"1.0000", b":0", b":"]  # the card's watchdog was there, and its program is gone
     assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
     status = json.loads(capsys.readouterr().out)
     assert (status["moving"], status["motor_on"], status["fault"]) == (False, False, None)

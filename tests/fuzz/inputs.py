@@ -134,7 +134,8 @@ def by_machine(kind: str) -> Callable[[Path], Outcome]:
 @cache
 def _machines() -> dict[str, Callable[[], object]]:
     clock = HostClock()
-    chamber = EmulatedChamber(AirSettings(), clock)
+    with EmulatedChamber(AirSettings(), clock) as chamber:
+        pass  # its thread and socket end: sessions are fed by hand
     return {
         "galil": lambda: GalilMachine(ServoSettings(), CardSettings(), clock),
         "grbl": lambda: GrblMachine(GrblSettings(), clock),

@@ -9,7 +9,7 @@ from testkit.rig_bench import SHORT, UP, Device, emulated, run
 from undrift.errors import RigFault
 from undrift.io.parquet import read_parquet
 from undrift.record import FACES, Record
-from undrift.rig.judge import APART, STILL, Disturbed, Rests
+from undrift.rig.judge import APART, STILL, Contradiction, Disturbed, Rests
 from undrift.rig.programme import Dwell
 from undrift.units import STANDARD_GRAVITY
 
@@ -75,7 +75,9 @@ def test_a_bump_is_seen_in_the_first_rest_and_in_later_ones(count):
 def test_a_face_that_nobody_mounted_is_seen():
     rng, rests = np.random.default_rng(3), Rests()
     rests.keep(rest("+z"), read(rng, "+z", count=True))
-    with pytest.raises(Disturbed, match=r"wanted \+x up in step, got the readings of \+z; mount it again"):
+    with pytest.raises(
+        Disturbed, match=r"wanted \+x up in step, got the readings of \+z; one of the two is not mounted"
+    ):
         rests.check(rest("+x"), read(rng, "+z", count=True), "step")
     rests.check(rest("+x"), read(rng, "+x", count=True), "step")
     with pytest.raises(
@@ -95,6 +97,97 @@ def test_in_a_physical_unit_the_first_face_tells():
     with pytest.raises(Disturbed):
         Rests().check(rest("+x"), read(rng, force=slanted), "step")
     assert APART > 1.0
+
+
+def kept(*faces, read_as=()):
+    """Return rests that hold faces in counts, some of them as another face reads."""
+    rng, rests = np.random.default_rng(6), Rests()
+    for up in faces:
+        rests.keep(rest(up), read(rng, dict(read_as).get(up, up), count=True))
+    return rests, rng
+
+
+@pytest.mark.parametrize(
+    ("pair", "surely"), [((), False), (("+y", "-y"), True), (("+z", "-z"), True), (("+z",), False)]
+)
+@pytest.mark.parametrize("wrong", ["+z", "-y"])
+def test_in_counts_a_pair_about_another_axis_tells_which_of_two_faces_is_wrong(pair, surely, wrong):
+    if wrong in pair:
+        pytest.skip("then both read the same, whatever else there is")
+    rests, rng = kept(*pair, "+x", read_as=[("+x", wrong)])
+    with pytest.raises(
+        Contradiction, match=r"wanted -x up in step, got gravity along another axis than \+x; one of"
+    ) as told:
+        rests.check(rest("-x"), read(rng, "-x", count=True), "step")
+    assert (told.value.other, told.value.surely) == ("+x", surely)
+    rests.forget("+x")
+    rests.check(rest("-x"), read(rng, "-x", count=True), "step")
+
+
+def test_in_counts_a_pair_about_another_axis_clears_the_face_that_was_kept():
+    rests, rng = kept("+y", "-y", "+x")
+    with pytest.raises(
+        Disturbed, match=r"wanted -x up in step, got gravity along another axis than \+x; mount it again"
+    ):
+        rests.check(rest("-x"), read(rng, "+z", count=True), "step")
+
+
+def test_in_counts_two_faces_that_read_the_same_are_both_in_doubt():
+    rests, rng = kept("+y", "-y", "+x", read_as=[("+x", "-x")])
+    with pytest.raises(Contradiction, match=r"got the readings of \+x; one of the two .* mount both again") as told:
+        rests.check(rest("-x"), read(rng, "-x", count=True), "step")
+    assert not told.value.surely
+
+
+class InCounts(Device):
+    """Reads counts, as faces that were mounted wrongly at some of the mountings."""
+
+    def __init__(self, emulator, hands, wrong):
+        super().__init__(emulator, hands)
+        self.wrong = dict(wrong)  # number of the mounting -> what is up then
+
+    def stop(self):
+        up, self.hands.up = self.hands.up, self.wrong.get(len(self.hands.mounted), self.hands.up)
+        record = super().stop()
+        self.hands.up = up
+        accel = np.rint(1700.0 * record.accel + [300.0, -80.0, 40.0])
+        return replace(record, accel=accel, accel_unit="count")
+
+
+SIX = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "mounted"),
+    [
+        ({1: "+y"}, "+x -x -x +y -y +z -z +x"),  # the first: -x is mounted twice, then +x again at the end
+        ({1: "-x"}, "+x -x -x +y -y +z -z +x"),
+        ({2: "+z"}, "+x -x -x +y -y +z -z"),  # the second is mounted again, and nothing else
+        ({3: "-x"}, "+x -x +y +y -y +z -z"),
+        ({3: "+z"}, "+x -x +y -y +z -z +y"),  # with -y the faces before show at once that +y is wrong
+    ],
+)
+def test_a_run_in_counts_takes_the_face_again_that_was_wrong(tmp_path, monkeypatch, wrong, mounted):
+    monkeypatch.setattr("testkit.rig_bench.Device", lambda emulator, hands: InCounts(emulator, hands, wrong))
+    with emulated() as emulator:
+        result, hands = run(emulator, tmp_path / "run", replace(SHORT, faces=SIX, axes=()))
+    assert hands.mounted == mounted.split()
+    assert (result.added, len(result.pieces)) == (6, 6)
+    read = {piece.up: read_parquet(tmp_path / "run" / piece.name).record.accel.mean(axis=0) for piece in result.pieces}
+    for up in SIX:
+        assert np.allclose(read[up], 1700.0 * STANDARD_GRAVITY * UP[up] + [300.0, -80.0, 40.0], atol=5.0)
+    assert len(list((tmp_path / "run").glob("aside/*"))) == mounted.endswith(("+x", "+y"))
+    with emulated() as emulator:  # what was taken back stays so
+        assert run(emulator, tmp_path / "run", replace(SHORT, faces=SIX, axes=()), resume=True)[0].added == 0
+
+
+def test_faces_that_contradict_each_other_for_good_end_the_run_and_name_both(tmp_path, monkeypatch):
+    always = dict.fromkeys(range(1, 99), "+y")
+    monkeypatch.setattr("testkit.rig_bench.Device", lambda emulator, hands: InCounts(emulator, hands, always))
+    with emulated() as emulator:
+        with pytest.raises(RigFault, match=r"wanted .x up in step .*, got the readings of .x; one of the two is not"):
+            run(emulator, tmp_path, replace(SHORT, faces=("+x", "-x"), axes=()))
+        assert not emulator.motor_on
 
 
 class Clumsy(Device):

@@ -2,7 +2,7 @@
 
 import sys
 from contextlib import ExitStack, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -46,6 +46,7 @@ def run(
     highest_acceleration_dps2: float = 5000.0,
     travel_deg: float | None = None,
     device_lag_s: float = 120.0,
+    card_watchdog: bool = False,
     resume: bool = False,
     yes: bool = False,
     json: Json = False,
@@ -78,6 +79,8 @@ def run(
         How far the table may turn either way, deg; without end where not given.
     device_lag_s : float
         Time constant with which a device without thermometer follows the chamber's air, s; a soak waits five of them.
+    card_watchdog : bool
+        Upload a program to a Galil card that stops the axis when this computer has been silent for 5 s; cleared at the end.
     resume : bool
         Go on in a folder in which a run was interrupted.
     yes : bool
@@ -93,7 +96,7 @@ def run(
 
     asked = read_protocol(protocol)
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
-    settings = RigSettings(limits=limits, ask=_asked)
+    settings = RigSettings(limits=limits, ask=_asked, card_watchdog=(lambda: True) if card_watchdog else None)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
     by_hand = rig.startswith("manual:")
     if not resume:
@@ -108,6 +111,8 @@ def run(
         if chamber is not None or not by_hand:  # before they are opened, so that they are closed before it goes
             guard = stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
         watch = Watch(StopWatch(rig), guard, programme)
+        if card_watchdog and guard is not None:
+            settings = replace(settings, card_watchdog=guard.promise_holds)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         watch.arm()
         shown = _Shown(watch)
@@ -275,6 +280,7 @@ def check(
     limit_deg: float = 0.012,
     travel_deg: float | None = None,
     set_gains: bool = False,
+    card_watchdog: bool = False,
     json: Json = False,
 ) -> int:
     """Accept a table: following error in a step wave, crossover and phase margin of its servo loop. The table turns.
@@ -295,6 +301,8 @@ def check(
         How far the table may turn either way, deg; without end where not given.
     set_gains : bool
         Set the suggested gains, until the controller is switched off.
+    card_watchdog : bool
+        Upload a program to a Galil card that stops the axis when this computer has been silent for 5 s; cleared at the end.
     """
     from undrift.rig.check import CheckSettings, check_rig
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
@@ -310,7 +318,8 @@ def check(
         limit=limit_deg * RADIAN_PER_DEGREE,
         set_gains=set_gains,
     )
-    if parse_address(rig)[0] == "manual":
+    asked = RigSettings(limits=limits, card_watchdog=(lambda: True) if card_watchdog else None)
+    if parse_address(rig, asked)[0] == "manual":
         raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
@@ -325,7 +334,7 @@ def check(
                 sys.stderr.write(f"\r\x1b[K{line}")
 
         check_free(rig, motor_on=True)
-        table = open_rig(rig, RigSettings(limits=limits))
+        table = open_rig(rig, replace(asked, card_watchdog=guard.promise_holds if card_watchdog else None))
         stack.callback(table.close)
         guard.arm()
         found = check_rig(table, Clock(speed=parse_address(rig)[2].clock_speed), settings, report)

@@ -70,9 +70,10 @@ REFERENCE, SPEED = 2, 3  # commanded position, counts, and its speed, counts/s
 SUM, LAST, ERROR, VOLTAGE, COUNT = 4, 5, 6, 7, 8  # filter: sum and last of the error, error, output V, encoder count
 MODE, TARGET = 9, 10  # what the profile does, and its speed (counts/s) or position (counts)
 SAMPLES, LOGGED, OVER, TIME, PEAK = 11, 12, 13, 14, 15  # counters; error limit exceeded; s; largest abs error, counts
-SIZE = 16
+BEHIND = 16  # by how much smoothing holds the commanded position behind the profile, counts
+SIZE = 17
 
-REST, JOG, MOVE, STOPPING = 0.0, 1.0, 2.0, 3.0  # MODE
+REST, JOG, MOVE, STOPPING, SMOOTHING = 0.0, 1.0, 2.0, 3.0, 4.0  # MODE; the last: the profile is over, smoothing is not
 NOTHING, DONE, FORWARD_LIMIT, REVERSE_LIMIT, ERROR_LIMIT = 0, 1, 2, 3, 4  # what ended a call
 
 
@@ -98,6 +99,7 @@ class Coefficients(NamedTuple):
     acceleration: float
     deceleration: float
     slew: float
+    smoothing: float  # IT: part of the way to the profile that a sample takes; 1 takes it all
     error_limit: float
     forward: float
     reverse: float
@@ -126,29 +128,38 @@ def approach(speed: float, wanted: float, up: float, down: float) -> float:
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def profile(state: FloatArray, c: Coefficients) -> bool:
-    # one sample of the trapezoid, counts and counts/s; True when the motion has just ended
+    # one sample of the trapezoid, counts and counts/s, and of its smoothing; True when the motion has just ended
     mode, speed = state[MODE], state[SPEED]
     up, down = c.acceleration * c.period, c.deceleration * c.period
+    place = state[REFERENCE] + state[BEHIND]
+    over = mode == SMOOTHING
     if mode == JOG:
         speed = approach(speed, state[TARGET], up, down)
     elif mode == STOPPING:
         speed = approach(speed, 0.0, up, down)
-        if speed == 0.0:
-            state[MODE] = REST
+        over = speed == 0.0
     elif mode == MOVE:
-        left = state[TARGET] - state[REFERENCE]
+        left = state[TARGET] - place
         way = 1.0 if left >= 0.0 else -1.0
         along = speed * way
         if abs(left) <= down * c.period and along <= 1.5 * down:
-            state[REFERENCE], state[SPEED], state[MODE] = state[TARGET], 0.0, REST
-            return True
-        ahead = max(abs(left) - 0.5 * along * c.period, 0.0)
-        brake = down * (math.sqrt(0.25 + 2.0 * ahead / (down * c.period)) - 0.5)  # stops on the target, to the sample
-        forward = max(min(along + up, c.slew, brake), along - down)
-        speed = way * (min(along + down, 0.0) if along < 0.0 else forward)
-    state[REFERENCE] += 0.5 * (state[SPEED] + speed) * c.period
+            place, state[SPEED], speed, over = state[TARGET], 0.0, 0.0, True
+        else:
+            ahead = max(abs(left) - 0.5 * along * c.period, 0.0)
+            brake = down * (
+                math.sqrt(0.25 + 2.0 * ahead / (down * c.period)) - 0.5
+            )  # stops on the target, to the sample
+            forward = max(min(along + up, c.slew, brake), along - down)
+            speed = way * (min(along + down, 0.0) if along < 0.0 else forward)
+    place += 0.5 * (state[SPEED] + speed) * c.period
     state[SPEED] = speed
-    return bool(mode == STOPPING and speed == 0.0)
+    behind = (1.0 - c.smoothing) * (place - state[REFERENCE])
+    if over:
+        over = abs(behind) < 0.5
+        behind = 0.0 if over else behind
+        state[MODE] = REST if over else SMOOTHING
+    state[BEHIND], state[REFERENCE] = behind, place - behind
+    return bool(over)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -182,6 +193,7 @@ def control(state: FloatArray, c: Coefficients) -> float:
     register = state[COUNT] + c.offset
     if not (c.powered and c.motor_on):
         state[REFERENCE], state[SPEED], state[SUM], state[LAST], state[ERROR] = register, 0.0, 0.0, 0.0, 0.0
+        state[BEHIND] = 0.0
         return 0.0
     reference = math.floor(state[REFERENCE]) if c.quantise else state[REFERENCE]
     error = reference - register

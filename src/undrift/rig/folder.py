@@ -1,10 +1,10 @@
 """Run folder: what a run leaves on the disk, at every moment a session that can be read.
 
     protocol.toml     what was asked for
-    journal.jsonl     head, then a line for each dwell that is on the disk
+    journal.jsonl     head, then a line for each dwell that is on the disk, or was taken back
     pieces/           0007.parquet: the readings of step 7
     session.toml      made from the journal after each dwell
-    aside/            pieces that a crash left half written, or without a line in the journal
+    aside/            pieces that a crash left half written, or without a line in the journal, or that were taken back
 
 A piece is written and synchronised first, then its line in the journal, then session.toml. What has no line was never done. A
 line is {"length": 123, "crc32": "89abcdef", "entry": {...}}: length and checksum of the entry's text tell a line torn by a power
@@ -306,6 +306,15 @@ class RunFolder:
             self.write_session()
         return kept
 
+    def withdraw(self, pieces: tuple[Piece, ...]) -> None:
+        """Take dwells back: the journal says so, their readings go aside, and they are to be done again."""
+        with uninterrupted(), room(self.path):
+            for piece in pieces:
+                self._journal.append({"entry": "withdrawn", "step": piece.step})
+                self.pieces = tuple(kept for kept in self.pieces if kept.step != piece.step)
+            self._put_aside()
+        self.write_session()
+
     def write_session(self) -> None:
         """Write session.toml from the journal, whole or not at all."""
         if self.head is not None:
@@ -357,12 +366,16 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
         first = dict(entries[0])
         if (first.pop("entry"), first.pop("format")) != ("head", FORMAT):
             raise ValueError("another format")
-        pieces = []
+        pieces: list[Piece] = []
         for entry in entries[1:]:
             fields = dict(entry)
-            if fields.pop("entry") != "dwell":
+            kind = fields.pop("entry")
+            if kind == "withdrawn":
+                pieces = [piece for piece in pieces if piece.step != fields["step"]]
+            elif kind == "dwell":
+                pieces.append(Piece(**fields))  # type: ignore[arg-type]
+            else:
                 raise ValueError("another kind of entry")
-            pieces.append(Piece(**fields))  # type: ignore[arg-type]
         return Head(**first), tuple(pieces)  # type: ignore[arg-type]
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(

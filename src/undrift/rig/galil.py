@@ -24,6 +24,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
+from undrift.rig.card_watchdog import CardWatchdog, halt_left_over
 from undrift.rig.link import CardClock, Clock, GalilPort, GclibPort, LinkedRig, LinkPort, link_settings
 from undrift.rig.rig import (
     ACCELERATION,
@@ -158,6 +159,7 @@ class GalilAxis:
         self.refused: str | None = None
         self.broken: RigError | None = None
         self.enabled = self.jogging = False
+        self.watchdog: CardWatchdog | None = None
         self.last: int | None = None  # position
         self.when = (0.0, 0.0)  # s of the clock, and by how much that may be off
         self._clock, self._fastest, self._slack = clock, fastest, slack
@@ -295,7 +297,9 @@ class GalilAxis:
         return self.is_on() == was_on
 
     def let_go(self) -> None:
-        """Close the link."""
+        """Take the watchdog from the card and close the link."""
+        if self.watchdog is not None:
+            self.watchdog.clear()
         self.card.port.close()
 
     def _reconnect(self) -> None:
@@ -516,7 +520,7 @@ class GalilRig(GalilReports):
         try:
             self._prepare()
         except RigError:
-            port.close()
+            self._axis.let_go()
             raise
         self.servo = GalilServo(self.card, self._scale, self._axis, self._guarded)
 
@@ -609,6 +613,10 @@ class GalilRig(GalilReports):
                 forward, reverse = self._home + reach, self._home - reach
             card.set("FL", forward, tolerance=2)
             card.set("BL", reverse, tolerance=2)
+            halt_left_over(card)
+            if self._settings.card_watchdog is not None:
+                axis.watchdog = CardWatchdog(card, axis, self._settings.card_watchdog, self._settings.clock_speed)
+                axis.watchdog.start()
 
 
 def open_from(url: str, settings: RigSettings) -> GalilRig:

@@ -170,6 +170,11 @@ class Guard:
         """Promise the next call of this; a program that hangs breaks the promise, and its beats end."""
         self._due = None if within_s is None else time.monotonic() + within_s
 
+    def promise_holds(self) -> bool:
+        """Return whether the program has not hung, as far as it promised."""
+        due = self._due
+        return due is None or time.monotonic() < due
+
     def check(self) -> None:
         """Refuse to continue without a guard."""
         code = self._process.poll()
@@ -215,8 +220,7 @@ class Guard:
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_S):
-            due = self._due
-            if due is None or time.monotonic() < due:
+            if self.promise_holds():
                 self._say("")
 
     def _say(self, word: str) -> None:

@@ -15,6 +15,9 @@ first rests of this rig, and f the mean specific force of a face as read,
     largest spread of an eighth of the rest    <= STILL s               where s is not below half a step of the converter
     |f - f(other face)|                        >= APART s               else nobody mounted it
     |component of f(+k) - f(-k) along k|       >= cos 30 deg of it      and of f itself along k in a physical unit
+
+In counts two faces that contradict each other do not tell which of them is wrong (`Contradiction`). A sound pair about another axis
+does: its middle is what no acceleration reads, so that f less the middle lies along k for the face that is mounted as stated.
 """
 
 from dataclasses import dataclass
@@ -127,6 +130,13 @@ class Disturbed(RigFault):
     """A rest that someone disturbed or mounted wrongly: it is taken again."""
 
 
+class Contradiction(Disturbed):
+    """A rest that does not fit one that was kept, in counts: either of them may be the wrong one."""
+
+    other: Face  # The one that was kept
+    surely: bool  # Other faces show that it is that one
+
+
 class Rests:
     """Remembers how still this rig's first rests were and what each face read."""
 
@@ -159,21 +169,46 @@ class Rests:
         if step.purpose == "face" and record.accel is not None:
             self._faces.setdefault(step.up, np.nanmean(record.accel, axis=0))
 
+    def forget(self, face: Face) -> None:
+        """Drop what a face read: it is taken again."""
+        self._faces.pop(face, None)
+
     def _check_face(self, up: Face, accel: FloatArray, unit: str, apart: FloatArray, where: str) -> None:
-        force, axis, sign = np.nanmean(accel, axis=0), "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
-        for other, seen in self._faces.items():
-            if other != up and (np.abs(force - seen) <= apart).all():
-                raise Disturbed(
-                    f"device: wanted {up} up in {where}, got the readings of {other}; mount it again", up=up
-                )
-        against = next((seen for other, seen in self._faces.items() if other != up and other[1] == up[1]), None)
-        stated = is_physical(unit)  # else only the difference of two faces tells an axis, and not its sign
-        turned = force if stated else None if against is None else force - against
-        if turned is None:
+        force, others = np.nanmean(accel, axis=0), {face: f for face, f in self._faces.items() if face != up}
+        same = next((face for face, seen in others.items() if (np.abs(force - seen) <= apart).all()), None)
+        against = next((face for face in others if face[1] == up[1]), None)
+        if same is not None:
+            got, other = f"the readings of {same}", same
+        elif is_physical(unit):
+            if _lies_along(up, force, signed=True):
+                return
+            got, other = "gravity along another axis", up
+        elif against is not None and not _lies_along(up, force - others[against]):
+            got, other = f"gravity along another axis than {against}", against
+        else:
             return
-        along = sign * turned[axis] if stated else abs(turned[axis])
-        if along < SLANT * np.linalg.norm(turned):
-            raise Disturbed(f"device: wanted {up} up in {where}, got gravity along another axis; mount it again", up=up)
+        if is_physical(unit):
+            raise Disturbed(f"device: wanted {up} up in {where}, got {got}; mount it again", up=up)
+        middles = [
+            0.5 * (others[plus] + others[minus])
+            for plus, minus in (("+x", "-x"), ("+y", "-y"), ("+z", "-z"))
+            if plus in others and minus in others and other not in (plus, minus)
+        ]
+        sound = [all(_lies_along(face, f - at) for at in middles) for face, f in ((up, force), (other, others[other]))]
+        if middles and sound == [False, True]:
+            raise Disturbed(f"device: wanted {up} up in {where}, got {got}; mount it again", up=up)
+        raise Contradiction(
+            f"device: wanted {up} up in {where}, got {got}; one of the two is not mounted as stated: mount both again, with "
+            "--resume",
+            other=other,
+            surely=bool(middles) and sound == [True, False],
+        )
+
+
+def _lies_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:
+    """Tell whether a force lies along a face's axis; in counts the sign of an axis is not known."""
+    along = float(force["xyz".index(face[1])]) * (1.0 if face[0] == "+" else -1.0)
+    return (along if signed else abs(along)) >= SLANT * float(np.linalg.norm(force))
 
 
 def _spreads(record: Record) -> FloatArray:

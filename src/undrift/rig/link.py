@@ -271,6 +271,8 @@ class Link:
 
 # ---- Ports to a Galil card. A command ends with a carriage return; the answer is ``:``, or text and ``:``, or ``?``.
 
+DOWNLOAD_S = 10.0  # longest wait for the end of a short program's download
+
 
 class LinkPort(Link):
     """A card on TCP or a serial port."""
@@ -287,6 +289,12 @@ class LinkPort(Link):
         if not reply.endswith(":") or "?" in reply:
             raise LinkError(f"{self.name}: wanted an answer to '{command}', got {reply!r}; check cable and baud")
         return reply[:-1]
+
+    def download(self, program: str) -> None:
+        """Replace the program on the card; there is no prompt before its end."""
+        reply = self.exchange(f"DL\r{program}\r\\", max(self.settings.reply_timeout_s, DOWNLOAD_S), terminator="")
+        if reply != ":":
+            raise LinkError(f"{self.name}: wanted a program taken by the card, got {reply!r}; see its TC")
 
     def shout(self, command: str) -> None:
         """Send without waiting for an answer; a lost link is left to whoever asks next."""
@@ -339,6 +347,16 @@ class GclibPort:
                 if "timed out" in text or "timeout" in text:
                     raise RigTimeout(f"{wanted}; check power and cable") from error
                 raise LinkError(f"{wanted}; reconnect") from error
+
+    def download(self, program: str) -> None:
+        """Replace the program on the card."""
+        with self._one_at_a_time:
+            try:
+                self._library.GProgramDownload(program)
+            except Exception as error:
+                raise LinkError(
+                    f"{self.name}: wanted a program taken by the card, got '{error}'; see its TC"
+                ) from error
 
     def shout(self, command: str) -> None:
         """Send and do not care for the answer."""

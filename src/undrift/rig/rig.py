@@ -369,6 +369,8 @@ class RigSettings:
     clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, an emulator's speed otherwise
     # Shows a person a line and returns what they typed; a manual rig needs it
     ask: Callable[[str], str] | None = None
+    # Whether the program that drives the rig is alive: a Galil card's own watchdog is told so; None uploads none
+    card_watchdog: Callable[[], bool] | None = None
 
 
 OPTIONS: dict[str, Callable[[str], object]] = {
@@ -399,4 +401,6 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
             settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
         except (ValueError, KeyError) as error:
             raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error
+    if settings.card_watchdog is not None and kind != "galil":
+        raise InputError(f"card watchdog: wanted a Galil card, got '{address}'; leave --card-watchdog out")
     return kind, url, settings

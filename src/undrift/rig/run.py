@@ -14,11 +14,20 @@ import numpy as np
 
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
 from undrift.io.parquet import read_own_parquet
-from undrift.record import Kind, Record
+from undrift.record import Face, Kind, Record
 from undrift.rig.chamber import Board, Mounting, Readings, ScpiChamber, mean_temp
 from undrift.rig.folder import Head, Piece, RunFolder
 from undrift.rig.guard import Guard, StopWatch, uninterrupted
-from undrift.rig.judge import Disturbed, Rests, RunSettings, check_board, check_rate, check_readings, link_hides
+from undrift.rig.judge import (
+    Contradiction,
+    Disturbed,
+    Rests,
+    RunSettings,
+    check_board,
+    check_rate,
+    check_readings,
+    link_hides,
+)
 from undrift.rig.link import Clock
 from undrift.rig.manual import ManualRig
 from undrift.rig.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
@@ -97,13 +106,14 @@ def run_programme(
         start = bench.clock.now()
         run.recall()
         run.all_but(done)
+        while run.withdrawn - folder.done:  # a face is taken back once at most
+            run.all_but(folder.done)
     except BaseException as error:
         run.close(error)
         raise
     run.close(None)
-    return RunResult(
-        pieces=folder.pieces, added=len(folder.pieces) - len(done), duration_s=bench.clock.now() - start, rig=name
-    )
+    added = len(folder.done - (done - run.withdrawn))
+    return RunResult(pieces=folder.pieces, added=added, duration_s=bench.clock.now() - start, rig=name)
 
 
 def _kind_of(programme: Programme) -> Kind:
@@ -126,6 +136,8 @@ class _Run:
         self._began = bench.clock.now()
         self._number, self._left_s = 0, 0.0
         self._rests = Rests()
+        self.withdrawn: frozenset[int] = frozenset()  # steps
+        self._doubted: set[Face] = set()
 
     def recall(self) -> None:
         """Learn from the rests that are on the disk how still this rig is."""
@@ -213,12 +225,17 @@ class _Run:
         if step.purpose == "turn":
             self._turn(step)
             return
-        for left in range(READS, 0, -1):
+        left = READS
+        while left:
             try:
                 self._one_dwell(step)
                 return
             except Disturbed as error:
-                if left == 1:
+                mounted_again = left < READS
+                if isinstance(error, Contradiction) and (error.surely or mounted_again) and self._withdraw(error.other):
+                    continue
+                left -= 1
+                if not left:
                     raise
                 log.warning("%s; it is taken again", error)
                 if step.purpose == "face":
@@ -226,6 +243,20 @@ class _Run:
                     self._say("mounting")
                     self._bench.mounting.mount(step.up)
                     self._enable()
+
+    def _withdraw(self, face: Face) -> bool:
+        """Take back all that was read with a face up that others contradict; False where that was done before."""
+        if face in self._doubted:
+            return False
+        self._doubted.add(face)
+        pieces = tuple(piece for piece in self._folder.pieces if piece.up == face)
+        log.warning(
+            "what was read with %s up does not fit the other faces: it is mounted and read again at the end", face
+        )
+        self._folder.withdraw(pieces)
+        self.withdrawn |= {piece.step for piece in pieces}
+        self._rests.forget(face)
+        return True
 
     def _one_dwell(self, step: Dwell) -> None:
         rig = self._bench.rig

@@ -116,6 +116,50 @@ def test_a_client_that_does_not_read_holds_nobody_up(emulator):
         assert ask(other, "TP") == b" 0000000000\r\n:"
 
 
+COSTLY = b"QU A[],0,999,1\r" * 300  # two milliseconds each: together, more than anybody else should wait
+
+
+@pytest.mark.parametrize("reads", [False, True])
+def test_a_client_that_floods_leaves_others_their_turn(emulator, reads):
+    with client(emulator) as flood, client(emulator) as other:
+        ask(other, "DM A[1000]")
+        flooding = threading.Event()
+
+        def say_on() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    flood.sendall(COSTLY)
+                    flooding.set()
+
+        def listen() -> None:
+            with contextlib.suppress(OSError):
+                while flood.recv(1 << 20):
+                    pass
+
+        threads = [threading.Thread(target=target) for target in (say_on, *([listen] if reads else []))]
+        for thread in threads:
+            thread.start()
+        assert flooding.wait(60.0)
+        took = []
+        for _ in range(30):
+            begun = time.monotonic()
+            assert ask(other, "TP") == b" 0000000000\r\n:"
+            took.append(time.monotonic() - begun)
+        flood.shutdown(socket.SHUT_RDWR)
+        for thread in threads:
+            thread.join(60.0)
+    typical = float(np.median(took))  # a busy machine delays some
+    show("an answer beside a flood, s", round(typical, 4), 0.2)
+    assert typical < 0.2
+
+
+def test_a_flood_is_obeyed_in_full_and_in_order(emulator):
+    with client(emulator) as c:
+        wanted = b"".join(b" %d.0000\r\n:" % number for number in range(3000))
+        threading.Thread(target=c.sendall, args=(b"".join(b"MG %d\r" % number for number in range(3000)),)).start()
+        assert hear(c, len(wanted)) == wanted
+
+
 def test_a_pseudo_terminal_speaks_the_same_language():
     with start_emulator(EmulatorSettings(with_pty=True, speed=5.0)) as emulator:
         assert emulator.pty_path is not None

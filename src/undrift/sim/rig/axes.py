@@ -95,6 +95,7 @@ def resting_coefficients(servo: ServoSettings) -> Coefficients:
         acceleration=256_000.0,
         deceleration=256_000.0,
         slew=25_000.0,
+        smoothing=1.0,
         error_limit=16_384.0,
         forward=2_147_483_647.0,
         reverse=-2_147_483_648.0,

@@ -37,6 +37,7 @@ class Error(Enum):
     NO_LABEL = 10, "Empty program line or undefined label"
     JOG_ONLY = 13, "JG only valid when running in jog mode"
     PROGRAM_RUNNING = 17, "ED, BN and DL not valid while program running"
+    STRAND_RUNNING = 19, "Application strand already executing"
     MOTOR_OFF = 20, "Begin not valid with motor off"
     BEGIN_RUNNING = 21, "Begin not valid while running"
     AT_LIMIT = 22, "Begin not possible due to Limit Switch"
@@ -44,19 +45,23 @@ class Error(Enum):
     NO_QUESTION = 51, "Question mark not valid"
     PARENTHESES = 59, "Mismatched parentheses"
     LINE_TOO_LONG = 60, "Download error - line too long or too many lines"
+    NO_ENDIF = 63, "IF statement without ENDIF"
     NO_ROOM = 66, "Array space full"
     RECORDING_RUNS = 80, "Record mode already running"
     NO_ARRAY = 82, "Undefined array"
     NOT_A_NUMBER = 83, "Not a valid number"
+    NO_JUMPER = 96, "SM jumper needs to be installed for stepper motor operation"
     SERIAL_TIMEOUT = 131, "Serial port timeout"
+    MOTOR_ON = 135, "Motor must be in MO"
     PERIOD_TIMEOUT = 143, "TM timed out"
 
 
 ERROR_TEXT: dict[int, str] = dict(error.value for error in Error)
 STOP_RUNNING, STOP_DONE, STOP_FORWARD, STOP_REVERSE, STOP_ASKED = 0, 1, 2, 3, 4
-STOP_ABORT_INPUT, STOP_ABORTED, STOP_ERROR = 6, 7, 8
+STOP_ABORT_INPUT, STOP_ABORTED, STOP_ERROR, STOP_HOMED = 6, 7, 8, 10
 
 LARGEST = 2_147_483_647.0
+HOME_SPEED, HOME_LOOK_S = 256.0, 1e-3  # counts/s of the second and third stage; between two looks at the switch
 
 
 class Refused(Exception):
@@ -93,7 +98,10 @@ SETTINGS = {
     "OE": Setting(default=0.0, low=0.0, high=3.0, digits=1),
     "TL": Setting(default=9.9988, low=0.0, high=9.9988, step=20.0 / 65536.0, digits=1, decimals=4),
     "TW": Setting(default=32_766.0, low=-1.0, high=32_766.0, digits=5),
-    "TM": Setting(default=1000.0, low=1.0, high=20_000.0, step=0.5, digits=5, while_running=False),
+    "MT": Setting(default=1.0, low=-2.5, high=2.5, step=0.5, digits=1, decimals=1, while_running=False),
+    "CE": Setting(default=0.0, low=0.0, high=15.0, digits=2, while_running=False),
+    "IT": Setting(default=1.0, low=0.004, high=1.0, step=1.0 / 256.0, digits=1, decimals=4),
+    "TM": Setting(default=1000.0, low=31.25, high=20_000.0, step=0.5, digits=5, while_running=False),
     "CN": Setting(default=-1.0, low=-1.0, high=1.0, digits=1),
     "LZ": Setting(default=0.0, low=0.0, high=1.0, digits=1),
     "PF": Setting(default=10.0, low=1.0, high=10.4, step=0.1, digits=2, decimals=1),
@@ -132,6 +140,7 @@ class CardSettings:
     serial_timeout_s: float = 5.0
     # Axis angles at which the reverse and the forward limit switch close
     switches_deg: tuple[float, float] | None = None
+    home_deg: float | None = None  # Axis angle up to which the home switch is pressed; None: nothing is wired
     echo_serial: bool = False  # EO at power-up on a serial link
 
 
@@ -144,6 +153,7 @@ class Motion:
     distance: float = 0.0  # Of PR and PA, counts
     target: float = 0.0
     running: bool = False  # A motion is in progress
+    stage: int = 0  # Of homing: 1 to the switch, 2 back to its edge, 3 to the index
     reason: int = STOP_DONE  # Stop code that the present motion will end with
     stop_code: int = STOP_DONE  # What SC tells
 
@@ -181,6 +191,7 @@ class Card:
         self.axis = Axis(servo, history_s)
         self.wiring = Wiring()
         self.unsolicited: deque[str] = deque(maxlen=1000)
+        self.program_status: Callable[[], tuple[int, int]] = lambda: (0, -1)  # operands _HX0 and _XQ0
         self.set_up()
 
     def set_up(self) -> None:
@@ -204,8 +215,12 @@ class Card:
 
     def apply(self) -> None:
         """Hand settings and wiring on to the loop."""
+        before = self.axis.coefficients.counts_per_rad
         self.axis.coefficients = _coefficients(self)
-        if self.motion.running and self.motion.kind == "JG" and self.axis.values[k.MODE] == k.JOG:
+        if before * self.axis.coefficients.counts_per_rad < 0.0:  # the register goes on from where it is
+            self.axis.change(offset=self.axis.coefficients.offset + 2.0 * self.axis.values[k.COUNT])
+            self.axis.values[k.COUNT] *= -1.0
+        if self.motion.running and self.motion.kind in ("JG", "HM") and self.axis.values[k.MODE] == k.JOG:
             self.axis.values[k.TARGET] = self.motion.jog * _speed_scale(self)
 
     @property
@@ -230,10 +245,21 @@ class Card:
 
     def _advance(self, time: float) -> None:
         self._watch_amplifier()
+        while self.motion.stage in (1, 2) and self.axis.time + self.axis.coefficients.period <= time:
+            looked = at_home(self)
+            self._run(min(time, self.axis.time + max(HOME_LOOK_S, self.axis.coefficients.period)))
+            if at_home(self) != looked and self.motion.stage:
+                self._home_edge()
+        self._run(time)
+
+    def _run(self, time: float) -> None:
         while (event := self.axis.advance(time)) != k.NOTHING:
-            if event == k.DONE and self.motion.running:
+            if event == k.DONE and self.motion.stage:
+                self._home_on()
+            elif event == k.DONE and self.motion.running:
                 self.motion.running, self.motion.stop_code = False, self.motion.reason
             elif event in (k.FORWARD_LIMIT, k.REVERSE_LIMIT):
+                self.motion.stage = 0
                 self.motion.reason = STOP_FORWARD if event == k.FORWARD_LIMIT else STOP_REVERSE
                 if self.values["OE"] >= 2.0:
                     self._off(self.motion.reason)
@@ -250,7 +276,7 @@ class Card:
         if self.motor_on:
             return
         values = self.axis.values
-        values[k.REFERENCE], values[k.SPEED] = self.axis.register, 0.0
+        values[k.REFERENCE], values[k.SPEED], values[k.BEHIND] = self.axis.register, 0.0, 0.0
         values[k.SUM] = values[k.LAST] = values[k.ERROR] = values[k.OVER] = 0.0
         values[k.MODE] = k.REST
         self.motor_on = True
@@ -279,6 +305,34 @@ class Card:
         self.motion.kind = kind
         setattr(self.motion, "distance" if kind == "PR" else "target", float(math.trunc(counts)))
 
+    def home(self) -> None:
+        """Have the next BG look for the home switch and the encoder's index."""
+        if self.motion.running:
+            raise Refused(Error.RUNNING)
+        self.motion.kind = "HM"
+
+    def _home_edge(self) -> None:
+        """The home switch changed: slow down from the first approach, stop at once from the second."""
+        if self.motion.stage == 1:
+            self.axis.values[k.MODE] = k.STOPPING
+            return
+        self.axis.values[k.MODE], self.axis.values[k.SPEED] = k.REST, 0.0
+        self._home_on()
+
+    def _home_on(self) -> None:
+        """Begin the next stage of homing, or end it."""
+        values, motion, turn = self.axis.values, self.motion, float(self.servo.counts_per_turn)
+        motion.stage += 1
+        if motion.stage == 2:
+            values[k.MODE], motion.jog = k.JOG, -math.copysign(HOME_SPEED, motion.jog)
+        elif motion.stage == 3:  # the index: where the encoder's own count is whole turns
+            own = math.ceil((values[k.REFERENCE] - self.axis.coefficients.offset) / turn) * turn
+            values[k.MODE], values[k.TARGET] = k.MOVE, own + self.axis.coefficients.offset
+        else:
+            motion.stage, motion.running, motion.stop_code, motion.kind = 0, False, STOP_HOMED, "PR"
+            self.axis.define(self.axis.register - round(values[k.REFERENCE]))
+        self.apply()
+
     def begin(self) -> None:
         """Start the motion commanded last."""
         if not self.motor_on:
@@ -287,24 +341,30 @@ class Card:
             raise Refused(Error.BEGIN_RUNNING)
         values = self.axis.values
         target = self.motion.target if self.motion.kind == "PA" else values[k.REFERENCE] + self.motion.distance
-        way = self.motion.jog if self.motion.kind == "JG" else target - values[k.REFERENCE]
+        homing = self.motion.kind == "HM"
+        if homing:
+            self.motion.jog = math.copysign(self.values["SP"], 0.5 - at_home(self))
+        way = self.motion.jog if homing or self.motion.kind == "JG" else target - values[k.REFERENCE]
         at_forward, at_reverse = limits_closed(self)
         if (way > 0.0 and at_forward) or (way < 0.0 and at_reverse):
             raise Refused(Error.AT_LIMIT)
         self.motion.running, self.motion.reason, self.motion.stop_code = True, STOP_DONE, STOP_RUNNING
-        values[k.MODE] = k.JOG if self.motion.kind == "JG" else k.MOVE
+        values[k.MODE] = k.JOG if homing or self.motion.kind == "JG" else k.MOVE
+        self.motion.stage = int(homing)
         values[k.TARGET] = target
         self.apply()
 
     def stop(self) -> None:
         """Slow down to rest; the motor stays on."""
         if self.motion.running:
-            self.axis.values[k.MODE] = k.STOPPING
+            self.axis.values[k.MODE], self.motion.stage = k.STOPPING, 0
             self.motion.reason = STOP_ASKED
 
     def abort(self, stop_code: int = STOP_ABORTED) -> None:
         """Stop the profile at once; the motor stays on."""
         self.axis.values[k.MODE], self.axis.values[k.SPEED] = k.REST, 0.0
+        self.axis.values[k.BEHIND] = 0.0
+        self.motion.stage = 0
         if self.motion.running:
             self.motion.running, self.motion.stop_code = False, stop_code
 
@@ -330,6 +390,22 @@ def set_sample_time(card: Card, microseconds: float) -> None:
     card.apply()
 
 
+def check_motor_type(card: Card, value: float) -> None:
+    """Refuse a stepper on a card without its jumper, what is no type, and any change while the motor is on."""
+    if abs(value) not in (1.0, 1.5, 2.0, 2.5):
+        raise Refused(Error.OUT_OF_RANGE)
+    if card.motor_on:
+        raise Refused(Error.MOTOR_ON)
+    if abs(value) >= 2.0:
+        raise Refused(Error.NO_JUMPER)
+
+
+def at_home(card: Card) -> int:
+    """Return operand _HM: 1 while the home switch is open, as an input to which nothing is wired."""
+    pressed = card.settings.home_deg
+    return int(pressed is None or math.degrees(float(card.axis.values[k.ANGLE])) > pressed)
+
+
 def limits_closed(card: Card) -> tuple[bool, bool]:
     """Tell whether the card may not go forward, or back: a switch is active, or the reference is beyond FL or BL."""
     c, count, reference = card.axis.coefficients, card.axis.values[k.COUNT], card.axis.values[k.REFERENCE]
@@ -346,6 +422,7 @@ def _speed_scale(card: Card) -> float:
 def _coefficients(card: Card) -> Coefficients:
     v, w, scale = card.values, card.wiring, _speed_scale(card)
     low, high = card.settings.switches_deg or (-math.inf, math.inf)
+    reversed_encoder = (int(v["CE"]) & 2) != 0
     high_level = v["CN"] == 1.0  # then a switch that is not pressed counts as active
     return card.axis.coefficients._replace(
         proportional=4.0 * v["KP"],
@@ -354,7 +431,10 @@ def _coefficients(card: Card) -> Coefficients:
         clip=card.servo.voltage_limit if v["TL"] >= SETTINGS["TL"].high else v["TL"],
         acceleration=v["AC"] * scale**2,
         deceleration=v["DC"] * scale**2,
-        slew=max(v["SP"] * scale, 1e-9),
+        slew=max((v["SP"] if card.motion.stage == 0 else HOME_SPEED) * scale, 1e-9),
+        smoothing=v["IT"],
+        volts_per_count=math.copysign(card.servo.volts_per_count, v["MT"]),
+        counts_per_rad=card.servo.counts_per_rad * (-1.0 if reversed_encoder else 1.0),
         error_limit=v["ER"] if v["ER"] > 0.0 else math.inf,
         forward=v["FL"],
         reverse=v["BL"],
@@ -363,8 +443,9 @@ def _coefficients(card: Card) -> Coefficients:
         encoder_good=not w.encoder_loss,
         forward_closed=w.limit_switch != high_level,
         reverse_closed=w.limit_switch_reverse != high_level,
-        forward_at=math.radians(high) * card.servo.counts_per_rad,
-        reverse_at=math.radians(low) * card.servo.counts_per_rad,
+        # turning away from them by a reversed encoder closes neither
+        forward_at=math.inf if reversed_encoder else math.radians(high) * card.servo.counts_per_rad,
+        reverse_at=-math.inf if reversed_encoder else math.radians(low) * card.servo.counts_per_rad,
     )
 
 
@@ -479,7 +560,15 @@ TELL = ("TP", "TE", "TV", "TT", "RP", "TD", "TS", "SC", "TB", "TI")
 def switches(card: Card) -> int:
     """Return the byte of TS."""
     forward, reverse = limits_closed(card)
-    bits = (card.motion.running, card.axis.values[k.OVER], not card.motor_on, False, not forward, not reverse, True)
+    bits = (
+        card.motion.running,
+        card.axis.values[k.OVER],
+        not card.motor_on,
+        False,
+        not forward,
+        not reverse,
+        at_home(card),
+    )
     return sum(bool(bit) << (7 - place) for place, bit in enumerate(bits))
 
 
@@ -494,7 +583,8 @@ def value_of(card: Card, word: str) -> float:
         "TS": switches(card), "SC": motion.stop_code, "TC": card.error_code, "BG": motion.running, "MO": not card.motor_on,
         "JG": motion.jog, "PR": motion.distance, "PA": motion.target,
         "RC": card.recording.running, "RD": card.recording.taken,
-        "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": 1, "TB": 1, "TI": 255, "AB": 1,
+        "LF": not limits_closed(card)[0], "LR": not limits_closed(card)[1], "HM": at_home(card), "TI": 255, "AB": 1,
+        "TB": (card.program_status()[0] > 0) << 7 | int(card.values["EO"]),
     }  # fmt: skip
     if word not in known:
         raise Refused(Error.OPERAND)
@@ -506,6 +596,8 @@ def operand_value(card: Card, name: str) -> float:
     if name == "TIME":
         return float(card.ticks)
     word, axis = name[1:3], name[3:]
+    if name in ("_HX", "_HX0", "_XQ", "_XQ0"):
+        return float(card.program_status()[word == "XQ"])
     if len(word) < 2 or axis not in ("X", "A", ""):
         raise Refused(Error.OPERAND)
     return value_of(card, word)

@@ -3,9 +3,9 @@ r"""Galil: the ASCII language of a one-axis card, read by a parser of its own, a
 Two upper-case letters and arguments; `;` or a carriage return ends a command. Each command is answered by its text, if it has
 one, with CR LF, and `:`; or by `?`, after which the rest of the line is dropped and TC tells why.
 
-A program is lines kept on the card and run there, with trippoints: DL .. \ loads, LS lists, XQ runs from a label, HX halts. JP, EN,
-AM and WT mean something only here. What a program prints nobody asked for; a command that fails ends it with `?`, the line number
-and the line.
+A program is lines kept on the card and run there, with trippoints: DL .. \ loads, LS and UL list, XQ runs from a label, HX halts,
+as ST and AB without an argument do. JP, IF, ELSE, ENDIF, EN, AM, WT and AT mean something only here. What a program prints nobody
+asked for; a command that fails ends it with `?`, the line number and the line.
 """
 
 import math
@@ -27,6 +27,7 @@ from undrift.sim.rig.galil_card import (
     Error,
     Recording,
     Refused,
+    check_motor_type,
     evaluate,
     places,
     record,
@@ -37,7 +38,7 @@ from undrift.sim.rig.galil_card import (
 )
 from undrift.sim.rig.server import Machine, Session
 
-ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "AD", "AT", "JP", "JS", "EN", "RE")
+ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "AD", "AT", "JP", "JS", "IF", "EN", "RE")
 NOT_PROGRAM_WORDS = ("DL", "LS", "UL", "ED", "RS", "QR")
 REVISION = "\x12\x16"
 CRLF = "\r\n"
@@ -135,7 +136,9 @@ def _set(card: Card, word: str, value: float) -> None:
         raise Refused(Error.OUT_OF_RANGE)
     if card.motion.running and not setting.while_running:
         raise Refused(Error.RUNNING)
-    rounded = math.trunc(value / setting.step + 1e-9) * setting.step
+    if word == "MT":
+        check_motor_type(card, value)
+    rounded = math.trunc(value / setting.step + math.copysign(1e-9, value)) * setting.step
     if word == "TM":
         set_sample_time(card, rounded)
         return
@@ -149,6 +152,7 @@ def _reset(card: Card) -> None:
 
 
 _ACTS: dict[str, Callable[[Card], None]] = {
+    "HM": Card.home,
     "SH": lambda card: card.motor(True),
     "MO": lambda card: card.motor(False),
     "BG": Card.begin,
@@ -337,8 +341,11 @@ class Program:
         self._lines: list[str] = []
         self._todo: list[tuple[int, str]] = []
         self._next: int | None = None  # next line; None when nothing runs
-        self._until: float | None = None  # operand TIME that WT waits for
+        self._until: float | None = None  # operand TIME that WT and AT wait for
         self._waiting = False  # AM
+        self._since = 0.0  # operand TIME that AT counts from
+        self._skipped = 0  # how deep in branches of IF that are not taken
+        card.program_status = self._status
 
     @property
     def running(self) -> bool:
@@ -347,7 +354,13 @@ class Program:
 
     def halt(self) -> None:
         """Stop executing lines."""
-        self._next, self._todo, self._until, self._waiting = None, [], None, False
+        self._next, self._todo, self._until, self._waiting, self._skipped = None, [], None, False, 0
+
+    def _status(self) -> tuple[int, int]:
+        """Return operands _HX0 (0 at rest, 1 runs, 2 at a trippoint) and _XQ0 (line, or -1)."""
+        if self._next is None:
+            return 0, -1
+        return 2 if self._waiting or self._until is not None else 1, max(self._next - 1, 0)
 
     def load(self, text: str) -> None:
         """Replace the program."""
@@ -364,17 +377,24 @@ class Program:
             if self.running:
                 raise Refused(Error.PROGRAM_RUNNING)
             return "DL"
+        if word == "UL" and not rest:
+            return CRLF.join(self._lines) + CRLF + "\x1a"
         if word == "LS" and not rest:
             return "".join(f"{number} {line}{CRLF}" for number, line in enumerate(self._lines))
         if word == "XQ":
-            self._next, self._todo = self._label(rest.split(",")[0]) if rest else 0, []
+            label, _, thread = rest.partition(",")
+            if self.running:
+                raise Refused(Error.STRAND_RUNNING)
+            if thread.strip() not in ("", "0"):  # there is one
+                raise Refused(Error.OUT_OF_RANGE)
+            self._next, self._since = self._label(label) if label else 0, float(self._card.ticks)
             return ""
-        if word == "HX":
+        if word == "HX" and rest in ("", "0"):
             if not self.running:
                 raise Refused(Error.NOT_RUNNING)
             self.halt()
             return ""
-        if word == "AB" and rest != "1":
+        if (word == "AB" and rest not in ("1", "?")) or (word == "ST" and not rest):
             self.halt()
         return None
 
@@ -382,11 +402,16 @@ class Program:
         """Bring card and program up to a moment."""
         card = self._card
         while self.running and card.axis.time < time - SLICE_S:
-            card.advance(card.axis.time + SLICE_S)
+            card.advance(min(card.axis.time + max(SLICE_S, self._waits_s() - SLICE_S), time))
             self._step()
         card.advance(time)
         if self.running:
             self._step()
+
+    def _waits_s(self) -> float:
+        """Return how long it does nothing, s of the card."""
+        ticks = 0.0 if self._until is None else self._until - self._card.ticks
+        return ticks * 1000.0 / self._card.values["TM"] * self._card.axis.coefficients.period
 
     def _step(self) -> None:
         for _ in range(AT_ONCE):
@@ -397,6 +422,7 @@ class Program:
             self._waiting, self._until = False, None
             if not self._todo:
                 if self._next >= len(self._lines):
+                    self._card.error_code = Error.NO_ENDIF.value[0] if self._skipped else self._card.error_code
                     self.halt()
                     return
                 number, self._next = self._next, self._next + 1
@@ -407,13 +433,19 @@ class Program:
 
     def _do(self, number: int, text: str) -> None:
         word, rest = text[:2], text[2:].strip()
+        branches = word == "IF" and rest.startswith("(")
         try:
-            if word == "EN":
+            if self._skipped:
+                self._skipped += branches - (text == "ENDIF")
+                self._skipped -= text == "ELSE" and self._skipped == 1
+            elif branches or text in ("ELSE", "ENDIF"):  # to ELSE comes only who took the branch before it
+                self._skipped = int(text == "ELSE" or (branches and not evaluate(self._card, rest)))
+            elif word == "EN":
                 self.halt()
             elif word in ("AM", "MC"):
                 self._waiting = True
-            elif word == "WT":
-                self._until = self._card.ticks + evaluate(self._card, rest)
+            elif word in ("WT", "AT"):
+                self._wait(word, rest)
             elif word == "JP":
                 label, _, condition = rest.partition(",")
                 if not condition or evaluate(self._card, condition):
@@ -426,6 +458,20 @@ class Program:
             self._card.error_code = refusal.code
             self._card.unsolicited.append(f"?{number:03d} {text}{CRLF}")
             self.halt()
+
+    def _wait(self, word: str, rest: str) -> None:
+        """WT n: from now on; AT n: from the reference, AT 0 sets it, AT -n sets it anew at the end; n,1 counts samples."""
+        number, _, unit = rest.partition(",")
+        ticks = evaluate(self._card, number) * (self._card.values["TM"] / 1000.0 if unit.strip() == "1" else 1.0)
+        if word == "WT":
+            self._until = self._card.ticks + ticks
+            return
+        if ticks == 0.0:
+            self._since = float(self._card.ticks)
+            return
+        self._until = self._since + abs(ticks)
+        if ticks < 0.0:
+            self._since = self._until
 
     def _label(self, text: str) -> int:
         for number, line in enumerate(self._lines):

@@ -231,11 +231,17 @@ class Served(Closed):
 
 TICK_S = 0.005
 READ_SIZE = 4096
+# Fair to all clients: each is obeyed for so long in a round, so many bytes at a time, and is read no further while it has not been
+# obeyed, or does not read so many answers of its own.
+TURN_S = 0.005
+MOUTHFUL = 16
+UNREAD = 4096
 
 
 class _Client:
     def __init__(self, session: Session, connection: socket.socket | None, descriptor: int) -> None:
         self.session, self.connection, self.descriptor = session, connection, descriptor
+        self.said = b""  # what was read and is still to be obeyed
         self.pending: deque[tuple[float, bytes]] = deque()
 
 
@@ -275,23 +281,27 @@ class Server:
             self._thread.join()
 
     def settle(self, timeout_s: float = 2.0) -> None:
-        """Wait until the thread has gone round once more."""
+        """Wait until the thread has gone round once more; a server that was closed is settled."""
         self._settled.clear()
-        self._wake.send(b"x")
-        self._settled.wait(timeout_s)
+        with contextlib.suppress(OSError):
+            self._wake.send(b"x")
+            self._settled.wait(timeout_s)
 
     def _serve(self) -> None:
         try:
             while not self._closing:
                 settling = not self._settled.is_set()
                 due = min((client.pending[0][0] for client in self._clients if client.pending), default=math.inf)
+                due = 0.0 if any(client.said for client in self._clients) else due
                 for key, _ in self._selector.select(min(max(due - time.monotonic(), 0.0), TICK_S)):
                     key.data()
                 self._machine.tick()
                 if self.dark or self._link.take_disconnect():
                     self._drop_all()
                 for client in list(self._clients):
+                    self._obey(client)
                     self._speak(client)
+                    self._listen(client)
                 if settling:
                     self._settled.set()
         finally:
@@ -318,20 +328,37 @@ class Server:
 
     def _welcome(self, client: _Client) -> None:
         self._clients.append(client)
-        self._selector.register(client.descriptor, selectors.EVENT_READ, lambda: self._hear(client))
+        self._listen(client)
 
     def _hear(self, client: _Client) -> None:
         try:
-            data = os.read(client.descriptor, READ_SIZE)
+            client.said = os.read(client.descriptor, READ_SIZE)
         except BlockingIOError:
             return
         except OSError:
-            data = b""
-        if not data:
+            client.said = b""
+        if not client.said:
             self._drop(client)
+
+    def _obey(self, client: _Client) -> None:
+        """Give a client its turn; the rest of what it said waits for the next."""
+        until = time.monotonic() + TURN_S
+        while client.said:
+            mouthful, client.said = client.said[:MOUTHFUL], client.said[MOUTHFUL:]
+            for answer in client.session.feed(mouthful):
+                self._queue(client, answer)
+            if time.monotonic() > until:
+                return
+
+    def _listen(self, client: _Client) -> None:
+        """Read from a client only what can be obeyed soon; its system holds back the rest."""
+        if client not in self._clients:
             return
-        for answer in client.session.feed(data):
-            self._queue(client, answer)
+        wanted = not client.said and len(client.pending) < UNREAD
+        if wanted and client.descriptor not in self._selector.get_map():
+            self._selector.register(client.descriptor, selectors.EVENT_READ, lambda: self._hear(client))
+        elif not wanted and client.descriptor in self._selector.get_map():
+            self._selector.unregister(client.descriptor)
 
     def _queue(self, client: _Client, answer: bytes) -> None:
         if answer:
@@ -361,9 +388,11 @@ class Server:
 
     def _drop(self, client: _Client) -> None:
         client.pending.clear()
+        client.said = b""
         if client.connection is None:  # a terminal stays; what is in its line is lost
             return
-        self._selector.unregister(client.descriptor)
+        if client.descriptor in self._selector.get_map():
+            self._selector.unregister(client.descriptor)
         client.connection.close()
         self._machine.close_session(client.session)
         self._clients.remove(client)
