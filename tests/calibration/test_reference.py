@@ -163,6 +163,16 @@ def test_gaps_on_either_side_are_left_out(exact):
     assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 1e-4
 
 
+def test_a_recording_without_a_whole_long_window_stays_beside_others(exact):
+    records, references = exact
+    broken = references[1]
+    for start in range(0, int(broken.time[-1]), 10):
+        broken = hidden(broken, start, start + 0.5)
+    fit = fit_reference(records, [references[0], broken])
+    assert fit.window_s == 16.0
+    assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 1e-4
+
+
 def test_short_recordings_stay_with_shorter_windows():
     device = Device(forward=FORWARD, offset=REST)
     fit = fit_reference(*recordings((41,), device, turn_s=25.0))

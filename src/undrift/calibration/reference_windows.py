@@ -79,7 +79,7 @@ def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray
     back = quaternion_conjugate(q[last])[:, None, None, :]
     design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
     n = len(first)
-    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], -design[..., 4:].reshape(n, 3, -1))
+    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], -design[..., 4:].reshape(n, 3, 3 * (channels - 4)))
     return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
 
 
