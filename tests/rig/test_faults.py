@@ -1,20 +1,26 @@
 """The fault matrix: every fault in every phase of a run ends at rest, loses one dwell at most, and is made good by a resume."""
 
 import contextlib
+import os
+import socket
+import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from testkit.data import show
 from testkit.rig_bench import GAIN, OFFSET, Oven, at_rest, emulated, run, streaming
-from undrift.errors import RigError, UndriftError
+from undrift import calibrate
+from undrift.errors import RigError, RigTimeout, UndriftError
 from undrift.io.session import read_session
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.rig.folder import read_journal
-from undrift.rig.judge import RunSettings
-from undrift.rig.programme import Protocol
+from undrift.rig.guard import stop_rig
+from undrift.rig.judge import Disturbed
+from undrift.rig.programme import Dwell, Protocol, programme_of
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 50.0
@@ -33,21 +39,25 @@ PROTOCOL = Protocol(
     turn_rate_max=60.0 * DPS,
     turn_rate_step=30.0 * DPS,
     axes=("z",),
-    dwell_s=1.0,
+    dwell_s=2.0,  # a tick of 1 ms at either end is then 0.03 deg/s at most
     bracket_s=0.5,
     temperatures_c=(30.0,),
 )
 RATES_DPS = (30.0, -30.0, 60.0, -60.0)  # as the programme turns
 READING_DPS = 0.1  # a dwell's mean reading: noise 0.02/sqrt(50), and a servo that creeps at 1 count in a dwell
 GAIN_BOUND = 2.0 * READING_DPS / (60.0 * 10.0**0.5)  # such readings at these four rates
-JUDGE = RunSettings()
-STORED_DPS = (  # what check_rate lets pass where the link hides as much as it may
-    (JUDGE.turn_rate_tolerance + JUDGE.link_tolerance) * np.abs(RATES_DPS)
-    + JUDGE.angle_tolerance / DPS / PROTOCOL.dwell_s
-)
-TYPICAL_DPS = 0.2  # seen: 0.03, on a busy machine too; a card's millisecond taken for another would be 0.7 to 1.4
+IDLE_DPS, BUSY_DPS = (
+    0.05,
+    0.1,
+)  # stored rate against the true one; a card's millisecond taken for another would be 0.7 to 1.4
 PATIENT_S = 20.0
 AT_ONCE = 3  # most of a cell is waiting for answers that do not come
+TRIES = 5  # of a run that nothing breaks, on a computer that is too busy for it
+
+
+def limit_dps():
+    """Return how far off a stored rate may be, by what else the computer does."""
+    return IDLE_DPS if os.getloadavg()[0] <= (os.cpu_count() or 1) else BUSY_DPS
 
 
 class Bench:
@@ -75,16 +85,38 @@ class Bench:
     def clear(self):
         (self.device if self.sends else self.emulator).clear()
 
-    def run(self, path, *, silence_s=PATIENT_S, **more):
+    def takes_s(self):
+        """Return how long an exchange takes on this computer now: time-outs are multiples of it."""
+        took = []
+        with socket.create_connection((self.emulator.host, self.emulator.port), timeout=60.0) as connection:
+            for _ in range(20):
+                asked = time.monotonic()
+                connection.sendall(b"TP\r")
+                connection.recv(100)
+                took.append(time.monotonic() - asked)
+        return max(took)
+
+    def complete(self, path, **more):
+        """Run to the end, in as many parts as a busy computer needs."""
+        for left in range(TRIES, 0, -1):
+            try:
+                return self.run(path, **more)[0]
+            except (RigTimeout, Disturbed):  # a rest of 0.5 s that took 90 s is not still all the time
+                more["resume"] = True
+                if left == 1:
+                    raise
+        raise AssertionError
+
+    def run(self, path, *, silence_s=PATIENT_S, protocol=PROTOCOL, **more):
         if not self.sends:
-            return run(self.emulator, path, PROTOCOL, chamber=Oven(), **more)
+            return run(self.emulator, path, protocol, chamber=Oven(), **more)
         source = source_at(self.device.address(SPEED))
         with Recorder(source, settings=RecorderSettings(silence_s=silence_s)) as recorder:
             readings = DwellReadings(recorder, deadline_s=silence_s)
-            return run(self.emulator, path, PROTOCOL, chamber=Oven(window_s=15.0), readings=readings, **more)
+            return run(self.emulator, path, protocol, chamber=Oven(window_s=15.0), readings=readings, **more)
 
 
-def broken(bench, path, phase):
+def broken(bench, path, phase, protocol=PROTOCOL):
     """Run with a fault that begins in a phase, not always of the first step that has it; return the error, or None.
 
     In a dwell it begins at the second report: a busy machine makes few of them, and never fewer.
@@ -99,10 +131,17 @@ def broken(bench, path, phase):
             if (len(seen), seen[progress.number]) == (step, reports):
                 bench.inject()
 
+    takes_s = bench.takes_s()
     if phase == "connecting":
         bench.inject()
     try:
-        bench.run(path, report=report, reply_timeout_s=0.1, silence_s=1.0)
+        bench.run(
+            path,
+            report=report,
+            reply_timeout_s=max(0.1, 10.0 * takes_s),
+            silence_s=max(1.0, 50.0 * takes_s),
+            protocol=protocol,
+        )
     except UndriftError as error:
         return error
     return None
@@ -116,32 +155,36 @@ def pieces(path):
 def uninterrupted(tmp_path_factory):
     path = tmp_path_factory.mktemp("uninterrupted") / "run"
     with Bench("none") as bench:
-        bench.run(path)
+        bench.complete(path)
         assert at_rest(bench.emulator)
-    return own_axis(read_session(path))
+    return own_axis(path)
 
 
-def own_axis(session):
-    """Return stored rates and mean readings of the dwells about z, deg/s."""
+def own_axis(path):
+    """Return stored rates, mean readings and the stored rates' own uncertainty of the dwells about z, deg/s."""
+    session, stated = read_session(path), [entry for entry in pieces(path) if entry["purpose"] == "rate"]
     assert [turn.axis for turn in session.turns] == ["z"] * len(RATES_DPS)
     stored = [turn.turn_rate / DPS for turn in session.turns]
     means = [session.records[turn.recording].gyro[turn.start : turn.stop, 2].mean() for turn in session.turns]
-    return np.array(stored), np.array(means)
+    return np.array(stored), np.array(means), np.array([entry["turn_rate_uncertainty"] for entry in stated]) / DPS
 
 
 def compare(found, uninterrupted):
     """Compare dwell by dwell, with the device's true matrix and with the run that nothing broke, and their gains.
 
-    The device says how fast the table truly turned over its readings, to NOISE / sqrt(100) = 0.002 deg/s; the stored rate may be
-    off that by what the run lets pass.
+    The device says how fast the table truly turned over its readings, to NOISE / sqrt(200) = 0.0014 deg/s; the stored rate is
+    within the limit of that, or where the link hid the card's clock within what the run itself states.
     """
-    stored, means = found
+    stored, means, stated = found
     rates = np.array(RATES_DPS)
     np.testing.assert_allclose(means, GAIN[2, 2] * rates + OFFSET[2], rtol=0.0, atol=READING_DPS)
     np.testing.assert_allclose(means, uninterrupted[1], rtol=0.0, atol=2.0 * READING_DPS)
     gains = [np.polyfit(rates, each, 1)[0] for each in (means, uninterrupted[1])]
     assert abs(gains[0] - gains[1]) < GAIN_BOUND
-    assert (np.abs(stored - true_rates(means)) <= STORED_DPS).all(), (stored, true_rates(means))
+    assert (np.abs(stored - true_rates(means)) <= np.maximum(limit_dps(), 3.0 * stated)).all(), (
+        stored,
+        true_rates(means),
+    )
 
 
 def true_rates(means):
@@ -152,21 +195,21 @@ def true_rates(means):
 @pytest.mark.parametrize("error_dps", [0.25, -1.0, 60.0])
 def test_a_dwell_that_was_corrupted_does_not_pass_the_comparison(uninterrupted, dwell, error_dps):
     compare(uninterrupted, uninterrupted)
-    stored, means = uninterrupted
+    stored, means, stated = uninterrupted
     means = means.copy()
     means[dwell] += error_dps
     with pytest.raises(AssertionError):
-        compare((stored, means), uninterrupted)
+        compare((stored, means, stated), uninterrupted)
 
 
 @pytest.mark.parametrize("dwell", range(4))
-@pytest.mark.parametrize("error", [0.2, -1.0])
-def test_a_stored_rate_that_is_wrong_does_not_pass_the_comparison(uninterrupted, dwell, error):
-    stored, means = uninterrupted
+@pytest.mark.parametrize("error_dps", [0.7, -60.0])
+def test_a_stored_rate_that_is_wrong_does_not_pass_the_comparison(uninterrupted, dwell, error_dps):
+    stored, means, stated = uninterrupted
     stored = stored.copy()
-    stored[dwell] *= 1.0 + error
+    stored[dwell] += error_dps
     with pytest.raises(AssertionError):
-        compare((stored, means), uninterrupted)
+        compare((stored, means, stated), uninterrupted)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -183,7 +226,7 @@ def test_a_fault_in_any_phase_ends_at_rest_and_a_resume_completes(fault, tmp_pat
         print(f"{fault:>19} " + " ".join(f"{said:>10}" for said, _ in cells))
     off = [float(each) for _, each in cells]
     show(f"{fault}: stored rates off the true ones, deg/s", [round(each, 3) for each in off])
-    assert np.median(off) < TYPICAL_DPS
+    assert np.median(off) < limit_dps()
 
 
 def cell(fault, phase, path, uninterrupted):
@@ -193,15 +236,70 @@ def cell(fault, phase, path, uninterrupted):
         kept = pieces(path)
         before = {entry["step"]: (path / f"pieces/{entry['step']:04d}.parquet").read_bytes() for entry in kept}
         bench.clear()
+        if "NOT CONFIRMED" in str(error):  # then the guard stops it, once the link is back
+            stop_rig(
+                f"galil:tcp://{bench.emulator.host}:{bench.emulator.port}?clock_speed={SPEED}&reply_timeout_s={PATIENT_S}"
+            )
         assert at_rest(bench.emulator), f"{fault} while {phase}: the table is not at rest with its motor off"
         assert error is None or isinstance(error, RigError)
         assert phase == "closing" or (error is None) == (len(kept) == 7)
-        result, _ = bench.run(path, resume=True)
+        bench.complete(path, resume=True)
         assert at_rest(bench.emulator)
-    assert [piece.step for piece in result.pieces] == [2, 3, 4, 5, 6, 7, 8]
+    assert [entry["step"] for entry in pieces(path)] == [2, 3, 4, 5, 6, 7, 8]
     for step, content in before.items():
         assert (path / f"pieces/{step:04d}.parquet").read_bytes() == content, "a dwell that was done has changed"
-    found = own_axis(read_session(path))
+    found = own_axis(path)
     compare(found, uninterrupted)
     off = np.abs(found[0] - true_rates(found[1])).max()
-    return f"{len(kept)}+{result.added}{'' if error is None else '!'}", off
+    return f"{len(kept)}+{7 - len(kept)}{'' if error is None else '!'}", off
+
+
+WHOLE = replace(
+    PROTOCOL,
+    faces=("+x", "-x", "+y", "-y", "+z", "-z"),
+    axes=("x", "y", "z"),
+    turn_rate_max=90.0 * DPS,
+    temperatures_c=(),
+)
+APART = 6.0  # standard uncertainties; of 48 differences, Student's t with 24 degrees of freedom has one in 6,000 tests beyond
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "run"
+    with Bench("none") as bench:
+        bench.complete(path, protocol=WHOLE)
+    return calibrate(read_session(path))
+
+
+def differences(found, other):
+    """Return every parameter's difference in standard uncertainties of it, and the largest relative uncertainty of a scale."""
+    apart, scales = [], []
+    for a, b in ((found.gyro, other.gyro), (found.accel, other.accel)):
+        values = [np.concatenate((model.matrix.ravel(), model.offset)) for model in (a, b)]
+        variance = sum(np.diag(model.covariance)[:12] for model in (a, b))
+        apart += list((values[0] - values[1]) / np.sqrt(variance))
+        scales += [np.sqrt(variance[k]) / abs(values[0][k]) for k in (0, 4, 8)]
+    return np.array(apart), max(scales)
+
+
+@pytest.mark.parametrize(("fault", "phase"), [("power_cut", "dwelling"), ("garbage", "writing")])
+def test_a_resumed_run_is_calibrated_as_an_uninterrupted_one(tmp_path, calibrated, fault, phase):
+    with Bench(fault) as bench:
+        assert broken(bench, tmp_path / "run", phase, WHOLE) is not None
+        assert 0 < len(pieces(tmp_path / "run")) < len(pieces_of(WHOLE))
+        bench.clear()
+        bench.complete(tmp_path / "run", resume=True, protocol=WHOLE)
+    found = calibrate(read_session(tmp_path / "run"))
+    apart, scale = differences(found, calibrated)
+    show(
+        f"{fault}: largest difference, standard uncertainties; of a scale, %",
+        (np.abs(apart).max(), 100.0 * scale),
+        APART,
+    )
+    assert np.abs(apart).max() < APART
+    assert scale < 0.005  # else nothing could be told apart
+
+
+def pieces_of(protocol):
+    return [step for step in programme_of(protocol).steps if isinstance(step, Dwell)]

@@ -1,6 +1,7 @@
 """What a run survives: kill -9, a full disk, half-written pieces; and what a resume refuses."""
 
 import errno
+import hashlib
 import json
 import os
 import random
@@ -13,8 +14,10 @@ from dataclasses import replace
 
 import pytest
 
+from testkit.data import show
 from testkit.emulated_axis import axis_rate
 from testkit.rig_bench import SHORT, at_rest, emulated, run
+from testkit.waiting import eventually
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.rig import folder as folder_file
@@ -24,6 +27,7 @@ from undrift.sim.rig.emulator import EmulatedBenchSettings, EmulatorSettings, st
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 10.0
+LONGEST_S = 3.0  # about as long as a run takes once its motor is on
 LONGER = Protocol(
     faces=("+z",), face_s=1.0, turn_rate_min=30.0 * DPS, turn_rate_max=90.0 * DPS, turn_rate_step=30.0 * DPS, axes=("z",),
     dwell_s=2.0, bracket_s=1.0,
@@ -41,33 +45,60 @@ def started(calls, before=""):
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_kill_9_at_random_moments_leaves_a_table_at_rest_and_loses_one_dwell_at_most(tmp_path):
-    write_protocol(LONGER, tmp_path / "protocol.toml")
-    path, rng = tmp_path / "run", random.Random(5)
-    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
-        kept = 0
-        for _ in range(3):
-            process = started(words(bench, tmp_path / "protocol.toml", path, "--resume"))
-            last = time.monotonic() + 120.0
-            while len(read_journal(path / JOURNAL)[0]) <= kept and process.poll() is None and time.monotonic() < last:
-                time.sleep(0.01)
-            time.sleep(rng.uniform(0.0, 0.8))
+def killed_at_random(bench, folder, protocol, kills, rng, tell=lambda line: None):
+    """Kill runs with kill -9 and resume them, in a new folder when one is complete; return what was counted."""
+    counted = {"kills": 0, "at rest": 0, "dwells kept": 0, "dwells lost": 0, "folders complete": 0}
+    held: dict[str, str] = {}  # pieces on the disk: name -> sha256
+    path = folder / "run1"
+    while counted["kills"] < kills or held:
+        last = counted["kills"] >= kills  # finish what is begun
+        process = started(words(bench, protocol, path, "--resume", "--json"))
+        if not last:
+            turns = rng.random() < 0.8  # else it is struck while it starts, or mounts
+            begun = (lambda: bench.rig.motor_on) if turns else (path / JOURNAL).exists
+            eventually(lambda: begun() or process.poll() is not None, "it begins", within_s=240.0)  # noqa: B023
+            time.sleep(rng.uniform(0.0, LONGEST_S if turns else 1.0))
+        over = process.poll() is not None
+        if not (over or last):
             process.kill()
-            process.communicate(timeout=120.0)
-            assert at_rest(bench.rig), "the guard did not stop the table"
-            now = len(read_journal(path / JOURNAL)[0])
-            assert now > kept
-            kept = now
-            if now > 1:
-                assert len(read_session(path).records) in (now - 1, now - 2)  # one behind, if struck just then
-        process = started(words(bench, tmp_path / "protocol.toml", path, "--resume", "--json"))
-        out, err = process.communicate(timeout=120.0)
-        assert process.returncode == 0, err
-        assert json.loads(out)["dwells"] == 9
-        assert at_rest(bench.rig)
-    session = read_session(path)
-    assert len(session.turns) == 6
-    assert len(session.stills) == 3
+        out, err = process.communicate(timeout=240.0)
+        counted["at rest"] += at_rest(bench.rig)
+        counted["kills"] += 1
+        entries = read_journal(path / JOURNAL)[0]
+        now = {entry["step"]: entry["sha256"] for entry in entries[1:]}
+        for step, digest in held.items():
+            whole = now.get(step) == digest == sha256_of(path / f"pieces/{step:04d}.parquet")
+            counted["dwells lost"] += not whole
+        counted["dwells kept"] += len(now) - len(held)
+        if now:
+            read = len(read_session(path).records)
+            counted["dwells lost"] += read not in (len(now), len(now) - 1)  # one behind, if struck just then
+        held = now
+        if over or last:
+            counted["kills"] -= 1  # it ended before
+            assert process.returncode == 0, err
+            assert json.loads(out)["dwells"] == 9
+            session = read_session(path)
+            assert (len(session.turns), len(session.stills)) == (6, 3)
+            counted["folders complete"] += 1
+            counted["at rest"] -= 1
+            path, held = folder / f"run{counted['folders complete'] + 1}", {}
+        tell(str(counted))
+    return counted
+
+
+def sha256_of(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.long)])
+def test_kill_9_at_random_instants_leaves_a_table_at_rest_and_loses_nothing(tmp_path, kills):
+    write_protocol(LONGER, tmp_path / "protocol.toml")
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+        counted = killed_at_random(bench, tmp_path, tmp_path / "protocol.toml", kills, random.Random(5))
+    show("kill -9 at random instants", counted)
+    assert (counted["kills"], counted["at rest"], counted["dwells lost"]) == (kills, kills, 0)
+    assert counted["folders complete"] >= 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGTSTP])
