@@ -162,7 +162,9 @@ def _scores(
     time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_s: float
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the best correlation, a score of each shift, and the shifts, s: among equals the widest overlap is best."""
-    best, score, lags = 0.0, np.zeros(1), np.zeros(1)
+    best = 0.0
+    score: FloatArray = np.zeros(1)
+    lags: FloatArray = np.zeros(1)
     for centre in (True, False):
         shifts, correlation, overlap = lag_correlation(time, gyro, rates, longest_s, centre=centre)
         here = np.nan_to_num(correlation) * np.sqrt(overlap / max(overlap.max(), 1.0))
