@@ -1,7 +1,8 @@
-"""The quick demo beside busy processes: ``python -m benchmarks.demo_under_load [--runs 20] [--busy 3]``.
+"""The quick demo beside busy processes: ``python -m benchmarks.demo_under_load [--runs 20] [--busy 3] [--share 0.5] [--nice 19]``.
 
 Starts the busy processes, runs ``undrift demo --quick`` one time after the other, prints a line for each run and a summary, and
-exits with 1 unless every run succeeded. The busy processes end with it, however it ends.
+exits with 1 unless every run succeeded. The busy processes end with it, however it ends. ``--share`` puts all of it on one
+processor and lets each demo run for that part of every tenth of a second, as a container with a limit does.
 """
 
 import argparse
@@ -16,7 +17,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-LONGEST_S = 600.0  # of one demo
+LONGEST_S = 600.0  # of one demo, on a processor of its own
+PERIOD_S = 0.1
 BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent:\n    for _ in range(1_000_000):\n        pass"
 
 
@@ -38,12 +40,17 @@ def main(words: list[str]) -> int:
     )
     parser.add_argument("--runs", type=int, default=20, help="demos, one after the other")
     parser.add_argument("--busy", type=int, default=3, help="processes that do nothing but use a processor each")
+    parser.add_argument("--share", type=float, default=1.0, help="of one processor that a demo may have")
+    parser.add_argument("--nice", type=int, default=0, help="of all processes")
     chosen = parser.parse_args(words)
+    os.nice(chosen.nice)
+    if chosen.share < 1.0:
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # as an exception, so that the busy processes end too
     took_s, failed = [], 0
     with _busy(chosen.busy):
         for number in range(1, chosen.runs + 1):
-            code, resumed, last, seconds = _demo()
+            code, resumed, last, seconds = _demo(chosen.share)
             took_s.append(seconds)
             failed += code != 0
             result = "ok" if code == 0 else f"FAILED, exit code {code}: {last}"
@@ -73,17 +80,28 @@ def _busy(count: int) -> Iterator[None]:
             process.wait()
 
 
-def _demo() -> tuple[int, int, str, float]:
+def _demo(share: float) -> tuple[int, int, str, float]:
     """Return exit code, how often a run was resumed, the last line of stderr, and the time it took, s."""
-    began = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
+    began, longest_s = time.monotonic(), LONGEST_S if share == 1.0 else 6.0 * LONGEST_S
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
         command = [sys.executable, "-m", "undrift", "demo", "--quick", "--json", "--out", str(Path(folder) / "demo")]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True)
         try:
-            done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=LONGEST_S)
-            code, said = done.returncode, done.stderr
-        except subprocess.TimeoutExpired:
-            code, said = -1, f"no end within {LONGEST_S:g} s"
-    lines = [line for line in said.splitlines() if line.strip()]
+            while process.poll() is None and time.monotonic() - began < longest_s:
+                time.sleep(share * PERIOD_S)
+                if share < 1.0:
+                    os.killpg(process.pid, signal.SIGSTOP)
+                    time.sleep((1.0 - share) * PERIOD_S)
+                    os.killpg(process.pid, signal.SIGCONT)
+        finally:
+            code = process.poll()
+            if code is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+        said.seek(0)
+        lines = [line for line in said.read().splitlines() if line.strip()]
+    if code is None:
+        code, lines = -1, [*lines, f"no end within {longest_s:g} s"]
     resumed = sum("; resuming, attempt" in line for line in lines)
     return code, resumed, lines[-1] if lines else "", time.monotonic() - began
 

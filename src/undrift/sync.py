@@ -96,7 +96,24 @@ LEAST_OVERLAP = 0.3  # of the shorter side
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
     """Return the lag, s, at which the lengths of the two rates correlate best."""
-    centred = gyro - _offset(gyro)
+    lags, correlation, overlap = lag_correlation(time, gyro, rates, longest_lag_s)
+    if not overlap.any():
+        raise AlignmentError(
+            f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
+            "of search, got less; check their clocks, or widen longest_lag_s (--max-lag-s)"
+        )
+    if not np.isfinite(correlation).any():
+        raise AlignmentError(
+            "lag: wanted both sides to turn, got one that does not; there is no common motion to align by"
+        )
+    return float(lags[np.nanargmax(correlation)])
+
+
+def lag_correlation(
+    time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float, *, centre: bool = True
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return lags, s, the correlation of the two lengths at each, and the cells that both have; NaN and 0 where too few."""
+    centred = gyro - _offset(gyro) if centre else gyro  # a device that seldom rests shows no offset
     u, w = np.linalg.norm(centred, axis=1), np.linalg.norm(rates.rate, axis=1)
     middle = 0.5 * (rates.start + rates.stop)
     start = min(time[0], middle[0])
@@ -107,17 +124,8 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     reach = min(int(longest_lag_s / (cell * CELL_S)) + 1, len(x) - 1)
     correlation, overlap = _masked_correlation(x, m, y, n, reach)
     enough = overlap >= LEAST_OVERLAP * min(m.sum(), n.sum())
-    if not enough.any():
-        raise AlignmentError(
-            f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
-            "of search, got less; check their clocks, or widen longest_lag_s (--max-lag-s)"
-        )
-    if not np.isfinite(correlation[enough]).any():
-        raise AlignmentError(
-            "lag: wanted both sides to turn, got one that does not; there is no common motion to align by"
-        )
-    best = int(np.nanargmax(np.where(enough, correlation, np.nan)))
-    return float((best - reach) * cell * CELL_S)
+    lags = (np.arange(len(correlation)) - reach) * cell * CELL_S
+    return lags, np.where(enough, correlation, np.nan), np.where(enough, overlap, 0.0)
 
 
 def _offset(gyro: FloatArray) -> FloatArray:
@@ -290,9 +298,11 @@ def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSe
     return lag_of(record.time, record.gyro, pose_rates(native_poses(reference)), settings)
 
 
-def lag_of(time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings) -> Lag:
-    """Find how late readings are against mean rates about three axes or one."""
-    lag = coarse_lag(time, gyro, rates, settings.longest_lag_s)
+def lag_of(
+    time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings, *, near: float | None = None
+) -> Lag:
+    """Find how late readings are against mean rates about three axes or one; ``near`` is where the search begins, if known."""
+    lag = coarse_lag(time, gyro, rates, settings.longest_lag_s) if near is None else near
     known = RunningIntegral(time, gyro)
     wanted = _averaged(rates, settings.average_s)
     before, fit = _aligned(known, wanted, 0.0)[0], None

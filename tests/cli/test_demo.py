@@ -4,13 +4,14 @@ import json
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from testkit.command_line import contents
 from undrift.cli import study as study_module
-from undrift.errors import RigTimeout
+from undrift.errors import LinkError, RigTimeout
 from undrift.io import store as store_module
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
@@ -133,9 +134,35 @@ def test_a_bench_on_a_busy_computer_resumes_where_an_answer_came_too_late(tmp_pa
     steps = [piece.step for piece in run.thermal.pieces]
     assert sorted(set(steps)) == steps
     assert run.thermal.added < len(steps)
-    assert "resuming, attempt 2 of 4, at speed 20" in caplog.text
+    assert "busy computer (rig: wanted an answer, got nothing); resuming, attempt 2 of 4, at speed 20" in caplog.text
+    assert "check power" not in caplog.text  # there is nothing that a person could check
     assert run.plan.speed == 20.0
     assert len(read_session(tmp_path / "thermal").turns) == sum(p.purpose == "rate" for p in run.thermal.pieces)
+
+
+def test_time_outs_and_speed_follow_what_the_computer_leaves_the_bench(tmp_path, monkeypatch, caplog):
+    seen = []
+
+    def late(plan, device, folder, done, tell, patience_s, *, resume):
+        seen.append((plan.speed, patience_s))
+        raise LinkError("rig: wanted positions, got a closed connection; look at the cable")
+
+    monkeypatch.setattr(virtual_bench, "_record_rest", late)
+    monkeypatch.setattr(virtual_bench, "host_slowness", lambda: 5.0)
+    with pytest.raises(
+        RigTimeout, match=r"virtual bench: wanted a computer that keeps up, .* 1/5.0 .*end other programs"
+    ) as ended:
+        record_on_bench(bench_plan(quick=True), bench_device(), tmp_path, tell=lambda what, left_s: None)
+    assert "cable" not in str(ended.value) + caplog.text
+    assert seen == [(pytest.approx(10.0 / 2.5**k), 50.0) for k in range(4)]
+
+
+def test_the_slowness_of_a_computer_is_measured(monkeypatch):
+    assert 1.0 <= virtual_bench.host_slowness() <= 40.0
+    clock, used = iter([0.0, 0.7]), iter([0.0, 0.05, 0.1])
+    slow = SimpleNamespace(monotonic=lambda: next(clock), process_time=lambda: next(used))
+    monkeypatch.setattr(virtual_bench, "time", slow)
+    assert virtual_bench.host_slowness() == pytest.approx(7.0)
 
 
 def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):

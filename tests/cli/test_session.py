@@ -7,6 +7,7 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
+from testkit.rate_table_log import GAIN, bench
 from undrift.io.formats import write_record
 from undrift.io.proposal import gyro_unit_of
 from undrift.io.session import read_session
@@ -181,3 +182,37 @@ def test_gains_of_a_data_sheet_make_units_of_counts_and_a_thermal_log_its_tables
     assert (held["units"]["gyro"], held["units"]["accel"]) == ("dps", "g")
     assert undrift("drift", log, "--map", tmp_path / "m.toml", "-o", tmp_path / "d.json").code != 2
     assert undrift("correct", log, "--calibration", tmp_path / "d.json", "-o", tmp_path / "c.csv").code == 0
+
+
+def test_the_log_of_a_table_becomes_the_turns_that_calibrate_takes(undrift, tmp_path):
+    record, dwells, path = bench(tmp_path, drift=1e-5)
+    write_record(record, tmp_path / "table.parquet")
+    words = ("session", "new", tmp_path / "table.parquet", "--rates", path)
+    told = undrift.good(*words, "-o", tmp_path / "s", "--json").json()["rates"]
+    (clock,) = told["clocks"]
+    assert (told["dwells"], told["left_out"]) == (len(dwells), 0)
+    assert abs(clock["drift"] - 1e-5) < 4.0 * clock["drift_uncertainty"]
+    text = (tmp_path / "s" / "session.toml").read_text()
+    assert text.count("# by the table's log; standard uncertainty ") == text.count("[[turn]]") == len(dwells)
+    session = read_session(tmp_path / "s")
+    assert [turn.axis for turn in session.turns] == [up[1] for *_, up, _ in dwells]
+    made = undrift("calibrate", tmp_path / "s", "--json").json()
+    assert made["gyro"]["method"].startswith("rate-table")
+    forward = np.linalg.inv(np.array(made["gyro"]["matrix"])) * np.pi / 180.0
+    show("gyroscope matrix off the true one", f"{np.abs(forward - GAIN).max():.2e}", "5e-4")
+    np.testing.assert_allclose(forward, GAIN, atol=5e-4)  # 0.01 deg over 4 s and 0.05 deg/s of noise, at 10 to 75 deg/s
+    said = undrift.good(*words, "-o", tmp_path / "t").out
+    assert f"dwells from the log: {len(dwells)}, left out 0" in said
+    assert "recording - log: 1234.5" in said
+
+
+def test_the_options_of_a_log_are_refused_where_they_do_nothing(undrift, tmp_path):
+    record, _, path = bench(tmp_path)
+    write_record(record, tmp_path / "table.parquet")
+    words = ("session", "new", tmp_path / "table.parquet", "-o", tmp_path / "s")
+    assert "--rates-offset-s: wanted one recording and --rates" in undrift.refused(*words, "--rates-offset-s", 3)
+    still = Record(time=record.time, gyro=record.gyro * 0.0 + np.random.default_rng(1).normal(size=record.gyro.shape))
+    write_record(still, tmp_path / "still.parquet")
+    line = undrift.refused("session", "new", tmp_path / "still.parquet", "--rates", path, "-o", tmp_path / "s")
+    assert "wanted the log of the table that turned this device, got a correlation of 0." in line
+    assert not (tmp_path / "s").exists()

@@ -1,9 +1,9 @@
-"""Damage sound inputs and read them: ``python -m tests.fuzz [-n 20000] [-j JOBS] [--seed 1] [WORD ...]`` from the project's root.
+"""Damage sound inputs and read them: ``python -m tests.fuzz [-n 20000] [-j JOBS] [--seed 1] [--first 0] [WORD ...]`` from the root.
 
 Every input is read in a worker with limits of memory (1 GB) and time. Printed is, for each kind of input, how many were read and
 refused, and how many ended as they must not: a crash, a hang, more than 1 GB, an error that is not undrift's, a file half written.
 Those are kept in build/fuzz/ as NAME-NUMBER; the same number and seed make the same input. WORD selects inputs by name.
-The exit code is 1 where there is one.
+The exit code is 1 where there is one. A run that SIGTERM or Ctrl-C ends prints what it has, and where --first would go on.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import multiprocessing as mp
 import os
 import random
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -33,6 +34,8 @@ def work(
     held: list[Seed], start: int, todo: "mp.Queue[int]", done: "mp.Queue[tuple[int, int, Outcome | None]]"
 ) -> None:
     """Read inputs until there are none; say which one begins before it does."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal: the main process ends this one
     limit_memory(1.0)
     while (number := todo.get()) >= 0:
         done.put((os.getpid(), number, None))
@@ -49,12 +52,14 @@ def main() -> int:
     parser.add_argument("-n", "--inputs", type=int, default=20_000)
     parser.add_argument("-j", "--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--limit-s", type=float, default=60.0)
     given = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     held = [seed for seed in seeds() if not given.words or any(word in seed.name for word in given.words)]
     todo: mp.Queue[int] = mp.Queue()
     done: mp.Queue[tuple[int, int, Outcome | None]] = mp.Queue()
-    for number in [*range(given.inputs), *[-1] * given.jobs]:
+    for number in [*range(given.first, given.first + given.inputs), *[-1] * given.jobs]:
         todo.put(number)
 
     def started() -> mp.Process:
@@ -77,31 +82,37 @@ def main() -> int:
             (KEPT / f"{number}-{seed.name}").write_bytes(content_of(seed, number, given.seed))
             print(f"{found.kind}: {KEPT / f'{number}-{seed.name}'}: {found.text[:300]}", flush=True)
 
-    while finished < given.inputs:
-        try:
-            worker_id, number, found = done.get(timeout=1.0)
-        except Exception:  # noqa: BLE001 - nothing within a second
-            found = None
-        else:
-            if found is None:
-                open_[worker_id] = (number, time.monotonic())
+    try:
+        while finished < given.inputs:
+            try:
+                worker_id, number, found = done.get(timeout=1.0)
+            except Exception:  # noqa: BLE001 - nothing within a second
+                found = None
             else:
-                open_.pop(worker_id, None)
-                count(number, found)
-        for k, worker in enumerate(workers):
-            begun = open_.get(worker.pid or 0)
-            if begun is None:
-                continue
-            late = time.monotonic() - begun[1] > given.limit_s
-            if (late or not worker.is_alive()) and done.empty():
-                worker.kill()
-                worker.join()
-                del open_[worker.pid or 0]
-                count(begun[0], Outcome("hang" if late else "crash", f"exit code {worker.exitcode}"))
-                workers[k] = started()
-        if time.monotonic() - shown > 10.0:
-            shown = time.monotonic()
-            print(f"{finished} of {given.inputs}", file=sys.stderr, flush=True)
+                if found is None:
+                    open_[worker_id] = (number, time.monotonic())
+                else:
+                    open_.pop(worker_id, None)
+                    count(number, found)
+            for k, worker in enumerate(workers):
+                begun = open_.get(worker.pid or 0)
+                if begun is None:
+                    continue
+                late = time.monotonic() - begun[1] > given.limit_s
+                if (late or not worker.is_alive()) and done.empty():
+                    worker.kill()
+                    worker.join()
+                    del open_[worker.pid or 0]
+                    count(begun[0], Outcome("hang" if late else "crash", f"exit code {worker.exitcode}"))
+                    workers[k] = started()
+            if time.monotonic() - shown > 10.0:
+                shown = time.monotonic()
+                print(f"{finished} of {given.inputs}", file=sys.stderr, flush=True)
+    except KeyboardInterrupt:
+        todo.cancel_join_thread()
+        print(f"ended early: --first {given.first + finished} -n {given.inputs - finished} goes on", flush=True)
+        for worker in workers:
+            worker.kill()
     for worker in workers:
         worker.join()
     kinds = ("read", "refused", *BAD)
@@ -111,7 +122,7 @@ def main() -> int:
         total += found
         print(f"{name[:43]:44}" + "".join(f"{found[kind]:13}" for kind in kinds))
     print(f"{'all, ' + str(finished):44}" + "".join(f"{total[kind]:13}" for kind in kinds))
-    return 1 if any(total[kind] for kind in BAD) else 0
+    return 1 if finished < given.inputs or any(total[kind] for kind in BAD) else 0
 
 
 if __name__ == "__main__":

@@ -94,6 +94,8 @@ class Device:
 class Oven:
     """A chamber that is soaked on the second question."""
 
+    near_c = None
+
     def __init__(self, window_s=300.0):
         self.temp_c, self.asked = 25.0, 0
         self.criterion = SoakSettings(window_s=window_s)

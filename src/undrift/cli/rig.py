@@ -64,7 +64,9 @@ def run(
     output : Path
         Folder of the run.
     chamber : str or None
-        Address of the thermal chamber, where the protocol has temperatures: tcp://host:port
+        Address of the thermal chamber, where the protocol has temperatures: tcp://host:port, serial:///dev/ttyUSB0,
+        modbus-tcp://host:502?model=watlow-f4 (or watlow-ez-zone, eurotherm), modbus-rtu:///dev/ttyUSB0?model=...; manual:
+        asks a person to set it, and the device's thermometer shows when it has soaked.
     operator : str or None
         Address of an emulated operator, who mounts the device; a person is asked where not given.
     serial : str
@@ -86,6 +88,7 @@ def run(
     yes : bool
         Start without asking.
     """
+    from undrift.rig.chamber import BY_HAND
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.judge import RunSettings
@@ -108,8 +111,9 @@ def run(
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
         guard = None
-        if chamber is not None or not by_hand:  # before they are opened, so that they are closed before it goes
-            guard = stack.enter_context(Guard("" if by_hand else rig, chamber or ""))
+        driven = chamber is not None and not chamber.startswith(BY_HAND)  # by hand, only a person can switch it off
+        if driven or not by_hand:  # before they are opened, so that they are closed before it goes
+            guard = stack.enter_context(Guard("" if by_hand else rig, chamber if driven and chamber else ""))
         watch = Watch(StopWatch(rig), guard, programme)
         if card_watchdog and guard is not None:
             settings = replace(settings, card_watchdog=guard.promise_holds)
@@ -380,7 +384,7 @@ def _bench(
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
-        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed))
+        oven = open_chamber(chamber, ChamberSettings(soak=soak, clock_speed=clock.speed), ask=_asked)
         stack.callback(oven.close)
     mounting = AskedOperator(_asked) if operator is None else BenchHands(operator)
     check_free(rig)

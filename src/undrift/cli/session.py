@@ -1,5 +1,9 @@
 """``undrift session new``: a session.toml of bare recordings, with what was found in them, ready to edit."""
 
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 from cyclopts import App, Parameter
 
 from undrift.cli.common import (
@@ -17,6 +21,11 @@ from undrift.cli.common import (
 )
 from undrift.cli.examples import examples
 from undrift.errors import InputError
+from undrift.units import RADIAN_PER_DEGREE
+
+if TYPE_CHECKING:
+    from undrift.rate_log import LoggedTurn
+    from undrift.record import Session
 
 session = App(
     name="session",
@@ -35,6 +44,8 @@ def new(
     place: Place = Place(),
     opening: Opening = Opening(),
     turn_deg: float | None = None,
+    rates: Path | None = None,
+    rates_offset_s: float | None = None,
     json: Json = False,
 ) -> int:
     """Write a session.toml with the rests, faces and turns found in bare recordings, ready to edit.
@@ -51,6 +62,11 @@ def new(
         How to read foreign recordings.
     turn_deg : float or None
         Angle of the turns between rests, deg: 360 for full turns.
+    rates : Path or None
+        Log of a rate table's own controller: time_s (or time_ms, time_us) and turn_rate_dps (or turn_rate_rad_s, turn_rate_rpm) or
+        angle_deg (or angle_rad, angle_turns). Its clock is aligned with the recordings; its steady dwells become the turns.
+    rates_offset_s : float or None
+        Time of the recording less that of the log, to a second, where a table that repeats itself leaves it open.
     """
     from undrift.calibration.calibrate import find_pieces
     from undrift.calibration.observe import CalibrateSettings
@@ -59,6 +75,8 @@ def new(
     from undrift.io.session import NAME
 
     check_folder(output)
+    if rates_offset_s is not None and (rates is None or len(files) > 1):
+        raise InputError("--rates-offset-s: wanted one recording and --rates beside it, got others; leave it out")
     if (output / NAME).exists():
         raise InputError(f"{output / NAME}: wanted a new session, got one that exists; edit it, or name another folder")
     with waiting("reading and looking for rests and turns"):
@@ -66,7 +84,11 @@ def new(
             raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
         bare = session_of(files, place, opening)
         found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
-    text = session_text(found, files, output, file_map=opening.file_map(), steady=steady)
+        log = None if rates is None else _logged(rates, found, rates_offset_s)
+    if log is not None:
+        found, steady = replace(found, turns=()), ()
+    logged = [] if log is None else [(each.turn, each.uncertainty) for each in log[0]]
+    text = session_text(found, files, output, file_map=opening.file_map(), steady=steady, logged=logged)
     output.mkdir(exist_ok=True)
     write_whole(output / NAME, text)
     faces = list(dict.fromkeys(still.face for still in found.stills if still.face is not None))
@@ -74,13 +96,59 @@ def new(
     if json:
         gravity = {"gravity_m_s2": found.gravity_m_s2, "gravity_source": found.gravity_source}
         made = {"output": str(output / NAME), "recordings": len(found.records), "faces": faces}
-        write_json(made | counts | gravity, "session new")
+        write_json(made | counts | gravity | ({} if log is None else {"rates": log[1]}), "session new")
         return 0
     say(
         f"Wrote {output / NAME}",
         f"  still phases: {counts['stills']}; faces: {', '.join(faces) or 'not all six, free poses'}; turns by a known angle: "
         f"{counts['turns']}; steady turns, their rate to be stated: {counts['steady_turns']}",
+        *([] if log is None else _log_lines(log[1])),
         f"  gravity {found.gravity_m_s2:.5f} m/s2 ({found.gravity_source})",
     )
     say_next("calibrate", output, "-o", "calibration.json")
     return 0
+
+
+def _logged(path: Path, session: "Session", offset_s: float | None) -> "tuple[tuple[LoggedTurn, ...], dict[str, Any]]":
+    """Return the dwells of a table's log on the recordings, and what is said of them."""
+    from undrift.rate_log import RateLogSettings, align_clocks, cut_dwells, read_rate_log
+
+    log, settings = read_rate_log(path), RateLogSettings(offset_s=offset_s)
+    clocks = [align_clocks(log, record, settings) for record in session.records]
+    turns, missed = cut_dwells(log, list(zip(session.records, clocks, strict=True)), settings)
+    if not turns:
+        raise InputError(
+            f"{path}: wanted steady dwells of {settings.least_s:g} s or more on the recording, got none of {missed}; check the log"
+        )
+    shown = [
+        {
+            "offset_s": each.offset_s,
+            "offset_uncertainty_s": each.offset_uncertainty_s,
+            "drift": each.drift,
+            "drift_uncertainty": each.drift_uncertainty,
+            "correlation": each.correlation,
+        }
+        for each in clocks
+    ]
+    largest_dps = max(each.uncertainty for each in turns) / RADIAN_PER_DEGREE
+    return turns, {"dwells": len(turns), "left_out": missed, "largest_uncertainty_dps": largest_dps, "clocks": shown}
+
+
+NOTABLE_DRIFT = 1e-3  # a scale factor is wrong by as much where the table's clock is the wrong one
+
+
+def _log_lines(log: dict[str, Any]) -> list[str]:
+    lines = [
+        f"  dwells from the log: {log['dwells']}, left out {log['left_out']}; standard uncertainty of rates up to "
+        f"{log['largest_uncertainty_dps']:.2g} deg/s"
+    ]
+    for each in log["clocks"]:
+        lines.append(
+            f"  recording - log: {each['offset_s']:.3f} +- {each['offset_uncertainty_s']:.3f} s, drift "
+            f"{each['drift'] * 1e6:+.0f} +- {each['drift_uncertainty'] * 1e6:.0f} ppm"
+        )
+        if abs(each["drift"]) > NOTABLE_DRIFT:
+            lines.append(
+                f"  the clocks differ by {abs(each['drift']):.2%}; rates are by the table's: check which is right"
+            )
+    return lines

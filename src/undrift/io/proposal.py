@@ -130,9 +130,18 @@ def _rotated(vectors: FloatArray, by: FloatArray) -> FloatArray:
 
 
 def session_text(
-    session: Session, files: Sequence[Path], folder: Path, *, file_map: FileMap | None, steady: Sequence[Turn] = ()
+    session: Session,
+    files: Sequence[Path],
+    folder: Path,
+    *,
+    file_map: FileMap | None,
+    steady: Sequence[Turn] = (),
+    logged: Sequence[tuple[Turn, float]] = (),
 ) -> str:
-    """Return the session.toml of bare recordings for a folder; steady turns, whose rate is not known, stand as comments."""
+    """Return the session.toml of bare recordings for a folder; steady turns, whose rate is not known, stand as comments.
+
+    Logged turns have the standard uncertainty of their rate beside them, rad/s.
+    """
     width = len(files) // len(session.records)
     assumed = (
         "   # assumed: standard gravity; state yours, or latitude_deg and height_m"
@@ -151,6 +160,9 @@ def session_text(
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     for piece in pieces:
         lines += ["", *piece_lines(piece, session.records[piece.recording].time)]
+    for turn, uncertainty in logged:
+        note = f"# by the table's log; standard uncertainty {uncertainty / RADIAN_PER_DEGREE:.2g} deg/s"
+        lines += ["", *piece_lines(turn, session.records[turn.recording].time), note]
     for turn in steady:
         own = piece_lines(turn, session.records[turn.recording].time)
         lines += [

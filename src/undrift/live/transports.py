@@ -3,7 +3,8 @@
     tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name        ble:id?characteristic=uuid
 
 The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file of them. A device on TCP listens; one on
-UDP sends to this computer's port; each datagram and each Bluetooth notification is whole. LSL has time stamps of its own. A new
+UDP sends to this computer's port; each datagram and each Bluetooth notification is whole. LSL has time stamps of its own. Boards
+that read voltages are ``daq:Dev1/ai0:6?...`` (live/daq.py). A new
 kind is a function from an Address to a Source, and a row in SOURCES; or a package with an entry point in "undrift.sources".
 """
 
@@ -40,7 +41,7 @@ RESOLVE_S = 5.0
 OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
 SOURCES = {  # kind -> the function that makes a source of an address
     kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl", "ble")
-}
+} | {"daq": "undrift.live.daq:daq_source"}
 GROUP = "undrift.sources"
 
 
@@ -136,7 +137,7 @@ class SerialPort:
     datagrams = False
 
     def __init__(self, place: str, baud: int, hardware_handshake: bool = False) -> None:
-        serial = _package("serial", "pyserial", "serial port")
+        serial = package_of("serial", "pyserial", "serial port")
         self._port = serial.serial_for_url(place, baudrate=baud, write_timeout=WRITE_S, rtscts=hardware_handshake)
 
     def receive(self, wait_s: float) -> bytes:
@@ -234,11 +235,12 @@ def host_and_port(place: str) -> tuple[str, int]:
     return parts.hostname or "", port if parts.path in ("", "/") else 0
 
 
-def _package(module: str, package: str, who: str) -> Any:
+def package_of(module: str, package: str, who: str, extra: str = "live") -> Any:
+    """Import an optional package, or say what to install."""
     try:
         return importlib.import_module(module)
     except (ImportError, RuntimeError) as error:  # pylsl: the second where the library beneath it is missing
-        raise LinkError(f"{who}: wanted the package {package}, got none; pip install undrift[live]") from error
+        raise LinkError(f"{who}: wanted the package {package}, got none; pip install undrift[{extra}]") from error
 
 
 # ---- Sources: a way that is opened, and read until it has brought a reading.
@@ -399,7 +401,7 @@ def ble_source(address: Address) -> Source:
         )
 
     def connect() -> BlePort:
-        bleak = _package("bleak", "bleak", "ble")
+        bleak = package_of("bleak", "bleak", "ble")
 
         def make(on_loss: Callable[[Any], None]) -> Any:
             return bleak.BleakClient(place, disconnected_callback=on_loss, timeout=CONNECT_S_BLE)
@@ -418,7 +420,7 @@ def lsl_source(address: Address) -> Source:
     def connect() -> Any:
         if offline == "yes":
             stay_offline()
-        pylsl = _package("pylsl", "pylsl", "lsl")
+        pylsl = package_of("pylsl", "pylsl", "lsl")
         found = pylsl.resolve_byprop("name", name, timeout=RESOLVE_S)
         if not found:
             raise LinkError(f"lsl:{name}: wanted a stream of that name, got none in {RESOLVE_S:g} s; start the sender")

@@ -1,4 +1,6 @@
-"""A thermal chamber behind a small SCPI-like language, over TCP or a serial port.
+"""Thermal chambers by address; here those behind a small SCPI-like language, over TCP or a serial port.
+
+``modbus-tcp:`` and ``modbus-rtu:`` are in rig/modbus.py, ``manual:``, a chamber that a person sets, in rig/manual.py.
 
 ::
 
@@ -19,13 +21,15 @@ import contextlib
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault
+from undrift.plugins import load_named, names_in
 from undrift.record import Face, Record
 from undrift.rig.link import Clock, Link, LinkSettings
 from undrift.rig.programme import Soak
@@ -99,26 +103,18 @@ class Steadiness:
         return near and self.slope_c_per_min() < self._settings.slope_c_per_min
 
 
-class ScpiChamber:
-    """A chamber that is connected; a context manager that lets go of it."""
+class Chamber:
+    """A chamber that is connected; a context manager that lets go of it. A kind of chamber sends, reads and switches off."""
 
-    def __init__(self, url: str, settings: ChamberSettings = ChamberSettings()) -> None:
+    near_c: float | None = None  # How near the set-point a device must come where the air has no thermometer, K
+
+    def __init__(self, settings: ChamberSettings) -> None:
         self.settings, self.criterion = settings, settings.soak
-        self._link = Link(url, LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud))
         self._steadiness = Steadiness(settings.soak)
         self._set_point: float | None = None
         self._closed = False
-        try:
-            self.identity = self._ask("*IDN?")
-            if self.identity.count(",") != 3:
-                raise LinkError(
-                    f"{url}: wanted a chamber's maker, model, number, firmware, got '{self.identity}'; check address"
-                )
-        except BaseException:
-            self._link.close()
-            raise
 
-    def __enter__(self) -> "ScpiChamber":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *failure: object) -> None:
@@ -132,18 +128,15 @@ class ScpiChamber:
                 f"chamber: wanted a set-point from {low:g} to {high:g} degC, got {temp_c:g}; choose one in between",
                 temp_c=temp_c,
             )
-        held = self._number(f"TEMP:SPO {temp_c:.2f};:OUTP ON;:TEMP:SPO?")
-        answer = self._ask("SYST:ERR?")
-        if answer.partition(",")[0] not in ("0", "+0"):
-            raise RigFault(f"chamber: wanted a command obeyed, got error {answer[:60]}; look at the chamber")
+        held = self._send(temp_c)
         if abs(held - temp_c) > 0.1:
             raise RigFault(f"chamber: wanted a set-point of {temp_c:g} degC, got {held:g}; look at the chamber")
         self._set_point, self._steadiness = held, Steadiness(self.settings.soak)
         return held
 
-    def read(self) -> float:
-        """Return the temperature of its air now, degC."""
-        temp = self._number("MEAS:TEMP?")
+    def read(self) -> float | None:
+        """Return the temperature of its air now, degC; None where it has no thermometer that can be asked."""
+        temp = self._measure()
         self._steadiness.add(time.monotonic() * self.settings.clock_speed, temp)
         return temp
 
@@ -156,8 +149,7 @@ class ScpiChamber:
 
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
-        if self._number("OUTP OFF;:OUTP?") != 0.0:
-            raise RigFault("chamber: wanted heater and compressor off, got them on; switch the chamber off by hand")
+        raise NotImplementedError
 
     def close(self) -> None:
         """Switch it off and let go of the link; harmless when called again, and when the link is lost."""
@@ -166,10 +158,61 @@ class ScpiChamber:
         self._closed = True
         try:
             with contextlib.suppress(RigError):
-                self._link.reconnect()  # an answer that came late must not keep it on
+                self._reconnect()  # an answer that came late must not keep it on
                 self.switch_off()
         finally:
+            self._let_go()
+
+    def _send(self, temp_c: float) -> float:
+        """Switch on, set, and return the set-point that it holds."""
+        raise NotImplementedError
+
+    def _measure(self) -> float:
+        raise NotImplementedError
+
+    def _reconnect(self) -> None:
+        """Begin the link anew."""
+
+    def _let_go(self) -> None:
+        """Close the link."""
+
+
+class ScpiChamber(Chamber):
+    """A chamber that understands the language above."""
+
+    def __init__(self, url: str, settings: ChamberSettings = ChamberSettings()) -> None:
+        super().__init__(settings)
+        self._link = Link(url, LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud))
+        try:
+            self.identity = self._ask("*IDN?")
+            if self.identity.count(",") != 3:
+                raise LinkError(
+                    f"{url}: wanted a chamber's maker, model, number, firmware, got '{self.identity}'; check address"
+                )
+        except BaseException:
             self._link.close()
+            raise
+
+    def switch_off(self) -> None:
+        """Switch heater and compressor off."""
+        if self._number("OUTP OFF;:OUTP?") != 0.0:
+            raise RigFault("chamber: wanted heater and compressor off, got them on; switch the chamber off by hand")
+
+    def _send(self, temp_c: float) -> float:
+        held = self._number(f"TEMP:SPO {temp_c:.2f};:OUTP ON;:TEMP:SPO?")
+        answer = self._ask("SYST:ERR?")
+        if answer.partition(",")[0] not in ("0", "+0"):
+            raise RigFault(f"chamber: wanted a command obeyed, got error {answer[:60]}; look at the chamber")
+        return held
+
+    def _measure(self) -> float:
+        return self._number("MEAS:TEMP?")
+
+    def _reconnect(self) -> None:
+        self._link.reconnect()
+
+    def _let_go(self) -> None:
+        self._link.close()
 
     def _ask(self, text: str) -> str:
         return self._link.exchange(text).strip()
@@ -187,9 +230,24 @@ class ScpiChamber:
         return value
 
 
-def open_chamber(address: str, settings: ChamberSettings = ChamberSettings()) -> ScpiChamber:
-    """Open a chamber; its temperature is left as it is."""
-    return ScpiChamber(address, settings)
+BY_HAND = "manual:"
+CHAMBERS = {  # kind -> the function that opens a chamber; any other address is one of a ScpiChamber
+    "manual": "undrift.rig.manual:open_chamber_from",
+    "modbus-tcp": "undrift.rig.modbus:open_from",
+    "modbus-rtu": "undrift.rig.modbus:open_from",
+}
+GROUP = "undrift.chambers"
+
+
+def open_chamber(
+    address: str, settings: ChamberSettings = ChamberSettings(), *, ask: Callable[[str], str] | None = None
+) -> Chamber:
+    """Open a chamber; its temperature is left as it is. ``ask`` shows a person a line and returns what they typed."""
+    kind = address.partition(":")[0]
+    if kind not in names_in(CHAMBERS, GROUP):
+        return ScpiChamber(address, settings)
+    chamber: Chamber = load_named(kind, CHAMBERS, GROUP)(address, settings, ask)
+    return chamber
 
 
 def _slope(t: FloatArray, temp: FloatArray) -> float:
@@ -234,9 +292,10 @@ LAGS = 5.0
 class Board:
     """Watches a board through a soak, from now on."""
 
-    def __init__(self, readings: Readings, clock: Clock, step: Soak, criterion: SoakSettings, lag_s: float) -> None:
+    def __init__(self, readings: Readings, clock: Clock, step: Soak, chamber: Chamber, lag_s: float) -> None:
         self._readings, self._clock, self._lag_s = readings, clock, lag_s
-        self._slope, self._window_s = step.slope_c_per_min, criterion.window_s
+        self._slope, self._window_s = step.slope_c_per_min, chamber.criterion.window_s
+        self._wanted_c, self._near_c = step.temp_c, chamber.near_c
         self._steadiness = Steadiness(SoakSettings(slope_c_per_min=self._slope, window_s=self._window_s))
         self._temp_c: float | None = None
         self._known = False
@@ -255,8 +314,23 @@ class Board:
         if self._air_since is None or not self._known:
             return False
         if self._temp_c is None:
+            if self._near_c is not None:
+                raise InputError(
+                    "device: wanted a thermometer in it, as the chamber is set by hand, got none; use a chamber that can be asked"
+                )
             return now - self._air_since >= LAGS * self._lag_s
+        return self._still() and not self._apart()
+
+    def elsewhere(self) -> bool:
+        """Return whether the board stands still far from the set-point, where nothing but the board shows the air."""
+        return self._still() and self._apart()
+
+    def _still(self) -> bool:
         return self._steadiness.slope_c_per_min() < self._slope
+
+    def _apart(self) -> bool:
+        far = self._temp_c is not None and self._near_c is not None
+        return far and abs((self._temp_c or 0.0) - self._wanted_c) > (self._near_c or 0.0)
 
     def _look(self, now: float) -> None:
         if now - self._since < (self._window_s / LOOKS if self._known else FIRST_LOOK_S):

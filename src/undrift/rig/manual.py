@@ -1,18 +1,22 @@
 """A rig that is a person: mounts the device on its faces and turns it by hand through known angles.
 
 A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, whatever its rate was: the angle is what
-calibrates, not the rate. So `move_by` works, and `turn` does not.
+calibrates, not the rate. So `move_by` works, and `turn` does not. And a chamber that a person sets: the device's own thermometer
+shows when it has soaked.
 """
 
+import logging
 import math
 from collections.abc import Callable
 
 from undrift.errors import InputError, LinkError, RigFault
 from undrift.record import Face
+from undrift.rig.chamber import Chamber, ChamberSettings
 from undrift.rig.link import Clock
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
+log = logging.getLogger(__name__)
 GIVING_UP = ("q", "quit", "stop")
 QUESTIONS = 3  # how often an answer that is no number is asked for again
 
@@ -37,6 +41,41 @@ class AskedOperator:
         """Have the device mounted."""
         line = f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
         _said(self._ask, line, f"mounting: wanted the device mounted {up} up", "continue with --resume when it is")
+
+
+class HandChamber(Chamber):
+    """A chamber that a person sets when asked to; nothing can be read from it."""
+
+    near_c = 5.0  # self-heating of a board, and what an untrimmed thermometer is off
+
+    def __init__(self, ask: Callable[[str], str], settings: ChamberSettings = ChamberSettings()) -> None:
+        super().__init__(settings)
+        self._ask = ask
+
+    def read(self) -> None:
+        """Nothing to read."""
+        return
+
+    def soaked(self) -> bool:
+        """Leave it to the device's thermometer."""
+        return True
+
+    def switch_off(self) -> None:
+        """Leave it to the person, and say so."""
+        if self._set_point is not None:
+            log.warning("chamber: set by hand, and still on; switch it off")
+
+    def _send(self, temp_c: float) -> float:
+        line = f"Set the chamber to {temp_c:g} degC, then press Enter (q gives up): "
+        _said(self._ask, line, f"chamber: wanted it set to {temp_c:g} degC", "continue with --resume when it can be")
+        return temp_c
+
+
+def open_chamber_from(address: str, settings: ChamberSettings, ask: Callable[[str], str] | None) -> HandChamber:
+    """Take a person's word for a chamber."""
+    if ask is None:
+        raise InputError("chamber: wanted a person to ask, got none; a chamber by hand needs a terminal")
+    return HandChamber(ask, settings)
 
 
 class ManualRig:

@@ -15,7 +15,7 @@ import numpy as np
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
 from undrift.io.parquet import read_own_parquet
 from undrift.record import Face, Kind, Record
-from undrift.rig.chamber import Board, Mounting, Readings, ScpiChamber, mean_temp
+from undrift.rig.chamber import Board, Chamber, Mounting, Readings, mean_temp
 from undrift.rig.folder import Head, Piece, RunFolder
 from undrift.rig.guard import Guard, StopWatch, uninterrupted
 from undrift.rig.judge import (
@@ -36,7 +36,17 @@ from undrift.rig.rig import Achieved, Position, Rig, achieved_turn_rate, check_p
 # ---- run
 
 Phase = Literal[
-    "enabling", "mounting", "soaking", "ramping", "settling", "dwelling", "turning", "resting", "writing", "closing"
+    "enabling",
+    "mounting",
+    "setting",
+    "soaking",
+    "ramping",
+    "settling",
+    "dwelling",
+    "turning",
+    "resting",
+    "writing",
+    "closing",
 ]
 POLLS = 20  # positions in a short dwell
 POLL_S = 0.1  # between two positions of a long one, s of the host
@@ -53,7 +63,7 @@ class Bench:
     rig: Rig  # Open
     readings: Readings  # Of the device
     mounting: Mounting  # The operator
-    chamber: ScpiChamber | None = None  # Needed where the programme soaks
+    chamber: Chamber | None = None  # Needed where the programme soaks
     clock: Clock = field(default_factory=Clock)  # The rig's
 
 
@@ -122,6 +132,11 @@ def _kind_of(programme: Programme) -> Kind:
     return "thermal" if len(visited) > 1 else "calibration"
 
 
+def _air(chamber: Chamber) -> str:
+    air_c = chamber.read()
+    return "air not read" if air_c is None else f"{air_c:.2f} degC"
+
+
 class _Run:
     """A run that is going on."""
 
@@ -186,20 +201,26 @@ class _Run:
         elif self._bench.chamber is not None:
             self._soak(step, self._bench.chamber)
 
-    def _soak(self, step: Soak, chamber: ScpiChamber) -> None:
+    def _soak(self, step: Soak, chamber: Chamber) -> None:
         clock = self._bench.clock
-        self._say("soaking")
-        chamber.set(step.temp_c)
-        board = Board(self._bench.readings, clock, step, chamber.criterion, self._settings.device_lag_s)
-        last = clock.now() + self._settings.soak_timeout_s
+        last, board = clock.now() + self._settings.soak_timeout_s, self._heat(step, chamber)
         while not board.followed(chamber.soaked()):
             if clock.now() > last:
                 raise RigTimeout(
                     f"chamber: wanted {step.temp_c:g} degC steady to {step.slope_c_per_min:g} K/min within "
-                    f"{self._settings.soak_timeout_s:g} s, got {chamber.read():.2f} degC{board}; look at chamber and device"
+                    f"{self._settings.soak_timeout_s:g} s, got {_air(chamber)}{board}; look at chamber and device"
                 )
+            if board.elsewhere():
+                log.warning("chamber: wanted %g degC, got a steady%s; set it again", step.temp_c, board)
+                board = self._heat(step, chamber)
             clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
-            self._say("soaking", f"{chamber.read():.2f} degC{board}")
+            self._say("soaking", f"{_air(chamber)}{board}")
+
+    def _heat(self, step: Soak, chamber: Chamber) -> Board:
+        self._say("setting" if chamber.near_c is not None else "soaking")  # a person takes their time
+        chamber.set(step.temp_c)
+        self._say("soaking")
+        return Board(self._bench.readings, self._bench.clock, step, chamber, self._settings.device_lag_s)
 
     def _turn(self, step: Dwell) -> None:
         """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
@@ -362,7 +383,7 @@ class _Run:
             return None
         air_c = chamber.read()
         tolerance_c = chamber.criterion.tolerance_c
-        if step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
+        if air_c is not None and step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
             raise RigFault(
                 f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout step {self._number} ({step}), got "
                 f"{air_c:.2f} degC; look at door and heater, then continue with --resume",
@@ -418,4 +439,6 @@ class Watch:
             if self._guard is not None:
                 self._guard.check()
         if self._guard is not None:
-            self._guard.expect(None if progress.phase in ("mounting", "turning", "closing") else self._within_s)
+            self._guard.expect(
+                None if progress.phase in ("mounting", "setting", "turning", "closing") else self._within_s
+            )

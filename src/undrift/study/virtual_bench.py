@@ -62,6 +62,8 @@ CRYSTAL = ClockSettings(memory_s=1e5, rate_tolerance=1e-4)  # the board samples 
 PATIENCE_S = 10.0  # the longest wait for table, chamber and device: a busy computer runs them late, host s
 ATTEMPTS = 4  # a computer that is too busy loses an answer, or takes readings later than they are due; the run resumes
 SLOWER = 2.5  # times, at each further attempt
+PROBE_S = 0.1  # of processor time, that shows what others leave of it
+LITTLE_SLOW, MOST_SLOW = 1.5, 40.0
 STEP_HOST_S = 0.04  # sockets and disk take as long for each step, host s
 
 log = logging.getLogger(__name__)
@@ -120,25 +122,50 @@ def bench_device() -> DeviceModel:
     return replace(unit, thermometer=replace(unit.thermometer, lag_s=THERMOMETER_LAG_S))
 
 
+def host_slowness() -> float:
+    """Return how many times longer than its processor time a moment's work takes here; 1 on a computer with one to spare."""
+    began, used = time.monotonic(), time.process_time()
+    while time.process_time() - used < PROBE_S:
+        pass
+    slow = (time.monotonic() - began) / PROBE_S
+    return min(slow, MOST_SLOW) if slow > LITTLE_SLOW else 1.0
+
+
 def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
     """Emulate a bench with a device on it and record both protocols; resume slower where the computer is too busy."""
     began = time.monotonic()
     done: list[RunResult] = []
     with stopping_on_signals():
         for attempt in range(1, ATTEMPTS + 1):
+            slow = host_slowness()
             try:
-                _record_rest(plan, device, folder, done, tell, resume=attempt > 1)
+                now = replace(plan, speed=plan.speed / slow)
+                _record_rest(now, device, folder, done, tell, PATIENCE_S * slow, resume=attempt > 1)
                 break
             except (LinkError, RigTimeout) as error:
+                got = str(error).partition(";")[0]  # its advice is for a bench that is real
                 if attempt == ATTEMPTS:
-                    raise
+                    raise RigTimeout(
+                        f"virtual bench: wanted a computer that keeps up, got one that leaves it 1/{slow:.1f} of a processor "
+                        f"({got}); end other programs, then start again"
+                    ) from error
                 plan = replace(plan, speed=plan.speed / SLOWER)
-                log.warning("%s; resuming, attempt %d of %d, at speed %g", error, attempt + 1, ATTEMPTS, plan.speed)
+                log.warning(
+                    "virtual bench: busy computer (%s); resuming, attempt %d of %d, at speed %g",
+                    *(got, attempt + 1, ATTEMPTS, plan.speed),
+                )
     return BenchRun(plan=plan, bench=done[0], thermal=done[1], host_s=time.monotonic() - began)
 
 
 def _record_rest(
-    plan: BenchPlan, device: DeviceModel, folder: Path, done: list[RunResult], tell: Tell, *, resume: bool
+    plan: BenchPlan,
+    device: DeviceModel,
+    folder: Path,
+    done: list[RunResult],
+    tell: Tell,
+    patience_s: float,
+    *,
+    resume: bool,
 ) -> None:
     """Run the protocols that are not done yet on a bench of their own, and add their results."""
     stream = StreamSettings(seed=0, framing="frame")  # costs half as much as text
@@ -148,13 +175,22 @@ def _record_rest(
         for which in range(len(done), 2):
             what = ("faces and rates at room temperature", "set-points in the thermal chamber")[which]
             tell(f"virtual bench: {what}", sum(host_s[which:]))
-            done.append(_record(plan, bench, which, folder, tell, sum(host_s[which + 1 :]), resume=resume))
+            later_s = sum(host_s[which + 1 :])
+            done.append(_record(plan, bench, which, folder, tell, (later_s, patience_s), resume=resume))
 
 
 def _record(
-    plan: BenchPlan, bench: EmulatedBench, which: int, path: Path, tell: Tell, later_s: float, *, resume: bool
+    plan: BenchPlan,
+    bench: EmulatedBench,
+    which: int,
+    path: Path,
+    tell: Tell,
+    times_s: tuple[float, float],
+    *,
+    resume: bool,
 ) -> RunResult:
-    """Run what is not on the disk yet; all connections end with it."""
+    """Run what is not on the disk yet; all connections end with it. What comes later, and the longest wait, host s."""
+    later_s, patience_s = times_s
     protocol, programme = (plan.bench, plan.thermal)[which], plan.programmes[which]
 
     def report(progress: Progress) -> None:
@@ -164,17 +200,17 @@ def _record(
 
     with ExitStack() as stack:
         folder = stack.enter_context(RunFolder(path / protocol.name, protocol, resume=resume))
-        settings = RecorderSettings(clock=CRYSTAL, silence_s=PATIENCE_S)
+        settings = RecorderSettings(clock=CRYSTAL, silence_s=patience_s)
         recorder = Recorder(source_at(bench.device_address), settings)
-        readings = DwellReadings(recorder, deadline_s=PATIENCE_S)
+        readings = DwellReadings(recorder, deadline_s=patience_s)
         stack.callback(readings.close)
         recorder.start()
         chamber = None
         if protocol.temperatures_c:
-            watched = ChamberSettings(soak=SOAK, clock_speed=plan.speed, reply_timeout_s=PATIENCE_S)
+            watched = ChamberSettings(soak=SOAK, clock_speed=plan.speed, reply_timeout_s=patience_s)
             chamber = open_chamber(bench.chamber_address, watched)
             stack.callback(chamber.close)
-        rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=PATIENCE_S))
+        rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=patience_s))
         stack.callback(rig.close)
         hands, clock = BenchHands(bench.hands_address), Clock(speed=plan.speed)
         connected = Bench(rig=rig, readings=readings, mounting=hands, chamber=chamber, clock=clock)

@@ -1,0 +1,93 @@
+"""A chamber that a person sets when asked: the device's own thermometer shows when it has soaked."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from testkit.rig_bench import SHORT, Device, Hands, at_rest, emulated, opened
+from undrift.errors import InputError, RigFault
+from undrift.io.session import read_session
+from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
+from undrift.rig.folder import RunFolder
+from undrift.rig.judge import RunSettings
+from undrift.rig.link import Clock
+from undrift.rig.programme import programme_of
+from undrift.rig.run import Bench, run_programme
+from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
+from undrift.units import STANDARD_GRAVITY
+
+SPEED = 40.0
+QUICK = AirSettings(ramp_c_per_min=300.0, period_s=1.0, board_lag_s=1.0)
+RISE_C = 1.5  # of the board above the air, by its own power
+SETTINGS = ChamberSettings(clock_speed=SPEED, soak=SoakSettings(window_s=10.0))
+
+
+class WithThermometer(Device):
+    """The device of the bench, on a board in the chamber."""
+
+    def __init__(self, emulator, hands, chamber):
+        super().__init__(emulator, hands)
+        self.chamber = chamber
+
+    def stop(self):
+        record = super().stop()
+        return replace(record, temp_c=RISE_C + self.chamber.board_temp(record.time))
+
+
+def hand_run(tmp_path, temperatures, person, *, thermometer=True):
+    """Run a protocol at a bench whose chamber obeys nobody but the person at it."""
+    with emulated(SPEED) as emulator:
+        chamber = EmulatedChamber(QUICK, emulator.clock)
+        hands = Hands()
+        readings = WithThermometer(emulator, hands, chamber) if thermometer else Device(emulator, hands)
+        protocol = replace(SHORT, temperatures_c=temperatures)
+        try:
+            with (
+                RunFolder(tmp_path, protocol) as folder,
+                open_chamber("manual:", SETTINGS, ask=lambda line: person(line, chamber)) as by_hand,
+            ):
+                bench = Bench(
+                    rig=opened(emulator), readings=readings, mounting=hands, chamber=by_hand, clock=Clock(speed=SPEED)
+                )
+                run_programme(
+                    programme_of(protocol),
+                    bench,
+                    folder,
+                    report=lambda progress: None,
+                    gravity_m_s2=STANDARD_GRAVITY,
+                    settings=RunSettings(device_lag_s=0.0),
+                )
+        finally:
+            assert at_rest(emulator)
+            chamber.close()
+
+
+def test_the_run_asks_waits_for_the_device_and_asks_again_where_the_chamber_was_set_wrong(tmp_path, caplog):
+    asked = []
+
+    def person(line, chamber):
+        asked.append(line)
+        temp = float(re.search(r"to ([\d.]+) degC", line)[1])
+        if len(asked) != 2:  # the second time the person presses Enter and forgets the chamber
+            chamber.obey(f"TEMP:SPO {temp};:OUTP ON")
+        return ""
+
+    hand_run(tmp_path, (30.0, 42.0), person)
+    assert asked == [f"Set the chamber to {t} degC, then press Enter (q gives up): " for t in (30, 42, 42)]
+    assert "wanted 42 degC, got a steady, device 31." in caplog.text
+    assert "still on; switch it off" in caplog.text
+    session = read_session(tmp_path)
+    assert session.kind == "thermal"
+    for turn in session.turns:  # what the board reads, 1.5 K above the air, and steady
+        assert min(abs(turn.temp_c - 31.5), abs(turn.temp_c - 43.5)) < 0.5
+    assert {round(turn.temp_c) for turn in session.turns} & {43, 44}
+
+
+def test_a_device_without_a_thermometer_and_a_person_who_gives_up_end_the_run_in_one_line(tmp_path):
+    with pytest.raises(InputError, match=r"wanted a thermometer in it, as the chamber is set by hand, got none"):
+        hand_run(tmp_path / "a", (30.0, 42.0), lambda line, chamber: "", thermometer=False)
+    with pytest.raises(RigFault, match=r"chamber: wanted it set to 30 degC, got 'q'; continue with --resume"):
+        hand_run(tmp_path / "b", (30.0, 42.0), lambda line, chamber: "q")
+    with pytest.raises(InputError, match=r"chamber: wanted a person to ask, got none"):
+        open_chamber("manual:")
