@@ -232,6 +232,16 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
     assert np.isfinite(found.off[~about_x]).all()
 
 
+def test_a_mounting_is_known_as_stated_where_the_accelerometers_know_it_worse():
+    device, session = turned(table=TableErrors())
+    accel = true_accel(device)
+    poor = replace(accel, covariance=np.diag([*np.full(9, (0.01 * accel.matrix[0, 0]) ** 2), 0.0, 0.0, 0.0]))
+    dwells = dwells_of(session, device)
+    found = table_axes(dwells, RateTable(mount_tilt_deg=0.01, wobble_deg=0.0), poor, G)
+    sigma = np.sqrt(np.diag(found.spread)).reshape(-1, 3)[~np.eye(3, dtype=bool)[dwells.own]]
+    assert sigma.max() < 0.011 * DEG  # 1 % of the matrix is 0.6 deg
+
+
 def test_a_mounting_far_off_the_stated_one_is_said_and_one_within_it_is_not_a_doubt():
     _, session = turned("bench", TableErrors(mount_tilt_sd=1.0 * DEG))
     stills = tuple(replace(still, face=still.face if n < 6 else None) for n, still in enumerate(session.stills))
