@@ -247,12 +247,10 @@ class _Run:
         if face in self._doubted:
             return False
         self._doubted.add(face)
-        pieces = tuple(piece for piece in self._folder.pieces if piece.up == face)
         log.warning(
             "what was read with %s up does not fit the other faces: it is mounted and read again at the end", face
         )
-        self._folder.withdraw(pieces)
-        self.withdrawn |= {piece.step for piece in pieces}
+        self.withdrawn |= self._folder.withdraw(face)
         self._rests.forget(face)
         return True
 
