@@ -121,14 +121,9 @@ def run(
         watch.arm()
         shown = _Shown(watch)
         stack.callback(shown.end)
+        judge = RunSettings(device_lag_s=device_lag_s)
         result = run_programme(
-            programme,
-            bench,
-            folder,
-            report=shown,
-            serial=serial or called,
-            gravity_m_s2=gravity_m_s2,
-            settings=RunSettings(device_lag_s=device_lag_s),
+            programme, bench, folder, report=shown, serial=serial or called, gravity_m_s2=gravity_m_s2, settings=judge
         )
     _result(result, output, json)
     return 0

@@ -125,6 +125,6 @@ class CardWatchdog:
                     )
                     return
                 self._write()
-            except RigError as error:  # whoever drives the axis meets it too, and is told how it began
+            except RigError as error:  # whoever drives the axis meets it too, and reports how it began
                 self._axis.broken = self._axis.broken or error
                 return

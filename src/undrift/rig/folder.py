@@ -306,14 +306,16 @@ class RunFolder:
             self.write_session()
         return kept
 
-    def withdraw(self, pieces: tuple[Piece, ...]) -> None:
-        """Take dwells back: the journal says so, their readings go aside, and they are to be done again."""
+    def withdraw(self, face: Face) -> frozenset[int]:
+        """Take back the dwells with a face up: the journal says so, their readings go aside, the steps are to be done again."""
+        steps = frozenset(piece.step for piece in self.pieces if piece.up == face)
         with uninterrupted(), room(self.path):
-            for piece in pieces:
-                self._journal.append({"entry": "withdrawn", "step": piece.step})
-                self.pieces = tuple(kept for kept in self.pieces if kept.step != piece.step)
+            for step in sorted(steps):
+                self._journal.append({"entry": "withdrawn", "step": step})
+                self.pieces = tuple(kept for kept in self.pieces if kept.step != step)
             self._put_aside()
         self.write_session()
+        return steps
 
     def write_session(self) -> None:
         """Write session.toml from the journal, whole or not at all."""

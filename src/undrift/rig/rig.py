@@ -369,7 +369,7 @@ class RigSettings:
     clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, an emulator's speed otherwise
     # Shows a person a line and returns what they typed; a manual rig needs it
     ask: Callable[[str], str] | None = None
-    # Whether the program that drives the rig is alive: a Galil card's own watchdog is told so; None uploads none
+    # Whether the program that drives the rig is alive: a Galil card's own watchdog depends on it; None uploads none
     card_watchdog: Callable[[], bool] | None = None
 
 

@@ -148,8 +148,7 @@ class _Run:
         self._enabled = False
         self._old_fault: str | None = None
         self._step: Step = programme.steps[0]
-        self._began = bench.clock.now()
-        self._number, self._left_s = 0, 0.0
+        self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
         self._rests = Rests()
         self.withdrawn: frozenset[int] = frozenset()  # steps
         self._doubted: set[Face] = set()
@@ -252,8 +251,7 @@ class _Run:
                 self._one_dwell(step)
                 return
             except Disturbed as error:
-                mounted_again = left < READS
-                if isinstance(error, Contradiction) and (error.surely or mounted_again) and self._withdraw(error.other):
+                if isinstance(error, Contradiction) and (error.surely or left < READS) and self._withdraw(error.other):
                     continue
                 left -= 1
                 if not left:
@@ -270,12 +268,10 @@ class _Run:
         if face in self._doubted:
             return False
         self._doubted.add(face)
-        pieces = tuple(piece for piece in self._folder.pieces if piece.up == face)
         log.warning(
             "what was read with %s up does not fit the other faces: it is mounted and read again at the end", face
         )
-        self._folder.withdraw(pieces)
-        self.withdrawn |= {piece.step for piece in pieces}
+        self.withdrawn |= self._folder.withdraw(face)
         self._rests.forget(face)
         return True
 
@@ -300,15 +296,8 @@ class _Run:
         if step.temp_c is not None and self._bench.chamber is not None:
             check_board(record, self._bench.chamber.criterion.tolerance_c, where)
         self._rests.check(step, record, where)
-        self._keep(
-            step,
-            record,
-            missing=missing,
-            chamber_c=chamber_c,
-            set_turn_rate=held,
-            turn_rate=achieved.turn_rate,
-            turn_rate_uncertainty=achieved.uncertainty,
-        )
+        rates = {"set_turn_rate": held, "turn_rate": achieved.turn_rate, "turn_rate_uncertainty": achieved.uncertainty}
+        self._keep(step, record, missing=missing, chamber_c=chamber_c, **rates)
         self._rests.keep(step, record)
 
     def _keep(self, step: Dwell, record: Record, **found: Any) -> None:
@@ -370,26 +359,12 @@ class _Run:
         return record, achieved_turn_rate(positions)
 
     def _check_fault(self) -> None:
-        wrong = self._bench.rig.fault()
+        wrong, where = self._bench.rig.fault(), f"step {self._number} ({self._step})"
         if wrong is not None and wrong != self._old_fault:
-            raise RigFault(
-                f"rig: wanted it sound in step {self._number} ({self._step}), got {wrong}; look at the table"
-            )
+            raise RigFault(f"rig: wanted it sound in {where}, got {wrong}; look at the table")
 
     def _look_at_air(self, step: Dwell) -> float | None:
-        """Return what the chamber reads, where there is one; end the run when it has left the set-point."""
-        chamber = self._bench.chamber
-        if chamber is None:
-            return None
-        air_c = chamber.read()
-        tolerance_c = chamber.criterion.tolerance_c
-        if air_c is not None and step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
-            raise RigFault(
-                f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout step {self._number} ({step}), got "
-                f"{air_c:.2f} degC; look at door and heater, then continue with --resume",
-                temp_c=air_c,
-            )
-        return air_c
+        return check_air(self._bench.chamber, step, f"step {self._number} ({step})")
 
     def _enable(self) -> None:
         if not self._enabled:
@@ -412,6 +387,21 @@ class _Run:
         self._report(
             Progress(phase=phase, number=self._number, steps=steps, step=str(self._step), left_s=left_s, live=live)
         )
+
+
+def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:
+    """Return what the chamber reads, where there is one; end the run when it has left the set-point."""
+    if chamber is None:
+        return None
+    air_c = chamber.read()
+    tolerance_c = chamber.criterion.tolerance_c
+    if air_c is not None and step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
+        raise RigFault(
+            f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout {where}, got "
+            f"{air_c:.2f} degC; look at door and heater, then continue with --resume",
+            temp_c=air_c,
+        )
+    return air_c
 
 
 # ---- Watch over a run: the guard stands by, nobody stopped the table from elsewhere, and the program does not hang.

@@ -241,7 +241,7 @@ UNREAD = 4096
 class _Client:
     def __init__(self, session: Session, connection: socket.socket | None, descriptor: int) -> None:
         self.session, self.connection, self.descriptor = session, connection, descriptor
-        self.said = b""  # what was read and is still to be obeyed
+        self.inbox = b""  # what was read and is still to be obeyed
         self.pending: deque[tuple[float, bytes]] = deque()
 
 
@@ -292,7 +292,7 @@ class Server:
             while not self._closing:
                 settling = not self._settled.is_set()
                 due = min((client.pending[0][0] for client in self._clients if client.pending), default=math.inf)
-                due = 0.0 if any(client.said for client in self._clients) else due
+                due = 0.0 if any(client.inbox for client in self._clients) else due
                 for key, _ in self._selector.select(min(max(due - time.monotonic(), 0.0), TICK_S)):
                     key.data()
                 self._machine.tick()
@@ -332,19 +332,19 @@ class Server:
 
     def _hear(self, client: _Client) -> None:
         try:
-            client.said = os.read(client.descriptor, READ_SIZE)
+            client.inbox = os.read(client.descriptor, READ_SIZE)
         except BlockingIOError:
             return
         except OSError:
-            client.said = b""
-        if not client.said:
+            client.inbox = b""
+        if not client.inbox:
             self._drop(client)
 
     def _obey(self, client: _Client) -> None:
-        """Give a client its turn; the rest of what it said waits for the next."""
+        """Give a client its turn; the rest of what it sent waits for the next."""
         until = time.monotonic() + TURN_S
-        while client.said:
-            mouthful, client.said = client.said[:MOUTHFUL], client.said[MOUTHFUL:]
+        while client.inbox:
+            mouthful, client.inbox = client.inbox[:MOUTHFUL], client.inbox[MOUTHFUL:]
             for answer in client.session.feed(mouthful):
                 self._queue(client, answer)
             if time.monotonic() > until:
@@ -354,7 +354,7 @@ class Server:
         """Read from a client only what can be obeyed soon; its system holds back the rest."""
         if client not in self._clients:
             return
-        wanted = not client.said and len(client.pending) < UNREAD
+        wanted = not client.inbox and len(client.pending) < UNREAD
         if wanted and client.descriptor not in self._selector.get_map():
             self._selector.register(client.descriptor, selectors.EVENT_READ, lambda: self._hear(client))
         elif not wanted and client.descriptor in self._selector.get_map():
@@ -388,7 +388,7 @@ class Server:
 
     def _drop(self, client: _Client) -> None:
         client.pending.clear()
-        client.said = b""
+        client.inbox = b""
         if client.connection is None:  # a terminal stays; what is in its line is lost
             return
         if client.descriptor in self._selector.get_map():
