@@ -85,7 +85,6 @@ def run(
     yes : bool
         Start without asking.
     """
-    from undrift.rig.chamber import BY_HAND
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.judge import RunSettings
@@ -98,7 +97,7 @@ def run(
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
     settings = RigSettings(limits=limits, ask=_asked)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
-    by_hand = rig.startswith("manual:")
+    by_hand, heater = rig.startswith("manual:"), "" if (chamber or "manual:").startswith("manual:") else str(chamber)
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     with ExitStack() as stack:
@@ -108,9 +107,8 @@ def run(
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
         guard = None
-        driven = chamber is not None and not chamber.startswith(BY_HAND)  # by hand, only a person can switch it off
-        if driven or not by_hand:  # before they are opened, so that they are closed before it goes
-            guard = stack.enter_context(Guard("" if by_hand else rig, chamber if driven and chamber else ""))
+        if heater or not by_hand:  # before they are opened, so that they are closed before it goes
+            guard = stack.enter_context(Guard("" if by_hand else rig, heater))
         watch = Watch(StopWatch(rig), guard, programme)
         bench, called = _bench(stack, (rig, device, chamber, operator), settings, programme)
         watch.arm()
