@@ -21,6 +21,7 @@ from undrift.files import LIMITS
 from undrift.io.session import read_file_map, read_session
 from undrift.io.store import read_calibration, write_calibration
 from undrift.live.decoder import read_description
+from undrift.rate_log import read_rate_log
 from undrift.rig.programme import read_protocol
 from undrift.sim.device.model import read_device, write_device
 from undrift.sim.device.presets import preset
@@ -204,6 +205,7 @@ REAL = b"""[[capture]]
 file = "r.csv"
 task = "sit_to_stand"
 """
+RATES = b"time_s,angle_deg\n" + b"".join(b"%.2f,%.2f\n" % (k / 20, 3.0 * k) for k in range(200))
 STREAM = b"""[stream]
 channels = ["count", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
 rate = 100.0
@@ -231,6 +233,7 @@ def seeds() -> list[Seed]:
         "study.toml": (STUDY, read_study),
         "real.toml": (REAL, read_real),
         "stream.toml": (STREAM, read_description),
+        "rates.csv": (RATES, read_rate_log),
         "device.json": (_written(lambda path: write_device(preset("mpu6050"), path)), read_device),
         "calibration.json": (
             _written(lambda path: write_calibration(calibrated, path)),

@@ -1,20 +1,25 @@
 """A chamber that a person sets when asked: the device's own thermometer shows when it has soaked."""
 
+import io
 import re
+import sys
 from dataclasses import replace
 
 import pytest
 
 from testkit.rig_bench import SHORT, Device, Hands, at_rest, emulated, opened
+from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
 from undrift.io.session import read_session
+from undrift.rig import guard
 from undrift.rig.chamber import ChamberSettings, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
+from undrift.rig.guard import Guard
 from undrift.rig.judge import RunSettings
 from undrift.rig.link import Clock
 from undrift.rig.programme import programme_of
 from undrift.rig.run import Bench, run_programme
-from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
+from undrift.sim.rig.emulator import AirSettings, EmulatedBenchSettings, EmulatedChamber, EmulatorSettings, start_bench
 from undrift.units import STANDARD_GRAVITY
 
 SPEED = 40.0
@@ -82,6 +87,24 @@ def test_the_run_asks_waits_for_the_device_and_asks_again_where_the_chamber_was_
     for turn in session.turns:  # what the board reads, 1.5 K above the air, and steady
         assert min(abs(turn.temp_c - 31.5), abs(turn.temp_c - 43.5)) < 0.5
     assert {round(turn.temp_c) for turn in session.turns} & {43, 44}
+
+
+def test_the_command_asks_on_the_terminal_and_sets_no_guard_over_a_chamber_by_hand(tmp_path, monkeypatch, capsys):
+    guarded = []
+    monkeypatch.setattr(guard, "Guard", lambda *places: guarded.append(places) or Guard(*places))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("q\n"))
+    (tmp_path / "protocol.toml").write_text(
+        "[protocol]\n[faces]\nseconds = 1.0\n[temperatures]\nset_points_c = [30.0]\n"
+    )
+    with start_bench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
+        places = ["--rig", bench.rig_address, "--device", bench.device_address, "--operator", bench.hands_address]
+        words = ["rig", "run", str(tmp_path / "protocol.toml"), *places, "-o", str(tmp_path / "run"), "--yes"]
+        assert run([*words, "--chamber", "manual:"]) == 3
+        assert at_rest(bench.rig)
+    said = capsys.readouterr().err
+    assert "Set the chamber to 30 degC, then press Enter (q gives up): " in said
+    assert "chamber: wanted it set to 30 degC, got 'q'; continue with --resume when it can be" in said
+    assert guarded == [(bench.rig_address, "")]  # the table alone
 
 
 def test_a_device_without_a_thermometer_and_a_person_who_gives_up_end_the_run_in_one_line(tmp_path):

@@ -88,7 +88,6 @@ def run(
     yes : bool
         Start without asking.
     """
-    from undrift.rig.chamber import BY_HAND
     from undrift.rig.folder import RunFolder
     from undrift.rig.guard import Guard, StopWatch, stopping_on_signals
     from undrift.rig.judge import RunSettings
@@ -101,7 +100,7 @@ def run(
     limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
     settings = RigSettings(limits=limits, ask=_asked, card_watchdog=(lambda: True) if card_watchdog else None)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=parse_address(rig, settings)[2].encoder_lines))
-    by_hand = rig.startswith("manual:")
+    by_hand, heater = rig.startswith("manual:"), "" if (chamber or "manual:").startswith("manual:") else str(chamber)
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     with ExitStack() as stack:
@@ -111,9 +110,8 @@ def run(
         _forecast(programme, folder.done, yes)
         stack.enter_context(stopping_on_signals())
         guard = None
-        driven = chamber is not None and not chamber.startswith(BY_HAND)  # by hand, only a person can switch it off
-        if driven or not by_hand:  # before they are opened, so that they are closed before it goes
-            guard = stack.enter_context(Guard("" if by_hand else rig, chamber if driven and chamber else ""))
+        if heater or not by_hand:  # before they are opened, so that they are closed before it goes
+            guard = stack.enter_context(Guard("" if by_hand else rig, heater))
         watch = Watch(StopWatch(rig), guard, programme)
         if card_watchdog and guard is not None:
             settings = replace(settings, card_watchdog=guard.promise_holds)

@@ -20,6 +20,7 @@ stated time constants of steady air (exp(-5) = 0.7 % of the step left).
 import contextlib
 import math
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -103,7 +104,7 @@ class Steadiness:
         return near and self.slope_c_per_min() < self._settings.slope_c_per_min
 
 
-class Chamber:
+class Chamber(ABC):
     """A chamber that is connected; a context manager that lets go of it. A kind of chamber sends, reads and switches off."""
 
     near_c: float | None = None  # How near the set-point a device must come where the air has no thermometer, K
@@ -147,9 +148,9 @@ class Chamber:
         self.read()
         return self._steadiness.steady_at(self._set_point)
 
+    @abstractmethod
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Switch it off and let go of the link; harmless when called again, and when the link is lost."""
@@ -163,17 +164,18 @@ class Chamber:
         finally:
             self._let_go()
 
+    @abstractmethod
     def _send(self, temp_c: float) -> float:
         """Switch on, set, and return the set-point that it holds."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _measure(self) -> float:
-        raise NotImplementedError
+        """Return what its thermometer reads, degC."""
 
-    def _reconnect(self) -> None:
+    def _reconnect(self) -> None:  # noqa: B027 - a chamber by hand has no link
         """Begin the link anew."""
 
-    def _let_go(self) -> None:
+    def _let_go(self) -> None:  # noqa: B027
         """Close the link."""
 
 
@@ -230,7 +232,6 @@ class ScpiChamber(Chamber):
         return value
 
 
-BY_HAND = "manual:"
 CHAMBERS = {  # kind -> the function that opens a chamber; any other address is one of a ScpiChamber
     "manual": "undrift.rig.manual:open_chamber_from",
     "modbus-tcp": "undrift.rig.modbus:open_from",

@@ -137,6 +137,13 @@ def _air(chamber: Chamber) -> str:
     return "air not read" if air_c is None else f"{air_c:.2f} degC"
 
 
+def _heat(run: "_Run", step: Soak, chamber: Chamber) -> Board:
+    run._say("setting" if chamber.near_c is not None else "soaking")  # a person takes their time
+    chamber.set(step.temp_c)
+    run._say("soaking")
+    return Board(run._bench.readings, run._bench.clock, step, chamber, run._settings.device_lag_s)
+
+
 class _Run:
     """A run that is going on."""
 
@@ -202,7 +209,7 @@ class _Run:
 
     def _soak(self, step: Soak, chamber: Chamber) -> None:
         clock = self._bench.clock
-        last, board = clock.now() + self._settings.soak_timeout_s, self._heat(step, chamber)
+        last, board = clock.now() + self._settings.soak_timeout_s, _heat(self, step, chamber)
         while not board.followed(chamber.soaked()):
             if clock.now() > last:
                 raise RigTimeout(
@@ -211,15 +218,9 @@ class _Run:
                 )
             if board.elsewhere():
                 log.warning("chamber: wanted %g degC, got a steady%s; set it again", step.temp_c, board)
-                board = self._heat(step, chamber)
+                board = _heat(self, step, chamber)
             clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
             self._say("soaking", f"{_air(chamber)}{board}")
-
-    def _heat(self, step: Soak, chamber: Chamber) -> Board:
-        self._say("setting" if chamber.near_c is not None else "soaking")  # a person takes their time
-        chamber.set(step.temp_c)
-        self._say("soaking")
-        return Board(self._bench.readings, self._bench.clock, step, chamber, self._settings.device_lag_s)
 
     def _turn(self, step: Dwell) -> None:
         """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
