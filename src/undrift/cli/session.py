@@ -110,7 +110,7 @@ def new(
 
 
 def _logged(path: Path, session: "Session", offset_s: float | None) -> "tuple[tuple[LoggedTurn, ...], dict[str, Any]]":
-    """Return the dwells of a table's log on the recordings, and what is said of them."""
+    """Return the dwells of a table's log on the recordings, and what is stated of them."""
     from undrift.rate_log import RateLogSettings, align_clocks, cut_dwells, read_rate_log
 
     log, settings = read_rate_log(path), RateLogSettings(offset_s=offset_s)
